@@ -19,8 +19,8 @@ MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .p
 # With errors as recorded two starts a sensor: fifty take half an hour for each of them.
 RECORDED = $(BIN)/python bench/localization $(QUICK) --only table --starts 2 --conditions
 
-BENCHES := bench-assignment bench-tiles bench-dataset bench-truth bench-mask \
-	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight bench-sizes
+BENCHES := bench-assignment bench-tiles bench-dataset bench-mask \
+	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
@@ -98,7 +98,7 @@ types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
 bench: set-up-bench ## Run every benchmark; one table of them, and what got worse
-	@rm -f out/bench-*.json out/bench-vehicles/bench.json out/bench-localization/*/table-lane.json
+	@rm -rf out/bench out/bench-vehicles/bench.json
 	-@$(MAKE) --keep-going $(BENCHES)
 	$(BIN)/python bench/summary.py
 
@@ -110,9 +110,6 @@ bench-tiles: set-up-dev ## Measure a million tiles, made and written
 
 bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes (BEFORE=FOLDER, a checkout to compare with)
 	$(BIN)/python bench/dataset.py $(if $(BEFORE),--before $(BEFORE))
-
-bench-truth: set-up-dev ## Compare hit share with the true traffic
-	$(BIN)/python bench/truth.py
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
 	$(BIN)/python bench/mask.py
@@ -133,14 +130,9 @@ bench-clocks: set-up-dev ## Measure clocks that are off against the truth
 
 bench-alarm: set-up-dev ## Measure how soon a small move is noticed, and false alarms a month
 	$(BIN)/python bench/alarm.py
-	$(BIN)/python bench/alarm_knocks.py
-	$(BIN)/python bench/alarm_tables.py
 
 bench-sight: set-up-dev ## Measure what is hidden against the truth of towns and two levels
 	$(BIN)/python bench/sight.py
-
-bench-sizes: set-up-dev ## Measure the size of a day's heat map and of detections in the map
-	$(BIN)/python bench/sizes.py
 
 samples: set-up-dev ## Make the files in sample_maps again
 	$(BIN)/python sample_maps/make_samples.py

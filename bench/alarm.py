@@ -6,42 +6,42 @@ recorded, walkers and cyclists. From these:
 - *noticed*: the same detections as a sensor gives them that was moved by 0.3 m in eight directions
   or turned by half a degree, after what there is of an hour: how often within ten minutes, by which
   of both change detectors;
-- *rest*: hours drawn anew from those minutes (`alarm_hours.py`). `day` adds what changes: traffic
-  from night to rush hour, habits by stretch, of all drivers and of trucks, obstacles that all go
-  round, still targets that wander for hours, parked cars that leave, rain, a mast that drifts as
-  far as the settings allow and sways in the wind. The rate of false alarms comes from a generalised
-  Pareto tail of the largest score of each half an hour. `steady` has none of that and is compared
-  with the detections' own scores. In hours of either kind the sensor is moved, too, with all of its
-  still targets and with few of them;
-- *knocks*: what the test of the newest 20 and 60 s reports in the same detections at rest.
+- *rest*: days drawn anew from those minutes (`alarm_hours.py`), with what changes: traffic from
+  night to rush hour, habits by stretch, of all drivers and of trucks, obstacles that all go round,
+  still targets that wander for hours, parked cars that leave, rain, a mast that drifts as far as
+  the settings allow and sways in the wind. The rate of false alarms comes from a generalised Pareto
+  tail of the largest score of each half an hour.
+
+Example: ``python bench/alarm.py --into docs/limits.md`` puts the tables between the page's marks.
 """
 
 from __future__ import annotations
 
 import argparse
 import copy
-import json
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from alarm_hours import APART, CHANGING, STEADY, Day, Hours, Minute, halves, tail
+import pages
+from alarm_hours import APART, CHANGING, Hours, Minute, halves, tail
+from figures import ROOT, SHARES, TARGET, Figure, report, table
 from scipy.spatial.transform import Rotation
-from simulated import ROOT
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.localization.lanes import sample_lanes
-from gis_radar.localization.state import State
-from gis_radar.localization.traces import Moving
-from gis_radar.monitor.alarm import Alarm, ChangeDetector, detectors
-from gis_radar.monitor.lane_places import Cells, LanePlaces, cells_along, lane_places
-from gis_radar.monitor.settings import DEFAULTS
-from gis_radar.monitor.still_targets import StillTargets, by_move
+from gis_radar.calibration import MONITOR
+from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
+from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places
+from gis_radar.calibration.lanes import sample_lanes
+from gis_radar.calibration.state import State
+from gis_radar.calibration.stationary_targets import StillTargets
+from gis_radar.calibration.traces import Moving
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network
@@ -57,18 +57,25 @@ import make_samples
 import street_plan
 
 OUT = ROOT / "out" / "bench-alarm"
-MINUTES = 10  # a piece of simulation; streets hold the same habits in all of them
+MINUTES = 10  # a batch of simulation; streets hold the same habits in all of them
 STREETS_SEED = 77
 WINDOW_S = 100.0
-FIRST_MOVED = 3  # pieces before the first move
-FEW = (24, 12)  # still targets
-ALARM, STILL, TRACES = DEFAULTS.alarm, DEFAULTS.still, DEFAULTS.localization.traces
+FIRST_MOVED = 3  # batches before the first move
+ALARM, STILL, TRACES = MONITOR.alarm, MONITOR.still, MONITOR.localization.traces
 
-
-NOBODY = LanePlaces(
-    vehicle=np.empty(0, dtype=np.int64), cell=np.empty(0, dtype=np.int64), across_m=np.empty(0),
-    over_m=np.empty(0), count=np.empty(0, dtype=np.int64),
-)  # fmt: skip
+WITNESSES = {
+    "whole": "both, as `track` asks them",
+    "still": "still returns alone",
+    "vehicles": "traffic alone",
+}
+TRAFFIC = {"ordinary": "2600 vehicles an hour", "light": "650 vehicles an hour"}
+SIZES = {
+    "0.3": "0.3 m, any direction",
+    "yaw": "yaw by 0.5 degrees",
+    "tilt": "pitch or roll by 0.5 degrees",
+}
+# Trials of a kind of move; how many of them each witness noticed within ten minutes.
+Noticed = dict[str, dict[str, int]]
 
 
 class SameStreets(LaneKeeping):
@@ -82,43 +89,41 @@ class SameStreets(LaneKeeping):
 
 def main() -> None:
     """Simulate, measure, print and keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pieces", type=int, default=5, help="of ten minutes, ordinary traffic")
-    parser.add_argument("--light", type=int, default=4, help="of ten minutes, a quarter of it")
-    parser.add_argument("--days", type=int, default=5, help="of each sensor and kind")
-    parser.add_argument("--still", action="store_true", help="vehicles are not asked: faster")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--ordinary", type=int, default=5, help="batches of ten minutes")
+    parser.add_argument("--light", type=int, default=4, help="batches with a quarter of traffic")
+    parser.add_argument("--days", type=int, default=5, help="of each sensor")
     parser.add_argument("--seed", type=int, default=2, help="of the days; the gate is from 1")
-    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-alarm.json")
+    parser.add_argument("--into", type=Path, metavar="MD", help="put the tables into this page")
     arguments = parser.parse_args()
-    Both.asks_vehicles = not arguments.still
-    report: dict[str, object] = {"gate": ALARM.gate, "still_gate": STILL.gate}
-    days: dict[str, list[Floats]] = {}
-    for name, first, count, share, masts in (
-        ("ordinary", 0, arguments.pieces, 1.0, (0, 1)),
-        ("light", 100, arguments.light, 0.25, (0,)),
-    ):
+    moved: dict[str, Noticed] = {}
+    days: list[list[Scores]] = []
+    for name, first, share, masts in (("ordinary", 0, 1.0, (0, 1)), ("light", 100, 0.25, (0,))):
         for mast in masts:
-            made = [_piece(name, first + number, share, mast) for number in range(count)]
+            numbers = range(first, first + getattr(arguments, name))
+            made = [_batch(name, number, share, mast) for number in numbers]
             sensor = Sensor.of(mast)
-            print(f"{name}, {sensor.name}: {count * MINUTES} minutes", flush=True)
-            report[f"{name}, {sensor.name}, noticed"] = noticed(sensor, made)
+            print(f"{name}, {sensor.name}: {len(made) * MINUTES} minutes", flush=True)
+            _add(moved.setdefault(name, {}), noticed(sensor, made))
             if name == "ordinary":
-                figures, largest = rest(sensor, made, arguments.days, arguments.seed)
-                report[f"{sensor.name}, rest"] = figures
-                for who, parts in largest.items():
-                    days.setdefault(who, []).append(parts)
-    for who, every in days.items():
-        report[f"false, all, {who}"] = tail(np.concatenate(every))
-        print(f"all sensors, day, {who}: {json.dumps(report[f'false, all, {who}'])}", flush=True)
-    report["processor minutes"] = time.process_time() / 60.0
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+                days += rest(sensor, made, arguments.days, arguments.seed)
+    tails = {who: _tail(days, who) for who in WITNESSES}
+    text = "\n\n".join([_noticed_table(moved), _false_table(tails, days)])
+    print(text)
+    if arguments.into is not None:
+        pages.put(arguments.into, {"alarm": text})
+    what = "false alarms of a sensor at rest, a month, 95 % below"
+    most = tails["whole"].get("monthly_95", (0.0, 0.0))[1]
+    report("alarm", [Figure(what=what, ours=most, peer=1.0, peer_name=TARGET, chance=SHARES,
+                            least=0.1)])  # fmt: skip
 
 
 # detections
 
 
-def _piece(name: str, number: int, share: float, mast: int) -> Path:
+def _batch(name: str, number: int, share: float, mast: int) -> Path:
     """Return the detections of ten minutes, simulated once and kept."""
     sensor = make_samples.MASTS[mast].sensor
     path = OUT / name / f"{sensor}_{number:03d}_all.npz"
@@ -145,7 +150,7 @@ def _piece(name: str, number: int, share: float, mast: int) -> Path:
 
 
 def _begin(number: int) -> float:
-    """Return when a piece begins, so that each sees other moments of what wanders."""
+    """Return when a batch begins, so that each sees other moments of what wanders."""
     return make_samples.START + 60.0 * MINUTES * number
 
 
@@ -199,7 +204,7 @@ class Scores:
 
     @property
     def whole(self) -> float:
-        """What the alarm goes by, as :func:`gis_radar.monitor.watch.decided`."""
+        """What the alarm goes by, as :func:`gis_radar.calibration.watch.decided`."""
         return self.still if self.sees else max(self.still, self.vehicles)
 
 
@@ -229,23 +234,23 @@ class Sensor:
         return cls(name=pose.sensor, cells=cells_along(lanes), state=state)
 
     def load(self, path: Path) -> Detected:
-        """Return a piece."""
+        """Return a batch."""
         with np.load(path) as file:
             return Detected(
                 time=file["time"], points=np.asarray(file["xyz"], dtype=np.float64),
                 rate=np.asarray(file["rate"], dtype=np.float64),
             )  # fmt: skip
 
-    def moved(self, piece: Detected, step: Floats) -> Detected:
-        """Return a piece as the sensor gives it that was moved, and is not known to be."""
+    def moved(self, batch: Detected, step: Floats) -> Detected:
+        """Return a batch as the sensor gives it that was moved, and is not known to be."""
         moved = self.state.moved(np.append(step, 0.0))
-        points = (self.state.to_map(piece.points) - moved.position) @ moved.R_map_sensor
-        return replace(piece, points=points)
+        points = (self.state.to_map(batch.points) - moved.position) @ moved.R_map_sensor
+        return replace(batch, points=points)
 
-    def driven(self, piece: Detected, minute: int) -> LanePlaces:
-        """Return where vehicles drove in a minute of a piece."""
+    def driven(self, batch: Detected, minute: int) -> LanePlaces:
+        """Return where vehicles drove in a minute of a batch."""
         now = 60.0 * (minute + 1)
-        window = piece.between(now - WINDOW_S, now)
+        window = batch.between(now - WINDOW_S, now)
         drives = np.abs(window.rate) > TRACES.min_speed_mps
         moving = Moving(
             time=window.time[drives], points=window.points[drives], range_rate=window.rate[drives],
@@ -270,34 +275,32 @@ class Both:
         Of which still targets these are taken as they are, and no others looked for.
     """
 
-    asks_vehicles = True
-
     def __init__(
         self, sensor: Sensor, known: tuple[StillTargets, np.ndarray] | None = None
     ) -> None:
         self.vehicles = Alarm(sensor.cells, sensor.state.position[:2])
-        fixed = replace(DEFAULTS, still=replace(STILL, search_blocks=2**62))
-        self.still = StillTargets(DEFAULTS if known is None else fixed)
+        fixed = replace(MONITOR, still=replace(STILL, search_blocks=2**62))
+        self.still = StillTargets(MONITOR if known is None else fixed)
         if known is not None:
             self.still.know(known[0].place[known[1]], known[0].rate[known[1]])
 
-    def piece(self, sensor: Sensor, piece: Detected, clock: float) -> list[Scores]:
-        """Take a piece of detections; return the scores minute by minute."""
+    def batch(self, sensor: Sensor, batch: Detected, clock: float) -> list[Scores]:
+        """Take a batch of detections; return the scores minute by minute."""
         scores = []
         for minute in range(MINUTES):
-            places = sensor.driven(piece, minute) if self.asks_vehicles else None
-            seen = self.summaries(piece, minute)
+            seen = self.summaries(batch, minute)
+            places = sensor.driven(batch, minute)
             scores.append(self.minute(places, seen, clock + 60.0 * (minute + 1)))
         return scores
 
-    def summaries(self, piece: Detected, minute: int) -> Iterator[Floats]:
+    def summaries(self, batch: Detected, minute: int) -> Iterator[Floats]:
         """Yield where still targets are in the blocks of a minute; to be taken one by one."""
         for begin in 60.0 * minute + np.arange(0.0, 60.0, STILL.block_s):
-            part = piece.between(begin, begin + STILL.block_s)
+            part = batch.between(begin, begin + STILL.block_s)
             self.still.push(part.time, part.points, part.rate)
             yield self.still.summary()
 
-    def minute(self, places: LanePlaces | None, still: Iterable[Floats], now: float) -> Scores:
+    def minute(self, places: LanePlaces, still: Iterable[Floats], now: float) -> Scores:
         """Take a minute; return the largest scores in it, in parts of their gates."""
         largest, sees = 0.0, False
         for part in still:
@@ -305,9 +308,7 @@ class Both:
             told = self.still.tested
             sees = any(each.sees for each in told)
             largest = max([largest, *(each.found.score / STILL.gate for each in told)])
-        driven = None
-        if places is not None and self.asks_vehicles:
-            driven = self.vehicles.push(places, now)
+        driven = self.vehicles.push(places, now)
         by_vehicles = 0.0 if driven is None else driven.score / ALARM.gate
         return Scores(still=largest, vehicles=by_vehicles, sees=sees)
 
@@ -326,115 +327,93 @@ def moves() -> dict[str, Floats]:
     return found
 
 
-def noticed(sensor: Sensor, pieces: Sequence[Path]) -> dict[str, object]:
-    """Move the sensor at the begin of each later piece: how often is it noticed, and when?"""
-    taught, found = Both(sensor), dict[str, list[list[Scores]]]()
-    for number, path in enumerate(pieces):
-        piece, clock = sensor.load(path), 60.0 * MINUTES * number
+def noticed(sensor: Sensor, batches: Sequence[Path]) -> Noticed:
+    """Move the sensor at the begin of each later batch: how often is it noticed, by whom?"""
+    taught, found = Both(sensor), Noticed()
+    for number, path in enumerate(batches):
+        batch, clock = sensor.load(path), 60.0 * MINUTES * number
         for name, step in moves().items() if number >= FIRST_MOVED else ():
-            scores = copy.deepcopy(taught).piece(sensor, sensor.moved(piece, step), clock)
-            found.setdefault(name.split(" ")[0], []).append(scores)
-        rest = taught.piece(sensor, piece, clock)
-        found.setdefault("rest", []).append(rest)
-    report = {name: summary(trials) for name, trials in found.items()}
-    for name, figures in report.items():
-        print(f"  {name:6s} {json.dumps(figures)}", flush=True)
-    return dict(report)
+            scores = copy.deepcopy(taught).batch(sensor, sensor.moved(batch, step), clock)
+            who = {each: int(max(getattr(s, each) for s in scores) > 1.0) for each in WITNESSES}
+            _add(found, {name.split(" ")[0]: {"trials": 1, **who}})
+        taught.batch(sensor, batch, clock)
+    return found
 
 
-def summary(trials: Sequence[Sequence[Scores]]) -> dict[str, object]:
-    """Return how many trials were noticed within the minutes of a piece, by whom, and when."""
-    figures: dict[str, object] = {"trials": len(trials)}
-    for name in ("whole", "still", "vehicles"):
-        scores = np.array([[getattr(each, name) for each in trial] for trial in trials])
-        delay = np.where((scores > 1.0).any(axis=1), np.argmax(scores > 1.0, axis=1) + 1.0, np.inf)
-        largest = scores.max(axis=1)
-        figures[name] = {
-            "noticed": int(np.isfinite(delay).sum()), "minutes": float(np.median(delay)),
-            "score_median": float(np.median(largest)), "score_least": float(largest.min()),
-            "score_most": float(largest.max()),
-        }  # fmt: skip
-    return figures
+def _add(counts: Noticed, more: Noticed) -> None:
+    """Add counts to others."""
+    for name, each in more.items():
+        row = counts.setdefault(name, dict.fromkeys(each, 0))
+        for who, count in each.items():
+            row[who] += count
 
 
-def learnt(sensor: Sensor, pieces: Sequence[Path]) -> tuple[StillTargets, list[Minute]]:
-    """Return the still targets of all pieces, and what both change detectors see in each minute."""
-    first, parts = Both(sensor), [sensor.load(path) for path in pieces]
-    for piece in parts:
+def learnt(sensor: Sensor, batchs: Sequence[Path]) -> tuple[StillTargets, list[Minute]]:
+    """Return the still targets of all batchs, and what both change detectors see in each minute."""
+    first, parts = Both(sensor), [sensor.load(path) for path in batchs]
+    for batch in parts:
         for minute in range(MINUTES):
-            for seen in first.summaries(piece, minute):
+            for seen in first.summaries(batch, minute):
                 first.still.take(seen)
     again = Both(sensor, (first.still, np.arange(len(first.still))))
     minutes = [
         Minute(
-            places=sensor.driven(piece, minute) if Both.asks_vehicles else NOBODY,
-            still=list(again.summaries(piece, minute)),
+            places=sensor.driven(batch, minute),
+            still=list(again.summaries(batch, minute)),
         )
-        for piece in parts
+        for batch in parts
         for minute in range(MINUTES)
     ]
     return first.still, minutes
 
 
-def rest(
-    sensor: Sensor, pieces: Sequence[Path], days: int, seed: int
-) -> tuple[dict[str, object], dict[str, Floats]]:
-    """Let days pass in which the sensor stands still; and move it in them, with fewer targets."""
-    targets, minutes = learnt(sensor, pieces)
+def rest(sensor: Sensor, batches: Sequence[Path], days: int, seed: int) -> list[list[Scores]]:
+    """Let days pass in which the sensor stands still; return the scores of their minutes."""
+    targets, minutes = learnt(sensor, batches)
     hours = Hours(minutes, sensor.detectors(), sensor.state.R_map_sensor, seed)
-    every = np.arange(len(targets))
-    report: dict[str, object] = {"targets": len(targets)}
-    kept: dict[str, Floats] = {}
-    for name, day, count in (("day", CHANGING, days), ("steady", STEADY, 1)):
-        largest: dict[str, list[Floats]] = {"whole": [], "still": [], "vehicles": []}
-        sees: list[bool] = []
-        for _ in range(count):
-            both = Both(sensor, (targets, every))
-            drawn = [
-                both.minute(each.places, each.still, 60.0 * k)
-                for k, (each, _) in enumerate(hours.drawn(24.0, day))
-            ]
-            for who, parts in largest.items():
-                parts.append(halves([getattr(each, who) for each in drawn]))
-            sees += [each.sees for each in drawn[APART:]]
-        joined = {who: np.concatenate(parts) for who, parts in largest.items()}
-        kept = kept or joined  # of the changing days
-        report[name] = {
-            "sees": float(np.mean(sees)),
-            **{who: tail(parts) for who, parts in joined.items()},
-        }  # fmt: skip
-        print(f"  {name:10s} {json.dumps(report[name])}", flush=True)
-    for day, count in ((STEADY, len(every)), *((CHANGING, n) for n in (len(every), *FEW))):
-        chosen = hours.rng.permutation(every)[:count]
-        name = f"{'steady' if day is STEADY else 'changing'}, {count} targets"
-        report[name] = moved_by_day(sensor, hours, targets, chosen, day)
-        print(f"  {name}: {json.dumps(report[name])}", flush=True)
-    return report, kept
+    every, passed = np.arange(len(targets)), []
+    for _ in range(days):
+        both = Both(sensor, (targets, every))
+        drawn = enumerate(hours.drawn(24.0, CHANGING))
+        passed.append([both.minute(each.places, each.still, 60.0 * k) for k, each in drawn])
+    return passed
 
 
-def moved_by_day(
-    sensor: Sensor, hours: Hours, targets: StillTargets, chosen: np.ndarray, day: Day
-) -> dict[str, object]:
-    """Move a sensor on a day, on and on, with a part of its still targets: how often is it seen?"""
-    both, found = Both(sensor, (targets, chosen)), dict[str, list[list[Scores]]]()
-    minutes = [each for each, _ in hours.drawn(12.0, day)]
-    turn, design = np.kron(np.eye(2), sensor.state.R_map_sensor.T), by_move(hours.middle)
-    every = list(moves().items())
-    for k, minute in enumerate(minutes):
-        if k >= 60 and k % 30 == 0 and k + MINUTES <= len(minutes):
-            for pick in hours.rng.permutation(len(every))[:4]:
-                name, step = every[pick]
-                shift, other = design @ (turn @ step), copy.deepcopy(both)
-                scores = [
-                    other.minute(None, [(part + shift)[chosen] for part in each.still], 0.0)
-                    for each in minutes[k : k + MINUTES]
-                ]
-                found.setdefault(name.split(" ")[0], []).append(scores)
-        both.minute(None, [part[chosen] for part in minute.still], 0.0)
-    return {
-        name: {"trials": len(trials), **summary(trials)["still"]}  # type: ignore[dict-item]
-        for name, trials in sorted(found.items())
-    }
+def _tail(days: Sequence[Sequence[Scores]], who: str) -> dict[str, Any]:
+    """Return the false alarms by a witness."""
+    return tail(np.concatenate([halves([getattr(each, who) for each in day]) for day in days]))
+
+
+def _noticed_table(moved: Mapping[str, Noticed]) -> str:
+    rows = [
+        [f"{size}; {about}", *(f"{row[who]} of {row['trials']}" for who in WITNESSES)]
+        for traffic, about in TRAFFIC.items()
+        for move, size in SIZES.items()
+        if (row := moved.get(traffic, {}).get(move))
+    ]
+    return table(["move within ten minutes", *WITNESSES.values()], rows)
+
+
+def _false_table(tails: Mapping[str, Mapping[str, Any]], days: Sequence[Sequence[Scores]]) -> str:
+    rows = [
+        [WITNESSES[who], f"{f['hours']:.0f}", str(f["alarms"]), f"{f['largest']:.2f}", _monthly(f)]
+        for who, f in tails.items()
+    ]
+    heads = ["false alarms", "hours", "alarms", "largest score of the gate", "a month (95 %)"]
+    sees = np.mean([[each.sees for each in day[APART:]] for day in days])
+    said = f"In {sees:.0%} of the minutes of these days the still returns decided alone."
+    return f"{table(heads, rows)}\n\n{said}"
+
+
+def _monthly(figures: Mapping[str, Any]) -> str:
+    """Return a rate with its interval."""
+    if "monthly_95" not in figures:
+        return "-"
+    rate, low, high = (
+        "under 0.01" if value < 0.01 else f"{value:.2g}" if value < 10 else f"{value:.0f}"
+        for value in (figures["monthly"], *figures["monthly_95"])
+    )
+    return f"{rate} ({low} to {high})"
 
 
 if __name__ == "__main__":

@@ -11,17 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import genpareto
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.monitor.alarm import ChangeDetector
-from gis_radar.monitor.lane_places import LanePlaces
-from gis_radar.monitor.settings import DEFAULTS, HOUR_S
-from gis_radar.monitor.still_targets import by_move
+from gis_radar.calibration.alarm import ChangeDetector
+from gis_radar.calibration.lane_places import LanePlaces
+from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR
+from gis_radar.calibration.stationary_targets import by_move
 
-ALARM, STILL = DEFAULTS.alarm, DEFAULTS.still
+ALARM, STILL = MONITOR.alarm, MONITOR.still
 RUN = 3  # minutes that stay together
 MONTH_H = 720.0
 APART = 30  # minutes between independent exceedances: the longest part that is tested
@@ -92,7 +93,6 @@ class Day:
     wet: float = 0.0
 
 
-STEADY = Day()
 CHANGING = Day(
     shares=SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0,
     sway=1.0, wander=(STILL.wander_m, *STILL.wander_rad), parked=0.33, wet=0.1,
@@ -128,8 +128,8 @@ class Hours:
         self.mean = [_means([(m.cell, _values(m)[k]) for m in places], cells) for k in range(2)]
         self.middle = np.nanmedian([part for minute in minutes for part in minute.still], axis=0)
 
-    def drawn(self, hours: float, day: Day) -> Iterator[tuple[Minute, Floats]]:
-        """Yield minutes, and how far the mast has drifted (map axes, m and rad)."""
+    def drawn(self, hours: float, day: Day) -> Iterator[Minute]:
+        """Yield minutes of a day, from a random minute of it on."""
         rng, slow = self.rng, _Slow(self.rng, day, self.detectors[0], self.middle)
         first = int(rng.integers(24 * 60))
         used: list[int] = []
@@ -148,7 +148,7 @@ class Hours:
                 self.middle + signs[2] * (part - self.middle) + common + slow.targets()
                 for part in seen.still
             ]
-            yield Minute(places=self._driven(seen.places, share, signs, slow), still=still), shift
+            yield Minute(places=self._driven(seen.places, share, signs, slow), still=still)
 
     def _driven(self, seen: LanePlaces, share: float, signs: Floats, slow: _Slow) -> LanePlaces:
         kept = self.rng.random(seen.vehicles)[seen.vehicle] < share
@@ -215,7 +215,7 @@ class _Slow:
         rng, day = self._rng, self._day
         for each in (self._habits, self._sway, self._still):
             each.step()
-        hourly = day.drift * np.array(DEFAULTS.drift)
+        hourly = day.drift * np.array(MONITOR.drift)
         self._drift = self._drift + hourly * rng.normal(size=6) * np.sqrt(60.0 / HOUR_S)
         self._obstacles = [(s, by, left - 1) for s, by, left in self._obstacles if left > 1]
         if rng.random() < day.obstacles / 60.0:
@@ -295,7 +295,7 @@ def halves(scores: Sequence[float]) -> Floats:
 
 def tail(
     largest: Floats, *, gate: float = 1.0, part_min: float = APART, seed: int = 0
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Return the false alarms a month at the gate, by the tail of half-hourly maxima.
 
     Neighbouring half hours share tested blocks: of neighbours above the threshold the largest
@@ -322,5 +322,4 @@ def tail(
     return {
         "hours": hours, "largest": float(largest.max()), "alarms": int((peaks > gate).sum()),
         "monthly": monthly(excess), "monthly_95": [float(low), float(high)],
-        "tail": [level, len(excess), *map(float, genpareto.fit(excess, floc=0.0))],
     }  # fmt: skip

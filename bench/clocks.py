@@ -7,15 +7,14 @@ Exit code 1 where an answer is over four stated standard deviations off.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from simulated import ROOT, sites, true_pose
+from figures import Figure, report
+from simulated import sites, true_pose
 
 import gis_radar as gr
 from gis_radar.recordings.recording import Recording
@@ -25,39 +24,34 @@ MOST_SIGMAS = 4.0
 
 
 def main() -> None:
-    """Compare each site, print the table, keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("sites", type=Path, nargs="*", default=sites())
-    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-clocks.json")
-    arguments = parser.parse_args()
-    report, wrong = [], 0
-    for site in arguments.sites:
-        tiles = gr.make_tiles(gr.read_map(next(site.glob("*.osm"))))
-        opened = [gr.open_recording(path) for path in sorted(site.glob("R*.parquet"))]
-        poses = [true_pose(site, recording.path.stem) for recording in opened]
-        for ahead_s in AHEAD_S:
-            off = {pose.sensor: ahead_s * i for i, pose in enumerate(poses)}
-            late = [_later(each, off[p.sensor]) for each, p in zip(opened, poses, strict=True)]
-            found = gr.measure_clocks(late, poses, tiles)
-            for sensor, clock in found.clocks.items():
-                if sensor == found.reference:
-                    continue
+    """Compare each site, print its answers, keep the median error."""
+    pairs = np.array([pair for site in sites() for pair in _errors(site)])
+    error_s, sigma_s = np.abs(pairs).T
+    median_ms = 1000.0 * float(np.median(error_s))
+    report("clocks", [Figure(what="clocks, median error", ours=median_ms, unit="ms")])
+    if wrong := int((error_s > MOST_SIGMAS * sigma_s).sum()):
+        sys.exit(f"{wrong} answers over {MOST_SIGMAS:g} standard deviations off")
+
+
+def _errors(site: Path) -> Iterator[tuple[float, float]]:
+    """Yield error and stated sigma, seconds, of each answer about a site."""
+    tiles = gr.make_tiles(gr.read_map(next(site.glob("*.osm"))))
+    opened = [gr.open_recording(path) for path in sorted(site.glob("R*.parquet"))]
+    poses = [true_pose(site, recording.path.stem) for recording in opened]
+    for ahead_s in AHEAD_S:
+        off = {pose.sensor: ahead_s * i for i, pose in enumerate(poses)}
+        late = [_later(each, off[p.sensor]) for each, p in zip(opened, poses, strict=True)]
+        found = gr.measure_clocks(late, poses, tiles)
+        for sensor, clock in found.clocks.items():
+            if sensor != found.reference:
                 error_s = clock.offset_s - off[sensor] + off[found.reference]
-                report.append(
-                    {"site": site.name, "pair": f"{found.reference}-{sensor}", "ahead_s": ahead_s,
-                     "error_s": error_s, "sigma_s": clock.sigma_s}
-                )  # fmt: skip
-                wrong += abs(error_s) > MOST_SIGMAS * clock.sigma_s
                 print(
                     f"{site.name:12s} {found.reference}-{sensor} {ahead_s:14.2f} s ahead: error "
                     f"{1000 * error_s:6.1f} ms, sigma {1000 * clock.sigma_s:5.1f} ms"
                 )
-            for sensor, why in found.refused.items():
-                print(f"{site.name:12s} {sensor} no answer {why}")
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    arguments.json.write_text(json.dumps(report, indent=1) + "\n")
-    if wrong:
-        sys.exit(f"{wrong} answers over {MOST_SIGMAS:g} standard deviations off")
+                yield error_s, clock.sigma_s
+        for sensor, why in found.refused.items():
+            print(f"{site.name:12s} {sensor} no answer {why}")
 
 
 def _later(recording: Recording, ahead_s: float) -> Recording:

@@ -7,10 +7,7 @@ Exit code 1 where a target is missed.
 
 from __future__ import annotations
 
-import argparse
-import json
 import struct
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -18,71 +15,60 @@ from pathlib import Path
 
 import dpkt
 import numpy as np
+from figures import TARGET, TIMES, Figure, report, run_alone
 
-ROOT = Path(__file__).parent.parent
 RATE_HZ = 20
 DETECTIONS = 500
 SECONDS = 60
-TIMES = 10
+TIMES_LONGER = 10
 FRAGMENT_BYTES = 1480
 TARGET_RATIO = 100
 TARGET_GROWTH = 1.10
 START = 1_700_000_000
 CHILD = """
-import re, sys, time
-from pathlib import Path
+import json, sys, time
 import gis_radar as gr
 warm, capture, recording = sys.argv[1:]
 gr.convert(warm, recording)
 begin = time.process_time()
 made = gr.convert(capture, recording).recordings[0]
-taken = time.process_time() - begin
-peak = re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]
-print((made.end - made.begin) / taken, int(peak) / 1024, made.detections)
+taken_s = time.process_time() - begin
+print(json.dumps({"ratio": (made.end - made.begin) / taken_s, "detections": made.detections}))
 """
 
 
 def main() -> None:
-    """Measure both lengths, print and keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-convert.json")
-    arguments = parser.parse_args()
+    """Measure both lengths, and judge."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for seconds in (1, SECONDS, SECONDS * TIMES):
+        for seconds in (1, SECONDS, SECONDS * TIMES_LONGER):
             _write_capture(folder / f"{seconds}.pcap", seconds)
-        ratio, short_mib = _convert(folder, SECONDS)
-        long_ratio, long_mib = _convert(folder, SECONDS * TIMES)
-    growth = long_mib / short_mib
-    print(f"{SECONDS} s: {ratio:.0f} x real time, {short_mib:.0f} MiB")
-    print(f"{SECONDS * TIMES} s: {long_ratio:.0f} x real time, {long_mib:.0f} MiB")
-    print(f"memory grows {growth:.2f} x")
-    report = {
-        "real_time_ratio": ratio,
-        "long_real_time_ratio": long_ratio,
-        "short_mib": short_mib,
-        "long_mib": long_mib,
-        "memory_ratio": growth,
-    }
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    arguments.json.write_text(json.dumps(report, indent=1) + "\n")
-    if min(ratio, long_ratio) < TARGET_RATIO:
-        sys.exit(f"slower than {TARGET_RATIO} x real time")
-    if growth > TARGET_GROWTH:
-        sys.exit(f"memory grows with the capture: {growth:.2f} x")
+        _, short_mib = _convert(folder, SECONDS)
+        ratio, long_mib = _convert(folder, SECONDS * TIMES_LONGER)
+    report("convert", _figures(ratio, short_mib, long_mib))
+    if long_mib > TARGET_GROWTH * short_mib:
+        sys.exit(f"memory grows with the capture: {long_mib / short_mib:.2f} x")
+
+
+def _figures(ratio: float, short_mib: float, long_mib: float) -> Iterator[Figure]:
+    yield Figure(
+        what="capture of a 20 Hz radar with 500 detections a frame to a recording", ours=ratio,
+        unit="x real time", more_is_better=True, chance=TIMES, peer=TARGET_RATIO, peer_name=TARGET,
+    )  # fmt: skip
+    yield Figure(
+        what="memory of `convert` of 600 s", ours=long_mib, unit="MiB", peer=short_mib,
+        peer_name="that of 60 s", chance=TIMES,
+    )  # fmt: skip
 
 
 def _convert(folder: Path, seconds: int) -> tuple[float, float]:
     """Return recorded seconds per CPU second, and the largest memory held (MiB)."""
-    answer = subprocess.run(
-        [sys.executable, "-c", CHILD, *(folder / f"{s}.pcap" for s in (1, seconds)),
-         folder / "out.parquet"],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    ratio, peak_mib, detections = map(float, answer.stdout.split())
-    if detections != seconds * RATE_HZ * DETECTIONS:
-        sys.exit(f"{detections:.0f} detections came out of {seconds} s")
-    return ratio, peak_mib
+    captures = [folder / f"{each}.pcap" for each in (1, seconds)]
+    ran = run_alone("-c", CHILD, *captures, folder / "out.parquet")
+    (found,) = ran.lines
+    if found["detections"] != seconds * RATE_HZ * DETECTIONS:
+        sys.exit(f"{found['detections']} detections came out of {seconds} s")
+    return found["ratio"], ran.peak_mib
 
 
 def _write_capture(path: Path, seconds: int) -> None:

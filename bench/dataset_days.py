@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
-from sizes import TILES_A_LANE, by_hour, lanes_of_tiles
+import shapely
 
 import gis_radar as gr
 from gis_radar.arrays import Integers
@@ -28,6 +29,7 @@ from gis_radar.tiles.tiles import fingerprint
 FIRST_HOUR = 489_696 // 24 * 24  # of a day in November 2025
 HOURS, QUARTERS = 24, 96
 MOST_MISSING = 3000  # steps without a frame in a quarter
+TILES_A_LANE, LENGTH_M = 200, 0.5
 
 
 def write_days(folder: Path, *, tiles: int, days: int, busy: bool = False) -> gr.Dataset:
@@ -45,7 +47,7 @@ def write_days(folder: Path, *, tiles: int, days: int, busy: bool = False) -> gr
         Every tile occupied in every quarter, and hidden for a while; else few vehicles at night.
     """
     rng = np.random.default_rng(1)
-    table = lanes_of_tiles(tiles, rng)
+    table = tiles_of_lanes(tiles, rng)
     lane = np.arange(tiles) // TILES_A_LANE
     in_sight = np.ones(lane[-1] + 1, np.bool_) if busy else rng.random(lane[-1] + 1) < 0.8
     seen = np.flatnonzero(in_sight[lane])
@@ -97,7 +99,7 @@ def _counts(
         hidden, occupied = rng.integers(129, 3000, shape), rng.uniform(0.02, 0.9, shape)
     else:
         hidden = (rng.random(shape) < 0.3) * rng.integers(0, 2000, shape)
-        rate = rng.gamma(0.7, 0.15, lane.max() + 1)[lane][:, None] * by_hour(QUARTERS)
+        rate = rng.gamma(0.7, 0.15, lane.max() + 1)[lane][:, None] * _by_hour(QUARTERS)
         vehicles = rng.poisson(120.0 * rate)  # a quarter hour
         occupied = np.minimum(vehicles * rng.uniform(6, 40, shape) / STEPS_PER_QUARTER, 0.95)
     visible = observed - hidden
@@ -110,3 +112,34 @@ def _counts(
         "hidden_steps": hidden, "occupied_variance": 6.0 * steps, "inferred_steps": hidden // 4,
     }  # fmt: skip
     return {name: np.ravel(values) for name, values in columns.items()}
+
+
+def _by_hour(intervals: int) -> np.ndarray:
+    """Return traffic over a day, 1 at most: little at night."""
+    hour = 24.0 * np.arange(intervals) / intervals
+    return np.clip(np.sin((hour - 4.0) / 20.0 * np.pi), 0.02, 1.0) ** 1.5
+
+
+def tiles_of_lanes(tiles: int, rng: np.random.Generator) -> gpd.GeoDataFrame:
+    """Return straight lanes in all directions, cut into tiles."""
+    number = np.arange(tiles)
+    lane, index = number // TILES_A_LANE, number % TILES_A_LANE
+    lanes = int(lane[-1]) + 1
+    east, north = rng.uniform(-500.0, 500.0, (2, lanes)) + np.array([[691_000.0], [5_336_000.0]])
+    way = rng.uniform(0.0, 2.0 * np.pi, lanes)
+    along, across = LENGTH_M * (index[:, None] + [0, 0, 1, 1]), np.array([1.6, -1.6, -1.6, 1.6])
+    cos, sin = np.cos(way)[lane, None], np.sin(way)[lane, None]
+    corners = np.stack(
+        [
+            east[lane, None] + along * cos - across * sin,
+            north[lane, None] + along * sin + across * cos,
+        ],
+        axis=-1,
+    )
+    ids = np.sort(rng.integers(1, 2**62, lanes))[lane]
+    columns = {
+        "tile_id": number, "lanelet_id": ids, "index": index, "s_m": LENGTH_M * index,
+        "length_m": LENGTH_M, "width_m": 3.2 + 0.01 * rng.random(tiles),
+        "height_m": 370.0 + rng.random(tiles), "subtype": "road", "lane": ids,
+    }  # fmt: skip
+    return gpd.GeoDataFrame(columns, geometry=shapely.polygons(corners), crs="EPSG:25832")

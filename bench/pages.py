@@ -3,34 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 
 def put(page: Path, texts: Mapping[str, str]) -> None:
     """Put texts between the marks of their names; exit where one has not both once and in order."""
-    lines = _lines(page)
+    lines = page.read_text(encoding="utf-8").split("\n")
     for name, text in texts.items():
         begin, end = _between(lines, name, page)
         lines[begin + 1 : end] = text.split("\n")
     page.write_text("\n".join(lines), encoding="utf-8")
 
 
-def marked(page: Path, names: Iterable[str]) -> list[str]:
-    """Return those of the names of which a page has a mark; exit where it has none."""
-    lines, names = set(_lines(page)), list(names)
-    there = [name for name in names if lines & set(_marks(name))]
-    if not there:
-        sys.exit(f"{page}: has no line {' nor '.join(_marks(name)[0] for name in names)}")
-    return there
-
-
 def _marks(name: str) -> tuple[str, str]:
     return f"<!-- {name} -->", f"<!-- end of {name} -->"
-
-
-def _lines(page: Path) -> list[str]:
-    return page.read_text(encoding="utf-8").split("\n")
 
 
 def _between(lines: list[str], name: str, page: Path) -> tuple[int, int]:

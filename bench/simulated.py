@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from figures import ROOT
 from pyproj import CRS
 
 import gis_radar as gr
 
-ROOT = Path(__file__).parent.parent
+DATA = ROOT.parent / "shared" / "data"
 FIELDS = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
 
-def sites() -> list[Path]:
-    """Return the folders of all sites that are there."""
-    data = ROOT.parent / "shared" / "data"
-    return [gr.sample_folder(), *(data / t for t in ("town02", "town04") if (data / t).exists())]
+def sites(*names: str) -> list[Path]:
+    """Return the folders of the sample and of the named sites, as far as they are there."""
+    there = [DATA / name for name in names or ("town02", "town04")]
+    return [gr.sample_folder(), *(each for each in there if each.exists())]
 
 
 def true_pose(site: Path, sensor: str) -> gr.Pose:

@@ -1,14 +1,13 @@
 """A city's worth of tiles: time from lanelets to a GeoPackage of a million tiles.
 
-The lanelets of a map are laid side by side until they make `--tiles` tiles. The peer is the bare
-writing of as many polygons without attributes by pyogrio, in the same run. Exit code 1 over the
-target.
+The lanelets of the sample are laid side by side until they make `--tiles` tiles. The peer is the
+bare writing of as many polygons without attributes by pyogrio, in the same run. Exit code 1 over
+the target.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -18,45 +17,35 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
+from figures import TIMES, Figure, report
 
 import gis_radar as gr
 
-ROOT = Path(__file__).parent.parent
 TARGET_S = 30.0
 
 
 def main() -> None:
-    """Make the tiles, write them, print and keep the figures."""
+    """Make the tiles, write them, and judge."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--map", type=Path, default=gr.sample_folder() / "junction.osm")
     parser.add_argument("--tiles", type=int, default=1_000_000)
-    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-tiles.json")
     arguments = parser.parse_args()
-    roads = _city(gr.read_map(arguments.map), arguments.tiles)
+    roads = _city(gr.read_map(gr.sample_folder() / "junction.osm"), arguments.tiles)
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         tiles = gr.make_tiles(roads)
-        made_s = time.perf_counter() - begin
         gr.write_tiles(tiles, Path(folder) / "tiles.gpkg", problems=roads.problems)
         total_s = time.perf_counter() - begin
         bare = tiles[["geometry"]]
         begin = time.perf_counter()
         pyogrio.write_dataframe(bare, Path(folder) / "bare.gpkg", use_arrow=True)
         bare_s = time.perf_counter() - begin
-    report = {
-        "tiles": len(tiles),
-        "made_s": made_s,
-        "total_s": total_s,
-        "bare_writing_s": bare_s,
-        "times_bare_writing": total_s / bare_s,
-    }
-    print(f"{len(tiles):,} tiles of {len(roads.lanelets):,} lanelets")
-    print(f"made in {made_s:.1f} s, made and written in {total_s:.1f} s (target {TARGET_S:.0f} s)")
-    print(f"{total_s / bare_s:.2f} x the bare writing of the polygons ({bare_s:.1f} s)")
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+    figure = Figure(
+        what="a million tiles, made and written as GeoPackage", ours=total_s, unit="s",
+        peer=bare_s, peer_name="the bare writing of the polygons", chance=TIMES,
+    )  # fmt: skip
+    report("tiles", [figure])
     if total_s > TARGET_S:
-        sys.exit(f"over the target: {total_s:.1f} s")
+        sys.exit(f"over the target of {TARGET_S:g} s: {total_s:.1f} s")
 
 
 def _city(roads: gr.LaneletMap, tiles: int) -> gr.LaneletMap:

@@ -1,4 +1,21 @@
-from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
+from .calibration import (
+    Clocks,
+    JointCalibration,
+    Localization,
+    ScanCheck,
+    SensorClock,
+    Track,
+    check_against_scan,
+    draw_localization,
+    draw_scan_check,
+    draw_track,
+    localize,
+    localize_files,
+    localize_together,
+    measure_clocks,
+    read_clocks,
+    track,
+)
 from .crs import yaw_from_compass
 from .dataset import Dataset, open_dataset
 from .dataset.hour_job import MeasureSettings
@@ -14,17 +31,12 @@ from .errors import (
     UsageError,
 )
 from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap
-from .joint import JointCalibration, localize_together
 from .lanelets import LaneletMap, lanes, read_map, stop_lines
 from .live.edge import Edge, run_edge
 from .live.fusion import Fusion, run_fusion
-from .localization import Localization, localize, localize_files
-from .localization.result import draw_localization
 from .measures import (
     Filters,
 )
-from .monitor import Track, track
-from .monitor.track import draw_track
 from .poses import Pose, PoseTrack, View, read_pose, read_track, write_pose, write_track
 from .poses.layers import write_sensors
 from .products.footprints import write_footprints
@@ -36,8 +48,6 @@ from .recordings import Conversion, convert
 from .recordings.recording import open_recording
 from .report import Report, write_report
 from .sample import sample_folder
-from .scan_check import ScanCheck, check_against_scan
-from .scan_check.picture import draw_scan_check
 from .scans.mask import RoadMask, mask_road
 from .scans.roads import Roads, read_roads
 from .scans.scan import read_road

@@ -108,6 +108,31 @@ def require_true_scale(crs: CRS, easting: float, northing: float, *, what: str) 
         )
 
 
+def require_on_earth(crs: CRS, easting: float, northing: float, *, what: str) -> None:
+    """Refuse coordinates that are no place on the earth.
+
+    Parameters
+    ----------
+    crs : CRS
+        As from :func:`metric_crs`.
+    easting, northing : float
+        Metres of this system.
+    what : str
+        Whose coordinates they are; begins the error message.
+
+    Raises
+    ------
+    CrsError
+        If the projection cannot be undone there: the way back ends elsewhere.
+    """
+    project = Proj(crs)
+    again = project(*project(easting, northing, inverse=True))
+    if not math.dist(again, (easting, northing)) < 1.0:
+        raise CrsError(
+            f"{what}: easting {easting:g}, northing {northing:g} is no place in {_called(crs)}"
+        )
+
+
 def _scales(crs: CRS, longitude: Floats, latitude: Floats) -> Floats:
     """Return the greatest and the least scale (Tissot) of a place and steps to grid east and north.
 

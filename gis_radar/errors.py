@@ -88,5 +88,6 @@ def first_line(error: Exception) -> str:
 
 
 LOCALIZE = "pip install gis_radar[localize]"
+PDF = "pip install gis_radar[pdf]"
 NOTEBOOKS = "pip install gis_radar[notebooks]"
 TRAJECTORIES = "pip install gis_radar[trajectories]"

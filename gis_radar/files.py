@@ -35,7 +35,7 @@ WRITTEN = date(2000, 1, 1)
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Libraries that write our files, by the module of their errors: importing them takes a second.
-_WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL", "fpdf"}
+_WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 _LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
 

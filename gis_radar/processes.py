@@ -122,7 +122,11 @@ def run_child(
     finally:
         child.asked.put(None)  # called here, for it is in C: a second Ctrl-C comes after it
         with suppress(Empty):
-            child.gone.get(timeout=_GONE_S)
+            try:
+                child.gone.get(timeout=_GONE_S)
+            except KeyboardInterrupt:  # at once, Python's end would stop the thread before it kills
+                child.gone.get(timeout=_GONE_S)
+                raise
 
 
 class _Child:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
 Level = Literal["info", "warning"]
 
 MOST_NAMES = 2  # of stages before a warning
+LETTERS_OF_AN_ERROR = 500
+_BLANKS = "\u00a0\u202f"  # in numbers and before units
 _LOGGER = logging.getLogger("gis_radar")
 
 
@@ -28,7 +31,7 @@ class Reporter:
 
     def log(self, message: str, level: Level = "info") -> None:
         """Report one line to the user."""
-        _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, message)
+        _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, one_line(message))
 
 
 class Silent(Reporter):
@@ -40,6 +43,18 @@ class Silent(Reporter):
 
 QUIET = Reporter()
 SILENT = Silent()
+
+
+def one_line(text: str, most: int = 2_000) -> str:
+    """Return a text as one line that any terminal shows, without its middle where it is long.
+
+    What a file or a message from elsewhere holds may be long, or look like further lines.
+    """
+    if len(text) > most:
+        text = f"{text[: most - 150]} ... {text[-100:]}"
+    line = re.sub(r"[ \t\n\v\f\r]+", " ", text).strip()
+    return "".join(each if each.isprintable() or each in _BLANKS else ascii(each)[1:-1]
+                   for each in line)  # fmt: skip
 
 
 def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:

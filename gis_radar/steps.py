@@ -30,6 +30,7 @@ FIRST_YEAR, LAST_YEAR = 1800, 2150
 LONGEST_INTERVAL_YEARS = 100
 UNIX_SECONDS_HINT = "times are UNIX seconds (UTC), not milli-, micro- or nanoseconds"
 
+CLOCK_SET_S = 631_152_000.0  # 1990-01-01: earlier times count from when the sensor was switched on
 GPS_EPOCH_S = 315_964_800  # 1980-01-06
 # GPS time ahead of UTC, by the leap seconds of IERS Bulletin C since the epoch of GPS.
 _LEAP_DATES = (

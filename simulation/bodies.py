@@ -1,12 +1,12 @@
-"""Echoes of walkers: a trunk that goes and limbs that swing."""
+"""Scatterers of walkers: a trunk that goes and limbs that swing."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from gis_radar.arrays import Floats
-from simulation.echoes import Echoes
 from simulation.movement import Vehicles
+from simulation.scatterers import Scatterers
 from simulation.scene import Scene
 
 # recorded beside a kerb: 4-5 detections a frame of each walker near the radar
@@ -17,7 +17,7 @@ _LIMB_SPEEDS = (0.0, 2.5)  # of the walker's: a foot stands, then overtakes
 _MEAN_DB, _SPREAD_DB = -8.0 - 10.0 * np.log10(_POINTS), 4.0
 
 
-def walker_echoes(walkers: Vehicles, scene: Scene, rng: np.random.Generator) -> Echoes:
+def walker_scatterers(walkers: Vehicles, scene: Scene, rng: np.random.Generator) -> Scatterers:
     """Draw the scatter points of walkers, anew in every frame: bodies change as they move.
 
     Parameters
@@ -37,7 +37,7 @@ def walker_echoes(walkers: Vehicles, scene: Scene, rng: np.random.Generator) -> 
     share = np.where(limb, rng.uniform(*_LIMB_SPEEDS, count), rng.normal(1.0, 0.1, count))
     heading: Floats = walkers.heading[owner]
     ahead = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(count)])
-    return Echoes(
+    return Scatterers(
         point=np.column_stack([plane, scene.ground(plane) + over]),
         velocity=(walkers.speed[owner] * share)[:, None] * ahead,
         rcs=rng.normal(_MEAN_DB, _SPREAD_DB, count),

@@ -9,8 +9,8 @@ import shapely
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from simulation.curves import arc_length, points_at
-from simulation.echoes import Echoes, vehicle_echoes
 from simulation.movement import Vehicles
+from simulation.scatterers import vehicle_scatterers
 from simulation.scene import Scene, Tree
 from simulation.sight import building_walls, parked_boxes
 
@@ -168,8 +168,8 @@ def _parked(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
         yaw_rate=np.zeros(count),
         size=boxes.size,
     )
-    echoes: Echoes = vehicle_echoes(standing, scene, eye, density=_PARKED_DENSITY, rng=rng)
-    return _still(echoes.point, echoes.rcs - 3.0)
+    found = vehicle_scatterers(standing, scene, eye, density=_PARKED_DENSITY, rng=rng)
+    return _still(found.point, found.rcs - 3.0)
 
 
 def _tree(scene: Scene, tree: Tree, eye: Floats, rng: np.random.Generator) -> Clutter:

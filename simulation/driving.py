@@ -74,7 +74,7 @@ class LaneKeeping:
         )
 
     def driver(self, rng: np.random.Generator, manner: np.random.Generator) -> Driver:
-        """Draw a driver: his place in the lane from `rng`, his manner from `manner`."""
+        """Draw a driver: the place in the lane from `rng`, the manner from `manner`."""
         habit = float(
             np.clip(rng.normal(0.0, self.driver_m), -2 * self.driver_m, 2 * self.driver_m)
         )
@@ -139,18 +139,18 @@ class DrivenRoads:
 
 @dataclass(frozen=True, kw_only=True)
 class Driver:
-    """Where one driver keeps in the lanes he drives; positive is left, metres.
+    """Where one driver keeps in the lanes driven; positive is left, metres.
 
     Parameters
     ----------
     habit, wander, phase : float
-        His own place, and the amplitude and phase of his slow wander.
+        Place of this driver, and amplitude and phase of a slow wander.
     cut : tuple of float
         As `cut_m2` and `cut_most_m` of `LaneKeeping`.
     round_at, round_by : Floats
-        Where on his way he goes round something, and how far.
+        Where on the way the driver goes round something, and how far.
     straddles : bool
-        Whether he drives on the line between two lanes.
+        Whether the driver is on the line between two lanes.
     """
 
     habit: float
@@ -164,7 +164,7 @@ class Driver:
     def aside(
         self, lanes: Sequence[str], heading: Floats, driven_m: Floats, roads: DrivenRoads
     ) -> Floats:
-        """Return how far to the left of the middle he is at each step.
+        """Return how far to the left of the middle the driver is at each step.
 
         Parameters
         ----------
@@ -173,7 +173,7 @@ class Driver:
         heading : (n,) array
             Of the lane's middle there, rad, continuous.
         driven_m : (n,) array
-            How far he has come, ascending, metres.
+            Way driven so far, ascending, metres.
         roads : DrivenRoads
             What all drivers do.
         """

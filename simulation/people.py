@@ -77,7 +77,7 @@ def simulate_people(
     rng = np.random.default_rng([seed, 7])
     middle = np.mean([band.centre.mean(axis=0) for band in network.bands.values()], axis=0)
     disc = shapely.Point(middle).buffer(people.reach_m)
-    kerbs = _pieces(shapely.boundary(road.buffer(_PAVEMENT_M)), disc)
+    kerbs = _lines_in(shapely.boundary(road.buffer(_PAVEMENT_M)), disc)
     crossings = _crossings(network, road, disc)
     ways = []
     for _ in range(people.walkers):
@@ -100,7 +100,7 @@ def _pace(kind: str, rng: np.random.Generator) -> float:
     return float(np.clip(rng.normal(mean, spread), mean - 2 * spread, mean + 2 * spread))
 
 
-def _pieces(lines: shapely.Geometry, disc: shapely.Polygon) -> list[Floats]:
+def _lines_in(lines: shapely.Geometry, disc: shapely.Polygon) -> list[Floats]:
     """Return the parts of lines inside a disc, a point every metre; no bits under 10 m."""
     parts = shapely.get_parts(shapely.line_merge(shapely.intersection(lines, disc)))
     long = [part for part in parts if part.length > 10.0]
@@ -152,7 +152,7 @@ def _across(line: Floats, pace: float, traffic: Traffic, rng: np.random.Generato
 
 
 def _on_line(line: Floats, traffic: Traffic) -> Booleans:
-    """Tell at which steps a vehicle is on a line."""
+    """Return at which steps a vehicle is on a line."""
     share = np.linspace(-0.5, 0.5, 7)[:, None, None] * traffic.size[:, 0]
     axis = np.stack([np.cos(traffic.heading), np.sin(traffic.heading)], axis=-1)
     way = (line[-1] - line[0]) / np.hypot(*(line[-1] - line[0]))
@@ -207,7 +207,7 @@ def _wait(
 
 
 def _touched(places: Floats, rows: Integers, traffic: Traffic) -> Booleans:
-    """Tell at which of some steps a vehicle is at a cyclist's place."""
+    """Return at which of some steps a vehicle is at a cyclist's place."""
     gap = places[:, None] - traffic.centre[rows]
     cos, sin = np.cos(traffic.heading[rows]), np.sin(traffic.heading[rows])
     along = np.abs(gap[..., 0] * cos + gap[..., 1] * sin)
@@ -243,7 +243,7 @@ def _right_of(band: Band, aside_m: float) -> Floats:
 
 
 def _moved(ways: list[tuple[str, Floats]], traffic: Traffic) -> Traffic:
-    """Return places over time as traffic; who stands looks where he went."""
+    """Return places over time as traffic; who stands looks where the last step led."""
     steps = len(traffic.speed)
     centre = np.full((steps, len(ways), 2), np.nan)
     heading = np.full((steps, len(ways)), np.nan)

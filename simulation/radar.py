@@ -9,10 +9,10 @@ from scipy.special import expit
 
 from gis_radar.arrays import Floats
 from gis_radar.poses.pose import Pose, View
-from simulation.bodies import walker_echoes
+from simulation.bodies import walker_scatterers
 from simulation.clutter import draw_clutter
-from simulation.echoes import Echoes, ghosts, join_echoes
 from simulation.movement import Vehicles
+from simulation.scatterers import Scatterers, ghosts, join_scatterers
 from simulation.scene import Scene
 from simulation.sight import Boxes, Walls, both, building_walls, parked_boxes, vehicle_boxes
 from simulation.targets import Fleeting, Lasting, Targets
@@ -145,9 +145,9 @@ class Radar:
         )
         vehicles = vehicles.where(near)
         boxes = both(vehicle_boxes(vehicles, self.scene), self.parked)
-        moving = self._vehicle_returns(vehicles, boxes, rng)
-        fixed, wobble = self._fixed_returns(boxes, rng)
-        seen = join_echoes([moving, fixed])
+        moving = self._moving_scatterers(vehicles, boxes, rng)
+        fixed, wobble = self._fixed_scatterers(boxes, rng)
+        seen = join_scatterers([moving, fixed])
         rate = seen.range_rate(self.pose.position)
         rate[len(moving.rcs) :] += wobble
         local = self.pose.to_sensor(seen.point)
@@ -164,44 +164,46 @@ class Radar:
         polar[:, :3] += self.targets.bias(seen.target, vehicles.time)
         return self._measured(np.vstack([polar, self._false_alarms(rng)]), rng)
 
-    def _vehicle_returns(
+    def _moving_scatterers(
         self, vehicles: Vehicles, boxes: Boxes, rng: np.random.Generator
-    ) -> Echoes:
+    ) -> Scatterers:
         """Return the points of vehicles that are strong enough and not hidden, and ghosts."""
         eye = self.pose.position
-        echoes = self._bodies(vehicles, rng)
-        strong = rng.random(len(echoes.rcs)) < self._detection(echoes.point, echoes.rcs)
-        echoes = echoes.where(strong)
-        hidden = boxes.hide(eye, echoes.point, echoes.owner)
+        scatterers = self._bodies(vehicles, rng)
+        strong = rng.random(len(scatterers.rcs)) < self._detection(scatterers.point, scatterers.rcs)
+        scatterers = scatterers.where(strong)
+        hidden = boxes.hide(eye, scatterers.point, scatterers.owner)
         hidden &= rng.random(len(hidden)) >= self.model.leak
-        hidden |= self.walls.hide(eye, echoes.point)
-        echoes = echoes.where(~hidden)
-        images = ghosts(echoes, eye, self.walls, share=self.model.ghost_share, rng=rng)
-        return join_echoes([echoes, images])
+        hidden |= self.walls.hide(eye, scatterers.point)
+        scatterers = scatterers.where(~hidden)
+        images = ghosts(scatterers, eye, self.walls, share=self.model.ghost_share, rng=rng)
+        return join_scatterers([scatterers, images])
 
-    def _bodies(self, vehicles: Vehicles, rng: np.random.Generator) -> Echoes:
+    def _bodies(self, vehicles: Vehicles, rng: np.random.Generator) -> Scatterers:
         """Return the scatter points of vehicles and of walkers."""
         walks = vehicles.kind == "walker"
         drivers, walkers = np.flatnonzero(~walks), np.flatnonzero(walks)
-        driven = self.targets.vehicle_echoes(
+        driven = self.targets.vehicle_scatterers(
             vehicles.where(drivers), self.scene, self.pose.position,
             density=self.model.density, rng=rng,
         )  # fmt: skip
-        walked = walker_echoes(vehicles.where(walkers), self.scene, rng)
+        walked = walker_scatterers(vehicles.where(walkers), self.scene, rng)
         walked = walked.of(self.targets.of(vehicles.number[walkers[walked.owner]]))
-        return join_echoes(
+        return join_scatterers(
             [
                 replace(driven, owner=drivers[driven.owner]),
                 replace(walked, owner=walkers[walked.owner]),
             ]
         )
 
-    def _fixed_returns(self, boxes: Boxes, rng: np.random.Generator) -> tuple[Echoes, Floats]:
+    def _fixed_scatterers(
+        self, boxes: Boxes, rng: np.random.Generator
+    ) -> tuple[Scatterers, Floats]:
         """Return the fixed points of this frame, and the range rate of their own stir."""
         chance = self.targets.chance
         lit = np.flatnonzero(rng.random(len(chance)) < chance)
         now, count = self.targets.clutter.where(lit), len(lit)
-        echoes = Echoes(
+        scatterers = Scatterers(
             point=now.point,
             velocity=np.zeros((count, 3)),
             rcs=now.rcs + self.targets.fade(count, rng),
@@ -215,8 +217,8 @@ class Radar:
         traffic = Boxes(
             centre=boxes.centre[:moving], heading=boxes.heading[:moving], size=boxes.size[:moving]
         )
-        clear = ~traffic.hide(self.pose.position, echoes.point, echoes.owner)
-        return echoes.where(clear), wobble[clear]
+        clear = ~traffic.hide(self.pose.position, scatterers.point, scatterers.owner)
+        return scatterers.where(clear), wobble[clear]
 
     def _detection(self, point: Floats, rcs: Floats) -> Floats:
         """Return the chance of detection by the radar equation: loss with the fourth power."""
@@ -302,6 +304,6 @@ def place_radar(
 
 
 def _strength(point: Floats, rcs: Floats, eye: Floats, reach_m: float) -> Floats:
-    """Return by how many dB echoes pass what is seen every second time."""
+    """Return by how many dB detections exceed what is seen every second time."""
     loss = 40.0 * np.log10(np.maximum(np.linalg.norm(point - eye, axis=1), 1.0) / reach_m)
     return np.asarray(rcs - loss)

@@ -85,7 +85,7 @@ class Scan:
         ASPRS class.
     intensity : Integers
         Brightness.
-    echo, echoes : Integers
+    return_number, number_of_returns : Integers
         Number of the return, and of returns of its pulse.
     strip : Integers
         Flight line, from 1.
@@ -94,8 +94,8 @@ class Scan:
     point: Floats = field(repr=False)
     category: Integers = field(repr=False)
     intensity: Integers = field(repr=False)
-    echo: Integers = field(repr=False)
-    echoes: Integers = field(repr=False)
+    return_number: Integers = field(repr=False)
+    number_of_returns: Integers = field(repr=False)
     strip: Integers = field(repr=False)
 
 
@@ -139,8 +139,8 @@ def fly(scene: Scene, *, rng: np.random.Generator, model: ScanModel | None = Non
         point=np.vstack([p.point for p in parts]),
         category=np.concatenate([p.category for p in parts]),
         intensity=np.concatenate([p.intensity for p in parts]),
-        echo=np.concatenate([p.echo for p in parts]),
-        echoes=np.concatenate([p.echoes for p in parts]),
+        return_number=np.concatenate([p.return_number for p in parts]),
+        number_of_returns=np.concatenate([p.number_of_returns for p in parts]),
         strip=np.concatenate(number),
     )
 
@@ -177,8 +177,8 @@ def _fly_strip(scene: Scene, strip: Strip, model: ScanModel, rng: np.random.Gene
         point=point + rng.normal(0.0, model.noise_m, point.shape),
         category=category,
         intensity=intensity,
-        echo=np.concatenate([ones, twos])[order],
-        echoes=np.concatenate([ones + second, twos])[order],
+        return_number=np.concatenate([ones, twos])[order],
+        number_of_returns=np.concatenate([ones + second, twos])[order],
         strip=np.empty(0, dtype=np.int64),
     )
 
@@ -292,8 +292,8 @@ def write_scan(scan: Scan, path: Path, *, crs: CRS, flown: date) -> None:
     las.xyz = scan.point
     las.classification = scan.category.astype(np.uint8)
     las.intensity = scan.intensity.astype(np.uint16)
-    las.return_number = scan.echo.astype(np.uint8)
-    las.number_of_returns = scan.echoes.astype(np.uint8)
+    las.return_number = scan.return_number.astype(np.uint8)
+    las.number_of_returns = scan.number_of_returns.astype(np.uint8)
     las.point_source_id = scan.strip.astype(np.uint16)
     with atomic_write(path) as part:
         las.write(part)

@@ -33,7 +33,7 @@ class Boxes:
     size: Floats
 
     def hide(self, eye: Floats, points: Floats, own: Integers) -> Booleans:
-        """Tell which points a box hides from `eye`.
+        """Return which points a box hides from `eye`.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Walls:
     top: Floats
 
     def hide(self, eye: Floats, points: Floats) -> Booleans:
-        """Tell which ``(n, 3)`` points a wall hides from `eye`."""
+        """Return which ``(n, 3)`` points a wall hides from `eye`."""
         share = self.crossing(eye, points)
         height = eye[2] + share * (points[:, 2] - eye[2])[:, None]
         return np.asarray((np.isfinite(share) & (height < self.top)).any(axis=1))

@@ -16,16 +16,16 @@ from scipy.special import expit
 
 from gis_radar.arrays import Floats, Integers
 from simulation.clutter import Clutter
-from simulation.echoes import (
+from simulation.movement import Vehicles
+from simulation.scatterers import (
     SPOT_DB,
-    Echoes,
+    Scatterers,
     Spots,
     draw_spots,
     face_rates,
     place_spots,
-    vehicle_echoes,
+    vehicle_scatterers,
 )
-from simulation.movement import Vehicles
 from simulation.scene import Scene
 
 # Scatter points of vehicles are drawn once for so many vehicles; with more, numbers share them.
@@ -56,10 +56,10 @@ class Targets(Protocol):
     def fade(self, count: int, rng: np.random.Generator) -> Floats:
         """Return how the cross sections of `count` fixed points differ from their mean, dB."""
 
-    def vehicle_echoes(
+    def vehicle_scatterers(
         self, vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float,
         rng: np.random.Generator,
-    ) -> Echoes:  # fmt: skip
+    ) -> Scatterers:  # fmt: skip
         """Return the scatter points of vehicles in this frame."""
 
     def of(self, number: Integers) -> Integers:
@@ -102,12 +102,12 @@ class _FleetingTargets:
         """Return a new draw."""
         return rng.normal(0.0, self.fade_db, count)
 
-    def vehicle_echoes(
+    def vehicle_scatterers(
         self, vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float,
         rng: np.random.Generator,
-    ) -> Echoes:  # fmt: skip
+    ) -> Scatterers:  # fmt: skip
         """Return new scatter points."""
-        return vehicle_echoes(vehicles, scene, eye, density=density, rng=rng)
+        return vehicle_scatterers(vehicles, scene, eye, density=density, rng=rng)
 
     def of(self, number: Integers) -> Integers:
         """Return that no target lasts."""
@@ -181,10 +181,10 @@ class _LastingTargets:
         del rng
         return np.zeros(count)
 
-    def vehicle_echoes(
+    def vehicle_scatterers(
         self, vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float,
         rng: np.random.Generator,
-    ) -> Echoes:  # fmt: skip
+    ) -> Scatterers:  # fmt: skip
         """Return those of each vehicle's scatter points that this frame has."""
         rates, signs = face_rates(vehicles, eye, density)
         outward = np.tile(np.repeat([1.0, -1.0], _SPOTS_PER_FACE), 2)
@@ -194,11 +194,11 @@ class _LastingTargets:
         number = vehicles.number[owner]
         row = number % _VEHICLES * lit.shape[1] + slot
         less = np.array([OPEN_FRAME_DB.get(kind, 0.0) for kind in vehicles.kind])
-        echoes = place_spots(
+        scatterers = place_spots(
             vehicles, scene, owner, outward[slot], self.spots.where(row),
             spin=rng.uniform(0.0, 2.0 * np.pi, len(row)), rcs=self.spot_rcs[row] - less[owner],
         )  # fmt: skip
-        return echoes.of(self.of(number))
+        return scatterers.of(self.of(number))
 
     def of(self, number: Integers) -> Integers:
         """Return the rows after those of the fixed points."""

@@ -12,7 +12,7 @@ from contextlib import suppress
 import pytest
 
 import gis_radar as gr
-from gis_radar.live.broker_files import write_broker_files
+from gis_radar.live.broker_files import password_lines, write_broker_files
 
 SAMPLE = gr.sample_folder()
 # For what hangs: whatever else is waited for comes sooner, also on a machine that is busy.
@@ -117,6 +117,14 @@ class LiveSite:
         if os.geteuid() == 0:  # it would take another user, who may not read here
             config.write_text(config.read_text() + "user root\n")
         self.broker = Broker(config, self.port)
+
+    def add_user(self, name, *access):
+        """Let somebody else speak to the broker, who may do what lines of `access` say."""
+        (self.folder / "broker" / f"password_of_{name}").write_text("secret\n")
+        with (self.folder / "broker" / "passwords").open("a") as passwords:
+            passwords.write(password_lines({name: "secret"}))
+        with (self.folder / "broker" / "access").open("a") as rights:
+            rights.write("\n".join([f"user {name}", *access, ""]))
 
     @property
     def address(self):

@@ -9,24 +9,23 @@ from scipy.spatial.transform import Rotation
 from sites import START
 from streets import Street
 
-from gis_radar.localization.lanes import sample_lanes
-from gis_radar.localization.state import State
-from gis_radar.localization.traces import Moving
-from gis_radar.monitor import track
-from gis_radar.monitor.alarm import Alarm, Displacement, Memory, detectors, habits_of
-from gis_radar.monitor.filter import Estimate, Innovation, Measurement
-from gis_radar.monitor.lane_places import LanePlaces, cells_along, lane_places
-from gis_radar.monitor.moves import MoveTest, Scatter, score
-from gis_radar.monitor.settings import ALARM, DEFAULTS
-from gis_radar.monitor.track import MOVED
-from gis_radar.monitor.watch import Watch
-from gis_radar.monitor.windows import WindowTraffic
+from gis_radar.calibration import MOVED, track
+from gis_radar.calibration.alarm import Alarm, Displacement, Memory, detectors, habits_of
+from gis_radar.calibration.kalman_filter import Estimate, Innovation, Measurement
+from gis_radar.calibration.lane_places import LanePlaces, cells_along, lane_places
+from gis_radar.calibration.lanes import sample_lanes
+from gis_radar.calibration.monitor_settings import ALARM, MONITOR
+from gis_radar.calibration.moves import MoveTest, Scatter, score
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import Moving
+from gis_radar.calibration.watch import Watch
+from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.progress import Reporter
 from gis_radar.steps import seconds_from_iso
 
 STREET = Street()
 POSE = STREET.pose()
-TRACES = DEFAULTS.localization.traces
+TRACES = MONITOR.localization.traces
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +117,7 @@ def test_obstacles_habits_and_few_vehicles_are_no_moves(cells, taught):
 
 def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taught):
     few = replace(ALARM, reference_h=0.2, reference_vehicles=100)
-    memory = Memory(detectors(cells, np.zeros(2), few)[0], replace(DEFAULTS, alarm=few))
+    memory = Memory(detectors(cells, np.zeros(2), few)[0], replace(MONITOR, alarm=few))
     for k, block in enumerate(taught):
         memory.push(block, block.across_m, 60.0 * k)
     assert len(memory._recent) <= ALARM.blocks[-1]
@@ -153,7 +152,7 @@ def test_habits_are_the_normal_equations_of_vehicles_with_a_place_of_their_own(c
 def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taught):
     """Reference, move and habits in one dense system; no tapering, no reweighting, no drift."""
     alarm = replace(ALARM, dispersion=1.0, dispersion_blocks=1e12, outlier=1e9, blocks=(5, 9, 30))
-    settings = replace(DEFAULTS, alarm=alarm, drift=(1e-9,) * 6)
+    settings = replace(MONITOR, alarm=alarm, drift=(1e-9,) * 6)
     detector = replace(detectors(cells, np.zeros(2), alarm)[0], edge_m=(np.inf, np.inf))
     memory = Memory(detector, settings)
     for k, seen in enumerate(taught):
@@ -252,7 +251,7 @@ def test_the_watch_cuts_a_recording_in_blocks(cells, detections):
     moved = state().moved(np.array([-0.5, 0.2, 0, 0, 0, np.radians(0.8), 0.0]))
     seen = {}
     for name, after in (("still", state()), ("moved", moved)):
-        watch = Watch(Lanes(cells.lanes), replace(DEFAULTS, alarm=alarm))
+        watch = Watch(Lanes(cells.lanes), replace(MONITOR, alarm=alarm))
         found = []
         for end in np.arange(20.0, 200.0, 10.0):
             begin = end - 25.0
@@ -289,8 +288,8 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     start = replace(POSE, evidence={"sigma": sigma | dict.fromkeys(("yaw", "pitch", "roll"), 0.1)})
     traces = replace(TRACES, frames=300)
     settings = replace(
-        DEFAULTS, alarm=replace(ALARM, block_s=2.0, settle_s=1.0),
-        localization=replace(DEFAULTS.localization, traces=traces),
+        MONITOR, alarm=replace(ALARM, block_s=2.0, settle_s=1.0),
+        localization=replace(MONITOR.localization, traces=traces),
     )  # fmt: skip
     step = np.array([0.25, -0.1, 0, 0, 0, np.radians(0.4)])
     spread = np.diag([0.05**2, 0.05**2, 0, 0, 0, np.radians(0.05) ** 2])
@@ -334,19 +333,19 @@ def test_while_still_targets_rest_traffic_is_not_asked_for_blows(tmp_path, monke
     sigma = dict.fromkeys(("easting", "northing", "height"), 0.1)
     start = replace(POSE, evidence={"sigma": sigma | dict.fromkeys(("yaw", "pitch", "roll"), 0.1)})
     traces = replace(TRACES, frames=300)
-    localization = replace(DEFAULTS.localization, traces=traces)
+    localization = replace(MONITOR.localization, traces=traces)
     asked = []
     monkeypatch.setattr(MoveTest, "suspected", lambda *_: asked.append(1))
     for rests in (False, True):
         monkeypatch.setattr(Watch, "unmoved", rests)
         before = len(asked)
         track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start,
-              settings=replace(DEFAULTS, localization=localization))  # fmt: skip
+              settings=replace(MONITOR, localization=localization))  # fmt: skip
         assert (len(asked) > before) is not rests
 
 
 def test_a_sensor_whose_windows_differ_much_needs_more_for_a_move():
-    scatter, rng = Scatter(DEFAULTS), np.random.default_rng(1)
+    scatter, rng = Scatter(MONITOR), np.random.default_rng(1)
     assert scatter.ratio == 1.0
     for chi2 in rng.chisquare(6, 200):
         scatter.add(chi2)
@@ -401,17 +400,17 @@ def test_a_move_is_likelier_by_all_vehicles(gain, alone, suspected, certain, mon
         time=0.0, position=np.zeros(3), quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
         covariance=0.01 * np.eye(6),
     )  # fmt: skip
-    far = DEFAULTS.knock
+    far = MONITOR.knock
 
     def fit(_part, _held, _like, *, near, schedule):
-        assert schedule is DEFAULTS.far
+        assert schedule is MONITOR.far
         return seen if tuple(near) == far else rest
 
     part = SimpleNamespace(moving=SimpleNamespace(begin=70.0), vehicles=40)
     traffic = SimpleNamespace(moving=SimpleNamespace(begin=0.0), between=lambda *_: part)
     test = MoveTest(
-        fitter=SimpleNamespace(settings=DEFAULTS, fit=fit), traffic=traffic, now=100.0,
-        expected=lambda _: held, scatter=Scatter(DEFAULTS),
+        fitter=SimpleNamespace(settings=MONITOR, fit=fit), traffic=traffic, now=100.0,
+        expected=lambda _: held, scatter=Scatter(MONITOR),
     )  # fmt: skip
     found = test.suspected(None)
     assert (found is not None and found.certain) == certain

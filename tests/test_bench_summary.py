@@ -1,46 +1,46 @@
-"""The table of all benchmarks: figures from their JSON, beside peers, and what got worse."""
+"""The table of all benchmarks: figures as they are kept, beside peers, and what got worse."""
 
-import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
 
+import figures
 import summary
+from figures import TARGET, TIMES, Figure
 
-ASSIGNMENT = {
-    "tiles": 1000,
-    "million_points_per_s": {"grid": 30.0, "sjoin from coordinates": 1.0},
-}
-SIGHT = {
-    "town, classes": {"wrongly_seen": 0.01, "lost": 0.002, "right": 0.99},
-    "two levels, classes": {"wrongly_seen": 0.05, "lost": 0.03, "right": 0.96},
-}
+SPEED = Figure(
+    what="points to tiles", ours=30.0, unit="M points/s", peer=1.0, peer_name="sjoin",
+    more_is_better=True, chance=TIMES, size="1,000 tiles",
+)  # fmt: skip
+LOST = Figure(what="sight: lost", ours=0.2, unit="%", peer=3.0, peer_name=TARGET, least=0.1)
 
 
 @pytest.fixture
-def out(tmp_path):
-    for name, report in (("bench-assignment", ASSIGNMENT), ("bench-sight", SIGHT)):
-        (tmp_path / f"{name}.json").write_text(json.dumps(report))
+def out(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "OUT", tmp_path / "out")
+    figures.keep("assignment", [SPEED])
+    figures.keep("sight", [LOST])
     return tmp_path
 
 
 def run(monkeypatch, out, *more):
-    paths = ["--out", out, "--accepted", out / "accepted.json", "--json", out / "bench.json"]
+    paths = ["--out", out / "out", "--accepted", out / "accepted.json"]
     monkeypatch.setattr(sys, "argv", ["summary.py", *map(str, [*paths, *more])])
     summary.main()
 
 
 def test_figures_stand_beside_peers_and_those_that_were_accepted(out, monkeypatch, capsys):
     run(monkeypatch, out, "--accept")
-    assert json.loads((out / "bench.json").read_text())["sight, town, classes: lost"] == {
-        "ours": pytest.approx(0.2), "peer": 3.0, "unit": "%"
-    }  # fmt: skip
-    rows = capsys.readouterr().out.splitlines()
-    assert any("30 M points/s | 1 M points/s sjoin from coordinates | 30.00" in r for r in rows)
-    assert any("right | 96 % | 95 % (target) | 1.01" in row for row in rows)
+    run(monkeypatch, out)
+    rows, fast = capsys.readouterr().out.splitlines()[-2:], "30 M points/s"
+    assert rows == [
+        f"| points to tiles, 1,000 tiles | {fast} | 1 M points/s sjoin | 30.00 | {fast} |  |",
+        "| sight: lost | 0.2 % | 3 % (target) | 0.07 | 0.2 % |  |",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -49,10 +49,7 @@ def test_figures_stand_beside_peers_and_those_that_were_accepted(out, monkeypatc
 )
 def test_what_got_worse_by_more_than_chance_is_named(out, monkeypatch, rate, line):
     run(monkeypatch, out, "--accept")
-    slower = ASSIGNMENT | {
-        "million_points_per_s": {"grid": rate, "sjoin from coordinates": rate / 30}
-    }
-    (out / "bench-assignment.json").write_text(json.dumps(slower))
+    figures.keep("assignment", [replace(SPEED, ours=rate)])
     if line is None:
         run(monkeypatch, out)
     else:
@@ -65,7 +62,7 @@ def test_speed_goes_into_a_page(out, monkeypatch):
     page.write_text("a\n<!-- speed -->\nold\n<!-- end of speed -->\nb\n")
     run(monkeypatch, out, "--into", page)
     text = page.read_text()
-    assert "30 x sjoin from coordinates" in text
+    assert "30 x sjoin" in text
     assert "sight" not in text
     assert "old" not in text
 
@@ -77,20 +74,36 @@ def test_without_any_figure_it_says_how_to_get_some(tmp_path, monkeypatch):
 
 def test_what_was_accepted_and_is_not_measured_any_more_is_named(out, monkeypatch):
     run(monkeypatch, out, "--accept")
-    (out / "bench-sight.json").unlink()
-    with pytest.raises(SystemExit, match="sight, town, classes: lost: not measured"):
+    (out / "out" / "sight.json").unlink()
+    with pytest.raises(SystemExit, match="sight: lost: not measured"):
         run(monkeypatch, out)
 
 
 def test_a_tenth_of_a_percent_more_than_none_is_not_worse(out, monkeypatch):
-    none = SIGHT | {"town, classes": {"wrongly_seen": 0.01, "lost": 0.0, "right": 0.99}}
-    (out / "bench-sight.json").write_text(json.dumps(none))
+    figures.keep("sight", [replace(LOST, ours=0.0)])
     run(monkeypatch, out, "--accept")
-    for lost, worse in ((0.0005, False), (0.005, True)):
-        now = none | {"town, classes": {"wrongly_seen": 0.01, "lost": lost, "right": 0.99}}
-        (out / "bench-sight.json").write_text(json.dumps(now))
-        if worse:
-            with pytest.raises(SystemExit, match=r"lost: 0\.5 %, accepted is 0 %"):
-                run(monkeypatch, out)
-        else:
-            run(monkeypatch, out)
+    figures.keep("sight", [replace(LOST, ours=0.05)])
+    run(monkeypatch, out)
+    figures.keep("sight", [replace(LOST, ours=0.5)])
+    with pytest.raises(SystemExit, match=r"lost: 0\.5 %, accepted is 0 %"):
+        run(monkeypatch, out)
+
+
+def test_a_bench_prints_keeps_and_judges_its_figures(out, capsys):
+    met, missed = replace(LOST, what="met"), replace(LOST, what="missed", ours=3.5)
+    figures.report("sight", [met])
+    with pytest.raises(SystemExit, match=r"targets: missed: 3\.5 %, beside 3 %"):
+        figures.report("sight", [missed, met])
+    assert capsys.readouterr().out.count("met: 0.2 %, beside 3 % (target)") == 2
+    kept = figures.read(out / "out" / "sight.json")
+    assert kept == [LOST, met, missed]
+
+
+def test_a_process_is_measured_by_itself(tmp_path):
+    code = "import json, sys; x = bytearray(200_000_000); print(json.dumps(sys.argv[1:]))"
+    ran = figures.run_alone("-c", f"{code}; print('{{\"a\": 1}}')", "b", root=tmp_path)
+    assert ran.lines == [{"a": 1}]
+    assert 180.0 < ran.peak_mib < 400.0
+    assert 0.0 < ran.cpu_s < 30.0
+    with pytest.raises(SystemExit, match="ended with code 7"):
+        figures.run_alone("-c", "raise SystemExit(7)", root=tmp_path)

@@ -17,8 +17,8 @@ import gis_radar as gr
 sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
 
 from passages import lanes_of, score_passages, true_passages
-from score import agreement, score_occupancy
-from tracks import Scored, hota, matched, score_tracks, similarity
+from score import agreement, score_by_tiles, score_occupancy
+from tracks import Scored, score_tracks, similarity
 from true_occupancy import (
     Sensor,
     TrueOccupancy,
@@ -178,7 +178,7 @@ def test_the_truth_itself_scores_full():
     score = score_occupancy(made_truth(), made_truth().table())
     assert (score.tiles, score.answered, score.beyond) == (3, 1.0, 0.0)
     assert score.rank == pytest.approx(1.0)
-    assert (score.scale, score.mae_percent, score.r2) == (1.0, 0.0, 1.0)
+    assert (score.scale, score.mae_percent) == (1.0, 0.0)
     assert score.true_mean == pytest.approx(0.5)
 
 
@@ -189,7 +189,6 @@ def test_what_is_not_answered_and_what_lies_beyond_is_told():
     assert score.beyond == 0.5
     assert score.mae_percent == pytest.approx(30.0)
     assert score.scale == pytest.approx(0.2)
-    assert (score.false_zeros, score.false_busy) == (1.0, 1.0)
 
 
 def test_standard_errors_are_checked():
@@ -197,6 +196,19 @@ def test_standard_errors_are_checked():
     table["occupancy"] += [0.0, 0.15, 0.25, 0.0]
     score = score_occupancy(made_truth(), table)
     assert score.within_2_se == pytest.approx(2 / 3)
+
+
+def test_groups_of_tiles_have_figures_of_their_own():
+    truth = made_truth()
+    tiles = lane(20).assign(tile_id=np.arange(20))
+    pose = SimpleNamespace(position=np.array([-49.0, 1.5, 0.0]))
+    table = truth.table()
+    table.loc[0, "occupancy"] += 0.1  # tile 3, 50.75 m away; the others lie farther off
+    groups = score_by_tiles(truth, table, tiles, [pose])
+    assert groups["empty"]["mae_percent"] == pytest.approx(10.0)
+    assert groups["standing"]["mae_percent"] == 0.0  # on tiles 5 and 8 for seconds on end
+    assert groups["50-100 m"]["mae_percent"] == pytest.approx(10.0 / 3)
+    assert np.isnan(groups["0-50 m"]["mae_percent"])
 
 
 def test_nothing_to_compare_is_not_a_number():
@@ -211,7 +223,6 @@ def states(*rows, length=4.0):
         {
             "vehicle": vehicle.astype(int), "step": step.astype(int), "easting": east,
             "northing": 0.0, "heading": 0.0, "speed": 5.0, "length": length, "due": True,
-            "hidden": False, "range_m": 20.0,
         }
     )  # fmt: skip
     return table.sort_values("step", kind="stable", ignore_index=True)
@@ -221,22 +232,19 @@ def scored(true, given):
     return Scored(true=true, given=given)
 
 
-def test_gospa_counts_what_is_off_missed_and_false():
-    true = states((1, 0, 0.0), (2, 0, 50.0))
-    given = states((9, 0, 3.0), (8, 0, 90.0))
-    one, other, gospa = matched(scored(true, given))
-    assert one["match"].tolist() == [0, -1]
-    assert other["match"].tolist() == [0, -1]
-    # 3 m, and a half of 4 m squared each for the missed and the false one
-    assert gospa == pytest.approx(np.sqrt(9.0 + 8.0 + 8.0))
-
-
 def test_what_is_not_due_is_neither_missed_nor_false():
     true = states((1, 0, 0.0), (2, 0, 50.0)).assign(due=[True, False])
     given = states((9, 0, 0.0), (8, 0, 90.0)).assign(due=[False, False])
-    figures = score_tracks(scored(true, given), {})
-    assert (figures["recall"], figures["gospa_m"], figures["hota"]) == (1.0, 0.0, 1.0)
+    figures = score_tracks(scored(true, given))
+    assert figures["recall"] == 1.0
     assert np.isnan(figures["precision"])
+
+
+def test_a_second_vehicle_on_a_true_one_is_doubled():
+    true = states((1, 0, 0.0), (2, 0, 50.0))
+    figures = score_tracks(scored(true, states((9, 0, 3.0), (8, 0, 6.0), (7, 0, 90.0))))
+    assert (figures["recall"], figures["precision"]) == (0.5, pytest.approx(1 / 3))
+    assert figures["doubled"] == pytest.approx(1 / 3)  # the one at 6 m, not that at 90 m
 
 
 def test_similarity_is_the_overlap_along_the_lane():
@@ -245,26 +253,10 @@ def test_similarity_is_the_overlap_along_the_lane():
     assert similarity(one, other)[0].tolist() == pytest.approx([1 / 3, 0.0, 0.0])
 
 
-def test_hota_of_one_vehicle_cut_in_two():
-    # found all the time, half of it under another number: DetA 1, AssA 1/2
-    true = states(*((1, k, k) for k in range(10)))
-    given = states(*((7 + (k >= 5), k, k) for k in range(10)))
-    figures = hota(scored(true, given))
-    assert figures["det_a"] == pytest.approx(1.0)
-    assert figures["ass_a"] == pytest.approx(0.5)
-    assert figures["hota"] == pytest.approx(np.sqrt(0.5))
-
-
-def test_hota_knows_no_threshold_but_the_overlap():
-    # an overlap of a third passes 0.05, 0.10 ... 0.30: 6 of 19 thresholds
-    figures = hota(scored(states((1, 0, 0.0)), states((1, 0, 2.0))))
-    assert figures["det_a"] == pytest.approx(6 / 19)
-
-
 def test_a_vehicle_found_half_of_the_time_is_found():
     true = states(*((1, 10 * k, 0.0) for k in range(4)), *((2, 10 * k, 50.0) for k in range(4)))
     given = states((7, 0, 0.0), (7, 10, 0.0), (8, 0, 50.0))
-    figures = score_tracks(scored(true, given), {})
+    figures = score_tracks(scored(true, given))
     assert figures["found"] == 0.5
     assert figures["recall"] == pytest.approx(3 / 8)
     assert figures["precision"] == 1.0

@@ -11,17 +11,16 @@ from hypothesis import strategies as st
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
-from gis_radar.clocks import measure_clocks
-from gis_radar.clocks.clocks import SensorClock, _reason, adjust_network, best_linked
-from gis_radar.clocks.lane_detections import LaneDetections
-from gis_radar.clocks.offsets import (
+from gis_radar.calibration import ClockSettings, measure_clocks
+from gis_radar.calibration.clock_offsets import (
     ClockOffset,
     NoCommonTrafficError,
     fine_offset,
     rough_offset,
     validate_offset,
 )
-from gis_radar.clocks.settings import ClockSettings
+from gis_radar.calibration.clocks import SensorClock, _reason, adjust_network, best_linked
+from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 
 LENGTH_M = 4.4

@@ -34,7 +34,7 @@ def test_a_compiled_function_calls_another():
 
 
 def test_numba_is_not_imported_before_it_is_needed():
-    rooms = "gis_radar.localization, gis_radar.scans.mask"
+    rooms = "gis_radar.calibration.localization, gis_radar.scans.mask"
     code = f"import sys, {rooms}; assert 'numba' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from gis_radar.monitor.filter import (
+from gis_radar.calibration import MONITOR
+from gis_radar.calibration.kalman_filter import (
     LEVER,
     Estimate,
     Innovation,
@@ -22,7 +23,6 @@ from gis_radar.monitor.filter import (
     same_sign,
     widened,
 )
-from gis_radar.monitor.settings import DEFAULTS
 from gis_radar.poses.pose import Pose
 
 HOUR_S = 3600.0
@@ -66,7 +66,7 @@ def test_without_a_common_error_it_is_the_textbook_filter():
         seen = measured(rng, now, covariance=positive(rng, sigma))
         z = np.array([*seen.position, *Rotation.from_quat(seen.quaternion).as_rotvec()])
         now = corrected(predicted(now, 5.0 * (k + 1)), seen)
-        p = p + np.diag(np.square(DEFAULTS.drift) * 5.0 / HOUR_S)
+        p = p + np.diag(np.square(MONITOR.drift) * 5.0 / HOUR_S)
         information = np.linalg.inv(p) + np.linalg.inv(seen.covariance)
         x = np.linalg.solve(
             information, np.linalg.solve(p, x) + np.linalg.solve(seen.covariance, z)
@@ -145,7 +145,7 @@ def test_without_data_the_pose_stays_and_its_error_grows():
     later = predicted(now, 4 * HOUR_S)
     assert np.array_equal(later.position, now.position)
     assert np.array_equal(later.quaternion, now.quaternion)
-    assert np.allclose(np.diag(later.covariance - now.covariance), 4 * np.square(DEFAULTS.drift))
+    assert np.allclose(np.diag(later.covariance - now.covariance), 4 * np.square(MONITOR.drift))
     stepped = now
     for k in range(48):
         stepped = predicted(stepped, (k + 1) * HOUR_S / 12)
@@ -228,15 +228,13 @@ def test_the_sign_is_that_of_the_quaternion_before():
 
 
 def test_gates_are_quantiles_of_chi2():
-    tests = 3600.0 / DEFAULTS.cycle_s * len(DEFAULTS.lengths_s)
-    assert DEFAULTS.gate == pytest.approx(chi2.ppf(1.0 - DEFAULTS.false_alarms / tests, 6))
-    assert DEFAULTS.suspect_chi2 == pytest.approx(12.59, abs=0.01)  # of any table
+    tests = 3600.0 / MONITOR.cycle_s * len(MONITOR.lengths_s)
+    assert MONITOR.gate == pytest.approx(chi2.ppf(1.0 - MONITOR.false_alarms / tests, 6))
+    assert MONITOR.suspect_chi2 == pytest.approx(12.59, abs=0.01)  # of any table
 
 
 def test_settings_that_are_not_the_defaults_are_named():
-    assert DEFAULTS.changes() == {}
-    traces = replace(DEFAULTS.localization.traces, frames=1000)
-    other = replace(
-        DEFAULTS, cycle_s=2.0, localization=replace(DEFAULTS.localization, traces=traces)
-    )
+    assert MONITOR.changes() == {}
+    traces = replace(MONITOR.localization.traces, frames=1000)
+    other = replace(MONITOR, cycle_s=2.0, localization=replace(MONITOR.localization, traces=traces))
     assert other.changes() == {"cycle_s": 2.0, "localization.traces.frames": 1000}

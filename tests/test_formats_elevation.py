@@ -16,15 +16,15 @@ from streets import Street
 from test_formats_bags import clouds, write_bag
 
 import gis_radar as gr
+from gis_radar.calibration import ClockSettings
+from gis_radar.calibration.lane_detections import LaneMatcher
+from gis_radar.calibration.surroundings import read_slow
 from gis_radar.cli import group
-from gis_radar.clocks.lane_detections import LaneMatcher
-from gis_radar.clocks.settings import ClockSettings
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.measures import Filters
 from gis_radar.poses.files import as_track, write_pose
 from gis_radar.projection import project
 from gis_radar.recordings.recording import RangeCounts, open_recording
-from gis_radar.scan_check.surroundings import read_slow
 from gis_radar.tiles.tiles import write_tiles
 
 ROAD_M = 370.0  # of the crossing; the sensor is 5 m over it

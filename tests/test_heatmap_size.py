@@ -11,35 +11,55 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
 
-from sizes import TARGET_MB, TILES, day
+from dataset_days import tiles_of_lanes, write_days
 
+import gis_radar as gr
+from gis_radar.heatmap import HeatMap
+from gis_radar.heatmap.intervals import Timeline
 from gis_radar.heatmap.layers import write_package
+from gis_radar.heatmap.occupancy import Occupancy
 from gis_radar.progress import QUIET
+from gis_radar.tiles.tiles import fingerprint
 
-MOST_BYTES = 1e6 * TARGET_MB / (TILES * 96)  # of a tile in an interval, its share of all else too
-
-
-def written(heat, path):
-    write_package(heat, path, QUIET)
-    return path
+MOST_BYTES = 40e6 / (12_000 * 96)  # of a tile in an interval, its share of all else too
+QUARTER = 18_000  # steps
+FIRST = 35_258_040_000 // QUARTER * QUARTER
 
 
 @pytest.mark.parametrize("busy", [True, False])
 def test_a_tile_in_an_interval_takes_few_bytes(tmp_path, busy):
-    few, many = (
-        written(day(tiles, 96, busy=busy), tmp_path / f"{tiles}.gpkg").stat().st_size
-        for tiles in (200, 1200)
-    )
-    assert (many - few) / (1000 * 96) < MOST_BYTES
+    dataset = write_days(tmp_path / "day", tiles=3000, days=1, busy=busy)
+    path = tmp_path / "heatmap.gpkg"
+    write_package(gr.make_heatmap(dataset, interval="15min"), path, QUIET)
+    assert path.stat().st_size / (3000 * 96) < MOST_BYTES
 
 
-def test_the_most_columns_and_thousands_of_tiles_read_as_made(tmp_path):
-    for heat in (day(200, 500, busy=False), day(4300, 2, busy=False)):
-        path = written(heat, tmp_path / f"{len(heat.tiles)}.gpkg")
-        layer = pyogrio.list_layers(path)[0, 0]  # what programs open that are given none
-        assert layer == "heatmap"
-        read, wide = pyogrio.read_dataframe(path, layer=layer), heat.wide()
-        assert list(read) == list(wide)
-        names = [name for name in wide if name.startswith(("hit_2", "occ_2"))]
-        assert len(names) == 2 * len(heat.timeline)
-        np.testing.assert_array_equal(read[names], wide[names])
+def counted(tiles, intervals):
+    """A heat map of all tiles with any counts."""
+    rng = np.random.default_rng(1)
+    table, shape = tiles_of_lanes(tiles, rng), (intervals, tiles)
+    visible = rng.integers(1, QUARTER, shape).astype(np.uint32)
+    occupied = rng.integers(0, visible + 1).astype(np.uint32)
+    error = rng.random(shape).astype(np.float32)
+    edges = FIRST + QUARTER * np.arange(intervals + 1)
+    return HeatMap(
+        tiles=table, fingerprint=fingerprint(table), sensors=("R1", "R2"), seen=np.arange(tiles),
+        whole=Timeline(begin=edges[:1], end=edges[-1:]), observed=visible, hit=occupied,
+        timeline=Timeline(begin=edges[:-1], end=edges[1:]),
+        occupancy=Occupancy(
+            visible=visible, occupied=occupied, error=error, error_whole=error.mean(axis=0)
+        ),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("tiles", "intervals"), [(200, 500), (4300, 2)])
+def test_the_most_columns_and_thousands_of_tiles_read_as_made(tmp_path, tiles, intervals):
+    heat, path = counted(tiles, intervals), tmp_path / "heatmap.gpkg"
+    write_package(heat, path, QUIET)
+    layer = pyogrio.list_layers(path)[0, 0]  # what programs open that are given none
+    assert layer == "heatmap"
+    read, wide = pyogrio.read_dataframe(path, layer=layer), heat.wide()
+    assert list(read) == list(wide)
+    names = [name for name in wide if name.startswith(("hit_2", "occ_2"))]
+    assert len(names) == 2 * intervals
+    np.testing.assert_array_equal(read[names], wide[names])

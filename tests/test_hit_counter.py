@@ -44,15 +44,9 @@ def test_each_frame_has_the_tiles_that_it_hits(tiles):
 def test_the_loop_is_compiled_for_one_kind_of_tiles(tiles):
     """Another kind of the same arrays costs a user eight seconds of compiling anew."""
     quads, road = gr.quads(tiles), SightTiles.of(tiles)
-    ids = tiles["tile_id"].to_numpy()
-    kept, free = ids.copy(), ids.copy()
-    kept.flags.writeable = False
     grids = [gr.TileGrid(each) for each in (quads, np.asfortranarray(quads))]
-    counters = [
-        HitCounter(road, grid, tile_id=each) for grid in grids for each in (kept, free, None)
-    ]
+    counters = [HitCounter(road, grid) for grid in grids]
     assert len({numba.typeof(each._index) for each in counters}) == 1
-    assert free.flags.writeable
 
 
 def test_a_frame_without_positions_hits_nothing(tiles):
@@ -79,12 +73,9 @@ def tree(tiles):
     kind=st.sampled_from([np.float32, np.float64]),
     level=st.booleans(),
     least=st.sampled_from([None, 0.3]),
-    backwards=st.booleans(),
 )
 @settings(deadline=None, max_examples=25)  # compiled at the first call
-def test_any_rows_hit_what_the_tree_and_numpy_say(
-    tiles, tree, seed, rows, kind, level, least, backwards
-):
+def test_any_rows_hit_what_the_tree_and_numpy_say(tiles, tree, seed, rows, kind, level, least):
     rng = np.random.default_rng(seed)
     points = rng.normal(0.0, [60.0, 60.0, 2.0], (rows, 3)).astype(kind)
     points[:, 2] = np.nan if level else points[:, 2]
@@ -94,16 +85,14 @@ def test_any_rows_hit_what_the_tree_and_numpy_say(
     time = np.sort(BEGIN + rng.integers(0, 4, rows) * 0.04)
     pose = replace(gr.read_pose(SAMPLE / "R1.json"), yaw=float(rng.uniform(-180.0, 180.0)))
     road = SightTiles.of(tiles)
-    ids = road.tile_id[::-1].copy() if backwards else road.tile_id
     ranges = RangeCounts()
     counter = HitCounter(
-        road, gr.TileGrid(road.quads), filters=gr.Filters(min_speed=least), tile_id=ids,
-        ranges=ranges,
-    )  # fmt: skip
+        road, gr.TileGrid(road.quads), filters=gr.Filters(min_speed=least), ranges=ranges
+    )
     columns = rows_of_columns(time, *np.ascontiguousarray(points.T), rate, rate[:0])
     road_m = pose.height - 3.0
     numbers = PoseNumbers.of(pose, road_m=road_m)
-    found = [*counter.add(columns, 0, rows, numbers), *counter.end()]
+    found = [*counter.add(columns, 0, rows, numbers), counter.end()]
 
     points = points.astype(np.float64)
     range_m = np.sqrt((np.nan_to_num(points) ** 2).sum(axis=1))
@@ -113,12 +102,12 @@ def test_any_rows_hit_what_the_tree_and_numpy_say(
     place = pose.to_map(points[hits], road_m=road_m)
     point, tile = tree.assign(place[:, 0], place[:, 1])
     time_us = np.rint(time * 1e6).astype(np.int64)
-    expected = np.unique(np.stack([time_us[hits][point] // 50_000, ids[tile]]), axis=1)
-    steps, tiles_hit = (np.concatenate([getattr(e, n) for e in found]) for n in ("step", "tile"))
-    assert np.array_equal(np.stack([steps, tiles_hit]), expected)
     frames = np.concatenate([each.frames for each in found])
     times, frame = np.unique(time_us, return_inverse=True)
     pairs = np.unique(np.stack([frame[hits][point], tile]), axis=1)
+    of_frame = np.repeat(np.arange(len(times)), frames[:, TILES_HIT])
+    counted = np.stack([of_frame, np.concatenate([each.tile for each in found])])
+    assert np.array_equal(counted[:, np.lexsort(counted[::-1])], pairs)
     assert frames[:, 0].tolist() == times.tolist()
     assert frames[:, TILES_HIT].tolist() == np.bincount(pairs[0], minlength=len(times)).tolist()
     assert frames[:, DETECTIONS].tolist() == np.bincount(frame, present).astype(int).tolist()

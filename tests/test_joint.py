@@ -5,7 +5,6 @@ import math
 import pickle
 import re
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import laspy
@@ -20,16 +19,15 @@ from sites import START, UTM, recording
 from streets import CROSSING, Street, errors
 
 import gis_radar as gr
+from gis_radar.calibration import CLASH_HINT, AmbiguousError, joint
+from gis_radar.calibration.adjustment import Correspondences, adjust, shared_covariance
+from gis_radar.calibration.common_times import Span, best_end, read_span
+from gis_radar.calibration.correspondences import Moments, assign, compare
+from gis_radar.calibration.covariance import plane_covariance, stated_covariance
+from gis_radar.calibration.joint import adjust_poses, common_time, locate_all
+from gis_radar.calibration.joint_settings import CorrespondenceSettings
+from gis_radar.calibration.lags import find_lag
 from gis_radar.cli import group
-from gis_radar.joint.adjustment import Correspondences, adjust, shared_covariance
-from gis_radar.joint.calibration import adjust_poses, common_time, locate_all
-from gis_radar.joint.correspondences import Moments, assign, compare
-from gis_radar.joint.lags import find_lag
-from gis_radar.joint.network import CLASH_HINT
-from gis_radar.joint.reading import Span, best_end, read_span
-from gis_radar.joint.settings import CorrespondenceSettings
-from gis_radar.joint.stated import plane_covariance, stated_covariance
-from gis_radar.localization.result import AmbiguousError
 from gis_radar.poses.pose import COMPONENTS, View
 
 LONG = Street(
@@ -172,7 +170,7 @@ def test_two_sensors_that_contradict_each_other_end_with_one_line(recordings, tr
     def single(recording, *_, **__):
         return gr.Localization(pose=poses[recording.stem], fitness=0.9, observable=True)
 
-    monkeypatch.setattr("gis_radar.joint.calibration.localize", single)
+    monkeypatch.setattr("gis_radar.calibration.joint.localize", single)
     with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict[^;]*$") as refusal:
         locate_all(
             list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
@@ -393,7 +391,7 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
             raise found
         return found
 
-    monkeypatch.setattr("gis_radar.joint.calibration.localize", single)
+    monkeypatch.setattr("gis_radar.calibration.joint.localize", single)
     done = locate_all(
         [recordings["R1"], alone], LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
     )
@@ -528,8 +526,7 @@ def guess_words(true):
 
 @pytest.fixture
 def scene_map(monkeypatch):
-    together = import_module("gis_radar.joint.calibration")
-    monkeypatch.setattr(together, "read_map", lambda *_, **__: LONG.roads())
+    monkeypatch.setattr(joint, "read_map", lambda *_, **__: LONG.roads())
 
 
 @pytest.mark.usefixtures("scene_map")

@@ -17,8 +17,8 @@ ROWS = """
     lanelets recordings scans
     tiles
     sight
-    projection clocks measures
-    scan_check localization joint monitor
+    calibration
+    projection measures
     tracking
     dataset
     quality heatmap products

@@ -1,6 +1,8 @@
 """The live system with a real broker: what it measures is what the batch does, whatever breaks."""
 
 import math
+import time
+from dataclasses import replace
 
 import pytest
 from live_programs import (
@@ -91,4 +93,23 @@ def test_nobody_gets_past_the_broker(site):
     twin.open()
     wait_for(lambda: said.told("the same name"))
     for each in (one, twin):
+        each.close()
+
+
+def test_a_sensor_that_takes_the_name_of_fusion_ends_nobodys_link(site):
+    links = {}
+    for user, name in {"fusion": "junction-fusion", "R1": "junction-R1"}.items():
+        known = replace(read_live_site(site.file).address(), user=user,
+                        password=site.password(user))  # fmt: skip
+        links[user] = Link(known, name=name, topics=(f"v1/junction/{user}/ack",))
+    thief = Link(links["R1"]._address, name="junction-fusion")
+    links["fusion"].open()
+    wait_for(lambda: links["fusion"].connected)
+    thief.open()
+    wait_for(lambda: thief.connected)
+    time.sleep(3.0)
+    assert thief.connected
+    assert links["fusion"].connected
+    assert links["fusion"].connections == 1
+    for each in (thief, links["fusion"]):
         each.close()

@@ -206,14 +206,14 @@ def test_a_sensor_on_a_full_disk_loses_what_is_new_and_says_so(tmp_path, once):
 
 
 class Stranger:
-    """A client with a sensor's password that sends what it likes, and hears what fusion may."""
+    """A client that sends what it likes in the name of a sensor, or hears what fusion may."""
 
-    def __init__(self, site, user="R1"):
+    def __init__(self, site, user):
         self.said = Lines()
         known = BrokerAddress.of(site.address, user=user, password=site.password(user))
-        kinds = ("detections", "pose") if user == "fusion" else ()
-        topics = tuple(SensorTopics("junction", "+").of(kind) for kind in kinds)
-        self.link = Link(known, name=f"stranger-{user}", topics=topics, reporter=self.said)
+        topics = tuple(SensorTopics("junction", "+").of(kind) for kind in ("detections", "pose"))
+        self.link = Link(known, name=user, topics=topics if user == "observer" else (),
+                         reporter=self.said)  # fmt: skip
         self.link.open()
         wait_for(lambda: self.link.connected)
 
@@ -227,13 +227,17 @@ class Stranger:
         return found
 
 
-def test_noise_and_replays_at_the_broker_change_nothing(site):
-    """Damaged, oversized, replayed, doubled messages with the sensor's own password."""
+def test_noise_and_replays_at_the_broker_change_nothing(tmp_path, once):
+    """Damaged, oversized, replayed, doubled messages with the rights of the sensor."""
+    site = LiveSite(tmp_path, once, names=("R1",))
+    site.add_user("observer", "topic read v1/junction/#")
+    site.add_user("stranger", "topic write v1/junction/R1/#")
+    site.broker.start()
     said = Lines()
     fusion = Fusion(read_live_site(site.file), reporter=said)
     middle = Background(fusion.run)
     health = fusion.sensors["R1"].health
-    listener, stranger = Stranger(site, "fusion"), Stranger(site)
+    listener, stranger = Stranger(site, "observer"), Stranger(site, "stranger")
     edge = Edge(read_edge_file(site.edge("R1")))
     work = Background(edge.run)
     heard = listener.hear(500)
@@ -255,6 +259,7 @@ def test_noise_and_replays_at_the_broker_change_nothing(site):
         each.link.close()
     assert_all_recorded(site.folder, ["R1"])
     assert_equal_to_batch(site, ["R1"])
+    site.broker.kill()
     assert health.counts["frames"] == 2000
 
 

@@ -6,7 +6,6 @@ import http.cookiejar
 import json
 import math
 import socket
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -19,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-import uvicorn
 from axe_core_python.selenium import Axe
 from browser import start_chromium, wide
 from live_replay import Replay
@@ -33,17 +31,19 @@ from live_site import (
     wait_for,
 )
 from PIL import Image
+from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
-from gis_radar.errors import OutputError, UsageError
+from gis_radar.errors import OutputError
 from gis_radar.heatmap import style
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
-from gis_radar.live.page import HIT, VEHICLE, Access, difference, make_app, whole_event
+from gis_radar.live.page import HIT, VEHICLE, difference, make_app, whole_event
 from gis_radar.live.server import Page
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
+from gis_radar.live.web_server import WebServer
 from gis_radar.site.live_table import PageTable
 from gis_radar.steps import step_begin
 
@@ -51,19 +51,13 @@ VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "
 
 
 @contextmanager
-def served(live, access=None):
+def served(live, token=""):
     """Serve a live map on a free port of this machine; give the address."""
-    config = uvicorn.Config(make_app(live, access), port=0, log_level="error", lifespan="on",
-                            timeout_graceful_shutdown=1)  # fmt: skip
-    server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run)
-    thread.start()
+    server = WebServer(make_app(live, token), "127.0.0.1:0")
     try:
-        wait_for(lambda: server.started)
-        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
+        yield server.open().rstrip("/")
     finally:
-        server.should_exit = True
-        thread.join()
+        server.close()
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +228,7 @@ def test_questions_that_are_not_understood_are_refused(address, query, code):
 
 
 def test_only_who_has_the_token_reads(live):
-    with served(live, Access(token="s3cret")) as address:  # noqa: S106 - of this test only
+    with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
         for path in ("/", "/events", "/state.json", "/ogc", "/metrics", "/web/page.js"):
             assert refusal(address + path) == 401
             assert refusal(address + path, Authorization="Bearer other") == 401
@@ -261,9 +255,10 @@ def test_others_cannot_write_nor_ask_in_the_name_of_this_machine(address):
 
 
 def test_a_page_that_is_open_to_all_is_refused():
-    with pytest.raises(UsageError, match=r"open to everyone who reaches 0\.0\.0\.0"):
-        Access(host="0.0.0.0")  # noqa: S104
-    Access(host="0.0.0.0", behind_proxy=True)  # noqa: S104
+    with pytest.raises(ValidationError, match=r"open to everyone who reaches 0\.0\.0\.0"):
+        PageTable(address="0.0.0.0:80")
+    PageTable(address="0.0.0.0:80", behind_proxy=True)
+    PageTable(address="[::1]:80")
 
 
 @pytest.fixture(scope="module")
@@ -488,6 +483,5 @@ def test_an_address_that_is_taken_is_one_line(tmp_path, once, live):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         table = PageTable(address=f"127.0.0.1:{taken.getsockname()[1]}")
-        page = Page(live, read_live_site(site.file), table, live.place.tiles)
-        with pytest.raises(OutputError, match=r"127\.0\.0\.1:\d+: the page cannot be served there"):
-            page.open()
+        with pytest.raises(OutputError, match=r"127\.0\.0\.1:\d+: cannot be served"):
+            Page(live, read_live_site(site.file), table, live.place.tiles)

@@ -38,7 +38,7 @@ from gis_radar.live.payload import (
     unpack_message,
 )
 from gis_radar.live.recent import RecentCounts
-from gis_radar.live.server import access_of
+from gis_radar.live.server import read_token
 from gis_radar.live.settings import BufferTable
 from gis_radar.live.sources import Replay, frames_of_recording
 from gis_radar.live.windows import Seen, Windows
@@ -329,8 +329,8 @@ def test_a_clock_that_is_off_by_half_a_window_raises_the_alarm():
     health.counts = Counter(frames=7)
     text = prometheus_text([health], {"map_step": 3.0})
     assert 'gis_radar_frames_total{sensor="R1"} 7' in text
-    assert 'gis_radar_alarm{sensor="R1",alarm="clock"} 0' in text
-    assert text.endswith("gis_radar_map_step 3\n")
+    assert 'gis_radar_alarm{alarm="clock",sensor="R1"} 0' in text
+    assert text.endswith("gis_radar_map_step 3.0\n")
 
 
 @pytest.mark.parametrize(
@@ -404,4 +404,4 @@ def test_tokens_that_cannot_be_sent_are_refused(tmp_path, token):
     file = tmp_path / "page.token"
     file.write_text(token, encoding="utf-8")
     with pytest.raises(InputError, match=r"page\.token: holds no token"):
-        access_of(PageTable.model_construct(address="0.0.0.0:80", token_file=file))
+        read_token(file)

@@ -8,14 +8,12 @@ import pytest
 from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
+from gis_radar.calibration import LOCALIZATION, draw_localization, lane_method, localize
+from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.calibration.icp import pose_information, voxels
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import read_moving
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.localization import lane_method, localize
-from gis_radar.localization.certainty import eigenvalues, is_fixed, pose_covariance
-from gis_radar.localization.icp import pose_information, voxels
-from gis_radar.localization.result import draw_localization
-from gis_radar.localization.settings import DEFAULTS
-from gis_radar.localization.state import State
-from gis_radar.localization.traces import read_moving
 from gis_radar.poses.files import read_pose, write_pose
 from gis_radar.progress import Reporter
 
@@ -245,8 +243,8 @@ def test_a_junction_fixes_all_of_an_icp_pose(tmp_path):
     origin = [*street.middle, 0.0]
     state = State(position=pose.position - origin, R_map_sensor=pose.R_map_sensor, reflection=0.0)
     information = pose_information(source, voxels(street.road_points() - origin, 0.5), state)
-    assert eigenvalues(information, DEFAULTS.answer)[0] > 1.0
-    assert is_fixed(pose_covariance(information, state), DEFAULTS.answer)
+    assert eigenvalues(information, LOCALIZATION.answer)[0] > 1.0
+    assert is_fixed(pose_covariance(information, state), LOCALIZATION.answer)
 
 
 @pytest.mark.parametrize(

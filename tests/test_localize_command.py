@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
 
 import laspy
 import numpy as np
@@ -14,14 +13,13 @@ from sites import UTM
 from streets import Street, errors
 
 import gis_radar as gr
+from gis_radar.calibration import LOCALIZATION
+from gis_radar.calibration import localization as localizing
+from gis_radar.calibration.localization import METHODS
 from gis_radar.cli import group
 from gis_radar.crs import yaw_from_compass
-from gis_radar.localization.localize import METHODS
-from gis_radar.localization.settings import DEFAULTS
 from gis_radar.poses.files import read_pose
 from gis_radar.scans.scan import road_crs
-
-localizing = import_module("gis_radar.localization.localize")  # its function has its name
 
 
 @pytest.fixture
@@ -169,5 +167,5 @@ def test_settings_that_are_not_the_defaults_go_into_the_pose(files, monkeypatch)
         gr.localize, folder / "R1.parquet", street.roads(), np.empty((0, 3)), guess=(6.9e5, 5.3e6)
     )
     assert "settings" not in ask().pose.evidence
-    other = replace(DEFAULTS, answer=replace(DEFAULTS.answer, clear=3.0))
+    other = replace(LOCALIZATION, answer=replace(LOCALIZATION.answer, clear=3.0))
     assert ask(settings=other).pose.evidence["settings"] == {"answer.clear": 3.0}

@@ -11,9 +11,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
-from gis_radar.errors import NoAnswerError
-from gis_radar.localization.adaptation import adapted, heights
-from gis_radar.localization.certainty import (
+from gis_radar.calibration.adaptation import adapted, heights
+from gis_radar.calibration.certainty import (
     _along,
     _excluded,
     _spread,
@@ -21,11 +20,11 @@ from gis_radar.localization.certainty import (
     along_valley,
     certainty,
 )
-from gis_radar.localization.hypotheses import Hypothesis, look_around, prior_at
-from gis_radar.localization.lanes import Lanes, sample_lanes
-from gis_radar.localization.matching import Scene, match, place
-from gis_radar.localization.model import MODEL
-from gis_radar.localization.residuals import (
+from gis_radar.calibration.hypotheses import Hypothesis, look_around, prior_at
+from gis_radar.calibration.lanes import Lanes, sample_lanes
+from gis_radar.calibration.matching import Scene, match, place
+from gis_radar.calibration.model import MODEL
+from gis_radar.calibration.residuals import (
     Comparison,
     assemble,
     at_least,
@@ -34,11 +33,12 @@ from gis_radar.localization.residuals import (
     height_over_road,
     lateral,
 )
-from gis_radar.localization.search import level
-from gis_radar.localization.settings import DEFAULTS, Schedule
-from gis_radar.localization.solver import solve
-from gis_radar.localization.state import SIZE, TURN, State, angles_from_turn
-from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
+from gis_radar.calibration.search import level
+from gis_radar.calibration.settings import LOCALIZATION, Schedule
+from gis_radar.calibration.solver import solve
+from gis_radar.calibration.state import SIZE, TURN, State, angles_from_turn
+from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
+from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import Pose
 
 
@@ -51,7 +51,7 @@ def scene():
         time=time, points=xyz, range_rate=rate, frames=600, detections=len(time),
         begin=time[0], end=time[-1],
     )  # fmt: skip
-    samples = thin(moving, link_tracks(moving), replace(DEFAULTS.traces, most=400))
+    samples = thin(moving, link_tracks(moving), replace(LOCALIZATION.traces, most=400))
     place = np.array(street.middle)
     lanes = sample_lanes(street.roads().lanelets, street.road_points(), place=place, reach_m=150.0)
     state = State(
@@ -67,7 +67,7 @@ def matched(scene, scale_m):
     compared = Comparison(
         lanes=lanes, placed=placed, matches=match(lanes, placed),
         model=replace(MODEL, hidden_share=1e-9), scale_m=scale_m,
-        settings=DEFAULTS.solver,
+        settings=LOCALIZATION.solver,
     )  # fmt: skip
     return compared, state, [np.zeros((samples.tracks, 1)), np.zeros_like(samples.spell_reach)]
 
@@ -325,11 +325,11 @@ def test_turns_are_those_of_scipy(axis, angle):
 
 def test_changed_settings_are_recorded():
     settle = Schedule(scales_m=(0.1,), rounds=4)
-    other = DEFAULTS.changed({"hypotheses.finalists": 1, "hypotheses.settle": settle})
+    other = LOCALIZATION.changed({"hypotheses.finalists": 1, "hypotheses.settle": settle})
     assert other.changes() == {"hypotheses.settle.scales_m": (0.1,), "hypotheses.finalists": 1}
-    assert DEFAULTS.changes() == {}
+    assert LOCALIZATION.changes() == {}
     with pytest.raises(TypeError):
-        DEFAULTS.changed({"hypotheses.unknown": 1})
+        LOCALIZATION.changed({"hypotheses.unknown": 1})
 
 
 def test_vehicles_vote(scene):
@@ -370,7 +370,7 @@ def test_a_gain_within_the_habits_of_drivers_is_no_lead(scene):
 def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
     """A curvature of nearly nothing, and a cost that rises 60 nats within a metre: or once, 5."""
     scene, state, _ = scene
-    fit, settings = solve(scene, state, prior_at(state)), DEFAULTS.answer
+    fit, settings = solve(scene, state, prior_at(state)), LOCALIZATION.answer
     hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
     curved = 1.0 / np.linalg.inv(fit.information)[0, 0]
     flat = _along(fit, hold, curved, 0.02 * curved)

@@ -177,7 +177,7 @@ def test_the_page_is_closed(made, page):
     links = re.findall(r"(?:src|href)=\"(?!data:|#)([^\"]*)\"", text)
     assert sorted(links) == ["lanes.csv", "lanes_by_interval.csv", "quality.csv", "sensors.csv"]
     assert all((made / name).is_file() for name in links)
-    assert text.count("url(") == text.count("url(#gaps)")  # a pattern within the page
+    assert text.count("url(") == text.count("url(#gaps-")  # a pattern within the page
     assert "@import" not in text
 
 
@@ -205,7 +205,7 @@ def test_the_paper(made):
     assert paper.root_object["/Lang"] == "en"
     titles = [each["/Title"] for each in paper.outline]
     assert titles == [
-        "In short", "What this rests on", "Map, whole time", "Lanes", "The lanes over time",
+        "In short", "What this rests on", "Map", "Lanes", "The lanes over time",
         "Sensors", "What sensors delivered", "Settings and sources", "What the words mean",
     ]  # fmt: skip
     described = [

@@ -2,121 +2,156 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import UTC, datetime
 from io import BytesIO
-from types import SimpleNamespace
 from zoneinfo import ZoneInfo
 
 import pypdf
 import pytest
 from PIL import Image
+from report_site import write_results
 
-from gis_radar.report.content import Fact, Figure, Table
-from gis_radar.report.pages import Paper, _add_facts, _add_map, _add_table, _composed, bound
+import gis_radar as gr
+from gis_radar.progress import Reporter
+from gis_radar.report import paper
+from gis_radar.report.content import Chapter, Content, Fact, Figure, MapSeries, Table
+from gis_radar.report.pages import bound
+from gis_radar.report.paper import write_pdf
 from gis_radar.report.report import _lane_columns
 from gis_radar.steps import Clock
 from gis_radar.words import speaking
 
+MOMENT = datetime(2025, 6, 12, tzinfo=UTC)
+A4_PT, EDGE_PT = 595.3, 42.5  # width, and of a margin
 
-def a_paper():
-    named = SimpleNamespace(
-        measure="occupancy", title="T", subtitle="", zone="UTC", made_by="gis_radar"
+
+def picture(size):
+    place = BytesIO()
+    Image.new("RGB", size, "white").save(place, "PNG")
+    return place.getvalue()
+
+
+def content_of(*, facts=(), parts=(), size=(300, 200)):
+    """Return a report of little: a white map, figures, parts."""
+    whole = Figure(
+        png=picture(size), width=size[0], height=size[1], title="Whole time", alt="A map.",
+        caption="Below the map",
     )  # fmt: skip
-    paper = Paper(named)
-    paper.add_page()
-    return paper
+    series = MapSeries(
+        whole=whole, frames=(), overlay=picture(size), narrow=b"", caption="note", note=""
+    )  # fmt: skip
+    return Content(
+        title="Title", subtitle="when", zone="UTC", until=MOMENT, intro="Intro", facts=facts,
+        remarks=(), basis=Table(name="basis", caption="basis", columns=(), rows=()), map=series,
+        chapters=[Chapter("lanes", "Lanes", parts)], made_by="gis_radar", measure="occupancy",
+    )  # fmt: skip
 
 
-def places_of(paper):
-    """Return where on the first page each piece of text begins: from the left, from below."""
+def pages_of(folder, content):
+    write_pdf(content, folder / "report.pdf")
+    return pypdf.PdfReader(folder / "report.pdf").pages
+
+
+def places_on(page):
+    """Return where each piece of text begins: from the left, from the upper edge, points."""
     found = {}
-    page = pypdf.PdfReader(BytesIO(bytes(paper.output()))).pages[0]
 
-    def note(text, _, matrix, *__):
+    def note(text, outer, inner, *_):
         if text.strip():
-            found[text.strip()] = (matrix[4], matrix[5])
+            x, y = inner[4], inner[5]
+            left = x * outer[0] + y * outer[2] + outer[4]
+            base = x * outer[1] + y * outer[3] + outer[5]
+            found[text.strip()] = (left, float(page.mediabox.height) - base)
 
     page.extract_text(visitor_text=note)
     return found
 
 
-def words_of(columns, cells):
-    """Write a table of one row; return the words that stand on the page."""
-    paper = a_paper()
-    _add_table(paper, Table(name="t", caption="Lanes", columns=columns, rows=[cells]))
-    page = pypdf.PdfReader(BytesIO(bytes(paper.output()))).pages[0]
-    return page.extract_text().split()
+def letters_of(pages):
+    """Return all letters of pages as one word, so that it does not matter where lines end."""
+    return "".join("".join(page.extract_text() for page in pages).split())
+
+
+def words_of(folder, columns, cells):
+    """Write a table of one row; return the words of the pages."""
+    table = Table(name="lanes", caption="Lanes", columns=columns, rows=[cells])
+    pages = pages_of(folder, content_of(parts=[table]))
+    right = max(left for page in pages for left, _ in places_on(page).values())
+    assert right < A4_PT - EDGE_PT
+    return " ".join(page.extract_text() for page in pages).split()
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
 @pytest.mark.parametrize("lane", ["7", "10944738", str(2**63 - 1)])
-def test_heads_and_numbers_of_lanes_are_not_broken(language, lane):
+def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path, language, lane):
     with speaking(language):
         columns = _lane_columns(None, "occupancy")
         cells = [lane, "too few tracks", "north-west", *["12.3 % ± 1.2 %"] * (len(columns) - 3)]
-        found = words_of(columns, cells)
+        found = words_of(tmp_path, columns, cells)
     for column in columns:
-        for word in f"{column.title} {column.unit}".split():
+        for word in bound(f"{column.title} {column.unit}").split():
             assert word in found
     assert lane in found
 
 
-def test_streets_of_a_full_table_are_not_broken():
+def test_streets_of_a_full_table_are_not_broken(tmp_path):
     """As in a town: four digits of length, five of a lane, and why a lane has no rank."""
     with speaking("de"):
-        moment = datetime(2025, 6, 12, tzinfo=UTC)
-        clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=moment, last=moment)
+        clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=MOMENT, last=MOMENT)
         columns = _lane_columns(clock, "occupancy")
         cells = ["17863", "zu wenig davon einsehbar", "Bahnhofsvorplatz (West), Nordost",
                  "27,8 ± 24,4 %", "41", "1 700", "100 %", "100 ± 26 % bei 1 266 m", "194,3",
                  "23:13:20 bis 23:13:40: 35 ± 4 %"]  # fmt: skip
-        found = words_of(columns, cells)
+        found = words_of(tmp_path, columns, cells)
     assert {"einsehbar", "Bahnhofsvorplatz"} <= set(found)
 
 
-def test_what_a_figure_rests_on_stands_in_its_field():
+def test_what_a_figure_rests_on_stands_in_its_field(tmp_path):
     rests = "19 Spuren, 61 % der Länge; der erste von 3 Fahrstreifen mit Rang"
     facts = [Fact("Aufgezeichnet", "40 s", "in 40 s"), Fact("Sensoren", "3", "R1"),
              Fact("Höchster Fahrstreifen", "17863: 28 %", rests), Fact("Vierte", "4")]  # fmt: skip
-    paper = a_paper()
-    _add_facts(paper, SimpleNamespace(facts=facts))
-    places = places_of(paper)
-    assert rests not in places  # on one line it would be too small to read
-    last = min(y for text, (_, y) in places.items() if text in rests)
-    assert last > places["Vierte"][1] + 10
+    places = places_on(pages_of(tmp_path, content_of(facts=facts))[0])
+    assert bound(rests) not in places  # on one line it would be too small to read
+    last = max(top for text, (_, top) in places.items() if text in bound(rests))
+    assert last < places["Vierte"][1] - 10
+    assert places["Vierte"][0] == pytest.approx(places["Aufgezeichnet"][0], abs=0.5)
 
 
-def test_no_figures_take_no_room():
-    paper = a_paper()
-    begin = paper.get_y()
-    _add_facts(paper, SimpleNamespace(facts=[]))
-    assert paper.get_y() == pytest.approx(begin + 2.0)
-    paper.output()  # closes its fonts
-
-
-def test_the_legend_of_a_flat_map_ends_above_the_words_below_it():
-    picture = BytesIO()
-    Image.new("RGB", (300, 60), "white").save(picture, "PNG")
-    flat = Figure(
-        png=picture.getvalue(), width=300, height=60, alt="", caption="Below the map"
+@pytest.mark.parametrize("size", [(300, 60), (300, 200), (200, 300)])
+def test_map_and_legend_are_beside_each_other(tmp_path, size):
+    """Of a flat map and of a tall one: the legend is whole, the words are below both."""
+    page = next(
+        each for each in pages_of(tmp_path, content_of(size=size))
+        if "Below the map" in each.extract_text()
     )  # fmt: skip
-    paper = a_paper()
-    part = SimpleNamespace(whole=flat, overlay=None, caption="and the note")
-    _add_map(paper, SimpleNamespace(map=part, measure="occupancy"))
-    places = places_of(paper)
-    assert places["Below the map"][1] < places["not visible"][1] - 8
+    places = {text: place for text, place in places_on(page).items() if "not visible" not in text}
+    legend = [place for text, place in places_on(page).items() if "not visible" in text]
+    assert EDGE_PT + 100 < legend[0][0] < A4_PT - EDGE_PT - 60
+    assert places["note"][1] > legend[0][1] + 8
+
+
+def test_a_machine_without_its_library_has_all_but_the_pdf(tmp_path, monkeypatch):
+    folder, heard = write_results(tmp_path, names=("R1",), steps=400), []
+    (folder / "report.html").write_text("of an earlier report")
+    (folder / "report.pdf").write_bytes(b"%PDF of an earlier report")
+    monkeypatch.setitem(sys.modules, "weasyprint", None)
+    paper.weasyprint.cache_clear()
+
+    class Listener(Reporter):
+        def log(self, message, level="info"):
+            heard.append((level, message))
+
+    try:
+        made = gr.write_report(folder, reporter=Listener())
+    finally:
+        paper.weasyprint.cache_clear()
+    assert "report.pdf" not in {path.name for path in made.outputs}
+    assert not (folder / "report.pdf").exists()
+    assert [level for level, text in heard if "pip install gis_radar[pdf]" in text] == ["warning"]
+    assert (folder / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
 def test_no_line_ends_between_a_number_and_its_percent_sign():
     assert bound("it is not 0 %, nor 20 % or more") == ("it is not 0\u202f%, nor 20\u202f% or more")
     assert bound(None) is None
-
-
-def test_an_overlay_of_another_size_lies_on_its_map():
-    """Versions of Matplotlib differ by a pixel in how large they draw."""
-    pictures = []
-    for size in ((40, 30), (41, 30)):
-        place = BytesIO()
-        Image.new("RGBA", size, (255, 0, 0, 255)).save(place, "PNG")
-        pictures.append(place.getvalue())
-    assert _composed(*pictures, 100).size == (40, 30)

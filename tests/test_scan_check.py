@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from datetime import date
-from importlib import import_module
 
 import laspy
 import numpy as np
@@ -19,13 +18,13 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
+from gis_radar.calibration import AmbiguousError, Localization
+from gis_radar.calibration import localization as localizing
+from gis_radar.calibration.scan_check import Alignment, align, require_scans_near
+from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
+from gis_radar.calibration.surroundings import LevelFrame, read_slow, read_structure
 from gis_radar.cli import group
 from gis_radar.grid import CELL_M
-from gis_radar.localization import Localization
-from gis_radar.localization.result import AmbiguousError
-from gis_radar.scan_check.check import Alignment, align, require_scans_near
-from gis_radar.scan_check.settings import DEFAULTS, ScanCheckSettings
-from gis_radar.scan_check.surroundings import LevelFrame, read_slow, read_structure
 from gis_radar.scans import scan as scan_files
 from simulation.movement import Traffic
 from simulation.radar import RadarModel, place_radar
@@ -33,8 +32,6 @@ from simulation.recording import simulate_recording, write_recording
 from simulation.scan import fly, write_scan
 from simulation.scene import Scene, Tree
 from simulation.terrain import Terrain
-
-localizing = import_module("gis_radar.localization.localize")  # its function has its name
 
 SAMPLE = gr.sample_folder()
 SCAN = SAMPLE / "scan.laz"
@@ -211,7 +208,7 @@ def test_closeness_is_that_of_the_next_structure(look):
     alignment = alignment_of(look)
     cells = np.argwhere(look.structure.visible) + 0.5 - len(look.structure.top) // 2
     away, _ = KDTree(cells * CELL_M).query(look.standing.points[:, :2])
-    expected = np.exp(-0.5 * (away / DEFAULTS.close_m) ** 2)
+    expected = np.exp(-0.5 * (away / SCAN_CHECK.close_m) ** 2)
     # the field is sampled at the centres of cells and distances count between centres
     assert np.abs(alignment.at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
     assert look.closeness.mean() == pytest.approx(look.score)
@@ -328,11 +325,11 @@ def test_the_last_frames_count():
     assert slow.frames == 200
     assert len(slow.points) == int((np.abs(late["range_rate"].to_numpy()) <= 1.0).sum())
     assert np.bincount(slow.span).min() > 0.5 * np.bincount(slow.span).max()
-    assert read_slow(R2).frames <= DEFAULTS.frames
+    assert read_slow(R2).frames <= SCAN_CHECK.frames
 
 
 def test_settings_reach_the_comparison(look):
-    """With no slack an echo fits only where the scan has its wall."""
+    """With no slack a detection fits only where the scan has its wall."""
     strict = gr.check_against_scan(R2, POSE, [SCAN], settings=ScanCheckSettings(close_m=0.1))
     assert strict.score < look.score
     assert strict.figures()["settings"]["close_m"] == 0.1
@@ -373,7 +370,7 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
     assert said["level"] == ("warning" if left else "info")
     evidence = gr.read_pose(tmp_path / "pose.json").evidence["scan_check"]
     assert evidence["verdict"] == verdict
-    assert evidence["settings"]["close_m"] == DEFAULTS.close_m
+    assert evidence["settings"]["close_m"] == SCAN_CHECK.close_m
     assert {"score", "chance", "best_score", "best_east_m", "best_turn_deg"} <= set(evidence)
     view = gr.read_pose(tmp_path / "pose.json").view
     assert view == gr.View(max_range_m=reached_m(R2))

@@ -269,7 +269,9 @@ import missing_libraries as tool
 
 class Hidden(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {"starlette", "uvicorn", "paho", "movingpandas", "open3d"}:
+        if name.partition(".")[0] in {
+            "movingpandas", "open3d", "paho", "prometheus_client", "starlette", "uvicorn"
+        }:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Hidden())
@@ -300,7 +302,9 @@ def test_conda_gets_what_pyproject_asks_for():
     given = {name: floor for name, floor in entries if name not in {"conda-forge", "pip"}}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = {"python": project["requires-python"], "pdal": ">=2.2", "python-pdal": ""}
-    for requirement in map(Requirement, project["dependencies"]):
+    for requirement in map(
+        Requirement, project["dependencies"] + project["optional-dependencies"]["pdf"]
+    ):
         first, *more = CONDA_NAMES.get(requirement.name, [requirement.name])
         wanted |= {first: str(requirement.specifier)} | dict.fromkeys(more, "")
     assert given == wanted

@@ -1,4 +1,4 @@
-"""The simulator: geometry, sight, echoes, frames, scans and maps, each against a plain truth."""
+"""The simulator: geometry, sight, scatterers, frames, scans, maps, each against a plain truth."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from simulation import sumo
 from simulation.clutter import draw_clutter
 from simulation.curves import arc_length, offset, points_at, tangents, turn
 from simulation.demand import KINDS, random_flows
-from simulation.echoes import ghosts, vehicle_echoes
 from simulation.lanelet_writer import Crosswalk, write_lanelets
 from simulation.movement import Traffic, Vehicles
 from simulation.network import Lane, RoadNetwork, Turn, read_network
@@ -29,6 +28,7 @@ from simulation.radar import Radar, RadarModel, place_radar
 from simulation.recording import COLUMNS, frame_times, simulate_recording, write_recording
 from simulation.roadside import furnish
 from simulation.scan import BUILDING, GROUND, HIGH, Scan, fly, write_scan
+from simulation.scatterers import ghosts, vehicle_scatterers
 from simulation.scene import Building, ParkedCar, Post, Scene, Tree
 from simulation.sight import Boxes, Walls, building_walls, parked_boxes
 from simulation.terrain import Terrain
@@ -195,17 +195,17 @@ def test_a_house_hides_what_is_behind_it_below_the_line_over_its_roof(scene):
     assert building_walls(scene).hide(EYE, points).tolist() == [True, False, False]
 
 
-# echoes
+# scatterers
 
 
 def test_only_the_faces_turned_to_the_sensor_scatter(scene):
     car = vehicles((40.0, 0.0, 0.0, 8.0))
-    echoes = vehicle_echoes(car, scene, EYE, density=400.0, rng=rng())
-    along = echoes.point[:, 0] - ORIGIN[0] - 40.0
+    scatterers = vehicle_scatterers(car, scene, EYE, density=400.0, rng=rng())
+    along = scatterers.point[:, 0] - ORIGIN[0] - 40.0
     assert len(along) > 200
     assert along.max() < 0.0  # the rear of a car that drives away, seen square from behind
     assert along.min() >= -2.251
-    height = echoes.point[:, 2] - TERRAIN.height(echoes.point)
+    height = scatterers.point[:, 2] - TERRAIN.height(scatterers.point)
     assert height.min() > 0.29
     assert height.max() < 1.5
     assert np.mean((height > 0.29) & (height < 0.91)) > 0.7
@@ -213,8 +213,8 @@ def test_only_the_faces_turned_to_the_sensor_scatter(scene):
 
 def test_wheels_turn_between_zero_and_twice_the_speed(scene):
     car = vehicles((20.0, 20.0, 0.0, 10.0))
-    echoes = vehicle_echoes(car, scene, EYE, density=500.0, rng=rng())
-    speed = echoes.velocity[:, 0]
+    scatterers = vehicle_scatterers(car, scene, EYE, density=500.0, rng=rng())
+    speed = scatterers.velocity[:, 0]
     wheel = np.abs(speed - 10.0) > 1e-6
     assert 0.02 < wheel.mean() < 0.3
     assert speed.min() >= -1e-9
@@ -224,28 +224,30 @@ def test_wheels_turn_between_zero_and_twice_the_speed(scene):
 
 def test_range_rate_is_positive_when_receding_and_zero_when_standing(scene):
     there = vehicles((40.0, 0.0, 0.0, 8.0), (40.0, 3.0, 180.0, 8.0), (40.0, -3.0, 0.0, 0.0))
-    echoes = vehicle_echoes(there, scene, EYE, density=60.0, rng=rng())
-    rate = echoes.range_rate(EYE)
-    assert np.median(rate[echoes.owner == 0]) == pytest.approx(8.0, abs=0.2)
-    assert np.median(rate[echoes.owner == 1]) == pytest.approx(-8.0, abs=0.2)
-    assert np.abs(rate[echoes.owner == 2]).max() == 0.0
+    scatterers = vehicle_scatterers(there, scene, EYE, density=60.0, rng=rng())
+    rate = scatterers.range_rate(EYE)
+    assert np.median(rate[scatterers.owner == 0]) == pytest.approx(8.0, abs=0.2)
+    assert np.median(rate[scatterers.owner == 1]) == pytest.approx(-8.0, abs=0.2)
+    assert np.abs(rate[scatterers.owner == 2]).max() == 0.0
 
 
 def test_a_turning_vehicle_moves_faster_outside_than_inside(scene):
     bus = vehicles((30.0, 0.0, 90.0, 5.0), size=(12.0, 2.5, 3.0))
     turning = replace(bus, yaw_rate=np.array([0.5]))
-    echoes = vehicle_echoes(turning, scene, EYE, density=80.0, rng=rng())
-    east = echoes.velocity[:, 0]
-    ahead = echoes.point[:, 1] - ORIGIN[1]
+    scatterers = vehicle_scatterers(turning, scene, EYE, density=80.0, rng=rng())
+    east = scatterers.velocity[:, 0]
+    ahead = scatterers.point[:, 1] - ORIGIN[1]
     assert east == pytest.approx(-0.5 * ahead, abs=1e-6)
 
 
 def test_ghosts_lie_farther_than_their_origin_or_behind_a_mirror(scene):
     car = vehicles((92.0, 0.0, 0.0, 8.0))
-    echoes = vehicle_echoes(car, scene, EYE, density=100.0, rng=rng())
-    images = ghosts(echoes, EYE, building_walls(scene), share=1.0, rng=rng(2))
-    assert len(images.rcs) == len(echoes.rcs)
-    far = np.linalg.norm(images.point - EYE, axis=1) - np.linalg.norm(echoes.point - EYE, axis=1)
+    scatterers = vehicle_scatterers(car, scene, EYE, density=100.0, rng=rng())
+    images = ghosts(scatterers, EYE, building_walls(scene), share=1.0, rng=rng(2))
+    assert len(images.rcs) == len(scatterers.rcs)
+    far = np.linalg.norm(images.point - EYE, axis=1) - np.linalg.norm(
+        scatterers.point - EYE, axis=1
+    )
     assert (far > 0.5).all()
     assert (images.owner == -1).all()
     mirrored = images.point[:, 1] > ORIGIN[1] + 12.0
@@ -257,8 +259,8 @@ def test_a_mirror_turns_the_motion_too():
     scene = Scene(terrain=Terrain(origin=(0.0, 0.0)), road=shapely.box(0, -5, 50, 5))
     car = replace(vehicles((0, 0, 90.0, 6.0)), centre=np.array([[30.0, 0.0]]))
     eye = np.array([0.0, 0.0, 5.0])
-    echoes = vehicle_echoes(car, scene, eye, density=200.0, rng=rng())
-    images = ghosts(echoes, eye, wall, share=1.0, rng=rng(1))
+    scatterers = vehicle_scatterers(car, scene, eye, density=200.0, rng=rng())
+    images = ghosts(scatterers, eye, wall, share=1.0, rng=rng(1))
     mirrored = images.point[:, 1] > 12.0
     assert mirrored.any()
     assert (images.velocity[mirrored, 1] <= 0.0).all()

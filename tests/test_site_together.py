@@ -17,7 +17,7 @@ from small_site import write_map
 from test_joint import LONG, TRAFFIC, stated
 
 import gis_radar as gr
-from gis_radar.localization import AmbiguousError
+from gis_radar.calibration import AmbiguousError
 from gis_radar.poses.pose import View
 from gis_radar.report.content import how_found
 from gis_radar.site import stages as work
@@ -66,7 +66,7 @@ def run(site, tmp_path, monkeypatch):
                 pose=found, fitness=0.9, observable=True, recording=paths[0].name
             )
 
-        monkeypatch.setattr("gis_radar.localization.localize_files", localize_files)
+        monkeypatch.setattr("gis_radar.calibration.localize_files", localize_files)
         path = site.folder / f"{tmp_path.name}.toml"
         sensors = "".join(SENSOR.format(name, options.get(name, "")) for name in alone)
         sensors = sensors.replace(R2, options.get("recordings", R2))

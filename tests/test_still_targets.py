@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from gis_radar.localization.state import State
-from gis_radar.monitor.alarm import Displacement
-from gis_radar.monitor.settings import DEFAULTS
-from gis_radar.monitor.still_targets import StillTargets, Verdict, by_move, polar_of
-from gis_radar.monitor.watch import Watch, decided
+from gis_radar.calibration import MONITOR
+from gis_radar.calibration.alarm import Displacement
+from gis_radar.calibration.state import State
+from gis_radar.calibration.stationary_targets import StillTargets, Verdict, by_move, polar_of
+from gis_radar.calibration.watch import Watch, decided
 from gis_radar.recordings.recording import Detections
 
-OF = DEFAULTS.still
+OF = MONITOR.still
 FRAME_S, FRAMES = 0.5, 40  # one frame of ten
 SETTLED = 60  # blocks
 

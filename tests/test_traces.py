@@ -10,9 +10,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from sites import START, recording, table
 
-from gis_radar.localization.icp import source_voxels, voxels
-from gis_radar.localization.settings import DEFAULTS
-from gis_radar.localization.traces import (
+from gis_radar.calibration import LOCALIZATION
+from gis_radar.calibration.icp import source_voxels, voxels
+from gis_radar.calibration.traces import (
     Moving,
     MovingWindow,
     link_tracks,
@@ -184,10 +184,10 @@ def test_limbs_that_swing_make_no_vehicle_of_a_walker():
 def test_thinning_keeps_tracks_and_a_limit(passing):
     moving, _ = passing
     tracks = link_tracks(moving)
-    samples = thin(moving, tracks, replace(DEFAULTS.traces, most=50))
+    samples = thin(moving, tracks, replace(LOCALIZATION.traces, most=50))
     assert len(samples) == 50
     assert samples.tracks == tracks.max() + 1
-    again = thin(moving, tracks, replace(DEFAULTS.traces, most=50))
+    again = thin(moving, tracks, replace(LOCALIZATION.traces, most=50))
     assert np.array_equal(samples.points, again.points)
 
 

@@ -17,16 +17,14 @@ from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
+from gis_radar.calibration import MONITOR, draw_track, track
+from gis_radar.calibration.kalman_filter import Measurement
+from gis_radar.calibration.monitor import Follower, _cycles, start_estimate
+from gis_radar.calibration.moves import agreement
+from gis_radar.calibration.traces import Moving
+from gis_radar.calibration.windows import WindowFitter, WindowTraffic
 from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError
-from gis_radar.localization.traces import Moving
-from gis_radar.monitor import track
-from gis_radar.monitor.filter import Measurement
-from gis_radar.monitor.follow import Follower, _cycles, start_estimate
-from gis_radar.monitor.moves import agreement
-from gis_radar.monitor.settings import DEFAULTS
-from gis_radar.monitor.track import draw_track
-from gis_radar.monitor.windows import WindowFitter, WindowTraffic
 from gis_radar.poses.files import read_track, write_track
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import open_recording
@@ -268,7 +266,7 @@ def test_a_vehicle_that_is_watched_for_long_counts_once():
         time=time[order], points=points[order], range_rate=rate[order], frames=600,
         detections=len(time), begin=0.0, end=30.0,
     )  # fmt: skip
-    traffic = WindowTraffic.of(moving, DEFAULTS.localization.traces)
+    traffic = WindowTraffic.of(moving, MONITOR.localization.traces)
     assert traffic.samples().tracks > 4
     assert traffic.vehicles == 2
     assert traffic.between(0.0, 4.0).vehicles == 1
@@ -290,11 +288,11 @@ def test_one_vehicle_alone_moves_no_sensor(gains, most, which):
 
     alone = np.zeros(len(gains))
     alone[which % len(gains)] = most
-    assert agreed(alone) < 1.2 < DEFAULTS.agreement
+    assert agreed(alone) < 1.2 < MONITOR.agreement
     assert agreed(-np.array(gains)) < 0.0
     expected = ttest_1samp(gains, 0.0).statistic if np.ptp(gains) > 1e-3 else np.inf
     assert agreed(gains) == pytest.approx(expected) or expected > 1e5
-    assert agreed(np.full(8, 2.0)) > DEFAULTS.agreement
+    assert agreed(np.full(8, 2.0)) > MONITOR.agreement
 
 
 def test_a_shake_is_no_move(seen, tmp_path):
@@ -396,7 +394,7 @@ def test_what_a_pose_file_knows_is_where_the_filter_starts(seen):
     given = start_estimate(start(pose), START)
     assert np.degrees(np.sqrt(given.angle_covariance[5, 5])) == pytest.approx(0.15, rel=0.01)
     by_hand = start_estimate(replace(pose, evidence={}), START)
-    assert np.sqrt(by_hand.covariance[0, 0]) == pytest.approx(DEFAULTS.by_hand[0], rel=0.01)
+    assert np.sqrt(by_hand.covariance[0, 0]) == pytest.approx(MONITOR.by_hand[0], rel=0.01)
     covariance = np.diag([0.04, 0.01, 0.01, 1e-5, 1e-5, 1e-5])
     covariance[0, 1] = covariance[1, 0] = 0.01
     found = {"covariance": covariance.tolist(), "method": "lane", "time": "2023-11-14T22:13:00Z"}
@@ -504,8 +502,8 @@ def test_who_is_lost_for_long_says_so(seen):
     assert set(events[2:]) == {"rejected"}
     sigma = [np.sqrt(np.diag(row.estimate.covariance)) for row in follower.rows]
     assert (sigma[0] < 0.3).all()
-    assert (sigma[1] >= DEFAULTS.knock).all()
-    assert (sigma[-1] >= DEFAULTS.knock).all()
+    assert (sigma[1] >= MONITOR.knock).all()
+    assert (sigma[-1] >= MONITOR.knock).all()
     assert np.allclose(np.diff([row.estimate.time for row in follower.rows]), 5.0)
     for row in follower.rows:
         assert np.array_equal(row.estimate.position, begin.position)
@@ -516,7 +514,7 @@ def test_cycles_of_any_length_end(tmp_path, cycle_s):
     """Twenty times a second, for a minute: a cycle ends at the first frame after it."""
     time = np.repeat(START + np.arange(1200) * 0.05, 2)
     path = recording(tmp_path / "R1.parquet", time, np.ones((len(time), 3)))
-    settings = replace(DEFAULTS, cycle_s=cycle_s)
+    settings = replace(MONITOR, cycle_s=cycle_s)
     parts = _cycles(open_recording(path), settings, Reporter())
     ends, rows = [], 0
     for piece, end in itertools.islice(parts, 1000):

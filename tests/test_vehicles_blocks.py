@@ -47,7 +47,7 @@ def sensor_of(steps, window, sensor="R1"):
     inside = time[(step >= first) & (step < after)]
     none = np.zeros(len(inside), np.int64)
     return SensorHour(
-        sensor=sensor, sources=[source], source=none, pose=none, step=[], tile=[], evidence=[],
+        sensor=sensor, sources=[source], source=none, pose=none, tile=[], evidence=[],
         frames=HashedFrames(time=inside, hash=none.astype(np.uint64), detections=none),
         counted=np.empty((0, FRAME_COLUMNS), np.int64),
     )  # fmt: skip

@@ -26,6 +26,9 @@ RUN_LIBRARIES = {
     "libexpat.so.1": "libexpat1",  # rasterio, pyogrio
     "libz.so.1": "zlib1g",
     "libstdc++.so.6": "libstdc++6",
+    "libpango-1.0.so.0": "libpango-1.0-0",  # these are WeasyPrint's
+    "libpangoft2-1.0.so.0": "libpangoft2-1.0-0",
+    "libharfbuzz-subset.so.0": "libharfbuzz-subset0",
 }
 DEV_LIBRARIES = {
     "libatomic.so.1": "libatomic1",  # these are SUMO's
@@ -93,7 +96,7 @@ def load_all(level: str) -> list[str]:
 
 def requirements(level: str) -> set[str]:
     """Return the names of the packages that pyproject.toml asks for, in lower case."""
-    lines = list(pyproject()["project"]["dependencies"])
+    lines = pyproject()["project"]["dependencies"] + extras()["pdf"]
     if level != "run":
         groups = pyproject()["dependency-groups"]
         lines += [line for group in ("dev", "docs") for line in groups[group]]

@@ -88,8 +88,8 @@ make_venv() {
 }
 
 install_packages() {
-    set -- --editable .
-    [ "$level" != bench ] || set -- --editable '.[localize]'
+    set -- --editable '.[pdf]'
+    [ "$level" != bench ] || set -- --editable '.[localize,pdf]'
     [ "$level" = run ] || set -- "$@" --group dev --group docs
     [ "$level" != bench ] || set -- "$@" --group bench
     $venv/bin/python -m pip install --quiet --disable-pip-version-check \

@@ -24,7 +24,7 @@ uv=.venv/bin/uv
 
 $uv venv --quiet --clear --python .venv/bin/python "$venv"
 $uv pip compile --quiet --no-header --no-annotate --resolution $resolution --only-binary :all: \
-    --output-file "$venv/requirements.txt" pyproject.toml
+    --extra pdf --output-file "$venv/requirements.txt" pyproject.toml
 $uv pip install --quiet --python "$venv/bin/python" --only-binary :all: -r "$venv/requirements.txt"
 # shellcheck disable=SC2086 # one word a package
 $uv pip install --quiet --python "$venv/bin/python" --constraints "$venv/requirements.txt" $tools

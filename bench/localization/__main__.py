@@ -2,266 +2,123 @@
 
     python bench/localization             all, half an hour on two free cores
     python bench/localization --quick     a look, a few minutes
-    python bench/localization --only table,straight
-    python bench/localization --only calibration --conditions "radar as recorded, walkers"
-    python bench/localization --into docs/accuracy.md   its table, from the kept JSON
+    python bench/localization --only table,sites
+    python bench/localization --only random --conditions "radar as recorded, walkers"
+    python bench/localization --only sites --set hypotheses.finalists=1    settings changed
+    python bench/localization --into docs/accuracy.md   its table, from what is kept
 
-Parts: speed, straight (a road that fixes no place along it), table (sets DY and DO of a town, as in
-Table I), sites (the sample and what lies beside the project), calibration, curves (start, length,
-traffic), ablation (each stage of our method turned off). Results in out/bench-localization:
-report.md, a JSON file a part, pictures. What is simulated is kept there and made again when the
-simulator changes. Needs Eclipse SUMO and Open3D.
-Exit code 1 where one of our answers in table, sites or straight is wrong and is not marked as such.
+Parts: table (sets DY and DO of a town, as in Table I), sites (the sample and what lies beside the
+project), random (places drawn at random: do errors keep to the covariance?). What is found is kept
+in out/bench-localization/groups.json, what is simulated beside it, and made again when the
+simulator changes. Needs Eclipse SUMO and Open3D. Exit code 1 where one of our answers is wrong and
+is not marked as such.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
+import ast
 import json
 import sys
-import time
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import ablation
-import calibration
-import curves
-import figures
-import speed
-import straight
+import numpy as np
+import random_places
 import table
-from conditions import CONDITIONS, TEXTBOOK, folder_name
-from places import OUT
-from town import SETS, town_folder
-from trials import METHODS, run_all
-from workers import workers
+from conditions import CONDITIONS, TEXTBOOK
+from places import OUT, link
+from town import town_folder
+from trials import METHODS, Trial, run_all, spread
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all benches share
 import pages
-import sites
+from figures import keep
+from simulated import sites, true_pose
 
-QUICK_COMBINATIONS = 10
-README_CONDITIONS = ("radar as recorded, walkers", "drivers as recorded")
+import gis_radar as gr
+from gis_radar.poses.files import write_pose
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Effort:
-    """How much to do.
-
-    Parameters
-    ----------
-    quick : bool
-        A few starts everywhere.
-    starts : int
-        At most so many a sensor, set and method in the table.
-    conditions : str
-        A name of `CONDITIONS`: radar, drivers and people of the table and the calibration.
-    methods : tuple of str
-        Which methods the table compares.
-    """
-
-    quick: bool
-    starts: int
-    conditions: str = TEXTBOOK
-    methods: tuple[str, ...] = METHODS
-
-    @property
-    def out(self) -> Path:
-        """Folder of the results."""
-        return OUT if self.conditions == TEXTBOOK else OUT / folder_name("report", self.conditions)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Part:
-    """What a part of the benchmark found.
-
-    Parameters
-    ----------
-    title, text : str
-        Of its chapter in the report, Markdown.
-    figures : dict or list
-        The same for programs.
-    wrong : int
-        How many of our answers are wrong and are not marked as such.
-    """
-
-    title: str
-    text: str
-    figures: Any
-    wrong: int = 0
-
-
-def make_table(effort: Effort) -> Part:
-    """Measure the town's sets."""
-    town = town_folder("town", conditions=effort.conditions)
-    results = run_all(table.plan(town, most=effort.starts, methods=effort.methods), what="table")
-    groups = table.report(results)
-    figures.draw_town(town, effort.out / "town.png")
-    pictures = ["![The town](town.png)"]
-    for set_name in SETS:
-        near = [r for r in results if r.trial.group == f"near {set_name}"]
-        figures.draw_starts(town, set_name, near, effort.out / f"starts_{set_name}.png")
-        pictures.append(f"![Set {set_name}: starts and ends](starts_{set_name}.png)")
-    wrong = [r for r in results if r.wrong and r.trial.method == "lane"]
-    return Part(
-        title="Sets DY and DO, as in the paper's Table I",
-        text="\n\n".join([table.markdown(groups), *pictures]),
-        figures={"groups": groups, "trials": [_plain(r) for r in results]},
-        wrong=len(wrong),
-    )
-
-
-def make_curves(effort: Effort) -> Part:
-    """Measure against start, length and traffic."""
-    town = town_folder("town")
-    with workers() as pool:
-        pool.map(curves.other_town, curves.other_rates(quick=effort.quick), chunksize=1)
-    made = curves.report(run_all(curves.plan(town, quick=effort.quick), what="curves"))
-    figures.draw_curves(made, OUT / "curves.png")
-    text = f"![Curves](curves.png)\n{curves.markdown(made)}"
-    return Part(title="Against start, length and traffic", text=text, figures=made)
-
-
-def make_sites(effort: Effort) -> Part:
-    """Measure the other sites."""
-    made = sites.report(run_all(sites.plan(quick=effort.quick), what="sites"))
-    wrong = sum(round(f["wrong"] * f["starts"]) for f in made.values())
-    return Part(title="Other sites", text=sites.markdown(made), figures=made, wrong=wrong)
-
-
-def make_calibration(effort: Effort) -> Part:
-    """Measure errors against their covariance."""
-    count = QUICK_COMBINATIONS if effort.quick else calibration.COUNT
-    outcomes = calibration.run(range(count), conditions=effort.conditions)
-    summary = calibration.summary(outcomes)
-    figures.draw_calibration((o.nees for o in outcomes if o.outcome == "right"),
-                             effort.out / "calibration.png")  # fmt: skip
-    return Part(
-        title="Calibration",
-        text=f"{calibration.table(summary)}\n\n![NEES](calibration.png)",
-        figures={"summary": summary, "outcomes": [dataclasses.asdict(o) for o in outcomes]},
-    )
-
-
-def make_straight(effort: Effort) -> Part:
-    """Try a road that fixes no place along it."""
-    attempts = straight.measure(quick=effort.quick)
-    return Part(
-        title="A straight road, the sensor looks along it",
-        text=straight.markdown(attempts),
-        figures=[dataclasses.asdict(a) for a in attempts],
-        wrong=sum(a.confident for a in attempts),
-    )
-
-
-def make_speed(effort: Effort) -> Part:
-    """Time the command."""
-    del effort
-    costs = speed.measure()
-    summary = {way: dataclasses.asdict(cost) for way, cost in costs.items()}
-    return Part(title="Speed and memory", text=speed.markdown(costs), figures=summary)
-
-
-def make_ablation(effort: Effort) -> Part:
-    """Turn each stage of our method off."""
-    results = ablation.measure(ablation.plan(quick=effort.quick))
-    made = ablation.report(results)
-    return Part(
-        title="Ablation: our method with one stage less",
-        text=ablation.markdown(made),
-        figures={"variants": made, "trials": ablation.plain(results)},
-    )
-
-
-PARTS: dict[str, Callable[[Effort], Part]] = {
-    "speed": make_speed,
-    "straight": make_straight,
-    "table": make_table,
-    "sites": make_sites,
-    "calibration": make_calibration,
-    "curves": make_curves,
-    "ablation": make_ablation,
-}
-UNDER_CONDITIONS = ("table", "calibration")
-
-
-def _plain(result: Any) -> dict[str, Any]:
-    """Return a result as plain values, without paths of this machine."""
-    row = dataclasses.asdict(result)
-    row["trial"]["folder"] = result.trial.folder.name
-    return row
+PARTS = ("table", "sites", "random")
+SITE_STARTS, QUICK_STARTS = 10, 2
+KEPT = OUT / "groups.json"
 
 
 def main() -> None:
-    """Run the parts, write the report, judge."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    """Run the parts, print and keep their table, judge."""
+    options = _options()
+    if options.into:
+        pages.put(options.into, {"accuracy": table.readme(_kept())})
+        return
+    changes = dict(each.split("=", 1) for each in options.set)
+    changed = tuple((name, ast.literal_eval(value)) for name, value in changes.items())
+    trials = [each for part in options.only for each in _plan(part, options)]
+    groups = table.by_group(run_all([replace(each, changes=changed) for each in trials]))
+    print(table.markdown(groups))
+    if not changed:
+        kept = _kept()
+        kept.setdefault(options.conditions, {}).update(groups)
+        KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+        keep("localization", table.accepted(groups, options.conditions))
+    wrong = {name: f["wrong"] for name, f in groups.items() if name.endswith("lane") and f["wrong"]}
+    if wrong:
+        shares = ", ".join(f"{share:.0%} of {name}" for name, share in wrong.items())
+        sys.exit(f"answers that are wrong and are not marked as such: {shares}")
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="a few starts")
     parser.add_argument("--only", default=",".join(PARTS), help=f"some of {','.join(PARTS)}")
     parser.add_argument("--starts", type=int, help="a sensor in the table, at most (50)")
-    about = f"radar, drivers and people; for {', '.join(UNDER_CONDITIONS)}"
-    parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK, help=about)
-    about = f"of the table, some of {','.join(METHODS)}"
-    parser.add_argument("--methods", default=",".join(METHODS), help=about)
+    parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK,
+                        help="radar, drivers and people; not for sites")  # fmt: skip
+    parser.add_argument("--methods", default=",".join(METHODS), help=f"of {','.join(METHODS)}")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="settings")
     parser.add_argument("--into", type=Path, help="put the kept table into this page, run nothing")
     options = parser.parse_args()
-    if options.into:
-        put_table(options.into)
-        return
-    methods = tuple(options.methods.split(","))
-    if unknown := set(methods) - set(METHODS):
-        parser.error(f"--methods: no method is called {', '.join(sorted(unknown))}")
-    most = table.QUICK_STARTS if options.quick else table.NEAR_STARTS["lane"]
-    effort = Effort(
-        quick=options.quick, starts=options.starts or most, conditions=options.conditions,
-        methods=methods,
-    )  # fmt: skip
-    names = options.only.split(",")
-    if unknown := set(names) - set(PARTS):
-        parser.error(f"--only: no part is called {', '.join(sorted(unknown))}")
-    if effort.conditions != TEXTBOOK and set(names) - set(UNDER_CONDITIONS):
-        parser.error(f"--conditions: is for --only {','.join(UNDER_CONDITIONS)}")
-    effort.out.mkdir(parents=True, exist_ok=True)
-    wrong = {}
+    for name, known in (("only", PARTS), ("methods", METHODS)):
+        given = getattr(options, name).split(",")
+        if unknown := set(given) - set(known):
+            parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(known)}")
+        setattr(options, name, given)
+    return options
+
+
+def _plan(part: str, options: argparse.Namespace) -> list[Trial]:
+    """Return the trials of a part."""
+    if part == "table":
+        most = options.starts or (QUICK_STARTS if options.quick else table.NEAR_STARTS["lane"])
+        return table.plan(town_folder(options.conditions), most=most, methods=options.methods)
+    if part == "random":
+        count = random_places.QUICK_COUNT if options.quick else random_places.COUNT
+        return random_places.plan(count, options.conditions)
+    return [trial for site in sites() for trial in _at_site(site, options)]
+
+
+def _at_site(site: Path, options: argparse.Namespace) -> list[Trial]:
+    """Return trials at each sensor of a site; the road comes from the site's own scan."""
+    folder = OUT / "sites" / site.name
+    folder.mkdir(parents=True, exist_ok=True)
+    osm, scan = next(site.glob("*.osm")), next(site.glob("*.laz"))
+    link(osm, folder / "map.osm")
+    if not (folder / "road.npy").exists():
+        mask = gr.mask_road([scan], gr.read_roads(osm), engine="laspy")
+        np.save(folder / "road.npy", mask.points)
+    names = sorted(path.stem for path in site.glob("R*.parquet"))
     for name in names:
-        begin = time.perf_counter()
-        part = PARTS[name](effort)
-        print(f"\n## {part.title}\n\n{part.text}\n", flush=True)
-        _keep(name, part, effort, time.perf_counter() - begin)
-        if part.wrong:
-            wrong[name] = part.wrong
-    if wrong:
-        counts = ", ".join(f"{count} in {name}" for name, count in wrong.items())
-        sys.exit(f"answers that are wrong and are not marked as such: {counts}")
+        link(site / f"{name}.parquet", folder / f"{name}.parquet")
+        write_pose(true_pose(site, name), folder / f"{name}.json")
+    return spread(
+        folder, names, f"site {site.name}", method="lane", seed=17,
+        count=QUICK_STARTS if options.quick else SITE_STARTS,
+    )  # fmt: skip
 
 
-def put_table(page: Path) -> None:
-    """Put the table between its marks, from what is kept of table and sites."""
-    by_conditions: dict[str, dict[str, Any]] = {}
-    for conditions in (TEXTBOOK, *README_CONDITIONS):
-        kept = Effort(quick=False, starts=0, conditions=conditions).out.glob("table*.json")
-        for file in sorted(kept):
-            groups = json.loads(file.read_text())["figures"]["groups"]
-            known = {name: found for name, found in groups.items() if found["starts"]}
-            by_conditions.setdefault(conditions, {}).update(known)
-    of_sites = OUT / "sites.json"
-    others = json.loads(of_sites.read_text())["figures"] if of_sites.exists() else {}
-    pages.put(page, {"accuracy": table.readme(by_conditions, others)})
-
-
-def _keep(name: str, part: Part, effort: Effort, seconds: float) -> None:
-    """Write a part, and the report of all parts that are there, also of earlier runs."""
-    how = "quick" if effort.quick else f"up to {effort.starts} starts a sensor"
-    kept = dataclasses.asdict(part) | {"how": f"{how}, {seconds / 60.0:.0f} min"}
-    if name == "table" and effort.methods != METHODS:
-        name = f"table-{'-'.join(effort.methods)}"
-    (effort.out / f"{name}.json").write_text(json.dumps(kept, indent=1) + "\n")
-    files = [file for other in PARTS for file in sorted(effort.out.glob(f"{other}*.json"))]
-    parts = [json.loads(file.read_text()) for file in files]
-    chapters = [f"## {p['title']} ({p['how']})\n\n{p['text']}" for p in parts]
-    head = f"# Localization: {effort.conditions}"
-    (effort.out / "report.md").write_text("\n\n".join([head, *chapters]) + "\n")
+def _kept() -> dict[str, dict[str, table.Figures]]:
+    return dict(json.loads(KEPT.read_text())) if KEPT.exists() else {}
 
 
 if __name__ == "__main__":

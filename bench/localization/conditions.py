@@ -1,12 +1,13 @@
 """Conditions: which radar, which drivers and which people, by name.
 
-What a bench makes under one name is kept beside what it makes under another; places, poses and
-demand are the same.
+Places, poses and demand are the same under each.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+
+from places import Manners
 
 from simulation.demand import ALL_KINDS, KINDS, VehicleKind
 from simulation.driving import LaneKeeping
@@ -57,6 +58,12 @@ class Conditions:
         """Where in their lanes drivers keep."""
         return DRIVERS[self.drivers]
 
+    def manners(self, per_hour: float) -> Manners:
+        """Return so many vehicles an hour that drive so."""
+        return Manners(
+            per_hour=per_hour, kinds=self.kinds, keeping=self.keeping, people=self.people
+        )
+
 
 AS_RECORDED = Conditions(
     radar="as recorded", drivers="as recorded", people=_PEOPLE, kinds=ALL_KINDS
@@ -68,10 +75,3 @@ CONDITIONS = {
     "as recorded": AS_RECORDED,
     "harsh": replace(AS_RECORDED, radar="harsh"),
 }
-
-
-def folder_name(name: str, conditions: str) -> str:
-    """Return the name of a folder of what is made under some conditions."""
-    if conditions == TEXTBOOK:
-        return name
-    return f"{name}_{conditions.replace(',', '').replace(' ', '_')}"

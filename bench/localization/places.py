@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -174,6 +175,26 @@ class Ground:
 def read_ground(folder: Path) -> Ground:
     """Return what :meth:`Place.write_ground` wrote."""
     return Ground(roads=gr.read_map(folder / "map.osm"), road=np.load(folder / "road.npy"))
+
+
+def made(folder: Path, make: Callable[[], None], *modules: str) -> Path:
+    """Return a folder, made anew where the simulator or some modules here have changed."""
+    code = [Path(__file__).parent / f"{name}.py" for name in modules]
+    code += sorted((ROOT / "simulation").glob("*.py"))
+    recipe = hashlib.sha256(b"".join(path.read_bytes() for path in code)).hexdigest()
+    stamp = folder / "made.txt"
+    if not (stamp.exists() and stamp.read_text() == recipe):
+        folder.mkdir(parents=True, exist_ok=True)
+        stamp.unlink(missing_ok=True)
+        make()
+        stamp.write_text(recipe)
+    return folder
+
+
+def link(source: Path, target: Path) -> None:
+    """Make a file known under another name."""
+    target.unlink(missing_ok=True)
+    target.symlink_to(source.resolve())
 
 
 def errors(found: gr.Pose, true: gr.Pose) -> Floats:

@@ -1,69 +1,44 @@
-"""The table: errors in the town's sets DY and DO beside those of the paper's Table I."""
+"""The tables: errors by group of trials, and beside those of the paper's Table I for the page."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from town import MASTS, SETS
-from trials import COMPASS_DEG, METHODS, Result, Trial, spread
+from trials import COMPASS_DEG, COMPONENTS, Result, Trial, spread
 
-SENSORS = tuple(mast.sensor for mast in MASTS)
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all benches share
+from figures import SAME, Figure
+from figures import table as markdown_table
+
 KINDS = ("near", "any")
-MEANING = {
-    "near": "within 10 m, heading as one of eight compass words",
-    "any": "within 10 m, no heading",
-}
 NEAR_STARTS = {"lane": 50, "icp": 50}
 # ICP must try eight headings, a start takes it as long as five of ours
 ANY_STARTS = {"lane": 10, "icp": 2}
-QUICK_STARTS = 2
+LEAST_M, LEAST_DEG = 0.02, 0.02  # smaller differences tell nothing
+WITHIN = 2.0  # sigmas; 95 % of errors should be
+MEASURES = """\
+Mean absolute errors of the answers, in m and degrees. *Near*: within 10 m, heading as one of eight
+compass words; *any*: within 10 m, no heading. *Right*: within 1 m and 1 degree of the truth.
+*Wrong*: answered as if it were fixed, and not right. *Within 2 sigma*: of the right answers,
+easting, northing, height, roll, pitch, yaw."""
+Figures = dict[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Paper:
-    """A row of figures from the paper; NaN where it gives none.
-
-    Parameters
-    ----------
-    flat_mean, flat_median, height : float
-        Errors in metres.
-    roll, pitch, yaw : float
-        In degrees.
-    """
-
-    flat_mean: float
-    flat_median: float = float("nan")
-    height: float = float("nan")
-    roll: float = float("nan")
-    pitch: float = float("nan")
-    yaw: float = float("nan")
-
-
-# From its Table I, the distances of DY from X and Y; the real site from the text of section IV.A.
-PAPER = {
-    "DY": Paper(flat_mean=0.75, flat_median=0.95, height=1.06, yaw=0.38),
-    "DO": Paper(flat_mean=1.65, flat_median=0.55, roll=0.28, pitch=0.33, yaw=0.75),
-    "real site": Paper(flat_mean=1.06, height=0.59),
-}
-PAPER_FLAT = {
-    "DY": dict(zip(SENSORS, (0.98, 1.04, 0.91, 0.13, 0.27, 1.17), strict=True)),
-    "DO": dict(zip(SENSORS, (0.50, 5.06, 0.59, 0.19, 0.20, 3.35), strict=True)),
-}
-
-
-def plan(folder: Path, *, most: int, methods: Sequence[str] = METHODS) -> list[Trial]:
-    """Return the trials of the table, at most so many starts a sensor, set and method."""
+def plan(folder: Path, *, most: int, methods: Sequence[str]) -> list[Trial]:
+    """Return the trials of the town's sets, at most so many starts a sensor, set and method."""
     trials = []
     for kind, starts in (("near", NEAR_STARTS), ("any", ANY_STARTS)):
         for set_name in SETS:
             for method in methods:
                 trials += spread(
                     folder,
-                    [f"{set_name}_{sensor}" for sensor in SENSORS],
+                    [f"{set_name}_{mast.sensor}" for mast in MASTS],
                     f"{kind} {set_name}",
                     method=method,
                     count=min(most, starts[method]),
@@ -73,107 +48,82 @@ def plan(folder: Path, *, most: int, methods: Sequence[str] = METHODS) -> list[T
     return trials
 
 
-def figures(results: Sequence[Result]) -> dict[str, Any]:
+def by_group(results: Iterable[Result]) -> dict[str, Figures]:
+    """Return figures by group and method, such as ``near DY lane``."""
+    groups: dict[str, list[Result]] = {}
+    for each in results:
+        groups.setdefault(f"{each.trial.group} {each.trial.method}", []).append(each)
+    return {name: figures(group) for name, group in groups.items()}
+
+
+def figures(results: Sequence[Result]) -> Figures:
     """Return the figures of a group of results."""
     error = np.array([r.error for r in results if not r.refused]).reshape(-1, 6)
     flat = np.hypot(error[:, 0], error[:, 1])
-    count = max(len(results), 1)
+    right = [r for r in results if r.right and r.observable and r.sigma]
+    ratio = np.array([np.divide(r.error, r.sigma) for r in right]).reshape(-1, 6)
 
     def of(values: Any, how: Callable[..., Any]) -> float:
-        return float(how(values)) if len(values) else float("nan")
+        return float(how(values)) if len(values) else math.nan
 
-    names = ("height", "roll", "pitch", "yaw")
     return {
         "starts": len(results),
         "flat_mean": of(flat, np.mean),
         "flat_median": of(flat, np.median),
-        "flat_worst": of(flat, np.max),
-        **{name: of(np.abs(error[:, k]), np.mean) for k, name in enumerate(names, start=2)},
-        **{f"{n}_median": of(np.abs(error[:, k]), np.median) for k, n in enumerate(names, start=2)},
-        "right": sum(r.right for r in results) / count,
-        "refused": sum(r.refused for r in results) / count,
-        "unfixed": sum(not r.refused and not r.observable for r in results) / count,
-        "wrong": sum(r.wrong for r in results) / count,
+        **{name: of(np.abs(error[:, k]), np.mean) for k, name in enumerate(COMPONENTS)},
+        "right": sum(r.right for r in results) / len(results),
+        "refused": sum(r.refused for r in results) / len(results),
+        "unfixed": sum(not r.refused and not r.observable for r in results) / len(results),
+        "wrong": sum(r.wrong for r in results) / len(results),
+        "within": [of(np.abs(ratio[:, k]) < WITHIN, np.mean) for k in range(6)],
+        "nees_median": of([r.nees for r in right], np.median),
         "seconds": of([r.seconds for r in results], np.median),
     }
 
 
-def report(results: Sequence[Result]) -> dict[str, Any]:
-    """Return figures by group and method, and by sensor."""
-    groups: dict[str, Any] = {}
-    for kind in KINDS:
-        for set_name in SETS:
-            for method in METHODS:
-                mine = [
-                    r for r in results
-                    if r.trial.group == f"{kind} {set_name}" and r.trial.method == method
-                ]  # fmt: skip
-                sensors = {
-                    sensor: figures([r for r in mine if r.trial.name.endswith(sensor)])
-                    for sensor in SENSORS
-                }
-                groups[f"{kind} {set_name} {method}"] = {**figures(mine), "sensors": sensors}
-    return groups
+ERRORS = {
+    "flat_mean": "2D mean", "flat_median": "2D median", "height": "height", "roll": "roll",
+    "pitch": "pitch", "yaw": "yaw",
+}  # fmt: skip
+SHARES = ("right", "refused", "unfixed", "wrong")
 
 
-MEASURES = """\
-Mean absolute errors of the answers, in m and degrees. *Right*: within 1 m and 1 degree of the
-truth. *Wrong*: answered as if it were fixed, and not right."""
-HEADS = (
-    "2D mean", "2D median", "height", "roll", "pitch", "yaw", "right", "refused", "wrong", "CPU s",
-)  # fmt: skip
+def markdown(groups: Mapping[str, Figures]) -> str:
+    """Return a row a group."""
+    rows = [
+        [
+            name, str(f["starts"]), *(_number(f[each]) for each in ERRORS),
+            *(f"{f[each]:.0%}" for each in SHARES),
+            ", ".join(f"{share:.0%}" for share in f["within"]),
+            _number(f["nees_median"]), f"{f['seconds']:.1f}",
+        ]
+        for name, f in groups.items()
+    ]  # fmt: skip
+    heads = ["group", "starts", *ERRORS.values(), *SHARES, "within 2 sigma", "median NEES", "CPU s"]
+    return f"{MEASURES}\n\n{markdown_table(heads, rows)}"
 
 
-def markdown(groups: dict[str, Any]) -> str:
-    """Return both tables: set by set, and sensor by sensor."""
-    lines = [
-        MEASURES,
-        "",
-        f"| set | starts | method | {' | '.join(HEADS)} |",
-        "|---" * (3 + len(HEADS)) + "|",
-    ]
-    for set_name, own in PAPER.items():
-        cells = [own.flat_mean, own.flat_median, own.height, own.roll, own.pitch, own.yaw]
-        theirs = " | ".join([*(_number(cell) for cell in cells), "", "", "", ""])
-        lines.append(f"| {set_name} | its own | the paper | {theirs} |")
-        for kind in KINDS if set_name in SETS else ():
-            rows = [(method, groups[f"{kind} {set_name} {method}"]) for method in METHODS]
-            lines += [row(set_name, kind, method, f) for method, f in rows if f["starts"]]
-    lines += ["", *(f"*{kind}*: {meaning}." for kind, meaning in MEANING.items()), ""]
-    return "\n".join([*lines, *_by_sensor(groups)])
+def accepted(groups: Mapping[str, Figures], conditions: str) -> Iterable[Figure]:
+    """Yield the figures of our method on the town's sets that are compared with accepted ones."""
+    for group, row in groups.items():
+        if not group.endswith(" lane") or group.split()[0] not in KINDS:
+            continue
+        where = f"pose, {conditions}, {group.removesuffix(' lane')}"
+        yield Figure(what=f"{where}: 2D mean", ours=row["flat_mean"], unit="m", least=LEAST_M)
+        yield Figure(what=f"{where}: yaw mean", ours=row["yaw"], unit="deg", least=LEAST_DEG)
+        yield Figure(
+            what=f"{where}: right", ours=100.0 * row["right"], unit="%", more_is_better=True,
+            chance=SAME,
+        )  # fmt: skip
 
 
-def row(set_name: str, kind: str, method: str, f: dict[str, Any]) -> str:
-    """Return a row of the table."""
-    names = ("flat_mean", "flat_median", "height", "roll", "pitch", "yaw")
-    shares = [f"{f[name]:.0%}" for name in ("right", "refused", "wrong")]
-    cells = [*(_number(f[name]) for name in names), *shares, f"{f['seconds']:.1f}"]
-    return f"| {set_name} | {kind} ({f['starts']}) | {method} | {' | '.join(cells)} |"
-
-
-def _by_sensor(groups: dict[str, Any]) -> list[str]:
-    lines = [
-        "Median 2D error in m, sensor by sensor, from near starts (share of right answers):",
-        "",
-        f"| set | method | {' | '.join(SENSORS)} |",
-        "|---" * (2 + len(SENSORS)) + "|",
-    ]
-    for set_name in SETS:
-        theirs = " | ".join(f"{PAPER_FLAT[set_name][sensor]:.2f}" for sensor in SENSORS)
-        lines.append(f"| {set_name} | the paper | {theirs} |")
-        for method in METHODS:
-            if not groups[f"near {set_name} {method}"]["starts"]:
-                continue
-            by_sensor = groups[f"near {set_name} {method}"]["sensors"]
-            cells = [
-                f"{_number(by_sensor[sensor]['flat_median'])} ({by_sensor[sensor]['right']:.0%})"
-                for sensor in SENSORS
-            ]
-            lines.append(f"| {set_name} | {method} | {' | '.join(cells)} |")
-    return lines
-
-
-# The page's rows: what they are of, and where the figures are from
+# The paper's figures, m and degrees: of its Table I, the distances of DY from X and Y; the real
+# site from the text of section IV.A.
+PAPER: Mapping[str, Figures] = {
+    "DY": {"flat_mean": 0.75, "flat_median": 0.95, "height": 1.06, "yaw": 0.38},
+    "DO": {"flat_mean": 1.65, "flat_median": 0.55, "roll": 0.28, "pitch": 0.33, "yaw": 0.75},
+    "real site": {"flat_mean": 1.06, "height": 0.59},
+}
 ABOUT = {
     "DY": "the paper, 6 radars, yaw differs (DY)",
     "DO": "the paper, 6 radars, oriented freely (DO)",
@@ -187,37 +137,38 @@ OF_SITE = {
 }
 
 
-def readme(by_conditions: dict[str, dict[str, Any]], sites: dict[str, Any]) -> str:
+def readme(by_conditions: Mapping[str, Mapping[str, Figures]]) -> str:
     """Return the page's table: starts within 10 m and no heading, under each of some conditions."""
-    heads = ("site", "starts", "2D mean, median", "height", "yaw", "roll, pitch", "right")
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    rows = []
     for set_name, own in PAPER.items():
-        starts = "near" if set_name in SETS else ""
-        lines.append(_readme_row(ABOUT[set_name], starts, vars(own)))
+        rows.append(_readme_row(ABOUT[set_name], "near" if set_name in SETS else "", own))
         for method in ("icp", "lane") if set_name in SETS else ():
             for conditions, groups in by_conditions.items():
-                found = groups.get(f"any {set_name} {method}", {"starts": 0})
-                if found["starts"]:
+                if found := groups.get(f"any {set_name} {method}"):
                     about = f"{OF_METHOD[method]}, {conditions}"
-                    lines.append(_readme_row(about, str(found["starts"]), found))
-    rows = [(OF_SITE.get(name, f"ours, {name}"), found) for name, found in sites.items()]
-    return "\n".join([*lines, *(_readme_row(name, str(f["starts"]), f) for name, f in rows)])
+                    rows.append(_readme_row(about, str(found["starts"]), found))
+    rows += [
+        _readme_row(about, str(found["starts"]), found)
+        for name, about in OF_SITE.items()
+        for groups in by_conditions.values()
+        if (found := groups.get(f"site {name} lane"))
+    ]
+    heads = ("site", "starts", "2D mean, median", "height", "yaw", "roll, pitch", "right")
+    return markdown_table(heads, rows)
 
 
-def _readme_row(about: str, starts: str, f: dict[str, Any]) -> str:
+def _readme_row(about: str, starts: str, f: Figures) -> list[str]:
     def of(unit: str, *names: str) -> str:
-        values = [_number(f[name]) for name in names if not np.isnan(f[name])]
+        values = [_number(f[name]) for name in names if not math.isnan(f.get(name, math.nan))]
         return f"{', '.join(values)} {unit}" if values else ""
 
     right = ""
     if "right" in f:
-        rest = {"refused": f["refused"], "wrong": f["wrong"]}
-        others = [f"{share:.0%} {name}" for name, share in rest.items() if share > 0.0]
+        others = [f"{f[name]:.0%} {name}" for name in ("refused", "wrong") if f[name] > 0.0]
         right = ", ".join([f"{f['right']:.0%}", *others])
-    cells = (of("m", "flat_mean", "flat_median"), of("m", "height"), of("deg", "yaw"),
-             of("deg", "roll", "pitch"), right)  # fmt: skip
-    return f"| {about} | {starts} | {' | '.join(cells)} |"
+    errors = of("m", "flat_mean", "flat_median"), of("m", "height"), of("deg", "yaw")
+    return [about, starts, *errors, of("deg", "roll", "pitch"), right]
 
 
 def _number(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.2f}"
+    return "" if math.isnan(value) else f"{value:.2f}"

@@ -8,26 +8,14 @@ roll, pitch and another yaw.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
 import shapely
-from conditions import CONDITIONS, TEXTBOOK, Conditions, folder_name
-from places import (
-    ORIGIN,
-    OUT,
-    ROOT,
-    UTM,
-    WINDOW_S,
-    Manners,
-    Place,
-    make_place,
-    write_moving,
-)
+from conditions import CONDITIONS, TEXTBOOK
+from places import ORIGIN, OUT, UTM, WINDOW_S, made, make_place, write_moving
 from scipy.interpolate import CubicSpline
 from street_plans import StreetPlan
 
@@ -150,27 +138,6 @@ def _through(*points: Floats | tuple[float, float]) -> Floats:
     return np.asarray(CubicSpline(s, knots, bc_type="natural")(at))
 
 
-def make_town(per_hour: float, *, duration_s: float, conditions: Conditions) -> Place:
-    """Return the town with its traffic."""
-    return make_place(
-        town_plan(),
-        seed=SEED,
-        terrain=TERRAIN,
-        manners=Manners(
-            per_hour=per_hour,
-            kinds=conditions.kinds,
-            keeping=conditions.keeping,
-            people=conditions.people,
-        ),
-        duration_s=duration_s,
-    )
-
-
-def poses(place: Place, set_name: str) -> list[gr.Pose]:
-    """Return the six true poses of a set."""
-    return masts_of(place.scene, free=set_name == "DO")
-
-
 def masts_of(scene: Scene, *, free: bool) -> list[gr.Pose]:
     """Return the six true poses in a scene of the town; `free` for those of set DO."""
     houses = [shapely.Polygon(b.outline).buffer(1.0) for b in scene.buildings]
@@ -196,37 +163,24 @@ def _pose(scene: Scene, mast: Mast, verge: shapely.Geometry, *, free: bool) -> g
     )
 
 
-def town_folder(
-    name: str, per_hour: float = PER_HOUR, sets: Sequence[str] = SETS, *,
-    conditions: str = TEXTBOOK,
-) -> Path:  # fmt: skip
+def town_folder(conditions: str = TEXTBOOK) -> Path:
     """Return a folder with map, road, and the sets' recordings and poses; made where missing.
 
     The sets see different 100 s of the same traffic; `conditions` is a name of `CONDITIONS`.
     """
-    folder = OUT / folder_name(name, conditions)
-    stamp = folder / "made.txt"
-    recipe = f"{_recipe()} {per_hour} {' '.join(sets)}"
-    if stamp.exists() and stamp.read_text() == recipe:
-        return folder
-    folder.mkdir(parents=True, exist_ok=True)
-    stamp.unlink(missing_ok=True)
-    under = CONDITIONS[conditions]
-    place = make_town(per_hour, duration_s=len(sets) * WINDOW_S, conditions=under)
-    for k, set_name in enumerate(sets):
-        for number, pose in enumerate(poses(place, set_name)):
-            seed = 100 * SEED + 10 * SETS.index(set_name) + number
-            heard = place.record(pose, seed=seed, model=under.model, begin_s=k * WINDOW_S)
-            write_moving(heard, folder / f"{set_name}_{pose.sensor}.parquet")
-            write_pose(pose, folder / f"{set_name}_{pose.sensor}.json")
-    place.write_ground(folder, seed=SEED)
-    place.write_truth(folder)
-    stamp.write_text(recipe)
-    return folder
+    folder, under = OUT / "town" / conditions, CONDITIONS[conditions]
 
+    def make() -> None:
+        place = make_place(
+            town_plan(), seed=SEED, terrain=TERRAIN, manners=under.manners(PER_HOUR),
+            duration_s=len(SETS) * WINDOW_S,
+        )  # fmt: skip
+        for k, set_name in enumerate(SETS):
+            for number, pose in enumerate(masts_of(place.scene, free=set_name == "DO")):
+                seed = 100 * SEED + 10 * k + number
+                heard = place.record(pose, seed=seed, model=under.model, begin_s=k * WINDOW_S)
+                write_moving(heard, folder / f"{set_name}_{pose.sensor}.parquet")
+                write_pose(pose, folder / f"{set_name}_{pose.sensor}.json")
+        place.write_ground(folder, seed=SEED)
 
-def _recipe() -> str:
-    here = Path(__file__).parent
-    parts = [here / f"{name}.py" for name in ("town", "places", "conditions", "street_plans")]
-    parts += sorted((ROOT / "simulation").glob("*.py"))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()
+    return made(folder, make, "town", "places", "conditions", "street_plans")

@@ -20,7 +20,7 @@ from true_traffic import TrueTraffic
 import gis_radar as gr
 from gis_radar.arrays import Booleans
 from gis_radar.dataset.states import states_of
-from gis_radar.dataset.tables import CONTINUED, OCCUPIED, PASSAGES
+from gis_radar.dataset.tables import CONTINUED, PASSAGES
 
 ESTIMATES = ["tile_id", "occupied_s", "visible_s", "occupancy", "occupancy_se"]
 
@@ -38,23 +38,19 @@ class Found:
     occupancy : DataFrame
         `tile_id occupied_s visible_s occupancy`, of a dataset `occupancy_se`; tiles that were
         visible.
-    occupied : (n, steps) bool array
-        Of the tiles and steps of the truth.
     """
 
     states: pd.DataFrame = field(repr=False)
     passages: pd.DataFrame = field(repr=False)
     occupancy: pd.DataFrame = field(repr=False)
-    occupied: Booleans = field(repr=False)
 
 
-def found_in(dataset: gr.Dataset, truth: TrueOccupancy) -> Found:
+def found_in(dataset: gr.Dataset) -> Found:
     """Return what a dataset holds."""
-    runs = pd.concat(each.to_pandas() for each in dataset.batches(OCCUPIED))
     passages = pd.concat(each.to_pandas() for each in dataset.batches(PASSAGES))
     return Found(
         states=estimated_states(dataset), passages=passages[["lanelet_id", "step"]],
-        occupancy=estimated_occupancy(dataset), occupied=_steps_of(runs, truth),
+        occupancy=estimated_occupancy(dataset),
     )  # fmt: skip
 
 
@@ -85,7 +81,7 @@ def found_by_peer(site: SceneFiles, states: pd.DataFrame) -> Found:
     occupied = occupied_by(traffic, site.tiles(), truth)
     table = replace(truth, occupied=occupied).table()
     return Found(
-        states=states[list(COLUMNS)], occupied=occupied,
+        states=states[list(COLUMNS)],
         passages=true_passages(lanes, traffic, truth)[["lanelet_id", "step"]],
         occupancy=table[table["visible_s"] > 0.0],
     )  # fmt: skip
@@ -107,18 +103,3 @@ def occupied_by(traffic: TrueTraffic, tiles: gpd.GeoDataFrame, truth: TrueOccupa
     inside = traffic.within(truth.first_step, truth.first_step + count - 1)
     seen = tiles[tiles["tile_id"].isin(truth.tile_id)]
     return occupied_steps(seen, inside, truth.first_step, count)
-
-
-def _steps_of(runs: pd.DataFrame, truth: TrueOccupancy) -> Booleans:
-    """Return (tiles, steps) of the truth: what runs hold."""
-    row = np.searchsorted(truth.tile_id, runs["tile_id"])
-    row = np.minimum(row, len(truth.tile_id) - 1)
-    count = truth.occupied.shape[1]
-    first = (runs["first_step"] - truth.first_step).to_numpy()
-    after = (runs["last_step"] - truth.first_step + 1).to_numpy()
-    known = (truth.tile_id[row] == runs["tile_id"]) & (first < count) & (after > 0)
-    row, first, after = row[known], np.maximum(first[known], 0), np.minimum(after[known], count)
-    change = np.zeros((len(truth.tile_id), count + 1), np.int32)
-    np.add.at(change, (row, first), 1)
-    np.add.at(change, (row, after), -1)
-    return np.asarray(np.cumsum(change, axis=1)[:, :-1] > 0)

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import own
 import pandas as pd
-from breakdown import by_group, step_errors, tile_groups
-from causes import causes
 from found import Found, found_by_peer, found_in
 from passages import score_passages
-from peers import hits, hits_closed, oracle
+from peers import hits, oracle
 from scenes import SceneFiles
-from score import score_occupancy
+from score import score_by_tiles, score_occupancy
 from tracks import compared, score_tracks
 
 import gis_radar as gr
+from gis_radar.tracking.settings import VehicleSettings
 
 Figures = dict[str, Any]
 
@@ -32,43 +32,52 @@ class NotThereError(Exception):
 def figures_of_table(site: SceneFiles, table: pd.DataFrame) -> Figures:
     """Return the figures of a table of occupancy: whole, and by groups of tiles."""
     truth = site.truth()
-    groups = tile_groups(site.tiles(), truth, site.poses)
     return {
         "occupancy": asdict(score_occupancy(truth, table)),
-        "by_tiles": by_group(truth, table, groups),
+        "by_tiles": score_by_tiles(truth, table, site.tiles(), site.poses),
     }
 
 
 def figures_of_dataset(site: SceneFiles, folder: Path) -> Figures:
     """Return all figures of a dataset."""
-    return figures_of(site, found_in(gr.open_dataset(folder), site.truth()))
+    return figures_of(site, found_in(gr.open_dataset(folder)))
 
 
 def figures_of(site: SceneFiles, found: Found) -> Figures:
     """Return all figures of vehicles that were found."""
-    tiles, truth, traffic = site.tiles(), site.truth(), site.traffic()
     figures = figures_of_table(site, found.occupancy)
-    scored = compared(tiles, truth, site.poses, traffic, found.states)
-    figures["vehicles"] = score_tracks(scored, traffic.kinds)
-    figures["by_vehicles"] = figures["vehicles"].pop("by")
-    figures["causes"] = causes(site, scored)
-    figures["steps"] = step_errors(found.occupied, tiles, truth)
+    scored = compared(site.tiles(), site.truth(), site.traffic(), found.states)
+    figures["vehicles"] = score_tracks(scored)
     passed = found.passages
     passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]
     figures["passages"] = score_passages(site.passages(), passed)
     return figures
 
 
-def _hits(site: SceneFiles) -> Figures:
-    return figures_of_table(site, hits(site))
+def with_settings(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
+    """Return the figures with true poses and other settings of the search for vehicles.
 
-
-def _closed(site: SceneFiles) -> Figures:
-    return figures_of_table(site, hits_closed(site))
-
-
-def _oracle(site: SceneFiles) -> Figures:
-    return figures_of_table(site, oracle(site))
+    Parameters
+    ----------
+    site : SceneFiles
+        A scene.
+    values : mapping
+        By their places in `VehicleSettings`, such as ``links.end_cost``.
+    """
+    settings = VehicleSettings()
+    for place, value in values.items():
+        part, name = place.split(".")
+        changed = replace(getattr(settings, part), **{name: value})
+        settings = replace(settings, **{part: changed})
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.process_time()
+        dataset = gr.measure(
+            site.recordings, site.poses, site.tiles(), site.map, Path(folder) / "dataset",
+            scans=[site.scan], settings=gr.MeasureSettings(vehicles=settings),
+        )  # fmt: skip
+        cpu_s = time.process_time() - begin
+        minutes = own.sensor_minutes(site)
+        return figures_of(site, found_in(dataset)) | {"costs": {"cpu_s": cpu_s / minutes}}
 
 
 def _stone_soup(site: SceneFiles) -> Figures:
@@ -76,11 +85,7 @@ def _stone_soup(site: SceneFiles) -> Figures:
         from stone_soup import stone_soup  # noqa: PLC0415 - a package of the bench alone
     except ImportError as error:
         raise NotThereError(str(error)) from error
-    begin = time.process_time()
-    found = stone_soup(site, site.poses)
-    minutes = own.sensor_minutes(site, [pose.sensor for pose in site.poses])
-    cost = {"sensor_minutes": minutes, "cpu_s": (time.process_time() - begin) / minutes}
-    return figures_of(site, found_by_peer(site, found)) | {"costs": cost}
+    return figures_of(site, found_by_peer(site, stone_soup(site, site.poses)))
 
 
 def _true_poses(site: SceneFiles) -> Figures:
@@ -89,33 +94,22 @@ def _true_poses(site: SceneFiles) -> Figures:
 
 def _found_poses(site: SceneFiles) -> Figures:
     files = own.found_poses(site)
-    known = {"pose_errors": own.pose_errors(site, files)}
-    return _own(site, files, "dataset-found") | known
+    return _own(site, files, "dataset-found") | {"pose_errors": own.pose_errors(site, files)}
 
 
 def _own(site: SceneFiles, files: list[Path], name: str) -> Figures:
     folder = site.kept / name
     shutil.rmtree(folder, ignore_errors=True)
     ran = own.measure(site, files, folder)
-    figures: Figures = {"code": ran.code, "warnings": ran.warnings, "errors": ran.errors}
-    if ran.code == 0:
-        figures |= figures_of_dataset(site, folder) | {"costs": own.costs(site, files, ran)}
-    return figures
+    if ran.code:
+        return {"code": ran.code, "errors": own.messages(ran, "error")}
+    return figures_of_dataset(site, folder) | {"costs": own.costs(site, files, ran)}
 
 
 METHODS: Mapping[str, Callable[[SceneFiles], Figures]] = {
-    "hits": _hits,
-    "hits, gaps <= 1 s closed": _closed,
-    "DBSCAN + Kalman + Hungarian (Stone Soup)": _stone_soup,
-    "vehicles, true poses": _true_poses,
-    "vehicles, found poses": _found_poses,
-    "oracle association": _oracle,
-}
-SHORT = {
-    "hits": "hits",
-    "closed": "hits, gaps <= 1 s closed",
-    "soup": "DBSCAN + Kalman + Hungarian (Stone Soup)",
-    "true": "vehicles, true poses",
-    "found": "vehicles, found poses",
-    "oracle": "oracle association",
+    "hits": lambda site: figures_of_table(site, hits(site)),
+    "soup": _stone_soup,
+    "true": _true_poses,
+    "found": _found_poses,
+    "oracle": lambda site: figures_of_table(site, oracle(site)),
 }

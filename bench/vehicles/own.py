@@ -2,87 +2,32 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from scenes import ROOT, SceneFiles
+from scenes import SceneFiles
 
 import gis_radar as gr
 from gis_radar.poses.files import write_pose
 
-ONE_CORE = dict.fromkeys(
-    ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
+sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
+from figures import Ran, run_alone
+
 GUESS_M, GUESS_DEG = 6.0, 8.0  # what a user is off by who reads map and compass
-STARTER = """
-import json, resource, subprocess, sys
-code = subprocess.run(sys.argv[1:]).returncode
-used = resource.getrusage(resource.RUSAGE_CHILDREN)
-cpu_s = used.ru_utime + used.ru_stime
-print("\\n" + json.dumps({"code": code, "cpu_s": cpu_s, "peak_kb": used.ru_maxrss}), flush=True)
-"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ran:
-    """How a command ended.
-
-    Parameters
-    ----------
-    code : int
-        Its exit code.
-    warnings, errors : list of str
-        Its lines.
-    cpu_s, wall_s, peak_mb : float
-        What it took.
-    summary : dict
-        Of its result.
-    """
-
-    code: int
-    warnings: list[str]
-    errors: list[str]
-    cpu_s: float
-    wall_s: float
-    peak_mb: float
-    summary: dict[str, Any] = field(default_factory=dict)
 
 
 def run(*arguments: object) -> Ran:
     """Run a command of the package on one core, as a process of its own."""
-    command = [sys.executable, "-m", "gis_radar", *map(str, arguments), "--json"]
-    begin = time.perf_counter()
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
-        # started by a small process: the peak of a child begins with the memory of its parent
-        subprocess.run(
-            [sys.executable, "-I", "-S", "-c", STARTER, *command], check=False,
-            stdout=out, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, cwd=ROOT,
-            env={**os.environ, **ONE_CORE, "PYTHONPATH": str(ROOT)},
-        )  # fmt: skip
-        wall_s = time.perf_counter() - begin
-        out.seek(0)
-        *events, used = [json.loads(line) for line in out if line.startswith("{")]
-    logged = [event for event in events if event["event"] == "log"]
-    results = [event for event in events if event["event"] == "result"]
-    return Ran(
-        code=used["code"],
-        warnings=[event["message"] for event in logged if event["level"] == "warning"],
-        errors=[event["message"] for event in events if event["event"] == "error"],
-        cpu_s=used["cpu_s"],
-        wall_s=wall_s,
-        peak_mb=used["peak_kb"] / 1024.0,
-        summary=results[-1]["summary"] if results else {},
-    )
+    return run_alone("-m", "gis_radar", *arguments, "--json", check=False)
+
+
+def messages(ran: Ran, kind: str) -> list[str]:
+    """Return what a command said: its errors (`error`) or its warnings (`warning`)."""
+    return [event["message"] for event in ran.lines if kind in (event["event"], event.get("level"))]
 
 
 def found_poses(site: SceneFiles) -> list[Path]:
@@ -118,7 +63,9 @@ def _found(site: SceneFiles, number: int, recording: Path, surveyed: Path) -> Pa
             "--heading", f"{pose.yaw + GUESS_DEG * (-1) ** number:.1f}", "-o", output,
         )  # fmt: skip
         if ended.code:
-            refused.write_text("\n".join([*ended.warnings, *ended.errors]) + "\n")
+            refused.write_text(
+                "\n".join(messages(ended, "warning") + messages(ended, "error")) + "\n"
+            )
     if not output.exists() or not gr.read_pose(output).evidence.get("observable", True):
         return surveyed
     return output
@@ -163,26 +110,17 @@ def _sources(site: SceneFiles, files: Sequence[Path]) -> list[object]:
 
 
 def costs(site: SceneFiles, files: Sequence[Path], whole: Ran) -> dict[str, float]:
-    """Return CPU seconds and memory a sensor-minute, also beside those of hits alone."""
+    """Return CPU seconds a sensor-minute, also beside those of hits alone, and memory."""
     with tempfile.TemporaryDirectory() as folder:
         plain = run("measure", *_sources(site, files), "--hits-only", "-o", Path(folder) / "hits")
-    minutes = sensor_minutes(site, [path.stem for path in files])
     return {
-        "sensor_minutes": minutes,
-        "cpu_s": whole.cpu_s / minutes,
-        "occupancy_cpu_s": plain.cpu_s / minutes,
+        "cpu_s": whole.cpu_s / sensor_minutes(site),
         "times_occupancy": whole.cpu_s / plain.cpu_s,
-        "peak_mb": whole.peak_mb,
-        "occupancy_peak_mb": plain.peak_mb,
-        "wall_s": whole.wall_s,
+        "peak_mib": whole.peak_mib,
     }
 
 
-def sensor_minutes(site: SceneFiles, sensors: Sequence[str]) -> float:
-    """Return the minutes that some sensors recorded, summed."""
-    return sum(_minutes(path) for path in site.recordings if path.stem in sensors)
-
-
-def _minutes(path: Path) -> float:
-    times = pd.read_parquet(path, columns=["time"])["time"]
-    return float(times.iloc[-1] - times.iloc[0]) / 60.0
+def sensor_minutes(site: SceneFiles) -> float:
+    """Return the minutes that all sensors recorded, summed."""
+    times = (pd.read_parquet(path, columns=["time"])["time"] for path in site.recordings)
+    return sum(float(time.iloc[-1] - time.iloc[0]) / 60.0 for time in times)

@@ -7,7 +7,6 @@ as it is; from one to itself, its successors, or, at a price, to another.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import geopandas as gpd
 import numpy as np
@@ -47,8 +46,6 @@ class Lanes:
         By lanelet, the tile index at which half of it is passed.
     follows : set of (int, int)
         Lanelets and their successors.
-    s_m : Floats
-        Of each tile's middle, along its lanelet.
     """
 
     lanelet: Integers
@@ -59,16 +56,6 @@ class Lanes:
     width: Floats = field(repr=False)
     half: dict[int, int] = field(repr=False)
     follows: set[tuple[int, int]] = field(repr=False)
-    s_m: Floats = field(repr=False)
-
-    @cached_property
-    def of_lanelet(self) -> dict[int, tuple[Integers, cKDTree]]:
-        """By lanelet, its rows and where their middles are."""
-        found: dict[int, tuple[Integers, cKDTree]] = {}
-        for lanelet in np.unique(self.lanelet).tolist():
-            rows = np.flatnonzero(self.lanelet == lanelet)
-            found[lanelet] = (rows, cKDTree(self.middle[rows]))
-        return found
 
 
 def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
@@ -87,7 +74,6 @@ def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
         width=np.hypot(*across.T),
         half={int(k): int(n) // 2 for k, n in count.items()},
         follows=follows,
-        s_m=_middles(tiles),
     )
 
 
@@ -108,13 +94,6 @@ def joined(tiles: gpd.GeoDataFrame) -> set[tuple[int, int]]:
             if abs(turn) < HEADING and lanelet[other] != lanelet[row]:
                 pairs.add((int(lanelet[row]), int(lanelet[other])))
     return pairs
-
-
-def _middles(tiles: gpd.GeoDataFrame) -> Floats:
-    """Return how far along its lanelet the middle of each tile lies."""
-    if "s_m" not in tiles:
-        return np.full(len(tiles), np.nan)
-    return np.asarray(tiles["s_m"] + tiles["length_m"] / 2.0, np.float64)
 
 
 def true_passages(lanes: Lanes, traffic: TrueTraffic, truth: TrueOccupancy) -> pd.DataFrame:

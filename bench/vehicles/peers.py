@@ -1,19 +1,16 @@
-"""Peers: other ways from a scene's recordings to a occupancy, on the same poses and tiles."""
+"""Peers: other ways from a scene's recordings to an occupancy, on the same poses and tiles."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from scenes import SceneFiles
 from true_occupancy import HIDDEN_STEPS, occupied_pairs
 
 import gis_radar as gr
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.dataset.tables import HITS
 from gis_radar.steps import STEP_S, step_of
 
-CLOSED_STEPS = 20  # 1 s
 BESIDE_M = 0.5  # a detection may lie so far beside its vehicle
 
 
@@ -22,19 +19,6 @@ def hits(site: SceneFiles) -> pd.DataFrame:
     wide = gr.make_heatmap(_hits_only(site)).wide()
     renamed = {"hit_s": "occupied_s", "observed_s": "visible_s"}
     return pd.DataFrame(wide[["tile_id", *renamed]]).rename(columns=renamed)
-
-
-def hits_closed(site: SceneFiles) -> pd.DataFrame:
-    """Return hit share with gaps of a second and less between hits of a tile closed."""
-    found = pa.concat_tables(_hits_only(site).batches(HITS))
-    tile, step = (found[name].to_numpy() for name in ("tile_id", "step"))
-    gap = np.diff(step, append=step[-1:])
-    same = np.append(tile[1:] == tile[:-1], False)
-    steps = np.where(same & (gap <= CLOSED_STEPS + 1), gap, 1)
-    closed = pd.Series(steps * STEP_S).groupby(tile).sum()
-    table = hits(site)
-    table = table[table["visible_s"] > 0.0]
-    return table.assign(occupied_s=table["tile_id"].map(closed).fillna(0.0))
 
 
 def _hits_only(site: SceneFiles) -> gr.Dataset:
@@ -93,29 +77,12 @@ def steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFram
     return hit.sort_values("at", ignore_index=True).assign(hit=lambda t: t["at"])
 
 
-def beside_vehicles(
-    table: pd.DataFrame, pose: gr.Pose, states: pd.DataFrame, within_m: float
-) -> Booleans:
-    """Return which rows of a recording lie on a true vehicle, or so far beside it."""
-    states = states.sort_values("step", kind="stable")
-    steps, heard = states["step"].to_numpy(), step_of(table["time"].to_numpy())
-    boxes = states[["easting", "northing", "heading", "length", "width"]].to_numpy(np.float64)
-    places = pose.to_map(table[["x", "y", "z"]].to_numpy(np.float64))[:, :2]
-    found = np.zeros(len(table), np.bool_)
-    for step in np.unique(heard):
-        low, high = np.searchsorted(steps, [step, step + 1])
-        begin, end = np.searchsorted(heard, [step, step + 1])
-        on = _inside(places[begin:end], boxes[low:high], within_m)
-        found[begin:end] = on.any(axis=1)
-    return found
-
-
-def _inside(places: Floats, boxes: Floats, within_m: float = BESIDE_M) -> Booleans:
+def _inside(places: Floats, boxes: Floats) -> Booleans:
     """Return (places, boxes): whether a place is in a footprint, or so far beside it."""
     away = places[:, None] - boxes[:, :2]
     cos, sin = np.cos(boxes[:, 2]), np.sin(boxes[:, 2])
     along = np.abs(cos * away[..., 0] + sin * away[..., 1])
     aside = np.abs(cos * away[..., 1] - sin * away[..., 0])
     return np.asarray(
-        (along < boxes[:, 3] / 2.0 + within_m) & (aside < boxes[:, 4] / 2.0 + within_m)
+        (along < boxes[:, 3] / 2.0 + BESIDE_M) & (aside < boxes[:, 4] / 2.0 + BESIDE_M)
     )

@@ -37,7 +37,7 @@ from places import (  # noqa: E402
 from simulated import true_pose  # noqa: E402
 from standing import in_sight, write_standing  # noqa: E402
 from street_plans import PLANS, StreetPlan, axis  # noqa: E402
-from town import MASTS, TERRAIN, poses, town_plan  # noqa: E402
+from town import MASTS, TERRAIN, masts_of, town_plan  # noqa: E402
 from true_occupancy import Sensor, TrueOccupancy, true_occupancy  # noqa: E402
 from true_traffic import TrueTraffic, read_traffic  # noqa: E402
 from wide_map import widen  # noqa: E402
@@ -53,7 +53,7 @@ from simulation.scan import fly, write_scan  # noqa: E402
 
 OUT = ROOT / "out" / "bench-vehicles"
 SHARED = ("town01", "town02", "town04")
-PARKED, WIDE = ", parked", ", wide map"
+WIDE = ", wide map"
 TOWN_MASTS = {mast.sensor: k for k, mast in enumerate(MASTS)}
 
 
@@ -64,8 +64,8 @@ class Recipe:
     Parameters
     ----------
     plan : str
-        ``town``, ``motorway``, or the name of a random plan, with `PARKED` or `WIDE` after it
-        where its kerbs are full or its map is wider than its lanes.
+        ``town``, ``motorway``, or the name of a random plan, with `WIDE` after it where its map is
+        wider than its lanes.
     seed : int
         Of everything.
     per_hour : float
@@ -109,7 +109,6 @@ RECIPES: Mapping[str, Recipe] = {
     ),
     "wide": Recipe(plan="junction, wide map", seed=50, per_hour=900, radars=2),
     "wide-light": Recipe(plan="roundabout, wide map", seed=51, per_hour=350, radars=1, minutes=3.0),
-    "parked": Recipe(plan="junction, parked", seed=40, per_hour=700, radars=2),
     "hours": Recipe(plan="junction", seed=60, per_hour=1200, radars=2, minutes=10.0),
     "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
     "motorway-held": Recipe(
@@ -320,7 +319,7 @@ def _roadside(plan: str) -> Roadside | None:
     """Return how roads are lined, where that is not as usual."""
     if plan == "motorway":
         return Roadside(house_setback_m=40.0, car_share=0.0)
-    return Roadside(car_share=0.95, no_parking_m=8.0) if plan.endswith(PARKED) else None
+    return None
 
 
 def _radar(recipe: Recipe, under: Conditions) -> RadarModel:
@@ -334,7 +333,7 @@ def _plan(name: str, rng: np.random.Generator) -> StreetPlan:
     if name == "motorway":
         return _motorway(rng)
     drawn: dict[str, Callable[[np.random.Generator], StreetPlan]] = {p.__name__: p for p in PLANS}
-    return drawn[name.removesuffix(PARKED).removesuffix(WIDE)](rng)
+    return drawn[name.removesuffix(WIDE)](rng)
 
 
 def _motorway(rng: np.random.Generator) -> StreetPlan:
@@ -351,7 +350,7 @@ def _motorway(rng: np.random.Generator) -> StreetPlan:
 def _masts(recipe: Recipe, place: Place, rng: np.random.Generator) -> list[gr.Pose]:
     """Return the true poses."""
     if not isinstance(recipe.radars, int):
-        all_of_them = poses(place, "DO" if recipe.free else "DY")
+        all_of_them = masts_of(place.scene, free=recipe.free)
         return [all_of_them[TOWN_MASTS[name]] for name in recipe.radars]
     found: list[gr.Pose] = []
     for number in range(1, recipe.radars + 1):

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
-from true_occupancy import TrueOccupancy
+from true_occupancy import TrueOccupancy, middle_lines
 
-from gis_radar.arrays import Floats
+import gis_radar as gr
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.steps import STEP_S
 
-BUSY = 0.01  # a tile with more is one that vehicles use
+RANGES_M = (0.0, 50.0, 100.0, 200.0)
+HIDDEN = 0.1  # share of the visible time in which other vehicles hide a tile
+STANDS_S = 2.0  # a tile on which vehicles stay so long on average is one where they stand
 WITHIN = 2.0  # standard errors; 95 % of the errors should be
 
 
@@ -33,12 +40,6 @@ class OccupancyScore:
         Sum of the estimates over the sum of the truth.
     mae_percent : float
         Mean absolute error, percent of the time.
-    r2 : float
-        Coefficient of determination.
-    false_zeros : float
-        Share of the tiles occupied for over a hundredth of the time that are estimated as empty.
-    false_busy : float
-        Share of the tiles that are never occupied which are estimated at over a hundredth.
     beyond : float
         Estimates for tiles that are not truly in sight, as a share of all estimates.
     within_2_se : float
@@ -51,9 +52,6 @@ class OccupancyScore:
     rank: float
     scale: float
     mae_percent: float
-    r2: float
-    false_zeros: float
-    false_busy: float
     beyond: float
     within_2_se: float = float("nan")
 
@@ -103,24 +101,43 @@ def with_occupancy(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def agreement(estimate: Floats, exact: Floats) -> dict[str, float]:
-    """Return rank, scale, error, R2 and false zeros of estimates beside exact values."""
+    """Return rank, scale and mean error of estimates beside exact values."""
     if len(exact) == 0:
-        names = ("rank", "scale", "mae_percent", "r2", "false_zeros", "false_busy")
-        return dict.fromkeys(names, float("nan"))
-    busy, empty = exact > BUSY, exact == 0.0
+        return dict.fromkeys(("rank", "scale", "mae_percent"), float("nan"))
+    constant = np.ptp(exact) == 0.0 or np.ptp(estimate) == 0.0
     with np.errstate(invalid="ignore", divide="ignore"):
-        constant = np.ptp(exact) == 0.0 or np.ptp(estimate) == 0.0
-        spread = np.sum((exact - exact.mean()) ** 2)
         return {
             "rank": np.nan if constant else float(spearmanr(estimate, exact).statistic),
             "scale": float(np.divide(estimate.sum(), exact.sum())),
             "mae_percent": float(100.0 * np.abs(estimate - exact).mean()),
-            "r2": float(1.0 - np.divide(np.sum((estimate - exact) ** 2), spread)),
-            "false_zeros": float((estimate[busy] == 0.0).mean()) if busy.any() else 0.0,
-            "false_busy": float((estimate[empty] > BUSY).mean()) if empty.any() else 0.0,
         }
 
 
-def plain(score: OccupancyScore) -> dict[str, float]:
-    """Return a score as a dict."""
-    return asdict(score)
+def score_by_tiles(
+    truth: TrueOccupancy, table: pd.DataFrame, tiles: gpd.GeoDataFrame, poses: Sequence[gr.Pose]
+) -> dict[str, dict[str, float]]:
+    """Return the agreement on groups of tiles: by range, what hides them, and how traffic flows."""
+    given = with_occupancy(table).set_index("tile_id")["occupancy"]
+    true = truth.table()
+    estimate, exact = true["tile_id"].map(given).to_numpy(np.float64), true["occupancy"].to_numpy()
+    known = np.isfinite(estimate) & np.isfinite(exact)
+    groups = _tile_groups(tiles, truth, poses)
+    return {name: agreement(estimate[known & g], exact[known & g]) for name, g in groups.items()}
+
+
+def _tile_groups(
+    tiles: gpd.GeoDataFrame, truth: TrueOccupancy, poses: Sequence[gr.Pose]
+) -> dict[str, Booleans]:
+    """Return groups of the truth's tiles."""
+    place = middle_lines(tiles.set_index("tile_id").loc[truth.tile_id]).mean(axis=1)
+    eyes = np.array([pose.position[:2] for pose in poses])
+    reach = np.hypot(*np.moveaxis(place[:, None] - eyes, -1, 0)).min(axis=1)
+    hidden = (truth.blocked & truth.visible).sum(axis=1) > HIDDEN * truth.visible.sum(axis=1)
+    begins = truth.occupied[:, 0] + (truth.occupied[:, 1:] & ~truth.occupied[:, :-1]).sum(axis=1)
+    stays = truth.occupied.sum(axis=1) * STEP_S / np.maximum(begins, 1)
+    busy = begins > 0
+    return {
+        **{f"{a:.0f}-{b:.0f} m": (a <= reach) & (reach < b) for a, b in pairwise(RANGES_M)},
+        "plain view": ~hidden, "hidden": hidden, "moving": busy & (stays < STANDS_S),
+        "standing": busy & (stays >= STANDS_S), "empty": ~busy,
+    }  # fmt: skip

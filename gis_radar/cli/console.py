@@ -26,12 +26,11 @@ from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
 from gis_radar.json_documents import json_text
 from gis_radar.languages import LANGUAGES
 from gis_radar.processes import free_address_space, watch_input
-from gis_radar.progress import Level, Reporter
+from gis_radar.progress import LETTERS_OF_AN_ERROR, Level, Reporter, one_line
 from gis_radar.words import speaking, stage_words, tr_message
 
 WIDE = 160
 FOR_PROGRAMS = {"settings", "found"}  # constants in effect, what `remarks` repeats: for --json
-MOST_LETTERS = 500  # of a message
 SILENT_S = 30.0  # between lines of progress in a log
 MOST_BARS = 8  # with more than that, those that are full make way
 
@@ -105,7 +104,8 @@ class JsonConsole(Console):
 
     def log(self, message: str, level: Level = "info") -> None:
         """Write a remark."""
-        self._write(event="log", level=level, message=in_users_language(message))
+        text = one_line(in_users_language(message))
+        self._write(event="log", level=level, message=text)
 
     def result(self, result: Result) -> None:
         """Write what was done."""
@@ -115,7 +115,7 @@ class JsonConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
-        message = _shortened(in_users_language(error.message))
+        message = one_line(in_users_language(error.message), LETTERS_OF_AN_ERROR)
         hint = in_users_language(error.hint)
         self._write(event="error", code=error.exit_code, message=message, hint=hint)
 
@@ -172,14 +172,14 @@ class TerminalConsole(Console):
             with speaking(_users_language()):
                 shares = [f"{stage_words(name)}{each}" for name, each in self._shares.items()]
             self._shares.clear()  # one that failed or has no end would stay for ever
-            text = _printable(", ".join(shares))
+            text = one_line(", ".join(shares))
             self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
         self._told_at = monotonic()
         prefix = f"{in_users_language('warning')}: " if level == "warning" else ""
-        text = in_users_language(message)
+        text = one_line(in_users_language(message))
         self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)
 
     def result(self, result: Result) -> None:
@@ -210,8 +210,7 @@ class TerminalConsole(Console):
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
         hint = f" ({in_users_language(error.hint)})" if error.hint else ""
-        message = _printable(in_users_language(error.message))
-        text = _printable(f"gis-radar: {_shortened(message)}{hint}")
+        text = f"gis-radar: {one_line(in_users_language(error.message), LETTERS_OF_AN_ERROR)}{hint}"
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -270,24 +269,15 @@ def _answer(rows: Sequence[Mapping[str, Any]]) -> Table:
         table.add_column(Text(name), overflow="fold")
     for row in rows:
         texts = (_number(each) if isinstance(each, float) else each for each in row.values())
-        table.add_row(*(Text("" if each is None else _printable(str(each))) for each in texts))
+        table.add_row(
+            *(Text("" if each is None else one_line(str(each), sys.maxsize)) for each in texts)
+        )
     return table
 
 
 def _number(value: float) -> str:
     """Return a number with six digits, a coordinate with its millimetres."""
     return f"{value:.3f}" if 1e3 <= abs(value) < 1e12 else f"{value:.6g}"
-
-
-def _printable(text: str) -> str:
-    """Return a text as one line that any terminal shows."""
-    line = " ".join(text.split())
-    return "".join(each if each.isprintable() else ascii(each)[1:-1] for each in line)
-
-
-def _shortened(text: str) -> str:
-    """Return a message that fits a screen: what a file holds may be long."""
-    return text if len(text) <= MOST_LETTERS else f"{text[:350]} ... {text[-100:]}"
 
 
 def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:

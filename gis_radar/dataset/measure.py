@@ -11,7 +11,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.clocks import SensorClock
+from gis_radar.calibration import SensorClock
 from gis_radar.crs import name_of
 from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.dataset.hour_job import HourSite, MadeHour, MeasureSettings

@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pyarrow as pa
 
-from gis_radar.clocks import SensorClock
+from gis_radar.calibration import SensorClock
 from gis_radar.dataset.hour_job import PoseView
 from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_of_step, whole_table, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
@@ -48,7 +48,7 @@ class RecordingEntry:
     first_time, last_time : float
         First and last frame, UNIX seconds, corrected.
     clock_offset, clock_drift_ppm, clock_at : float
-        As of :class:`gis_radar.clocks.SensorClock`; all 0 where its clock is right.
+        As of :class:`gis_radar.calibration.SensorClock`; all 0 where its clock is right.
     validity_s : float
         How long its frames are valid.
     rows : int

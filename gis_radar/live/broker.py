@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 LIVE = "pip install gis_radar[live]"
 TOPICS = "v1"  # the version of the tree of topics
+FUSION = "fusion"  # its name in topics, and as whom it logs in
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 KEEP_ALIVE_S = 10  # a cut link is noticed after one and a half
 SLOWEST_RETRY_S = 30

@@ -14,8 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gis_radar.files import atomic_folder
-from gis_radar.live.broker import IN_FLIGHT, TOPICS, BrokerAddress
-from gis_radar.live.intake import FUSION
+from gis_radar.live.broker import FUSION, IN_FLIGHT, TOPICS, BrokerAddress
 from gis_radar.live.payload import MOST_BYTES
 from gis_radar.live.settings import DEFAULTS, LiveSite, read_live_site
 
@@ -74,6 +73,7 @@ def broker_config(site: LiveSite, folder: Path) -> str:
         "# Of gis_radar's live system; see docs/live.md. Nothing here must outlive the broker.",
         f"listener {address.port}",
         "allow_anonymous false",
+        "use_username_as_clientid true",  # else whoever takes the id of another ends its link
         f"password_file {folder / PASSWORDS}",
         f"acl_file {folder / ACCESS}",
         "persistence false",

@@ -13,6 +13,7 @@ from time import sleep
 import geopandas as gpd
 import numpy as np
 
+from gis_radar.calibration import LOCALIZATION
 from gis_radar.crs import require_same
 from gis_radar.errors import NoAnswerError
 from gis_radar.live.broker import Link, SensorTopics
@@ -31,7 +32,6 @@ from gis_radar.live.own_pose import (
 from gis_radar.live.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
-from gis_radar.localization.settings import DEFAULTS as LOCALIZATION
 from gis_radar.measures.views import road_near
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose

@@ -255,7 +255,7 @@ def _items(request: Request, name: str, collection: Collection) -> Response:
     if unknown := [key for key in filters if key not in layer.columns or key == "geometry"]:
         raise HTTPException(400, f"{unknown[0][:40]} is no parameter of {name}")
     for key, value in filters.items():
-        layer = layer[[_text(each) == value for each in layer[key]]]
+        layer = layer[layer[key].map(_text) == value]
     if "bbox" in asked:
         layer = layer[layer.intersects(_box(asked["bbox"]))]
     if "datetime" in asked and collection.times is not None:

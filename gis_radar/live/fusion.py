@@ -17,11 +17,11 @@ from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputErr
 from gis_radar.files import atomic_write, only_writer, output_errors
 from gis_radar.lanelets.graph import lane_graph
 from gis_radar.live.background import BackgroundTask
-from gis_radar.live.broker import Link, SensorTopics
+from gis_radar.live.broker import FUSION, Link, SensorTopics
 from gis_radar.live.first_run import NOT_COMPILED, compile_first, run_fusion_once
-from gis_radar.live.health import HealthServer, prometheus_text
+from gis_radar.live.health import prometheus_text, serve_metrics
 from gis_radar.live.hour_work import MeasuredSite, refuse_other_tiles
-from gis_radar.live.intake import FUSION, Intake, Mark, SensorState
+from gis_radar.live.intake import Intake, Mark, SensorState
 from gis_radar.live.jobs import HourJobs
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.map_of_now import MapOfNow, MapState
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 TAKEN_AT_ONCE = 500  # messages between two looks at the clock
 WAIT_S = 0.01
 READY_S = 0.1
+SAID_S = 600.0  # until the same error is logged again: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
 HOUR_STEPS = 3600 * STEPS_PER_SECOND  # that the map takes up again at most
 
@@ -79,6 +80,7 @@ class Fusion:
         self, site: LiveSite, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
     ) -> None:
         self._site, self._settings, self._reporter = site, settings, reporter
+        self._said: dict[str, float] = {}  # errors, and when they were logged
         self.tiles = read_tiles(site.live.tiles)
         road = SightTiles.of(self.tiles)
         filters = site.filters()
@@ -120,7 +122,7 @@ class Fusion:
         self._page, self._push = _page(self, site), _push(site, self.tiles, reporter)
         self._exporter, self._disk = BackgroundTask[None]("export"), BackgroundTask[None]("disk")
         self._committing: list[tuple[Mark, int, int]] = []  # up to which messages of streams
-        self._rotating, self._unwritten = False, ""
+        self._rotating = False
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
         self._resume()
@@ -184,7 +186,7 @@ class Fusion:
             will=(own, _state("offline")), reporter=self._reporter,
         )  # fmt: skip
         self._link = link
-        server = HealthServer(live.health, self.metrics) if live.health else None
+        server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(f"the page is at {self._page.open()}")
         self._export(self.state())  # the first takes long, before frames come
@@ -304,7 +306,6 @@ class Fusion:
             return
         if self._disk.busy:
             return
-        self._unwritten = ""
         for mark, number, check in self._committing:
             mark.stored, mark.stored_check = number, check
         for each in self.sensors.values():
@@ -376,9 +377,9 @@ class Fusion:
             self._say(error)
 
     def _say(self, error: GisRadarError) -> None:
-        """Report what cannot be written: once, until something can."""
-        if error.message != self._unwritten:
-            self._unwritten = error.message
+        now = time.monotonic()
+        if now - self._said.get(error.message, -SAID_S) >= SAID_S:
+            self._said[error.message] = now
             hint = f" ({error.hint})" if error.hint else ""
             self._reporter.log(error.message + hint, "warning")
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import socket
 import statistics
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Thread
-from typing import Any
+from typing import TYPE_CHECKING
 
-from gis_radar.errors import OutputError
 from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.progress import LETTERS_OF_AN_ERROR, QUIET, Reporter, one_line
+
+if TYPE_CHECKING:
+    from prometheus_client import Metric
+
+    from gis_radar.live.web_server import WebServer
+
+METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 COUNTS = {
     "messages": "messages that came in",
@@ -26,6 +29,11 @@ COUNTS = {
     "damaged": "messages that could not be read",
     "refused": "messages that were not taken: other tiles or version",
     "off_time": "frames of a time that is too far from now, left out",
+}
+GAUGES = {  # meaning, attribute of SensorHealth
+    "clock_offset_seconds": ("least delay of the last live frames", "clock_offset_s"),
+    "lag_seconds": ("median delay of the last live frames", "lag_s"),
+    "newest_frame_time_seconds": ("time of the newest frame", "newest_s"),
 }
 ALARMS = {
     "offline": "the sensor is not linked",
@@ -76,7 +84,7 @@ class SensorHealth:
                 self.reporter.log(f"{self.name}: over: {ALARMS[kind]}")
             return
         new = kind not in self.alarms
-        self.alarms[kind], self.raised_s[kind] = text, time.time()
+        self.alarms[kind], self.raised_s[kind] = one_line(text, LETTERS_OF_AN_ERROR), time.time()
         if new:
             self.reporter.log(f"{self.name}: {ALARMS[kind]}: {text}", "warning")
 
@@ -120,59 +128,52 @@ class SensorHealth:
         self.alarm("silent", f"for {quiet_s:.0f} s" if silent else None)
 
 
-def prometheus_text(sensors: list[SensorHealth], figures: dict[str, float]) -> str:
+@dataclass(frozen=True)
+class _Metrics:
+    """What Prometheus collects of sensors, and of the site: a number by name."""
+
+    sensors: Sequence[SensorHealth]
+    figures: Mapping[str, float]
+
+    def collect(self) -> Iterator[Metric]:
+        from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily  # noqa: PLC0415
+
+        for name, meaning in COUNTS.items():
+            count = CounterMetricFamily(f"gis_radar_{name}", meaning, labels=["sensor"])
+            for each in self.sensors:
+                count.add_metric([each.name], each.counts[name])
+            yield count
+        for name, (meaning, attribute) in GAUGES.items():
+            gauge = GaugeMetricFamily(f"gis_radar_{name}", meaning, labels=["sensor"])
+            for each in self.sensors:
+                gauge.add_metric([each.name], getattr(each, attribute))
+            yield gauge
+        alarm = GaugeMetricFamily("gis_radar_alarm", "1 while raised", labels=["sensor", "alarm"])
+        for each in self.sensors:
+            for kind in ALARMS:
+                alarm.add_metric([each.name, kind], kind in each.alarms)
+        yield alarm
+        for name, value in self.figures.items():
+            yield GaugeMetricFamily(f"gis_radar_{name}", "of the site", value=value)
+
+
+def prometheus_text(sensors: Sequence[SensorHealth], figures: Mapping[str, float]) -> str:
     """Return counts, lags and alarms in the text format of Prometheus.
 
     Parameters
     ----------
-    sensors : list of SensorHealth
+    sensors : sequence of SensorHealth
         All sensors.
-    figures : dict
+    figures : mapping
         What concerns all of them: a number by name.
     """
-    return "\n".join(_lines(sensors, figures)) + "\n"
+    from prometheus_client import generate_latest  # noqa: PLC0415 - an extra
+
+    return generate_latest(_Metrics(sensors, figures)).decode()
 
 
-def _lines(sensors: list[SensorHealth], figures: dict[str, float]) -> Iterator[str]:
-    for name, meaning in COUNTS.items():
-        yield from (f"# HELP gis_radar_{name}_total {meaning}",
-                    f"# TYPE gis_radar_{name}_total counter")  # fmt: skip
-        for each in sensors:
-            yield f"gis_radar_{name}_total{_labels(each.name)} {each.counts[name]}"
-    gauges = {
-        "clock_offset_seconds": [each.clock_offset_s for each in sensors],
-        "lag_seconds": [each.lag_s for each in sensors],
-        "newest_frame_time_seconds": [each.newest_s for each in sensors],
-    }
-    for name, values in gauges.items():
-        yield f"# TYPE gis_radar_{name} gauge"
-        for each, value in zip(sensors, values, strict=True):
-            yield f"gis_radar_{name}{_labels(each.name)} {_number(value)}"
-    yield "# TYPE gis_radar_alarm gauge"
-    for each in sensors:
-        for kind in ALARMS:
-            yield f"gis_radar_alarm{_labels(each.name, alarm=kind)} {int(kind in each.alarms)}"
-    for name, value in figures.items():
-        yield f"# TYPE gis_radar_{name} gauge"
-        yield f"gis_radar_{name} {_number(value)}"
-
-
-def _number(value: float) -> str:
-    return "NaN" if value != value else f"{value:.6f}".rstrip("0").rstrip(".")  # noqa: PLR0124
-
-
-def _labels(sensor: str, **more: str) -> str:
-    pairs = {"sensor": sensor, **more}.items()
-    texts = [f'{name}="{_escaped(value)}"' for name, value in pairs]
-    return "{" + ",".join(texts) + "}"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-
-
-class HealthServer:
-    """Serves the text for Prometheus at `/metrics`.
+def serve_metrics(address: str, text: Callable[[], str]) -> WebServer:
+    """Serve the text for Prometheus at `/metrics`, until it is closed.
 
     Parameters
     ----------
@@ -186,39 +187,13 @@ class HealthServer:
     OutputError
         If the address is taken.
     """
+    from starlette.applications import Starlette  # noqa: PLC0415 - an extra
+    from starlette.responses import Response  # noqa: PLC0415
+    from starlette.routing import Route  # noqa: PLC0415
 
-    def __init__(self, address: str, text: Any) -> None:
-        host, _, port = address.rpartition(":")
+    from gis_radar.live.web_server import WebServer  # noqa: PLC0415
 
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                found = self.path == "/metrics"
-                body = text().encode() if found else b"see /metrics\n"
-                self.send_response(200 if found else 404)
-                self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
-                self.send_header("Content-Length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body)
-
-            def log_message(self, *_: object) -> None:
-                """Say nothing of each look."""
-
-        class Server(ThreadingHTTPServer):
-            address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-
-        try:
-            self._server = Server((host.strip("[]"), int(port)), Handler)
-        except OSError as error:
-            raise OutputError(f"{address}: cannot serve there: {error.strerror}") from error
-        self._server.daemon_threads = True
-        Thread(target=self._server.serve_forever, daemon=True, name="health").start()
-
-    @property
-    def port(self) -> int:
-        """Where it listens."""
-        return int(self._server.server_address[1])
-
-    def close(self) -> None:
-        """Serve no more."""
-        self._server.shutdown()
-        self._server.server_close()
+    route = Route("/metrics", lambda _: Response(text(), media_type=METRICS_TYPE))
+    server = WebServer(Starlette(routes=[route]), address)
+    server.open()
+    return server

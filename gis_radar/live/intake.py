@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import require_same
 from gis_radar.errors import InputError
-from gis_radar.live.broker import Received, SensorTopics, parts_of
+from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
 from gis_radar.live.detections import FrameDetections, unpack_detections
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.map_of_now import MapOfNow
@@ -21,6 +22,7 @@ from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
     DETECTIONS,
     POSE,
+    STREAM_BYTES,
     VERSION,
     Envelope,
     PoseContent,
@@ -45,7 +47,8 @@ from gis_radar.steps import STEP_US, iso_from_step
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns
-FUSION = "fusion"  # its own name in topics
+MOST_LOST = 2**63  # of messages, as of their numbers
+STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 LONGEST_MESSAGE_US = HOUR_US  # from its first frame to its last
 MOST_NUMBER = 1 << 40  # that a stream may begin with
@@ -259,13 +262,14 @@ class Intake:
         online = record.get("state") == ONLINE
         sensor.health.alarm("offline", None if online else "the broker lost it, or it was stopped")
         lost = record.get("lost")
-        if isinstance(lost, int):
+        if isinstance(lost, int) and 0 <= lost < MOST_LOST:
             sensor.health.lost = lost
             sensor.health.alarm("lost", f"{lost} messages" if lost > 0 else None)
         trusted = record.get("trusted") is not False
         sensor.health.alarm("moved", None if trusted else "its pose is not known")
         stream = record.get("stream")
-        if online and not message.retained and isinstance(stream, str) and stream:
+        known = isinstance(stream, str) and STREAM.fullmatch(stream)
+        if online and known and not message.retained:
             self._use_stream(sensor, stream)
 
     def _use_stream(self, sensor: SensorState, stream: str) -> None:

@@ -15,16 +15,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.arrays import Floats
+from gis_radar.calibration import (
+    MONITOR,
+    MOVED,
+    Follower,
+    Problem,
+    WindowFitter,
+    localize_files,
+    start_estimate,
+    track_of,
+)
 from gis_radar.errors import NoAnswerError
 from gis_radar.files import scratch_folder
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.live.settings import EdgeFile
-from gis_radar.localization import localize_files
-from gis_radar.localization.result import Problem
-from gis_radar.monitor.follow import Follower, start_estimate
-from gis_radar.monitor.settings import DEFAULTS as TRACKING
-from gis_radar.monitor.track import MOVED, track_of
-from gis_radar.monitor.windows import WindowFitter
 from gis_radar.poses.files import DECIMALS
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
 from gis_radar.progress import QUIET, Reporter
@@ -133,14 +137,14 @@ class PoseFollower:
         self._frames: Queue[Detections | None] = Queue(WAITING_FRAMES)
         self._found: SimpleQueue[Followed | Exception] = SimpleQueue()
         self._ended = Event()
-        self._start, self._due = start, begin + TRACKING.cycle_s
+        self._start, self._due = start, begin + MONITOR.cycle_s
         roads, road = _map_of(file, start)
         self._problem = Problem(
             name=start.sensor, roads=roads, road=road, guess=start.position[:2], heading=None
         )
         self._follower = Follower(
-            WindowFitter(self._problem, TRACKING, reporter=reporter),
-            start_estimate(start, begin, TRACKING), name=start.sensor, reporter=reporter,
+            WindowFitter(self._problem, MONITOR, reporter=reporter),
+            start_estimate(start, begin, MONITOR), name=start.sensor, reporter=reporter,
         )  # fmt: skip
         self._moved_at = -np.inf
         self._thread = Thread(target=self._work, daemon=True, name="pose")
@@ -186,8 +190,8 @@ class PoseFollower:
             now = float(frame.time[0])
             if now >= self._due:
                 self._cycle(self._due)
-                gone = np.floor((now - self._due) / TRACKING.cycle_s) + 1.0
-                self._due += float(gone) * TRACKING.cycle_s
+                gone = np.floor((now - self._due) / MONITOR.cycle_s) + 1.0
+                self._due += float(gone) * MONITOR.cycle_s
             self._follower.push(frame)
 
     def _cycle(self, time: float) -> None:
@@ -196,7 +200,7 @@ class PoseFollower:
         rows = self._follower.rows
         if any(row.event == MOVED and id(row) not in known for row in rows):
             self._moved_at = time
-        window_s = TRACKING.lost_s
+        window_s = MONITOR.lost_s
         confirmed = self._follower.confirmed or not self._doubted
         trusted = confirmed and self._moved_at == -np.inf
         if confirmed and not trusted and rows[-1].corrected and time - self._moved_at >= window_s:

@@ -7,9 +7,8 @@ import hmac
 import json
 import logging
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import (
     HTMLResponse,
@@ -31,13 +30,12 @@ from starlette.responses import (
 )
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from gis_radar.errors import UsageError
 from gis_radar.heatmap import style
 from gis_radar.languages import LANGUAGES, class_label
 from gis_radar.live.features import feature_routes
-from gis_radar.live.health import ALARMS
+from gis_radar.live.health import ALARMS, METRICS_TYPE
 from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
 from gis_radar.steps import step_begin
 from gis_radar.words import speaking, street_label, tr, tr_message
@@ -48,7 +46,6 @@ WAITING = 8  # events that a slow reader may lag behind; then the whole map is s
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands behind a proxy
 COOKIE = "gis_radar"
 WEB = Path(__file__).with_name("web")
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # Long words may break before these on a phone, whose browser need not know where German words do.
 SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|zyklen)")
 # Of a tile that is hit now: blue is no colour of the ramp, as light as this not for eyes that
@@ -68,55 +65,18 @@ _HEADERS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Access:
-    """Who may read.
-
-    Parameters
-    ----------
-    host : str
-        The address that is listened on.
-    token : str
-        What readers must show; empty: nothing.
-    behind_proxy : bool
-        Whether something in front lets in only who may read.
-    names : tuple of str
-        Names by which browsers may ask, where the host is not this machine alone.
-    """
-
-    host: str = "127.0.0.1"
-    token: str = ""
-    behind_proxy: bool = False
-    names: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.host not in LOOPBACK and not (self.token or self.behind_proxy):
-            raise UsageError(
-                f"the page would be open to everyone who reaches {self.host}",
-                hint="set a token, or say that a reverse proxy asks for a login",
-            )
-
-    @property
-    def allowed_hosts(self) -> list[str]:
-        """Names that a request may be for: another page cannot ask in the name of this one."""
-        if self.names:
-            return [*self.names, *LOOPBACK]
-        return [*LOOPBACK, "[::1]"] if self.host in LOOPBACK else ["*"]
-
-
-def make_app(live: LiveMap, access: Access | None = None) -> Starlette:
+def make_app(live: LiveMap, token: str = "") -> Starlette:
     """Return the page and its services as an application: read only.
 
     Parameters
     ----------
     live : LiveMap
         What is shown.
-    access : Access, optional
-        Who may read; without it this machine.
+    token : str
+        What readers must show; empty: nothing.
     """
-    access = access or Access()
     changes = Changes(live)
-    answers = _Answers(live, changes)
+    answers = _Answers(live)
 
     @asynccontextmanager
     async def running(_: Starlette) -> AsyncIterator[None]:
@@ -127,15 +87,14 @@ def make_app(live: LiveMap, access: Access | None = None) -> Starlette:
             task.cancel()
 
     middleware = [
-        Middleware(TrustedHostMiddleware, allowed_hosts=access.allowed_hosts),
-        Middleware(_Guard, token=access.token),
+        Middleware(_Guard, token=token),
         Middleware(GZipMiddleware, minimum_size=2_000),
     ]
     routes = [
         Route("/", answers.page),
         Route("/site.json", answers.site),
         Route("/state.json", answers.state),
-        Route("/events", answers.events),
+        Route("/events", changes),
         Route("/metrics", answers.metrics),
         *feature_routes(live),
         Mount("/web", StaticFiles(directory=WEB)),
@@ -146,8 +105,8 @@ def make_app(live: LiveMap, access: Access | None = None) -> Starlette:
 class _Answers:
     """Responses by address of the page."""
 
-    def __init__(self, live: LiveMap, changes: Changes) -> None:
-        self._live, self._changes = live, changes
+    def __init__(self, live: LiveMap) -> None:
+        self._live = live
         self._sites: dict[str, bytes] = {}  # by language: what stays is made once
 
     def page(self, request: Request) -> Response:
@@ -164,13 +123,7 @@ class _Answers:
         return JSONResponse(whole_event(self._live.place, self._live.snapshot()))
 
     def metrics(self, _: Request) -> Response:
-        return PlainTextResponse(self._live.metrics(), media_type="text/plain; version=0.0.4")
-
-    async def events(self, request: Request) -> Response:
-        if self._changes.readers >= MOST_READERS:
-            return PlainTextResponse("too many readers\n", 503, {"Retry-After": "30"})
-        stream = self._changes.stream(request.is_disconnected)
-        return StreamingResponse(stream, media_type="text/event-stream")
+        return PlainTextResponse(self._live.metrics(), media_type=METRICS_TYPE)
 
 
 class _Guard:
@@ -180,26 +133,15 @@ class _Guard:
         self._app, self._token = app, token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        request = Request(scope)
-        answer = self._refusal(request)
-        if answer is not None:
-            await answer(scope, receive, send)
-            return
-
-        async def send_with_headers(message: Any) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                known = {name.lower() for name, _ in message["headers"]}
-                message["headers"] += [
-                    (name.lower().encode(), value.encode())
-                    for name, value in _HEADERS.items()
-                    if name.lower().encode() not in known
-                ]
+                headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
             await send(message)
 
-        await self._app(scope, receive, send_with_headers)
+        refusal = self._refusal(Request(scope)) if scope["type"] == "http" else None
+        await (refusal or self._app)(scope, receive, send_with_headers)
 
     def _refusal(self, request: Request) -> Response | None:
         if request.method not in {"GET", "HEAD"}:
@@ -209,7 +151,7 @@ class _Guard:
         given = request.query_params.get("token", "")
         if self._is_token(given) and request.url.path == "/":
             asked = request.url.remove_query_params("token").query
-            answer = RedirectResponse(f"/?{asked}" if asked else "/", 303, headers=_HEADERS)
+            answer = RedirectResponse(f"/?{asked}" if asked else "/", 303)
             answer.set_cookie(COOKIE, given, httponly=True, samesite="strict")
             return answer
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
@@ -223,7 +165,7 @@ class _Guard:
 
 
 class Changes:
-    """What changes on the map, made once as text and handed to all readers.
+    """What changes on the map, made once as text and sent to all readers as server-sent events.
 
     Parameters
     ----------
@@ -233,13 +175,25 @@ class Changes:
 
     def __init__(self, live: LiveMap) -> None:
         self._live = live
-        self._shown: dict[str, Any] | None = None
+        self._shown: dict[str, Any] = {}  # as readers have it, where there are any
         self._readers: set[asyncio.Queue[str | None]] = set()
 
-    @property
-    def readers(self) -> int:
-        """How many read at the moment."""
-        return len(self._readers)
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer with the whole map, then what changes."""
+        if len(self._readers) >= MOST_READERS:
+            refusal = PlainTextResponse("too many readers\n", 503, {"Retry-After": "30"})
+            await refusal(scope, receive, send)
+            return
+        if not self._readers:
+            self._shown = whole_event(self._live.place, self._live.snapshot())
+        queue: asyncio.Queue[str | None] = asyncio.Queue(WAITING)
+        queue.put_nowait("retry: 2000\n\n" + _event("map", self._shown))
+        self._readers.add(queue)
+        try:
+            answer = StreamingResponse(_texts(queue), media_type="text/event-stream")
+            await answer(scope, receive, send)
+        finally:
+            self._readers.discard(queue)
 
     async def run(self) -> None:
         """Look at the map a few times a second for as long as somebody reads."""
@@ -253,7 +207,7 @@ class Changes:
 
     def _hand_out(self, snapshot: Snapshot) -> None:
         whole = whole_event(self._live.place, snapshot)
-        text = _event("map", whole if self._shown is None else difference(self._shown, whole))
+        text = _event("map", difference(self._shown, whole))
         self._shown = whole
         for queue in list(self._readers):
             try:
@@ -264,21 +218,11 @@ class Changes:
                     queue.get_nowait()
                 queue.put_nowait(None)
 
-    async def stream(self, gone: Callable[[], Awaitable[bool]]) -> AsyncIterator[str]:
-        """Yield the whole map, then what changes, as server-sent events."""
-        queue: asyncio.Queue[str | None] = asyncio.Queue(WAITING)
-        if not self._readers or self._shown is None:
-            self._shown = whole_event(self._live.place, self._live.snapshot())
-        self._readers.add(queue)
-        try:
-            yield "retry: 2000\n\n" + _event("map", self._shown)
-            while not await gone():
-                text = await queue.get()
-                if text is None:
-                    return
-                yield text
-        finally:
-            self._readers.discard(queue)
+
+async def _texts(queue: asyncio.Queue[str | None]) -> AsyncIterator[str]:
+    """Yield texts from a queue until there is None."""
+    while (text := await queue.get()) is not None:
+        yield text
 
 
 def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:

@@ -1,30 +1,29 @@
-"""Show the map that fusion keeps: as the page takes it, on a thread of its own."""
+"""Show the map that fusion keeps, as the page takes it."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Lock
 from typing import Protocol
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import uvicorn
 
 from gis_radar.arrays import Booleans
-from gis_radar.errors import InputError, OutputError
+from gis_radar.errors import InputError
 from gis_radar.live.intake import SensorState
 from gis_radar.live.map_of_now import MapState
-from gis_radar.live.page import Access, make_app
+from gis_radar.live.page import make_app
 from gis_radar.live.recent import RecentCounts
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot, place_of
 from gis_radar.live.vehicles_now import LiveVehicles
+from gis_radar.live.web_server import WebServer
 from gis_radar.site.live_table import PageTable
 
-START_S, END_S = 10.0, 2.0
 RATE_S = 10.0  # over which frames are counted
 
 
@@ -123,22 +122,14 @@ class ShownMap:
         )
 
 
-def access_of(table: PageTable) -> Access:
-    """Return who may read, as a site's file states it.
+def read_token(path: Path) -> str:
+    """Return the token that readers of a page must show.
 
     Raises
     ------
     InputError
-        If the file with the token cannot be read, or is empty.
-    UsageError
-        If everybody could read.
+        If the file cannot be read, or holds none.
     """
-    host = table.address.rpartition(":")[0].strip("[]")
-    token = _token(table.token_file) if table.token_file is not None else ""
-    return Access(host=host, token=token, behind_proxy=table.behind_proxy, names=tuple(table.names))
-
-
-def _token(path: Path) -> str:
     try:
         token = path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
@@ -167,58 +158,28 @@ class Page:
     Raises
     ------
     InputError
-        If map or token cannot be read.
-    UsageError
-        If everybody could read.
+        If the map cannot be read, or the file with the token cannot or is empty.
+    OutputError
+        If the address is taken.
     """
 
     def __init__(
         self, fusion: FusedMap, site: LiveSite, table: PageTable, tiles: gpd.GeoDataFrame
     ) -> None:
-        self._host, _, port = table.address.rpartition(":")
-        self._table = table
         place = place_of(site, tiles)
         self._recent = RecentCounts(place.lane_of_tile, place.lane_numbers)
-        self.shown = ShownMap(fusion, place, self._recent)
-        config = uvicorn.Config(
-            make_app(self.shown, access_of(table)), host=self._host.strip("[]"), port=int(port),
-            log_level="critical", lifespan="on", timeout_graceful_shutdown=1,
-        )  # fmt: skip
-        self._server = uvicorn.Server(config)
-        self._thread = Thread(target=self._run, daemon=True, name="page")
+        token = "" if table.token_file is None else read_token(table.token_file)
+        app = make_app(ShownMap(fusion, place, self._recent), token)
+        self._server = WebServer(app, table.address, table.names)
 
     def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
         """Count a closed step."""
         self._recent.take(step, hit, observed)
 
     def open(self) -> str:
-        """Begin to serve; return the address.
-
-        Raises
-        ------
-        OutputError
-            If the address is taken.
-        """
-        self._thread.start()
-        until = time.monotonic() + START_S
-        while not self._server.started and self._thread.is_alive() and time.monotonic() < until:
-            time.sleep(0.01)
-        if not self._server.started:
-            raise OutputError(
-                f"{self._table.address}: the page cannot be served there",
-                hint="another program may use the address",
-            )
-        port = self._server.servers[0].sockets[0].getsockname()[1]
-        return f"http://{self._host}:{port}/"
-
-    def _run(self) -> None:
-        try:
-            self._server.run()
-        except SystemExit:  # the way in which uvicorn reports an address that is taken
-            return
+        """Begin to serve; return the address."""
+        return self._server.open()
 
     def close(self) -> None:
         """Serve no more."""
-        self._server.should_exit = True
-        if self._thread.is_alive():
-            self._thread.join(END_S)
+        self._server.close()

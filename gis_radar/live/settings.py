@@ -9,7 +9,7 @@ from typing import Annotated, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from gis_radar.errors import InputError
-from gis_radar.live.broker import BrokerAddress
+from gis_radar.live.broker import FUSION, BrokerAddress
 from gis_radar.measures import Filters
 from gis_radar.site.live_table import BrokerTable, Duration, LiveTable, TopicWord
 from gis_radar.site.settings import MapTable, Sensor, Site, ViewTable
@@ -203,9 +203,11 @@ class LiveSite(Site):
     def _fits_together(self) -> Self:
         names = [each.name for each in self.sensor]
         for place, name in enumerate(names):
+            at = ("sensor", place, "name")
             if name in names[:place]:
-                at = ("sensor", place, "name")
                 raise Unfit(message=f"two sensors are called {name!r}", at=at)
+            if name == FUSION:
+                raise Unfit(message=f"{name!r} is no sensor: fusion itself logs in as it", at=at)
         return self
 
     @property
@@ -215,7 +217,7 @@ class LiveSite(Site):
 
     def address(self) -> BrokerAddress:
         """Return where the broker is, and as whom to speak to it."""
-        return broker_address(self.live.broker, user="fusion")
+        return broker_address(self.live.broker, user=FUSION)
 
     def filters(self) -> Filters:
         """Return which detections count."""

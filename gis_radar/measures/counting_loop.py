@@ -2,8 +2,7 @@
 
 One pass over the rows of a recording: the detections of a frame are placed in the map
 (:mod:`gis_radar.measures.placing`), and those over cells with tiles are filtered and tested
-against these. A tile is stamped with the frame that hit it, so that it counts once in it; those of
-a step are bits, so that they come out ascending without a sort.
+against these. A tile is stamped with the frame that hit it, so that it counts once in it.
 """
 
 from __future__ import annotations
@@ -12,27 +11,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of
-from gis_radar.steps import STEP_US
 from gis_radar.tiles.lookup import Numbers, TileCells, is_inside
 
 # Columns of the frames: what is found of each.
-TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, CHECKSUM, POSE = range(8)
-FRAME_COLUMNS = 8
-# Places in `Accumulator.counts`: frames begun so far, the step, tiles that wait for its end;
-# frames and hits that are filled in.
-FRAMES, STEP, WAITING, FILLED_FRAMES, FILLED_HITS = range(5)
-COUNTS = 5
-NO_STEP = int(np.iinfo(np.int64).min)
-# Each power of two times this number has another beginning: from that, its exponent.
-DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
-PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
-PRIME = 65521  # the largest under 2**16
-Bits = NDArray[np.uint32]
-Bits64 = NDArray[np.uint64]
+TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, POSE = range(7)
+FRAME_COLUMNS = 7
+# Places in `Accumulator.counts`: frames begun so far; frames and hits that are filled in.
+FRAMES, FILLED_FRAMES, FILLED_HITS = range(3)
+COUNTS = 3
 
 
 class RowColumns(NamedTuple):
@@ -46,8 +35,6 @@ class RowColumns(NamedTuple):
     x, y, z, range_rate, rcs : arrays
         Of the detections, all float64 or all float32; `rcs` may be empty where no filter asks for
         it.
-    x_bits, y_bits : uint32 arrays
-        The float32 of x and y as whole numbers.
     """
 
     time: Floats
@@ -57,8 +44,6 @@ class RowColumns(NamedTuple):
     z: Floats
     range_rate: Floats
     rcs: Floats
-    x_bits: Bits
-    y_bits: Bits
 
 
 class Limits(NamedTuple):
@@ -76,8 +61,6 @@ class Limits(NamedTuple):
     sight_mps, sight_over_m, sight_level_m : float
         From which speed on a detection counts as movement for sight; how high over a tile's road it
         is then, metres, and within which heights of that it is on the tile's level.
-    step_us : int
-        Length of a step, microseconds; 1 makes each frame a step of its own.
     """
 
     min_speed: float
@@ -91,19 +74,17 @@ class Limits(NamedTuple):
     sight_mps: float
     sight_over_m: float
     sight_level_m: float
-    step_us: int = STEP_US
 
 
 class TileIndex(NamedTuple):
-    """The tiles as compiled code takes them: their ids, the heights of their roads, their cells."""
+    """The tiles as compiled code takes them: the heights of their roads, their cells."""
 
-    tile_id: Integers
     road_m: Floats
     cells: TileCells
 
 
 class Accumulator(NamedTuple):
-    """The frame and the step that more rows may belong to, and sums over all rows.
+    """The frame that more rows may belong to, and sums over all rows.
 
     Parameters
     ----------
@@ -112,11 +93,6 @@ class Accumulator(NamedTuple):
         far.
     of_frame, moved : (n,) int64 arrays
         By tile the number of the last frame that hit it, and of the last one with movement on it.
-    hit : (n + 1,) int64 array
-        Room for tiles that a frame hits.
-    waiting, words : uint64 arrays
-        The tiles hit in the step so far, a bit each; and, a bit a word, the words of these bits
-        that are not empty.
     inside, places : (m,) int64 array, Places
         Room for the tiles around one detection, and for the places of some.
     ranges : (r,) int64 array
@@ -130,9 +106,6 @@ class Accumulator(NamedTuple):
     frame: Integers
     of_frame: Integers
     moved: Integers
-    hit: Integers
-    waiting: Bits64
-    words: Bits64
     inside: Integers
     places: Places
     ranges: Integers
@@ -140,19 +113,19 @@ class Accumulator(NamedTuple):
 
 
 class CountBuffer(NamedTuple):
-    """Buffers for complete frames and the hits of complete steps.
+    """Buffers for complete frames and the tiles that each hits.
 
     Parameters
     ----------
-    frames : (f, 8) int64 array
+    frames : (f, 7) int64 array
         Rows of frames.
-    step, tile : (k,) int64 arrays
-        Hits: ascending by step, then in the order of the tiles. Room for all tiles at least.
+    tile : (k,) int32 array
+        Positions of the tiles that a frame hits, `TILES_HIT` of each, each once. Room for one more
+        than there are tiles at least.
     """
 
     frames: Integers
-    step: Integers
-    tile: Integers
+    tile: Numbers
 
 
 @compiled
@@ -173,27 +146,23 @@ def count_rows(  # pragma: no cover - compiled
     int
         The first row that is not counted.
     """
-    counts, row = sums.counts, begin
+    counts, time, row = sums.counts, rows.time, begin
+    room = len(buffer.tile) - len(sums.of_frame) - 1
     while row < end:
-        if rows.time[row] != sums.time[0]:
-            room = len(buffer.tile) - counts[FILLED_HITS]
-            if counts[FILLED_FRAMES] == len(buffer.frames) or counts[WAITING] > room:
-                return row
+        if time[row] != sums.time[0]:
             end_frame(sums, buffer)
-            time_us = int(np.rint(rows.time[row] * 1e6))
-            if counts[STEP] != time_us // limits.step_us:
-                end_step(sums, index, buffer)
-                counts[STEP] = time_us // limits.step_us
+            if counts[FILLED_FRAMES] == len(buffer.frames) or counts[FILLED_HITS] > room:
+                return row
             counts[FRAMES] += 1
-            sums.time[0] = rows.time[row]
-            sums.frame[TIME_US] = time_us
+            sums.time[0] = time[row]
+            sums.frame[TIME_US] = int(np.rint(time[row] * 1e6))
             sums.frame[SHIFT_US] = rows.shift_us[row] if len(rows.shift_us) else 0
             sums.frame[POSE] = pose.number
-        begin, row = row, row + 1
-        while row < end and rows.time[row] == sums.time[0]:
+        begin, row, now = row, row + 1, time[row]
+        while row < end and time[row] == now:
             row += 1
-        _tally(rows.x_bits, rows.y_bits, rows.range_rate, begin, row, limits, sums.frame)
-        _count_frame(rows, begin, row, pose, limits, index, sums)
+        _count_speeds(rows.range_rate, begin, row, limits, sums.frame)
+        _count_frame(rows, begin, row, pose, limits, index, sums, buffer)
     return end
 
 
@@ -201,53 +170,25 @@ def count_rows(  # pragma: no cover - compiled
 def end_frame(sums: Accumulator, buffer: CountBuffer) -> None:  # pragma: no cover - compiled
     """Fill in the open frame, if any, and close it."""
     if not math.isnan(sums.time[0]):
-        row = buffer.frames[sums.counts[FILLED_FRAMES]]
-        row[:] = sums.frame
-        row[CHECKSUM] %= PRIME
+        buffer.frames[sums.counts[FILLED_FRAMES]] = sums.frame
         sums.counts[FILLED_FRAMES] += 1
+        sums.counts[FILLED_HITS] += sums.frame[TILES_HIT]
         sums.frame[:] = 0
         sums.time[0] = math.nan
 
 
 @compiled
-def end_step(
-    sums: Accumulator, index: TileIndex, buffer: CountBuffer
-) -> None:  # pragma: no cover - compiled
-    """Fill in the hits of the open step and close it."""
-    waiting, words, counts = sums.waiting, sums.words, sums.counts
-    first = hits = counts[FILLED_HITS]
-    for number in range(len(words)):
-        while words[number]:
-            word = 64 * number + _lowest(words[number])
-            words[number] &= words[number] - ONE
-            while waiting[word]:
-                buffer.tile[hits] = index.tile_id[64 * word + _lowest(waiting[word])]
-                waiting[word] &= waiting[word] - ONE
-                hits += 1
-    buffer.step[first:hits] = counts[STEP]
-    counts[FILLED_HITS], counts[WAITING], counts[STEP] = hits, 0, NO_STEP
-
-
-@compiled
-def _lowest(bits: np.uint64) -> int:  # pragma: no cover - compiled
-    """Return the place of the lowest bit that is set; one is."""
-    return int(PLACE_OF[((bits & (~bits + ONE)) * DE_BRUIJN) >> SHIFT])
-
-
-@compiled
-def _tally(  # pragma: no cover - compiled
-    x_bits: Bits, y_bits: Bits, rates: Floats, begin: int, end: int, limits: Limits,
-    frame: Integers,
-) -> None:  # fmt: skip
-    """Add rows to the sums of the open frame, regardless of their place."""
-    moving = wild = bits = 0
+def _count_speeds(  # pragma: no cover - compiled
+    rates: Floats, begin: int, end: int, limits: Limits, frame: Integers
+) -> None:
+    """Count the rows of the open frame that move, and those too fast for any vehicle."""
+    moving = wild = 0
+    moving_mps, wild_mps = limits.moving_mps, limits.wild_mps
     for row in range(begin, end):
-        bits += int(np.int64(x_bits[row]) + np.int64(y_bits[row]))
-        moving += int(abs(rates[row]) >= limits.moving_mps)
-        wild += int(abs(rates[row]) > limits.wild_mps)
+        moving += int(abs(rates[row]) >= moving_mps)
+        wild += int(abs(rates[row]) > wild_mps)
     frame[MOVING] += moving
     frame[WILD] += wild
-    frame[CHECKSUM] += bits
 
 
 @compiled
@@ -259,6 +200,7 @@ def _count_frame(  # pragma: no cover - compiled
     limits: Limits,
     index: TileIndex,
     sums: Accumulator,
+    buffer: CountBuffer,
 ) -> None:
     """Count rows of the open frame on the tiles under them."""
     places, ranges, last_m = sums.places, sums.ranges, len(sums.ranges) - 1.0
@@ -279,7 +221,8 @@ def _count_frame(  # pragma: no cover - compiled
                 ranges[places.metres[k]] += 1
                 present += 1
         sums.frame[DETECTIONS] += present
-        _note(sums, _hit_by(rows, low, over, pose, limits, index, sums))
+        hit = buffer.tile[sums.counts[FILLED_HITS] + sums.frame[TILES_HIT] :]
+        sums.frame[TILES_HIT] += _hit_by(rows, low, over, pose, limits, index, sums, hit)
 
 
 @compiled
@@ -291,8 +234,9 @@ def _hit_by(  # pragma: no cover - compiled
     limits: Limits,
     index: TileIndex,
     sums: Accumulator,
+    hit: Numbers,
 ) -> int:
-    """List the tiles that detections over cells with tiles hit, as the first ones of the frame.
+    """List in `hit` the tiles that detections over cells with tiles hit first in the frame.
 
     `low` is the row of the first detection placed. Returns how many tiles it lists.
     """
@@ -301,7 +245,7 @@ def _hit_by(  # pragma: no cover - compiled
     first, tiles, edges = index.cells.first, index.cells.tiles, index.cells.edges
     east, north, range_m, cell, _, nth_over = sums.places
     road_m, inside, moved, movement = index.road_m, sums.inside, sums.moved, sums.movement
-    of_frame, hit, number, count = sums.of_frame, sums.hit, sums.counts[FRAMES], 0
+    of_frame, number, count = sums.of_frame, sums.counts[FRAMES], 0
     picked = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
     tracked, asked = len(movement) > 0, not math.isnan(limits.lowest_m)
     for nth in range(over):
@@ -332,26 +276,13 @@ def _hit_by(  # pragma: no cover - compiled
 
 @compiled
 def _list(  # pragma: no cover - compiled
-    tile: int, number: int, of_frame: Integers, hit: Integers, count: int
+    tile: int, number: int, of_frame: Integers, hit: Numbers, count: int
 ) -> int:
     """List a tile once a frame; return the number of listed tiles."""
     hit[count] = tile
     count += of_frame[tile] != number
     of_frame[tile] = number
     return count
-
-
-@compiled
-def _note(sums: Accumulator, count: int) -> None:  # pragma: no cover - compiled
-    """Add the tiles listed to the open frame and to the open step."""
-    hit, waiting, words, new = sums.hit, sums.waiting, sums.words, 0
-    for k in range(count):
-        word, bit = hit[k] >> 6, ONE << np.uint64(hit[k] & 63)
-        new += not waiting[word] & bit
-        waiting[word] |= bit
-        words[word >> 6] |= ONE << np.uint64(word & 63)
-    sums.frame[TILES_HIT] += count
-    sums.counts[WAITING] += new
 
 
 @compiled

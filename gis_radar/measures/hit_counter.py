@@ -12,15 +12,13 @@ import numpy as np
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import InputError
 from gis_radar.measures.counting_loop import (
-    CHECKSUM,
     COUNTS,
     DETECTIONS,
     FILLED_FRAMES,
     FILLED_HITS,
     FRAME_COLUMNS,
     MOVING,
-    NO_STEP,
-    STEP,
+    TILES_HIT,
     TIME_US,
     WILD,
     Accumulator,
@@ -30,38 +28,36 @@ from gis_radar.measures.counting_loop import (
     TileIndex,
     count_rows,
     end_frame,
-    end_step,
 )
 from gis_radar.measures.placing import Places, PoseNumbers
-from gis_radar.measures.rows import distinct
+from gis_radar.measures.rows import fresh
 from gis_radar.measures.settings import DEFAULTS, Filters, HitSettings
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections, RangeCounts
 from gis_radar.sight import SightTiles
 from gis_radar.sight.recorded import REFLECTION_M
 from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
-from gis_radar.steps import STEP_US
-from gis_radar.tiles.lookup import TileGrid
+from gis_radar.tiles.lookup import Numbers, TileGrid
 
-ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 17  # filled in at once; 256 KiB, 2 MiB
+ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # filled in at once; 224 KiB, 1 MiB
+PRIME = 65521  # the largest under 2**16
 NO_TILES: Integers = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Counted:
-    """Frames and steps that are complete.
+    """Frames that are complete, and the tiles that they hit.
 
     Parameters
     ----------
-    frames : (f, 8) int64 array
+    frames : (f, 7) int64 array
         A row a frame; columns as of :mod:`gis_radar.measures.counting_loop`.
-    step, tile : (k,) int64 arrays
-        Tiles hit in a step, each once; ascending by step, then by tile.
+    tile : (k,) int32 array
+        Positions of the tiles that each hits, `TILES_HIT` of a frame, each once.
     """
 
     frames: Integers
-    step: Integers
-    tile: Integers
+    tile: Numbers
 
 
 class HitCounter:
@@ -77,10 +73,6 @@ class HitCounter:
         Which detections count.
     settings : HitSettings
         Constants of the frame log.
-    tile_id : (n,) int64 array, optional
-        What stands for each tile in the hits; without it, its position.
-    step_us : int
-        Length of a step, microseconds; 1 gives the tiles of each frame by itself.
     ranges : RangeCounts, optional
         Takes the ranges of all detections.
     """
@@ -92,25 +84,17 @@ class HitCounter:
         *,
         filters: Filters | None = None,
         settings: HitSettings = DEFAULTS,
-        tile_id: Integers | None = None,
-        step_us: int = STEP_US,
         ranges: RangeCounts | None = None,
     ) -> None:
         count = len(tiles.tile_id)
-        ids = (np.arange(count) if tile_id is None else tile_id).view()
-        ids.flags.writeable = False  # as those of a table are: else the loop is compiled twice
-        self._ascends = bool((np.diff(ids) > 0).all())
-        self._index = TileIndex(ids, np.ascontiguousarray(tiles.height), grid.cells)
-        self._limits = limits_of(filters or Filters(), settings, step_us)
+        self._index = TileIndex(np.ascontiguousarray(tiles.height), grid.cells)
+        self._limits = limits_of(filters or Filters(), settings)
         self._sums = Accumulator(
             counts=np.zeros(COUNTS, np.int64),
             time=np.array([math.nan]),
             frame=np.zeros(FRAME_COLUMNS, np.int64),
             of_frame=np.zeros(count, np.int64),
             moved=np.zeros(count, np.int64),
-            hit=np.empty(count + 1, np.int64),
-            waiting=np.zeros(count // 64 + 1, np.uint64),
-            words=np.zeros(count // 64**2 + 1, np.uint64),
             inside=np.empty(grid.most_in_a_cell + 1, np.int64),
             places=Places.empty(),
             ranges=(ranges or RangeCounts()).counts,
@@ -118,10 +102,8 @@ class HitCounter:
         )
         self._buffer = CountBuffer(
             frames=np.empty((ROOM_FRAMES, FRAME_COLUMNS), np.int64),
-            step=np.empty(max(ROOM_HITS, count), np.int64),
-            tile=np.empty(max(ROOM_HITS, count), np.int64),
+            tile=np.empty(ROOM_HITS + count + 1, np.int32),
         )
-        self._sums.counts[STEP] = NO_STEP
 
     def add(
         self,
@@ -159,21 +141,18 @@ class HitCounter:
                 return
             yield self._taken()
 
-    def end(self) -> Iterator[Counted]:
-        """Yield what was not yielded, and close the frame and the step that are open."""
-        yield self._taken()
+    def end(self) -> Counted:
+        """Close the open frame; return what :meth:`add` has not."""
         end_frame(self._sums, self._buffer)
-        end_step(self._sums, self._index, self._buffer)
-        yield self._taken()
+        return self._taken()
 
     def _taken(self) -> Counted:
         """Return what was counted so far, and reset the buffers."""
         frames, hits = self._sums.counts[[FILLED_FRAMES, FILLED_HITS]].tolist()
         self._sums.counts[[FILLED_FRAMES, FILLED_HITS]] = 0
-        step, tile = self._buffer.step[:hits].copy(), self._buffer.tile[:hits].copy()
-        if not self._ascends:
-            step, tile = distinct(step, tile)
-        return Counted(frames=self._buffer.frames[:frames].copy(), step=step, tile=tile)
+        return Counted(
+            frames=self._buffer.frames[:frames].copy(), tile=self._buffer.tile[:hits].copy()
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,7 +201,7 @@ class FrameCounter:
         settings: HitSettings = DEFAULTS,
     ) -> None:
         grid = TileGrid(tiles.quads) if grid is None else grid
-        self._counter = HitCounter(tiles, grid, filters=filters, settings=settings, step_us=1)
+        self._counter = HitCounter(tiles, grid, filters=filters, settings=settings)
 
     def count(
         self, detections: Detections, pose: Pose, *, road_m: float = math.nan
@@ -248,18 +227,29 @@ class FrameCounter:
             raise InputError("times of frames are not finite, or go back")
         rows = rows_of_detections(detections)
         numbers = PoseNumbers.of(pose, road_m=road_m)
+        counted = [*self._counter.add(rows, 0, len(time), numbers), self._counter.end()]
+        frames = np.concatenate([each.frames for each in counted])
+        tiles = np.concatenate([each.tile for each in counted]).astype(np.int64)
+        begins = np.cumsum(frames[:, TILES_HIT])[:-1]
         return [
             CountedFrame(
                 time_us=frame[TIME_US], detections=frame[DETECTIONS], moving=frame[MOVING],
-                wild=frame[WILD], checksum=frame[CHECKSUM],
-                tiles=each.tile[each.step == frame[TIME_US]],
+                wild=frame[WILD], checksum=checksum, tiles=np.sort(hit),
             )
-            for each in (*self._counter.add(rows, 0, len(time), numbers), *self._counter.end())
-            for frame in each.frames.tolist()
+            for frame, checksum, hit in zip(
+                frames.tolist(), _checksums(detections), np.split(tiles, begins), strict=True
+            )
         ]  # fmt: skip
 
 
-def limits_of(filters: Filters, settings: HitSettings, step_us: int) -> Limits:
+def _checksums(detections: Detections) -> list[int]:
+    """Return a 16-bit sum over the positions of each frame."""
+    x, y = (detections.points[:, k].astype(np.float32).view(np.uint32) for k in range(2))
+    sums = np.add.reduceat(x.astype(np.int64) + y, np.flatnonzero(fresh(detections.time)))
+    return [int(each) for each in sums % PRIME]
+
+
+def limits_of(filters: Filters, settings: HitSettings) -> Limits:
     """Return what the counting loop asks of a detection."""
     lowest_m, highest_m = filters.clearance or (math.nan, math.nan)
     return Limits(
@@ -274,7 +264,6 @@ def limits_of(filters: Filters, settings: HitSettings, step_us: int) -> Limits:
         sight_mps=float(SIGHT_DEFAULTS.moving_mps),
         sight_over_m=REFLECTION_M,
         sight_level_m=float(SIGHT_DEFAULTS.level_m),
-        step_us=step_us,
     )
 
 
@@ -296,9 +285,7 @@ def rows_of_columns(
     shift_us: Integers = NO_TILES,
 ) -> RowColumns:  # fmt: skip
     """Return columns as the counting loop takes them: arguments as of :class:`RowColumns`."""
-    x_bits, y_bits = (each.astype(np.float32, copy=False).view(np.uint32) for each in (x, y))
-    columns = (time, shift_us, x, y, z, range_rate, rcs, x_bits, y_bits)
-    return RowColumns(*map(_fixed, columns))
+    return RowColumns(*map(_fixed, (time, shift_us, x, y, z, range_rate, rcs)))
 
 
 def _fixed(values: Any) -> Any:

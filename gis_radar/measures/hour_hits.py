@@ -11,13 +11,8 @@ from numpy.typing import NDArray
 
 from gis_radar.arrays import Integers, compiled
 from gis_radar.measures.counting_loop import (
-    CHECKSUM,
-    DE_BRUIJN,
     DETECTIONS,
     MOVING,
-    ONE,
-    PLACE_OF,
-    SHIFT,
     SHIFT_US,
     TILES_HIT,
     TIME_US,
@@ -27,13 +22,16 @@ from gis_radar.measures.hour import LONGEST_VALID_STEPS, STEPS_PER_HOUR, HourWin
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union
 from gis_radar.steps import STEP_US
+from gis_radar.tiles.lookup import Numbers
 
 NEVER = np.iinfo(np.int64).min // 2
 ROOM = 1 << 19  # pairs at once, 8 MiB; more than a tile can have
 LENGTHS = LONGEST_VALID_STEPS
 _WORDS = STEPS_PER_HOUR // 64 + 1
-Numbers = NDArray[np.int32]
-Lengths = NDArray[np.uint8]
+# Each power of two times this number has another beginning: from that, its exponent.
+DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
+PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
+CHECKSUM_BITS = np.uint64(0xFFFF)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,14 +87,16 @@ def frame_columns(
     mine[:-1] &= time_us[1:] != time_us[:-1]  # frames of one microsecond are one
     rows = sensor.counted[mine]
     step = rows[:, TIME_US] // STEP_US
-    view = sensor.view[np.searchsorted(sensor.frames.time_us, rows[:, TIME_US])]
+    place = np.searchsorted(sensor.frames.time_us, rows[:, TIME_US])
+    view = sensor.view[place]
+    checksum = (sensor.frames.hash[place] & CHECKSUM_BITS).astype(np.int64)
     return {
         "sensor": np.full(len(rows), sensor.sensor, object), "time_us": rows[:, TIME_US],
         "first_step": step, "last_step": valid.until_of(step),
         "detections": rows[:, DETECTIONS], "moving": rows[:, MOVING], "pose": view,
         "wild": rows[:, WILD], "tiles_hit": rows[:, TILES_HIT],
         "tiles_seen": np.array([seen[name] for name in view], np.int64),
-        "checksum": rows[:, CHECKSUM], "shift_us": rows[:, SHIFT_US],
+        "checksum": checksum, "shift_us": rows[:, SHIFT_US],
     }  # fmt: skip
 
 
@@ -187,9 +187,9 @@ def sorted_hits(
     first = np.concatenate([[0], np.cumsum(ends[:-1])])
     packed, place = np.empty(first[-1], np.int32), first[:-1].copy()
     for sensor, frames in zip(sensors, valid, strict=True):
-        lengths = _lengths(frames, window)
-        for step, tile in zip(sensor.step, sensor.tile, strict=True):
-            _place_runs(step, tile, lengths, place, packed)
+        frame, run = 0, _packed_runs(sensor, frames, window)
+        for tile in sensor.tile:
+            frame = _place_runs(run, sensor.counted[:, TILES_HIT], frame, tile, place, packed)
     state, words = np.zeros(2, np.int64), np.zeros(_WORDS, np.uint64)
     while state[0] < len(tile_id):
         tiles, steps = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
@@ -199,13 +199,11 @@ def sorted_hits(
         state[1] = 0
 
 
-def _lengths(frames: ValidFrames, window: HourWindow) -> Lengths:
-    """Return for each step, from just before the hour on, in how many later ones it is valid."""
-    lengths = np.zeros(LENGTHS + STEPS_PER_HOUR, np.uint8)
-    low, high = np.searchsorted(frames.step, [window.begin - LENGTHS, window.end])
-    step, until = frames.step[low:high], frames.until[low:high]
-    lengths[step - window.begin + LENGTHS] = until - step
-    return lengths
+def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) -> Numbers:
+    """Return the step of each frame, from just before the hour, and how much longer it is valid."""
+    step = sensor.counted[:, TIME_US] // STEP_US
+    valid = frames.until_of(step) - step
+    return ((step - window.begin + LENGTHS) * LENGTHS + valid).astype(np.int32)
 
 
 @compiled
@@ -216,13 +214,17 @@ def _count_tiles(tile: Numbers, counts: Integers) -> None:  # pragma: no cover -
 
 @compiled
 def _place_runs(  # pragma: no cover - compiled
-    step: Numbers, tile: Numbers, lengths: Lengths, place: Integers, packed: Numbers
-) -> None:
-    """Sort hits by tile: their steps from just before the hour on, with how long they are valid."""
-    for k in range(len(step)):
-        offset = step[k] + LENGTHS
-        packed[place[tile[k]]] = offset * LENGTHS + lengths[offset]
-        place[tile[k]] += 1
+    run: Numbers, hits: Integers, frame: int, tile: Numbers, place: Integers, packed: Numbers
+) -> int:
+    """Sort the runs of frames from one on by the tiles that they hit; return the next frame."""
+    begin = 0
+    while begin < len(tile):
+        for k in range(begin, begin + hits[frame]):
+            packed[place[tile[k]]] = run[frame]
+            place[tile[k]] += 1
+        begin += hits[frame]
+        frame += 1
+    return frame
 
 
 @compiled

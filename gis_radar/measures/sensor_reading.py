@@ -22,7 +22,7 @@ from gis_radar.recordings.raw_rows import RawRows, read_raw
 from gis_radar.recordings.recording import RangeCounts
 from gis_radar.sight import SightTiles
 from gis_radar.steps import STEP_S, STEP_US, iso_from_step, step_of
-from gis_radar.tiles.lookup import TileGrid
+from gis_radar.tiles.lookup import Numbers, TileGrid
 
 NEVER_US = -(2**62)
 
@@ -113,11 +113,11 @@ class SensorHour:
         All frames of the window, each once.
     source, pose : (f,) int64 arrays
         Of each, the number of its recording, and of the pose in force in that one's track.
-    counted : (g, 8) int64 array
+    counted : (g, 7) int64 array
         The frames of the hour and just before it: columns as of
         :mod:`gis_radar.measures.counting_loop`.
-    step, tile : lists of int32 arrays
-        Their hits: steps from the hour's begin, and positions of tiles.
+    tile : list of int32 arrays
+        Positions of the tiles that these hit, frame by frame.
     evidence : list of RecordingCounts
         A recording each.
     """
@@ -128,8 +128,7 @@ class SensorHour:
     source: Integers
     pose: Integers
     counted: Integers
-    step: list[NDArray[np.int32]]
-    tile: list[NDArray[np.int32]]
+    tile: list[Numbers]
     evidence: list[RecordingCounts]
 
     @property
@@ -185,7 +184,6 @@ def read_sensor(
         source=np.repeat(np.arange(len(parts)), [len(part.fresh) for part in parts]),
         pose=np.concatenate([NO_TILES, *(part.poses() for part in parts)]),
         counted=np.concatenate([np.empty((0, POSE + 1), np.int64), *counted]),
-        step=[step for part in parts for step in part.step],
         tile=[tile for part in parts for tile in part.tile],
         evidence=[part.evidence for part in parts],
     )
@@ -201,8 +199,7 @@ class _Reading:
     until_us: int  # up to it earlier recordings of the sensor count
     frames: HashedFrames = field(default_factory=lambda: HashedFrames.join([]))
     counted: list[Integers] = field(default_factory=list)
-    step: list[NDArray[np.int32]] = field(default_factory=list)
-    tile: list[NDArray[np.int32]] = field(default_factory=list)
+    tile: list[Numbers] = field(default_factory=list)
     evidence: RecordingCounts = field(default_factory=RecordingCounts)
 
     @property
@@ -279,7 +276,9 @@ class _Counter:
                 np.zeros(len(reading.target.road.tile_id), np.int64),
             )
             placing = self._placing(index)
-            self._take(self._counter.add(rows, low + begin, low + end, placing, movement=counter))
+            first, last = low + begin, low + end
+            for counted in self._counter.add(rows, first, last, placing, movement=counter):
+                self._take(counted)
         evidence.level |= raw.level
         evidence.rows += high - low
 
@@ -307,12 +306,9 @@ class _Counter:
                 known[view] = known.get(view, 0) + int(count)
                 reading.evidence.views.add(reading.source.views[index])
 
-    def _take(self, counts: Iterator[Counted]) -> None:
-        reading = self._reading
-        for counted in counts:
-            reading.counted.append(counted.frames)
-            reading.step.append((counted.step - reading.window.begin).astype(np.int32))
-            reading.tile.append(counted.tile.astype(np.int32))
+    def _take(self, counted: Counted) -> None:
+        self._reading.counted.append(counted.frames)
+        self._reading.tile.append(counted.tile)
 
 
 def rows_between(time: Floats, first_us: int, after_us: int) -> tuple[int, int]:

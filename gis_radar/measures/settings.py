@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gis_radar.clocks.settings import CLOCK_SET_S
 from gis_radar.errors import UsageError
+from gis_radar.steps import CLOCK_SET_S
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.clocks import SensorClock
+from gis_radar.calibration import SensorClock
 from gis_radar.crs import require_same
 from gis_radar.errors import NoAnswerError
 from gis_radar.measures.settings import DEFAULTS, HitSettings

@@ -13,7 +13,7 @@ import shapely
 from pyproj import CRS
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.crs import metric_crs, name_of
+from gis_radar.crs import metric_crs, name_of, require_on_earth
 from gis_radar.errors import InputError, placed
 from gis_radar.notebooks import axes_or_new, card, label_map
 from gis_radar.words import tr
@@ -22,6 +22,7 @@ ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
 REQUIRED = ("sensor", "crs", *POSITION, *ANGLES)
 EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # shown on a card
+MOST_RANGE_M, MOST_HEIGHT_M = 10_000.0, 10_000.0  # what no radar beside a road exceeds
 QUATERNION_TOLERANCE_DEG = 0.01  # of the contract: 5 cm at 300 m
 
 
@@ -54,9 +55,10 @@ class View:
             raise InputError(f"view: azimuth_deg is {self.azimuth_deg}, expected 0 to 360")
         if not 0.0 < self.elevation_deg <= 180.0:
             raise InputError(f"view: elevation_deg is {self.elevation_deg}, expected 0 to 180")
-        if not 0.0 <= self.min_range_m < self.max_range_m < math.inf:
+        if not 0.0 <= self.min_range_m < self.max_range_m <= MOST_RANGE_M:
             raise InputError(
-                f"view: range is {self.min_range_m} to {self.max_range_m} m, expected ascending"
+                f"view: range is {self.min_range_m} to {self.max_range_m} m, expected ascending "
+                f"numbers up to {MOST_RANGE_M:.0f}"
             )
 
     def sees(self, points: Floats) -> Booleans:
@@ -296,7 +298,8 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
     Raises
     ------
     InputError
-        If a field is missing, is not a finite number, or contradicts another.
+        If a field is missing, is not a finite number, is no place on the earth, or contradicts
+        another.
     """
     missing = [name for name in REQUIRED if record.get(name) is None]
     if missing:
@@ -313,6 +316,9 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
         view=_view(record.get("view"), what),
         evidence={name: value for name, value in record.items() if name not in known},
     )
+    require_on_earth(pose.crs, pose.easting, pose.northing, what=what)
+    if abs(pose.height) > MOST_HEIGHT_M:
+        raise InputError(f"{what}: height is {pose.height:g}, expected metres")
     _check_quaternion(pose, record.get("quaternion"), what)
     with placed(what):
         pose.parsed_evidence()

@@ -17,7 +17,6 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
-from gis_radar.clocks.settings import CLOCK_SET_S
 from gis_radar.dataset import Dataset
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import atomic_write
@@ -25,7 +24,7 @@ from gis_radar.notebooks import axes_or_new, table_card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality.counting import HOUR_S, Count, count_frames, frame_times
 from gis_radar.spreadsheets import csv_style
-from gis_radar.steps import seconds_from_iso, zone_of
+from gis_radar.steps import CLOCK_SET_S, seconds_from_iso, zone_of
 
 GOOD = "good"
 NO_DATA = "no data"

@@ -160,9 +160,9 @@ def basis_of(found: Findings) -> Table:
         _hidden(found.results), _delivered(found), _made_of(found.results),
     ]  # fmt: skip
     columns = (
-        Column(tr("What"), "", 1.0, str, False),
-        Column(tr("Here"), "", 1.7, str, False),
-        Column(tr("What follows"), "", 2.3, str, False),
+        Column(tr("What"), "", str, False),
+        Column(tr("Here"), "", str, False),
+        Column(tr("What follows"), "", str, False),
     )
     caption = tr("What the figures of this report rest on")
     return Table(name="basis", caption=caption, columns=columns, rows=rows)
@@ -356,16 +356,16 @@ def _hour_columns(clock: Clock) -> list[Column]:
         return "; ".join(tr_message(each) for each in str(row["verdict"]).split("; "))
 
     return [
-        Column(tr("Sensor"), "", 1.2, lambda row: str(row["sensor"]), False),
-        Column(tr("Hour from"), "", 2.0, begin, False),
-        Column(tr("Time recorded"), "", 1.3, lambda row: seconds_text(row["recorded_s"])),
-        Column(tr("Frames"), tr("received"), 1.8, number("frames")),
-        Column(tr("Frames"), tr("expected"), 1.6, number("frames_expected")),
-        Column(tr("Detections"), tr("a frame"), 2.0, number("detections_per_frame", 1)),
-        Column(tr("Moving"), tr("of them"), 1.35, lambda row: percent(row["moving_share"], 0)),
-        Column(tr("Clock"), tr("corrected by s"), 1.75, number("clock_offset_s", 3)),
-        Column(tr("Pose age"), "h", 1.0, age),
-        Column(tr("Verdict"), "", 2.0, verdict, False),
+        Column(tr("Sensor"), "", lambda row: str(row["sensor"]), False),
+        Column(tr("Hour from"), "", begin, False),
+        Column(tr("Time recorded"), "", lambda row: seconds_text(row["recorded_s"])),
+        Column(tr("Frames"), tr("received"), number("frames")),
+        Column(tr("Frames"), tr("expected"), number("frames_expected")),
+        Column(tr("Detections"), tr("a frame"), number("detections_per_frame", 1)),
+        Column(tr("Moving"), tr("of them"), lambda row: percent(row["moving_share"], 0)),
+        Column(tr("Clock"), tr("corrected by s"), number("clock_offset_s", 3)),
+        Column(tr("Pose age"), "h", age),
+        Column(tr("Verdict"), "", verdict, False),
     ]
 
 

@@ -90,8 +90,6 @@ class Column(NamedTuple):
     ----------
     title, unit : str
         What stands over it, the unit small.
-    width : float
-        Its share of the page, beside the others'.
     text : callable
         Returns its cell of what a row is made of.
     is_number : bool
@@ -100,7 +98,6 @@ class Column(NamedTuple):
 
     title: str
     unit: str
-    width: float
     text: Callable[[Any], str]
     is_number: bool = True
 
@@ -176,8 +173,6 @@ class Figure:
         Below it.
     alt : str
         What it shows, for who cannot see it.
-    tallest_mm : float
-        How high it may be on paper.
     narrow : bytes
         PNG for a phone, with larger words; empty where it is the same.
     panels : sequence of bytes
@@ -191,7 +186,6 @@ class Figure:
     title: str = ""
     caption: str
     alt: str
-    tallest_mm: float = 165.0
     narrow: bytes = b""
     panels: Sequence[bytes] = ()
 
@@ -216,11 +210,15 @@ class Strip(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Chart(Figure):
-    """Strips over time: a picture on paper, drawn anew on a page as wide as that is.
+class Chart:
+    """Strips over time, which the page draws as wide as it is.
 
     Parameters
     ----------
+    caption : str
+        Below it.
+    alt : str
+        What it shows, for who cannot see it.
     heading, below : str
         What the strips show, and in which zone times are.
     top : str
@@ -231,6 +229,8 @@ class Chart(Figure):
         Below the last: as shares of the width.
     """
 
+    caption: str
+    alt: str
     heading: str
     below: str
     top: str
@@ -271,16 +271,13 @@ class Chapter(NamedTuple):
     ----------
     name, title : str
         One word for links, and the heading.
-    parts : sequence of Table, Figure or Terms
+    parts : sequence of Table, Figure, Chart or Terms
         From top to bottom.
-    least_mm : float
-        What must be left of a page of paper for it to begin there.
     """
 
     name: str
     title: str
-    parts: Sequence[Table | Figure | Terms]
-    least_mm: float = 45.0
+    parts: Sequence[Table | Figure | Chart | Terms]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -199,7 +199,6 @@ def draw_sights(results: Results) -> list[Figure]:
             narrow=png(narrow),
             width=picture.width,
             height=picture.height,
-            tallest_mm=120.0,
             caption=tr("What each sensor sees of the lanes; {how}.", how=how) + f" {shares}.",
             alt=tr("Maps of the tiles in sight of each sensor: {shares}.", shares=shares),
         )

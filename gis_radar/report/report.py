@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from gis_radar.errors import OutputError, UsageError
+from gis_radar.errors import PDF, OutputError, UsageError
 from gis_radar.files import atomic_writes
 from gis_radar.heatmap import HeatMap
 from gis_radar.notebooks import card
@@ -52,7 +52,8 @@ from gis_radar.report.lanes import (
     write_lanes,
 )
 from gis_radar.report.maps import draw_hits, draw_maps, draw_sights, lay_out
-from gis_radar.report.pages import page_of, write_pdf
+from gis_radar.report.pages import page_of
+from gis_radar.report.paper import weasyprint, write_pdf
 from gis_radar.report.plan import draw_plan
 from gis_radar.report.results import (
     Results,
@@ -240,6 +241,12 @@ def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -
             f"{place}: cannot be written: {reason}", hint="name a folder for the report"
         ) from error
     writers = _writers(found, content)
+    if names.PAPER not in writers:
+        reporter.log(
+            f"{names.PAPER} is not written: WeasyPrint, or Pango, which it calls, is missing "
+            f"({PDF}); a browser prints {names.PAGE} alike",
+            "warning",
+        )
     before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
     with atomic_writes(place / names.PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
@@ -257,7 +264,7 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
     clock, heat, quality = found.clock, found.results.heat, found.quality
     writers: dict[str, Callable[[Path], object]] = {
         names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
-        names.PAPER: lambda path: write_pdf(content, path),
+        **({names.PAPER: lambda path: write_pdf(content, path)} if weasyprint() else {}),
         names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
         names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
         names.SENSORS: lambda path: write_sensor_table(path, found.results),
@@ -342,12 +349,12 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
     over_time = tr("The lanes over time")
     hits = tr("Diagnosis: radar hits")
     return [
-        Chapter("lanes", tr("Lanes"), [drawn.plan, lanes], 190.0),
-        *([Chapter("time", over_time, drawn.over_time, 236.0)] if drawn.over_time else []),
-        Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures], 60.0),
-        Chapter("quality", tr("What sensors delivered"), [quality_table(found)], 80.0),
-        *([Chapter("hits", hits, drawn.hits, 168.0)] if drawn.hits else []),
-        Chapter("settings", tr("Settings and sources"), sources, 70.0),
+        Chapter("lanes", tr("Lanes"), [drawn.plan, lanes]),
+        *([Chapter("time", over_time, drawn.over_time)] if drawn.over_time else []),
+        Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures]),
+        Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
+        *([Chapter("hits", hits, drawn.hits)] if drawn.hits else []),
+        Chapter("settings", tr("Settings and sources"), sources),
         Chapter("words", tr("What the words mean"), [_terms(results.heat.measure)]),
     ]
 
@@ -440,19 +447,19 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         return ", ".join(filter(None, [street, direction(row["east_m"], row["north_m"])]))
 
     columns = [
-        Column(tr("Lane"), "", 0.9, lambda row: str(row["lane"])),
-        Column(tr("Rank"), "", 1.4, rank, False),
-        Column(tr("Leads to"), "", 1.5, leads_to, False),
-        Column(tr(words.share), tr(words.base), 1.9,
+        Column(tr("Lane"), "", lambda row: str(row["lane"])),
+        Column(tr("Rank"), "", rank, False),
+        Column(tr("Leads to"), "", leads_to, False),
+        Column(tr(words.share), tr(words.base),
                lambda row: percent(row["share"], off=row["share_se"])),
-        Column(tr("Tracks"), "", 1.15,
+        Column(tr("Tracks"), "",
                lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NOTHING),
-        Column(tr("Length"), "m", 1.0, lambda row: figure_text(row["length_m"])),
-        Column(tr(words.seen), tr("of length"), 1.6,
+        Column(tr("Length"), "m", lambda row: figure_text(row["length_m"])),
+        Column(tr(words.seen), tr("of length"),
                lambda row: percent(row["base_m"] / row["length_m"], 0)),
-        Column(tr("Highest tile"), tr("and its place"), 2.0, spot),
-        Column(tr("20 % or more"), "m", 1.2, lambda row: figure_text(row["busy_m"], 1)),
-        Column(tr("Highest interval"), clock.name if clock else "", 2.3, interval, False),
+        Column(tr("Highest tile"), tr("and its place"), spot),
+        Column(tr("20 % or more"), "m", lambda row: figure_text(row["busy_m"], 1)),
+        Column(tr("Highest interval"), clock.name if clock else "", interval, False),
     ]  # fmt: skip
     of_vehicles = {tr("Rank"), tr("Tracks")}
     return [each for each in columns if measure == "occupancy" or each.title not in of_vehicles]

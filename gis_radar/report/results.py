@@ -48,7 +48,6 @@ NOT_KNOWN = "not known here"
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
 COARSE_PIXELS, MOST_FIGURES = 1000, 20
 PAD, LEAST_PANEL = 6, 40  # pixels: around a panel, and what none is smaller than
-TALLEST_MM = 195.0  # on paper: a page each, so that its words can be read
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -288,7 +287,6 @@ def pose_figures(results: Results) -> list[Figure]:
                 png=png(image),
                 width=image.width,
                 height=image.height,
-                tallest_mm=TALLEST_MM,
                 panels=[png(image.crop(box)) for box in boxes],
                 caption=tr("Sensor {line}", line=f"{pose.sensor}: {how_found(pose.evidence)}."),
                 alt=tr(
@@ -378,14 +376,14 @@ def _sensor_columns() -> list[Column]:
         return f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°"
 
     return [
-        Column(tr("Sensor"), "", 1.15, lambda pose: str(pose.sensor), False),
-        Column(tr("Easting"), "m", 1.65, lambda pose: _measured(pose, "easting", 2)),
-        Column(tr("Northing"), "m", 1.85, lambda pose: _measured(pose, "northing", 2)),
-        Column(tr("Height"), "m", 1.2, lambda pose: _measured(pose, "height", 2)),
-        Column(tr("Looks to"), tr("from grid north"), 1.7, _looks_to),
-        Column(tr("Pitch, roll"), tr("degrees"), 1.5, angles),
-        Column(tr("Sees"), tr("range, width"), 1.75, sees),
-        Column(tr("How its pose was found"), "", 3.8, lambda pose: how_found(pose.evidence), False),
+        Column(tr("Sensor"), "", lambda pose: str(pose.sensor), False),
+        Column(tr("Easting"), "m", lambda pose: _measured(pose, "easting", 2)),
+        Column(tr("Northing"), "m", lambda pose: _measured(pose, "northing", 2)),
+        Column(tr("Height"), "m", lambda pose: _measured(pose, "height", 2)),
+        Column(tr("Looks to"), tr("from grid north"), _looks_to),
+        Column(tr("Pitch, roll"), tr("degrees"), angles),
+        Column(tr("Sees"), tr("range, width"), sees),
+        Column(tr("How its pose was found"), "", lambda pose: how_found(pose.evidence), False),
     ]
 
 

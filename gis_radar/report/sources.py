@@ -55,7 +55,7 @@ def _detections(amount: int) -> str:
 
 
 def _named(title: str) -> tuple[Column, Column]:
-    return Column(tr("What"), "", 1.0, str, False), Column(title, "", 2.6, str, False)
+    return Column(tr("What"), "", str, False), Column(title, "", str, False)
 
 
 def made_by() -> str:

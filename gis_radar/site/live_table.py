@@ -114,6 +114,16 @@ class PageTable(TomlTable):
     names: Texts = key('["traffic.example"]', (), "all, with an address that is no loopback")
     """Names by which browsers may ask for it."""
 
+    @model_validator(mode="after")
+    def _asks_who_reads(self) -> Self:
+        host = urlsplit(f"//{self.address}").hostname or ""
+        if not (_is_loopback(host) or self.token_file or self.behind_proxy):
+            raise Unfit(
+                message=f"the page would be open to everyone who reaches {host}",
+                hint="set token_file, or behind_proxy where a reverse proxy asks for a login",
+            )
+        return self
+
 
 class SensorThingsTable(TomlTable):
     """The push of lane measures to a server that speaks SensorThings 1.1."""

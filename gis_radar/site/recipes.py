@@ -22,7 +22,7 @@ from gis_radar.progress import Reporter
 if TYPE_CHECKING:
     import geopandas as gpd
 
-    from gis_radar.clocks import SensorClock
+    from gis_radar.calibration import SensorClock
     from gis_radar.dataset import Dataset
     from gis_radar.sight import MovingHits, Sight, SightTiles
     from gis_radar.sight.sight import SightSource
@@ -264,7 +264,7 @@ def _clocks(
     tiles: gpd.GeoDataFrame, reporter: Reporter,
 ) -> dict[str, SensorClock]:  # fmt: skip
     """Return the clocks of a file, or compare them; warn of those that are not corrected."""
-    from gis_radar.clocks import measure_clocks, read_clocks
+    from gis_radar.calibration import measure_clocks, read_clocks
 
     if source == AUTO:
         found = measure_clocks(recordings, tracks, tiles, reporter=reporter)

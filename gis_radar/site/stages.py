@@ -84,7 +84,7 @@ def localize_stage(
 
     Where several poses fit, these are kept: other sensors may know which.
     """
-    from gis_radar.localization import AmbiguousError, localize_files
+    from gis_radar.calibration import AmbiguousError, localize_files
 
     pose, picture, several = outputs
     for before in outputs:

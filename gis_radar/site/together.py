@@ -16,8 +16,7 @@ from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import Reporter
 
 if TYPE_CHECKING:
-    from gis_radar.joint.network import Solved
-    from gis_radar.localization import AmbiguousError
+    from gis_radar.calibration import AmbiguousError, Solved
 
 FOUND, SEVERAL, RECORDED = "localization.json", "candidates.json", "recording.parquet"
 Record = dict[str, Any]
@@ -69,9 +68,7 @@ def solve_together(
         By sensor its `pose`, or the `message` and `hint` of its refusal; `line` is what it gained,
         or why it is not tied.
     """
-    from gis_radar.clocks import read_clocks
-    from gis_radar.joint.calibration import adjust_poses
-    from gis_radar.joint.network import Solved
+    from gis_radar.calibration import Solved, adjust_poses, read_clocks
     from gis_radar.lanelets import read_map
     from gis_radar.scans.scan import read_road
 
@@ -104,8 +101,7 @@ def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
 
 def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) -> Record:
     """Return what became of a sensor."""
-    from gis_radar.joint.calibration import gain_line
-    from gis_radar.joint.network import CLASH_HINT
+    from gis_radar.calibration import CLASH_HINT, gain_line
 
     if name in solved.refused:
         return {"message": solved.refused[name], "hint": CLASH_HINT, "line": "refused"}

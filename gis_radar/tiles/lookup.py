@@ -254,13 +254,16 @@ def is_inside(  # pragma: no cover - compiled
     edges: Floats, tile: int, x: float, y: float
 ) -> int:
     """Return 1 where a point is in a tile, else 0; edges and origin as of :class:`TileCells`."""
-    crossings = 0
+    crossings = 0.0
     for e in range(4):
         low, high, x_low, slope = (
             edges[tile, 0, e], edges[tile, 1, e], edges[tile, 2, e], edges[tile, 3, e],
         )  # fmt: skip
-        crossings += (low <= y) & (y < high) & (x >= x_low + (y - low) * slope)
-    return crossings & 1
+        # Numbers, not truth values: processors take several edges at a time.
+        over, right = y - low, x - (x_low + (y - low) * slope)
+        crossed = 1.0 if min(over, right) >= 0.0 else 0.0
+        crossings += crossed if y < high else 0.0
+    return int(crossings) & 1
 
 
 @compiled

@@ -119,6 +119,7 @@ def blocks_of(
                 frames=FRAMES.empty(), frames_before=FRAMES.empty(), begins=False, ends=False,
             )  # fmt: skip
             del detections
+            give_back_memory()  # before the next block is read
 
 
 def _between(steps: Integers, first: int, after: int) -> Integers:
@@ -133,7 +134,9 @@ def _joined(held: Sequence[tuple[MapDetections, int]], first: int, after: int) -
         inside = (detections.time >= first / STEPS_PER_SECOND) & (
             detections.time < after / STEPS_PER_SECOND
         )
-        if inside.any():
+        if inside.all():
+            parts.append(detections)
+        elif inside.any():
             parts.append(detections.take(inside))
     return MapDetections.join(parts)
 

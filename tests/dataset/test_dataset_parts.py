@@ -1,8 +1,10 @@
 """Parts and hours: whole or not there, equal bytes, and refused when they are not what they say."""
 
+import os
 import shutil
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -22,7 +24,7 @@ from gis_radar.dataset import (
     read_hours,
     record_path,
 )
-from gis_radar.dataset.parts import ROWS_IN_GROUP, PartWriter
+from gis_radar.dataset.parts import ROWS_IN_GROUP, PartWriter, unfinished
 from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED, OCCUPIED, TABLES, TRACKS, VEHICLES
 from gis_radar.errors import InputError
 
@@ -187,6 +189,24 @@ def test_a_making_that_ends_between_two_parts_is_no_hour(tmp_path, monkeypatch):
     assert files(tmp_path) == again
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="names of open files")
+def test_a_part_and_its_name_are_on_disk_before_the_record_says_so(tmp_path, monkeypatch):
+    """As after a power failure: what was not brought to disk may be missing, in any order."""
+    synced, sync = [], os.fsync
+
+    def note(handle):
+        synced.append(Path(f"/proc/self/fd/{handle}").resolve())
+        sync(handle)
+
+    monkeypatch.setattr(os, "fsync", note)
+    write_hour(tmp_path, hits=HIT_ROWS)
+    for table in HOUR_TABLES:
+        path = part_path(tmp_path, table, HOUR)
+        assert path.parent in synced[synced.index(unfinished(path)) :]
+    record = record_path(tmp_path, HOUR)
+    assert [synced[-2].parent, synced[-1]] == [record.parent] * 2
+
+
 def test_tables_that_are_no_longer_made_go(tmp_path):
     write_hour(tmp_path)
     with HourWriter(folder=tmp_path, hour=HOUR, origin=ORIGIN) as writer:
@@ -219,6 +239,11 @@ def other_table(folder, path):
 def older_making(folder, path):
     write_hour(folder / "old", origin=replace(ORIGIN, inputs="cba"))
     same_size(folder, part_path(folder / "old", HITS, HOUR), path)
+
+
+def other_tiles(folder, path):
+    write_hour(folder / "other", origin=replace(ORIGIN, fingerprint="beef"))
+    same_size(folder, part_path(folder / "other", HITS, HOUR), path)
 
 
 def other_steps(folder, path):
@@ -259,6 +284,7 @@ def amend(folder, path):
         (other_hour, "is of hour '2023-11-14T23:00Z', not '2023-11-14T22:00Z'"),
         (other_table, "is of table 'observed', not 'hits'"),
         (older_making, "is of inputs 'cba', not 'abc'"),
+        (other_tiles, "is of fingerprint 'beef', not 'f00d'"),
         (other_steps, "step lies outside its hour"),
         (other_columns, "lacks the column step"),
     ],

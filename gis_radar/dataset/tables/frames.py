@@ -22,7 +22,7 @@ FRAMES = TableSchema(
         TableColumn("wild", _COUNT, "detections too fast for any vehicle"),
         TableColumn("tiles_hit", _COUNT, "tiles that it hit"),
         TableColumn("tiles_seen", _COUNT, "tiles in sight of its pose"),
-        TableColumn("checksum", _COUNT, "16-bit sum over the positions, equal where frames repeat"),
+        TableColumn("checksum", _COUNT, "16 bits of a hash, equal where frames repeat"),
         TableColumn("shift_us", _LARGE, "what was added to its time, microseconds"),
     ),
     order=("sensor", "time_us"),

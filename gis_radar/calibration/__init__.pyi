@@ -1,0 +1,52 @@
+from .clock_settings import ClockSettings
+from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
+from .joint import JointCalibration, adjust_poses, gain_line, localize_together
+from .localization import localize, localize_files
+from .monitor import Follower, start_estimate, track
+from .monitor_settings import MONITOR, MonitorSettings
+from .network import CLASH_HINT, Solved
+from .pose_track import MOVED, Event, Track, draw_track, track_of
+from .result import AmbiguousError, Localization, Problem, draw_localization
+from .scan_check import ScanCheck, check_against_scan, require_scans_near
+from .scan_check_picture import draw_scan_check
+from .scan_check_settings import ScanCheckSettings
+from .settings import LOCALIZATION, LocalizationSettings
+from .windows import WindowFitter
+
+__all__ = [
+    "CLASH_HINT",
+    "LOCALIZATION",
+    "MONITOR",
+    "MOVED",
+    "AmbiguousError",
+    "ClockSettings",
+    "Clocks",
+    "Event",
+    "Follower",
+    "JointCalibration",
+    "Localization",
+    "LocalizationSettings",
+    "MonitorSettings",
+    "Problem",
+    "ScanCheck",
+    "ScanCheckSettings",
+    "SensorClock",
+    "Solved",
+    "Track",
+    "WindowFitter",
+    "adjust_poses",
+    "check_against_scan",
+    "draw_localization",
+    "draw_scan_check",
+    "draw_track",
+    "gain_line",
+    "localize",
+    "localize_files",
+    "localize_together",
+    "measure_clocks",
+    "read_clocks",
+    "require_scans_near",
+    "start_estimate",
+    "track",
+    "track_of",
+]

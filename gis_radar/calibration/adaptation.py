@@ -1,0 +1,242 @@
+"""Adaptation: estimates of a recording's radar and vehicles, near a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+from scipy.special import gammaincinv, ndtr
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.calibration.matching import Placed, Scene, place
+from gis_radar.calibration.model import Model
+from gis_radar.calibration.residuals import Comparison, assemble, height, height_over_road, lateral
+from gis_radar.calibration.settings import AdaptationSettings
+from gis_radar.calibration.solver import Fit, Prior
+from gis_radar.calibration.state import REFLECTION
+from gis_radar.calibration.traces import Samples
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heights:
+    """At which heights vehicles reflect.
+
+    Parameters
+    ----------
+    mean_m, sigma_m : float
+        Mean height of reflections from bumpers, sills and wheels over the road, and its error.
+    elevation : float
+        One standard deviation of the radar's elevation angles, radians.
+    """
+
+    mean_m: float
+    sigma_m: float
+    elevation: float
+
+
+def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, Model]:
+    """Adapt prior and model to the radar and the vehicles of a recording.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    prior, model : Prior, Model
+        Before.
+    """
+    model = replace(model, side_strength=side_strength(scene, fit, model))
+    found = heights(scene, fit)
+    if found is None:
+        return prior, model
+    model = bent(scene, fit, replace(model, elevation=found.elevation))
+    found = heights(scene, fit, alone=_alone(scene.samples, model)) or found
+    information, known = prior.information.copy(), prior.information[REFLECTION, REFLECTION]
+    information[REFLECTION, REFLECTION] = known + found.sigma_m**-2
+    both = known * prior.mean.reflection + found.mean_m * found.sigma_m**-2
+    mean = replace(prior.mean, reflection=float(both / information[REFLECTION, REFLECTION]))
+    prior = Prior(mean=mean, information=information)
+    return prior, model
+
+
+def bent(scene: Scene, fit: Fit, model: Model) -> Model:
+    """Return the model with that part of the elevation's noise set apart that lasts for seconds.
+
+    The variance is split as is likeliest with the random effects of the vehicles integrated out
+    (by Laplace's method): where the detections of one agree better than those of different ones,
+    they share an error, and do not count as many.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    model : Model
+        With the elevation's noise in all.
+    """
+    placed, settings = place(scene.samples, fit.state), scene.settings.adaptation
+    models = [
+        replace(
+            model,
+            elevation=model.elevation * float(np.sqrt(1.0 - share)),
+            bent=model.elevation * float(np.sqrt(share)),
+        )
+        for share in settings.bent_shares
+    ]
+
+    def cost(tried: Model) -> float:
+        compared = _compared(scene, fit, placed, tried)
+        effect = np.zeros_like(fit.effects[1])
+        for _ in range(settings.bent_rounds):
+            rows = height(compared, effect)
+            normal = assemble([rows], [effect])
+            ((gradient, _, covariance),) = normal.shared
+            effect = effect - np.einsum("kij,kj->ki", covariance, gradient)
+        rows = height(compared, effect)
+        _, _, covariance = assemble([rows], [effect], curved=True).shared[0]
+        own = np.einsum("ki,kij,kj", effect, rows.stiffness, effect)
+        spread = np.linalg.slogdet(rows.stiffness)[1] + np.linalg.slogdet(covariance)[1]
+        return float(rows.loss.sum() + 0.5 * own - 0.5 * spread.sum())
+
+    return min(models, key=cost)
+
+
+def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> Comparison:
+    """Return what residuals of a model compare, near an answer."""
+    return Comparison(
+        lanes=scene.lanes,
+        placed=placed,
+        matches=fit.matches,
+        model=model,
+        scale_m=0.0,
+        settings=scene.settings.solver,
+    )
+
+
+def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
+    """Return how strongly sides reflect against fronts: the likeliest, by where samples lie.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    model : Model
+        Its strength is the prior's mean, within a factor of two.
+    """
+    placed, settings = place(scene.samples, fit.state), scene.settings.adaptation
+
+    def cost(factor: float) -> float:
+        tried = replace(model, side_strength=model.side_strength * factor)
+        compared = _compared(scene, fit, placed, tried)
+        prior = (np.log(factor) / settings.factor_sigma) ** 2
+        rows = lateral(compared, fit.effects[0])
+        return float(rows.weight @ rows.loss + 0.5 * prior)
+
+    factors = np.geomspace(1.0 / settings.most_factor, settings.most_factor, settings.factors)
+    return float(model.side_strength * min(factors, key=cost))
+
+
+def _alone(samples: Samples, model: Model) -> Floats:
+    """Return how much each sample counts beside those of its vehicle with the same error."""
+    longest, together = samples.spell_reach.shape[1], round(model.lasting / samples.spell_s)
+    spell = samples.spells % longest // max(together, 1)
+    key = samples.track * longest + spell
+    _, whose, count = np.unique(key, return_inverse=True, return_counts=True)
+    lasting = np.square(model.bent * samples.reach)
+    own = np.square(model.elevation * samples.reach) + model.low**2
+    return np.asarray(1.0 / (1.0 + (count[whose] - 1) * lasting / (lasting + own)))
+
+
+def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights | None:
+    """Estimate at which heights vehicles reflect, from the shape of what a fit shows.
+
+    The height of a sensor and that of the reflections look alike but for one thing: no vehicle
+    reflects from below its bumpers, sills and wheels, and those end 0.2 m over the road whatever
+    the radar. The lower edge of the reflections is therefore known; their spread over it, and the
+    noise that blurs it with the range, follow by maximum likelihood: a gamma distribution of
+    shape 2 over the edge, bodies above, strays.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    alone : (n,) array, optional
+        How much each sample counts; without it one.
+
+    Returns
+    -------
+    Heights or None
+        None where too few samples are near enough.
+    """
+    samples, settings = scene.samples, scene.settings.adaptation
+    view_edge, reach = scene.settings.solver.view_edge, samples.reach
+    over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches, view_edge)
+    usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < settings.near_m))
+    if len(usable) < settings.least:
+        return None
+    usable = np.random.default_rng(0).permutation(usable)[: settings.most]
+    over, reach = over[usable], reach[usable]
+    weight = np.ones(len(over)) if alone is None else alone[usable]
+
+    def cost(parameters: Floats) -> float:
+        return -float(weight @ _log_density(parameters, over, reach, settings))
+
+    start, low, high = (
+        np.array([edge, np.log(scale), np.log(noise)])
+        for edge, scale, noise in (settings.start, settings.low, settings.high)
+    )
+    fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
+    found: Floats = np.asarray(fitted.x)
+    clusters = samples.vehicles[samples.track[usable]]
+    error = _sandwich(found, over, reach, clusters, weight, settings)
+    shift = found[0] - settings.edge_m
+    return Heights(
+        mean_m=float(fit.state.reflection - shift),
+        sigma_m=float(np.hypot(settings.edge_sigma_m, error)),
+        elevation=float(np.exp(found[2])),
+    )
+
+
+def _log_density(
+    parameters: Floats, over: Floats, reach: Floats, settings: AdaptationSettings
+) -> Floats:
+    """Return the log density of heights, given edge, log scale and log noise of elevations."""
+    edge, scale = parameters[0], np.exp(parameters[1])
+    sigma = np.hypot(settings.noise_m, np.exp(parameters[2]) * reach)
+    nodes = gammaincinv(2.0, (np.arange(settings.nodes) + 0.5) / settings.nodes)
+    away = (over[:, None] - edge - scale * nodes) / sigma[:, None]
+    low = np.exp(-0.5 * away**2).mean(axis=1) / (sigma * np.sqrt(2.0 * np.pi))
+    begin, end = settings.tall_m
+    tall = ndtr((over - edge - begin) / sigma) - ndtr((over - edge - end) / sigma)
+    share, stray = settings.tall_share, settings.stray_share
+    vehicle = (1.0 - share) * low + share * tall / (end - begin)
+    return np.asarray(np.log((1.0 - stray) * vehicle + stray / settings.stray_m))
+
+
+def _sandwich(
+    parameters: Floats,
+    over: Floats,
+    reach: Floats,
+    track: Integers,
+    weight: Floats,
+    settings: AdaptationSettings,
+) -> float:
+    """Return the standard error of the edge, with the vehicles as clusters."""
+
+    def density(shift: Floats) -> Floats:
+        return _log_density(parameters + shift, over, reach, settings)
+
+    shifts = settings.step * np.eye(len(parameters))
+    scores = np.column_stack([(density(d) - density(-d)) / (2.0 * settings.step) for d in shifts])
+    weighted = weight[:, None] * scores
+    bread = np.linalg.inv(scores.T @ weighted + 1e-9 * np.eye(len(parameters)))
+    _, number = np.unique(track, return_inverse=True)
+    clusters = np.column_stack([np.bincount(number, weights=column) for column in weighted.T])
+    return float(np.sqrt((bread @ (clusters.T @ clusters) @ bread)[0, 0]))

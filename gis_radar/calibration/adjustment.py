@@ -1,0 +1,296 @@
+"""Poses of several sensors adjusted together by their correspondences, by least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.calibration.certainty import cluster_robust
+from gis_radar.calibration.correspondences import FACES, PLANE, Rows, effects, mean_gaps, stretches
+from gis_radar.calibration.joint_settings import CorrespondenceSettings
+from gis_radar.calibration.model import MODEL, Model
+
+STEPS = 8  # of weights and poses in turn; they settle after three or four
+OWN = 2 * PLANE  # of a pair of sensors
+SHARED = OWN + FACES + 2  # with the constants of the faces and both clocks
+Edge = tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correspondences:
+    """Evidence of the pairs of two sensors, each vehicle's own effects eliminated.
+
+    Parameters
+    ----------
+    information : (pairs, 13, 13) array
+        About the poses of both (6), the constants of the faces (3), both clocks (2), and what is
+        alike on a stretch of road (2).
+    gradient : (pairs, 13) array
+        Of the cost by these, at the poses as they are.
+    gap, slope, covariance : (pairs, 2), (pairs, 2, 13), (pairs, 2, 2) arrays
+        The mean gap, its derivative, and how it scatters from vehicle to vehicle.
+    stretch : (pairs,) array
+        Number of the stretch of road.
+    """
+
+    information: Floats
+    gradient: Floats
+    gap: Floats
+    slope: Floats
+    covariance: Floats
+    stretch: Integers
+
+    def chi2(self, step: Floats) -> Floats:
+        """Return the misfit of each pair after a step of the first eleven."""
+        gap = self.gap + self.slope[:, :, :SHARED] @ step
+        return np.asarray(np.einsum("pi,pij,pj->p", gap, np.linalg.inv(self.covariance), gap))
+
+    def summed(
+        self, weight: Floats, step: Floats, settings: CorrespondenceSettings
+    ) -> tuple[Floats, Floats]:
+        """Return the information about the eleven, and each pair's part of the gradient by them.
+
+        What is alike on a stretch is eliminated.
+
+        Parameters
+        ----------
+        weight : (pairs,) array
+            Of each pair.
+        step : (11,) array
+            At which the gradient is taken.
+        settings : CorrespondenceSettings
+            How alike that is.
+        """
+        known = weight[:, None, None] * self.information
+        gradient = weight[:, None] * self.gradient + known[:, :, :SHARED] @ step
+        total, parts = np.zeros((SHARED, SHARED)), gradient[:, :SHARED].copy()
+        alike = np.diag(np.square(settings.stretch_sigma_m) ** -1.0)
+        for number in np.unique(self.stretch):
+            on = self.stretch == number
+            here = known[on].sum(axis=0)
+            gain = here[:SHARED, SHARED:] @ np.linalg.inv(here[SHARED:, SHARED:] + alike)
+            total += here[:SHARED, :SHARED] - gain @ here[SHARED:, :SHARED]
+            parts[on] -= gradient[on, SHARED:] @ gain.T
+        return total, parts
+
+
+def sum_correspondences(
+    rows: Rows, settings: CorrespondenceSettings, model: Model = MODEL
+) -> Correspondences:
+    """Sum up the moments of each pair; what a vehicle adds to all of them is eliminated."""
+    alike = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
+    slope = np.concatenate([rows.poses, rows.constants, rows.clocks, alike], axis=2)
+    by_effect, variances = effects(rows, settings, model)
+    weight = settings.share / rows.variance
+
+    def total(a: Floats, b: Floats) -> Floats:
+        each = np.einsum("rik,ri,ril->rkl", a, weight, b)
+        return np.asarray(np.add.reduceat(each, rows.first, axis=0))
+
+    gap = rows.gap[:, :, None]
+    inner = np.linalg.inv(np.diag(1.0 / variances) + total(by_effect, by_effect))
+    coupled = total(slope, by_effect)
+    gain = coupled @ inner
+    mean, covariance = mean_gaps(rows, np.zeros((OWN, OWN)), settings, model)
+    return Correspondences(
+        information=total(slope, slope) - gain @ np.swapaxes(coupled, 1, 2),
+        gradient=(total(slope, gap) - gain @ total(by_effect, gap))[:, :, 0],
+        gap=mean,
+        slope=rows.means(slope),
+        covariance=covariance,
+        stretch=stretches(rows, settings),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adjusted:
+    """Poses adjusted together.
+
+    Parameters
+    ----------
+    step : (n, 3) array
+        From the poses as they were to the adjusted ones: easting, northing, yaw.
+    covariance : (3 n, 3 n) array
+        Of the adjusted ones.
+    misfit : dict
+        By pair of sensors, how far the single answers are from what the correspondences say,
+        chi-square of three degrees of freedom.
+    """
+
+    step: Floats
+    covariance: Floats
+    misfit: Mapping[Edge, float]
+
+
+def clock_gap(
+    matched: Correspondences,
+    away: Floats,
+    covariances: Sequence[Floats],
+    settings: CorrespondenceSettings,
+) -> tuple[float, float]:
+    """Return by how much the clock of the other sensor is ahead of the one's, and its sigma, s.
+
+    As if clocks could be off by a second. Traffic in opposite directions tells a clock from a
+    place; where it goes one way, sigma says so.
+
+    Parameters
+    ----------
+    tied, settings
+        As for :func:`adjust`.
+    away, covariances
+        Of the two: (2, 3), and two (3, 3) arrays.
+    """
+    nuisance = _nuisance([settings.free_clock_s] * 2, settings)
+    prior = np.diag([*[0.0] * OWN, *nuisance])
+    for k, each in enumerate(covariances):
+        own = slice(PLANE * k, PLANE * k + PLANE)
+        prior[own, own] = np.linalg.inv(each)
+    start = np.concatenate([away.ravel(), np.zeros(len(nuisance))])
+    step = np.zeros(len(start))
+    for _ in range(STEPS):
+        weight = _weights(matched, step, settings)
+        known, parts = matched.summed(weight, step, settings)
+        information = known + prior
+        step = step - np.linalg.solve(information, parts.sum(axis=0) + prior @ (start + step))
+    gap = np.zeros(len(start))
+    gap[-2:] = -1.0, 1.0
+    return float(gap @ step), float(np.sqrt(gap @ np.linalg.solve(information, gap)))
+
+
+def adjust(
+    correspondences: Mapping[Edge, Correspondences],
+    away: Floats,
+    covariances: Sequence[Floats],
+    settings: CorrespondenceSettings,
+    *,
+    clocks_s: Sequence[float] | None = None,
+    held: Collection[Edge] = (),
+) -> Adjusted:
+    """Adjust the poses of sensors by their correspondences and single answers.
+
+    Pairs are weighted as by Student's t. The covariance is cluster-robust with the vehicles as
+    clusters, never below the model's and never above that of the single answers.
+
+    Parameters
+    ----------
+    correspondences : mapping
+        By pair of sensors.
+    away : (n, 3) array
+        The poses as they are less the single answers.
+    covariances : sequence of (3, 3) arrays
+        Of the single answers.
+    settings : CorrespondenceSettings
+        What is known of faces and clocks.
+    clocks_s : sequence of float, optional
+        Standard deviations of the clocks; by default that of the settings.
+    held : collection of (int, int)
+        Pairs of sensors that are only compared: their correspondences move no pose.
+    """
+    n = len(covariances)
+    clocks = [settings.clock_s] * n if clocks_s is None else list(clocks_s)
+    prior = np.zeros((PLANE * n + FACES + n, PLANE * n + FACES + n))
+    single = shared_covariance(covariances)
+    prior[: PLANE * n, : PLANE * n] = np.linalg.inv(single)
+    nuisance = _nuisance(clocks, settings)
+    prior[PLANE * n :, PLANE * n :] = np.diag(nuisance)
+    start = np.concatenate([away.ravel(), np.zeros(FACES + n)])
+    step = np.zeros(len(prior))
+    for _ in range(STEPS):
+        weights = {edge: _weights(matched, step[_index(edge, n)], settings)
+                   for edge, matched in correspondences.items()}  # fmt: skip
+        information, scores = prior.copy(), []
+        for edge, matched in correspondences.items():
+            if edge in held:
+                continue
+            at, weight = _index(edge, n), weights[edge]
+            known, parts = matched.summed(weight, step[at], settings)
+            information[np.ix_(at, at)] += known
+            each = np.zeros((len(weight), len(prior)))
+            each[:, at] = parts
+            scores.append(each)
+        clusters = np.vstack([np.zeros((0, len(prior))), *scores])
+        step = step - np.linalg.solve(information, clusters.sum(axis=0) + prior @ (start + step))
+    inverse = np.asarray(np.linalg.inv(information))
+    if len(clusters):
+        inverse = cluster_robust(inverse, clusters, prior, unknowns=PLANE)
+    covariance = inverse[: PLANE * n, : PLANE * n]
+    misfit = {
+        edge: _misfit(matched, weights[edge], away[list(edge)], [covariances[i] for i in edge],
+                      _nuisance([clocks[i] for i in edge], settings), settings)
+        for edge, matched in correspondences.items()
+    }  # fmt: skip
+    return Adjusted(
+        step=step[: PLANE * n].reshape(n, PLANE),
+        covariance=_at_most(covariance, single),
+        misfit=misfit,
+    )
+
+
+def shared_covariance(covariances: Sequence[Floats]) -> Floats:
+    """Return the covariance of several single answers, which have map and model in common.
+
+    How much is not known. What is taken for common is the parallel sum of their covariances in the
+    plane: half of it where two are alike, all of the better one's where the other is far worse,
+    so that a sensor placed by another is no surer than that one.
+    """
+    n = len(covariances)
+    given = [np.linalg.inv(each)[:2, :2] for each in covariances]
+    common = np.linalg.inv(np.sum(given, axis=0)) if n > 1 else np.zeros((2, 2))
+    whole = np.zeros((n, PLANE, n, PLANE))
+    whole[:, :2, :, :2] = common[None, :, None, :]
+    for i, each in enumerate(covariances):
+        whole[i, :, i] = each
+    return whole.reshape(n * PLANE, n * PLANE)
+
+
+def _nuisance(clocks_s: Sequence[float], settings: CorrespondenceSettings) -> Floats:
+    """Return the inverse variances of the constants of the faces, and of the clocks."""
+    faces = [settings.half_length_sigma_m, settings.half_width_sigma_m, settings.side_sigma]
+    return np.array([*faces, *clocks_s]) ** -2.0
+
+
+def _index(edge: Edge, n: int) -> list[int]:
+    """Return the indices of the eleven unknowns of a pair of sensors."""
+    one, other = (list(range(PLANE * i, PLANE * i + PLANE)) for i in edge)
+    after = PLANE * n + FACES
+    return [*one, *other, *range(PLANE * n, after), after + edge[0], after + edge[1]]
+
+
+def _weights(matched: Correspondences, step: Floats, settings: CorrespondenceSettings) -> Floats:
+    """Return the weight of each pair by its misfit."""
+    return np.asarray((settings.freedom + 2.0) / (settings.freedom + matched.chi2(step)))
+
+
+def _at_most(covariance: Floats, most: Floats) -> Floats:
+    """Return a covariance bounded by another one."""
+    root = np.linalg.cholesky(most)
+    white = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
+    values, vectors = np.linalg.eigh((white + white.T) / 2.0)
+    wide = root @ vectors
+    return np.asarray((wide * np.minimum(values, 1.0)) @ wide.T)
+
+
+def _misfit(
+    matched: Correspondences,
+    weight: Floats,
+    away: Floats,
+    covariances: Sequence[Floats],
+    nuisance: Floats,
+    settings: CorrespondenceSettings,
+) -> float:
+    """Return chi-square of what correspondences and single answers of two sensors differ by."""
+    information, parts = matched.summed(weight, np.zeros(SHARED), settings)
+    gradient = parts.sum(axis=0) - information[:, :OWN] @ away.ravel()
+    inner = np.linalg.inv(information[OWN:, OWN:] + np.diag(nuisance))
+    gain = information[:OWN, OWN:] @ inner
+    reduced = gradient[:OWN] - gain @ gradient[OWN:]
+    known = information[:OWN, :OWN] - gain @ information[OWN:, :OWN]
+    both = np.zeros((OWN, OWN))
+    both[:PLANE, :PLANE], both[PLANE:, PLANE:] = covariances
+    scatter = known + known @ both @ known
+    scale = np.sqrt(np.maximum(np.diag(scatter), 1e-12))
+    unit = np.linalg.pinv(scatter / np.outer(scale, scale), rcond=1e-6, hermitian=True)
+    return float((reduced / scale) @ unit @ (reduced / scale))

@@ -1,0 +1,425 @@
+"""The alarm: small moves of a sensor, noticed against what it saw in its own first hour.
+
+Where drivers keep in their lanes and where the map is off is not known to better than some
+decimetres, but it is the same before and after. So the mean place of vehicles in each cell of the
+lanes is learnt as the sensor sees it, and the newest minutes are compared with that: a move shifts
+all lanes together, a habit or an obstacle one of them.
+
+What vehicles show of the cells' means `m` is kept as normal equations `A m = b`, in which each
+vehicle's own place in the lane is eliminated (a random effect, so vehicles are the units and not
+their detections); sums of these are all that is stored. Reference (A, b) and newest blocks (A', b')
+together state the move: `A m = b`, `A' (m + K x) = b'`, with `x` the move and what changes anyway.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.lane_places import Cells, LanePlaces
+from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR, AlarmSettings, MonitorSettings
+
+FREE = RIDGE = 1e-6  # information on what is not known beforehand, 1/m^2
+MOVE = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Habits:
+    """What some vehicles show of the mean place in each cell, as normal equations.
+
+    Parameters
+    ----------
+    cell : (c,) array
+        The cells that they drove through, ascending.
+    weight : (c, c) array
+        A, 1/m^2.
+    gradient : (c,) array
+        b, 1/m.
+    vehicles : float
+        How many there were, forgotten ones counted in part.
+    time : float
+        UNIX seconds, their mean.
+    """
+
+    cell: Integers
+    weight: Floats
+    gradient: Floats
+    vehicles: float = 0.0
+    time: float = 0.0
+
+    def __add__(self, other: Habits) -> Habits:
+        """Return both together."""
+        cell = np.union1d(self.cell, other.cell)
+        (weight, gradient), (more, steeper) = self.over(cell), other.over(cell)
+        vehicles = self.vehicles + other.vehicles
+        whole = self.vehicles * self.time + other.vehicles * other.time
+        return Habits(
+            cell=cell,
+            weight=weight + more,
+            gradient=gradient + steeper,
+            vehicles=vehicles,
+            time=whole / vehicles if vehicles else other.time,
+        )
+
+    def over(self, cell: Integers) -> tuple[Floats, Floats]:
+        """Return weight and pull for more cells, those of here among them."""
+        if len(cell) == len(self.cell):
+            return self.weight, self.gradient
+        place = np.searchsorted(cell, self.cell)
+        weight, gradient = np.zeros((len(cell), len(cell))), np.zeros(len(cell))
+        weight[np.ix_(place, place)] = self.weight
+        gradient[place] = self.gradient
+        return weight, gradient
+
+    def kept(self, share: float) -> Habits:
+        """Return what is left when the rest is forgotten."""
+        return replace(
+            self,
+            weight=share * self.weight,
+            gradient=share * self.gradient,
+            vehicles=share * self.vehicles,
+        )
+
+    def where(self, good: Booleans) -> Habits:
+        """Return what is shown of some cells, whatever the means of the others are."""
+        if good.all():
+            return self
+        cut = self.weight[np.ix_(good, ~good)]
+        inner = self.weight[np.ix_(~good, ~good)] + RIDGE * np.eye(int((~good).sum()))
+        gain = np.linalg.solve(inner, cut.T).T
+        return replace(
+            self,
+            cell=self.cell[good],
+            weight=self.weight[np.ix_(good, good)] - gain @ cut.T,
+            gradient=self.gradient[good] - gain @ self.gradient[~good],
+        )
+
+
+NOTHING = Habits(cell=np.empty(0, dtype=np.int64), weight=np.empty((0, 0)), gradient=np.empty(0))
+
+
+def habits_of(
+    seen: LanePlaces, value: Floats, *, sigma: tuple[float, Floats, float], time: float
+) -> Habits:
+    """Return what vehicles show; the rows of one have `V = driver^2 11' + diag(sway^2 + hit^2/n)`.
+
+    Parameters
+    ----------
+    seen : LanePlaces
+        Of some vehicles.
+    value : (n,) array
+        Their place, metres; rows with NaN are left out.
+    sigma : (float, (c,) array, float)
+        Standard deviations between vehicles, between a vehicle's cells (by cell), and of one
+        detection.
+    time : float
+        UNIX seconds.
+    """
+    good = np.isfinite(value)
+    cell, column = np.unique(seen.cell[good], return_inverse=True)
+    driver, sway, hit = sigma
+    precision = 1.0 / (sway[seen.cell[good]] ** 2 + hit**2 / seen.count[good])
+    rows = np.zeros((seen.vehicles, len(cell)))
+    rows[seen.vehicle[good], column] = precision
+    gain = 1.0 / (driver**-2 + rows.sum(axis=1))
+    force = np.zeros((seen.vehicles, len(cell)))
+    force[seen.vehicle[good], column] = precision * value[good]
+    weight = np.diag(rows.sum(axis=0)) - (rows * gain[:, None]).T @ rows
+    gradient = force.sum(axis=0) - rows.T @ (gain * force.sum(axis=1))
+    return Habits(
+        cell=cell, weight=weight, gradient=gradient, vehicles=float(seen.vehicles), time=time
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Displacement:
+    """A move of a sensor that explains what changed.
+
+    Parameters
+    ----------
+    score : float
+        How far it is beyond chance: like chi2 of the moved components, tails of few vehicles or
+        targets taken off.
+    seconds : float
+        How much of the newest time shows it.
+    move : (6,) array
+        Metres, and a turn about the map's axes in radians; zeros where nothing is known.
+    covariance : (6, 6) array
+        Of the move.
+    """
+
+    score: float
+    seconds: float
+    move: Floats
+    covariance: Floats
+
+    def turned(self, turn: Floats) -> Displacement:
+        """Return a displacement in a sensor's axes in those of the map, by `R_map_sensor`."""
+        both = np.kron(np.eye(2), turn)
+        return replace(self, move=both @ self.move, covariance=both @ self.covariance @ both.T)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeDetector:
+    """A coordinate of vehicles that moves of the sensor change: place in the lane, or height.
+
+    Parameters
+    ----------
+    moved : tuple of int
+        Which components of a move it shows.
+    by_move : (c, d) array
+        By how much each of them changes the mean of each cell.
+    by_habit : (c, k) array
+        The same of what changes anyway for all vehicles at once.
+    habit_m : (k,) array
+        How far that changes, one standard deviation.
+    stretch : (c,) array
+        The stretch of each cell.
+    stretch_m : float
+        How far a stretch changes, one standard deviation.
+    sigma : (float, (c,) array, float)
+        As for :func:`habits_of`.
+    edge_m : (float, float)
+        Up to where a place counts fully, and from where on not at all; infinite where it always
+        does.
+    """
+
+    moved: tuple[int, ...]
+    by_move: Floats
+    by_habit: Floats
+    habit_m: Floats
+    stretch: Integers
+    stretch_m: float
+    sigma: tuple[float, Floats, float]
+    edge_m: tuple[float, float]
+
+    def counted(self, value: Floats) -> tuple[Floats, Floats]:
+        """Return what a place counts, and by how much that changes with it (Hampel's function).
+
+        A vehicle beyond the edge of its lane is taken for one in the next, on the other side of its
+        middle. So what is near an edge counts less and less; by how much smaller that makes a move
+        is known from the slope.
+        """
+        full_m, edge_m = self.edge_m
+        slope = np.where(np.isfinite(value), 1.0, np.nan)
+        if not np.isfinite(edge_m):
+            return value, slope
+        steep = full_m / (edge_m - full_m)
+        size = np.abs(value)
+        tapered = np.sign(value) * np.maximum(full_m - steep * (size - full_m), 0.0)
+        falling = np.where(size < edge_m, -steep, 0.0)
+        return np.where(size > full_m, tapered, value), np.where(size > full_m, falling, slope)
+
+
+def detectors(
+    cells: Cells, place: Floats, settings: AlarmSettings
+) -> tuple[ChangeDetector, ChangeDetector]:
+    """Return the place in the lane, for moves in the plane; and the height, for tilts.
+
+    A sensor that has moved by `d` and turned by `w` puts what is at `a` from it at
+    `a - d - w x a`, as long as the old pose is used.
+
+    Parameters
+    ----------
+    cells : Cells
+        The lanes.
+    place : (2,) array
+        Of the sensor, local coordinates.
+    settings : AlarmSettings
+        What changes anyway.
+    """
+    arm, left = cells.centre - place, cells.left
+    side = np.sum(arm * left, axis=1) / np.maximum(np.hypot(*arm.T), 1.0)
+    ones = np.ones(len(cells))
+    turned = left[:, 1] * arm[:, 0] - left[:, 0] * arm[:, 1]
+    across = ChangeDetector(
+        moved=(0, 1, 5),
+        by_move=-np.column_stack([left, turned]),
+        by_habit=np.column_stack([ones, -side]),
+        habit_m=np.array([settings.common_m, settings.breadth_m]),
+        stretch=cells.stretch,
+        stretch_m=settings.stretch_habit_m,
+        sigma=(settings.driver_m, settings.sway_m * ones, settings.hit_m),
+        edge_m=(settings.taper_m, settings.within_m),
+    )
+    bump_m = np.hypot(settings.bump_m, settings.elevation_rad * np.hypot(*arm.T))
+    over = ChangeDetector(
+        moved=(3, 4),
+        by_move=np.column_stack([-arm[:, 1], arm[:, 0]]),
+        by_habit=ones[:, None],
+        habit_m=np.array([settings.taller_m]),
+        stretch=cells.stretch,
+        stretch_m=settings.height_habit_m,
+        sigma=(settings.tall_m, bump_m, settings.elevation_hit_m),
+        edge_m=(np.inf, np.inf),
+    )
+    return across, over
+
+
+class Memory:
+    """The reference of a change detector, and its newest blocks.
+
+    Parameters
+    ----------
+    detector : ChangeDetector
+        Of what.
+    settings : MonitorSettings
+        Of the alarm, and how a mast drifts.
+    """
+
+    def __init__(self, detector: ChangeDetector, settings: MonitorSettings = MONITOR) -> None:
+        self.detector = detector
+        self.reference = NOTHING
+        self.learnt = 0
+        self._settings = settings
+        self._recent: deque[Habits] = deque()
+        self._scatter = np.zeros(2)  # squares, and how many blocks
+        self._slope = np.zeros(2)  # of `ChangeDetector.counted`, summed, and how many places
+        effects = np.eye(int(detector.stretch.max(initial=-1)) + 1)[detector.stretch]
+        self._effects = np.hstack([detector.by_move, detector.by_habit, effects])
+        drift = np.square(settings.drift)[list(detector.moved)]
+        self._drift = np.diag(drift) / HOUR_S
+
+    @property
+    def dispersion(self) -> float:
+        """By how much blocks scatter more than independent vehicles would, a ratio of variances."""
+        alarm, (squares, blocks) = self._settings.alarm, self._scatter
+        assumed = alarm.dispersion_blocks
+        return float(max((assumed * alarm.dispersion + squares) / (assumed + blocks), 1.0))
+
+    def push(self, seen: LanePlaces, value: Floats, time: float) -> None:
+        """Take the newest block; one that is no longer new joins the reference."""
+        alarm = self._settings.alarm
+        value, slope = self.detector.counted(value)
+        self._slope += [np.nansum(slope), np.isfinite(slope).sum()]
+        self._recent.append(habits_of(seen, value, sigma=self.detector.sigma, time=time))
+        held = alarm.share * (self.learnt + len(self._recent))
+        while len(self._recent) > min(max(held, alarm.blocks[-2]), alarm.blocks[-1]):
+            self._learn(self._recent.popleft())
+
+    def _learn(self, block: Habits) -> None:
+        alarm = self._settings.alarm
+        if self.learnt >= alarm.warm_up and block.vehicles >= alarm.least_vehicles:
+            self._measure_scatter(block)
+        self.learnt += 1
+        share = 1.0
+        hours = self.learnt * alarm.block_s / HOUR_S
+        if hours > alarm.reference_h and self.reference.vehicles > alarm.reference_vehicles:
+            forgotten = block.vehicles / self.reference.vehicles
+            share = 1.0 - min(alarm.block_s / HOUR_S / alarm.reference_h, forgotten)
+        self.reference = self.reference.kept(share) + block
+
+    def _measure_scatter(self, block: Habits) -> None:
+        """Compare a block with the reference: `b - A m` has covariance `A + A A_ref^-1 A`."""
+        detector, alarm = self.detector, self._settings.alarm
+        least = alarm.known / detector.sigma[0] ** 2
+        before = self.reference.where(np.diag(self.reference.weight) > least)
+        part = block.where(np.isin(block.cell, before.cell))
+        if len(part.cell) == 0:
+            return
+        weight, gradient = part.over(before.cell)
+        factor = _factor(before.weight)
+        columns = detector.by_move.shape[1] + detector.by_habit.shape[1]
+        design = self._effects[before.cell, :columns]
+        weighted = weight @ design
+        rest = gradient - weight @ cho_solve(factor, before.gradient)
+        square = design.T @ weighted + weighted.T @ cho_solve(factor, weighted)
+        scale = np.sqrt(np.maximum(np.diag(square), RIDGE))
+        values, vectors = np.linalg.eigh(square / np.outer(scale, scale))
+        seen = values > alarm.least_seen
+        score = vectors.T @ (design.T @ rest / scale)
+        self._scatter += [np.mean(np.square(score[seen]) / values[seen]), 1.0]
+
+    def displacements(self, now: float) -> list[Displacement]:
+        """Return the likeliest move behind each number of newest blocks."""
+        alarm, found = self._settings.alarm, []
+        newest, tested = NOTHING, {}
+        every = self.learnt + len(self._recent)
+        for number, block in enumerate(reversed(self._recent), start=1):
+            newest = newest + block
+            if number in alarm.blocks and number <= alarm.share * every:
+                tested[number] = newest
+        whole = self.reference + newest
+        for number, part in tested.items():
+            if part.vehicles >= alarm.least_vehicles:
+                found.append(self._displacement(whole, part, number, now))
+        return found
+
+    def _displacement(self, whole: Habits, newest: Habits, blocks: int, now: float) -> Displacement:
+        moved = list(self.detector.moved)
+        mean, covariance = self._solved(whole, newest)
+        before = max(whole.vehicles - newest.vehicles, 1.0)
+        time = (whole.vehicles * whole.time - newest.vehicles * newest.time) / before
+        # a random walk: from about the middle of each to now
+        lag_s = max(now - 0.5 * (newest.time + time), 0.0)
+        covariance = covariance + lag_s * self._drift
+        chi2 = float(mean @ np.linalg.solve(covariance, mean))
+        score = newest.vehicles * float(np.log1p(chi2 / newest.vehicles))
+        move, every = np.zeros(MOVE), np.zeros((MOVE, MOVE))
+        move[moved] = mean
+        every[np.ix_(moved, moved)] = covariance
+        seconds = blocks * self._settings.alarm.block_s
+        return Displacement(score=score, seconds=seconds, move=move, covariance=every)
+
+    def _solved(self, whole: Habits, newest: Habits) -> tuple[Floats, Floats]:
+        """Return the move and its covariance, cells and habits eliminated."""
+        detector, alarm = self.detector, self._settings.alarm
+        there = np.flatnonzero(np.any(self._effects[newest.cell] != 0.0, axis=0))
+        slope = self._slope[0] / self._slope[1]
+        effects, size = slope * self._effects[np.ix_(whole.cell, there)], len(detector.moved)
+        weight, gradient = newest.over(whole.cell)
+        weighted = weight @ effects
+        both = cho_solve(_factor(whole.weight), weighted)
+        information = (effects.T @ weighted - weighted.T @ both) / self.dispersion
+        force = (effects.T @ gradient - both.T @ whole.gradient) / self.dispersion
+        first = np.concatenate([np.full(size, FREE), detector.habit_m**-2.0])
+        usual_m = detector.stretch_m
+        spread = np.full(len(there) - len(first), usual_m)
+        for _ in range(alarm.rounds):
+            prior = np.diag(np.concatenate([first, spread**-2.0]))
+            covariance = np.linalg.inv(information + prior)
+            answer = covariance @ force
+            off = np.abs(answer[len(first) :]) / (alarm.outlier * usual_m)
+            spread = usual_m * np.maximum(off, 1.0)
+        return answer[:size], covariance[:size, :size]
+
+
+def _factor(weight: Floats) -> tuple[Floats, bool]:
+    return cho_factor(weight + RIDGE * np.eye(len(weight)))
+
+
+class Alarm:
+    """Notices small moves of a sensor from where vehicles drive in their lanes.
+
+    Parameters
+    ----------
+    cells : Cells
+        The lanes around it.
+    place : (2,) array
+        Where it stands, local coordinates.
+    settings : MonitorSettings
+        Of the alarm, and how a mast drifts.
+    """
+
+    def __init__(self, cells: Cells, place: Floats, settings: MonitorSettings = MONITOR) -> None:
+        self.memories = [Memory(w, settings) for w in detectors(cells, place, settings.alarm)]
+
+    def push(self, seen: LanePlaces, time: float) -> Displacement | None:
+        """Take the vehicles of a block that ended at a time; return the likeliest move, if any.
+
+        Parameters
+        ----------
+        seen : LanePlaces
+            Of the block.
+        time : float
+            UNIX seconds.
+        """
+        found: list[Displacement] = []
+        for memory, value in zip(self.memories, (seen.across_m, seen.over_m), strict=True):
+            memory.push(seen, value, time)
+            found += memory.displacements(time)
+        return max(found, key=lambda shift: shift.score, default=None)

@@ -1,0 +1,281 @@
+"""How certain a fit is: covariance, unobservable directions, z score against another fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.model import Model
+from gis_radar.calibration.settings import LOCALIZATION, AnswerSettings
+from gis_radar.calibration.solver import Fit, Prior, Rest, settle, solve
+from gis_radar.calibration.state import POSE, SIZE, State, angles_from_turn
+from gis_radar.calibration.traces import Samples
+
+PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certainty:
+    """How certain a pose is.
+
+    Parameters
+    ----------
+    covariance : (6, 6) array
+        Order easting, northing, height, roll, pitch, yaw; metres and radians.
+    noise : (6, 6) array
+        The part of it that other vehicles would draw anew; the rest, from map and model, stays.
+    sigma : (6,) array
+        Its standard deviations.
+    eigenvalues : (6,) array
+        Of the data's information about the pose, a turn counted as metres at 50 m, ascending.
+        Small ones are directions that the scene does not fix.
+    observable : bool
+        Whether the data fix all six.
+    """
+
+    covariance: Floats
+    noise: Floats
+    sigma: Floats
+    eigenvalues: Floats
+    observable: bool
+
+
+def certainty(
+    fit: Fit, settings: AnswerSettings = LOCALIZATION.answer, *, rival: State | None = None
+) -> Certainty:
+    """Return how certain a fit is.
+
+    The inverse information, widened where the vehicles disagree more than in the model (a
+    cluster-robust covariance with the vehicles as clusters), and by what is not estimated: the
+    constants of the model, and the accuracy of map and scan from street to street.
+
+    Parameters
+    ----------
+    fit : Fit
+        A local optimum.
+    settings : AnswerSettings
+        The sigmas of map and scan, and when a component is fixed.
+    rival : State, optional
+        Another optimum, so near that both are one answer; it is as likely as not the right one.
+    """
+    inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
+    noise = _widened(inverse, fit)
+    gradients = zip(fit.streets, settings.street_sigma_m, strict=True)
+    streets = [sigma_m * gradient for gradient, sigma_m in gradients]
+    effects = np.vstack([fit.considered(), *streets]) @ inverse
+    covariance = noise + effects.T @ effects
+    to_angles = _to_angles(fit.state)
+    if rival is not None:
+        gap = rival.difference(fit.state)
+        covariance = covariance + np.outer(gap, gap) / 2.0
+    pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
+    drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
+    return Certainty(
+        covariance=pose,
+        noise=drawn,
+        sigma=np.sqrt(np.diag(pose)),
+        eigenvalues=eigenvalues(fit.data_information[POSE, POSE], settings),
+        observable=is_fixed(pose, settings),
+    )
+
+
+def _to_angles(state: State) -> Floats:
+    """Return the (6, 6) matrix from a step of the pose to one in roll, pitch and yaw."""
+    yaw, pitch, _ = state.yaw_pitch_roll
+    to_angles = np.eye(6)
+    to_angles[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
+    return to_angles
+
+
+def pose_covariance(information: Floats, state: State) -> Floats:
+    """Return the covariance of easting, northing, height, roll, pitch, yaw from an information."""
+    to_angles = _to_angles(state)
+    return np.asarray(to_angles @ np.linalg.inv(information) @ to_angles.T)
+
+
+def eigenvalues(information: Floats, settings: AnswerSettings) -> Floats:
+    """Return the eigenvalues of a (6, 6) information about the pose, ascending, 1/m^2."""
+    lever = np.diag([1.0] * 3 + [1.0 / settings.lever_m] * 3)
+    return np.asarray(np.linalg.eigvalsh(lever @ information @ lever), dtype=np.float64)
+
+
+def is_fixed(covariance: Floats, settings: AnswerSettings) -> bool:
+    """Return whether a covariance (easting to yaw, radians) fixes all six components."""
+    sigma = np.sqrt(np.diag(covariance))
+    longest = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+    unfixed = [*settings.unfixed_m, *settings.unfixed_rad]
+    return bool((sigma < unfixed).all() and longest < unfixed[0])
+
+
+def _widened(inverse: Floats, fit: Fit) -> Floats:
+    """Return the cluster-robust covariance of a fit, with the vehicles as clusters."""
+    clusters = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0]
+    prior = fit.information - fit.data_information
+    return cluster_robust(inverse, clusters, prior, unknowns=len(inverse))
+
+
+def cluster_robust(inverse: Floats, clusters: Floats, prior: Floats, *, unknowns: int) -> Floats:
+    """Return the cluster-robust covariance, never below the model's.
+
+    Parameters
+    ----------
+    inverse : (n, n) array
+        The model's covariance.
+    clusters : (k, n) array
+        Gradient of the cost of each cluster.
+    prior : (n, n) array
+        Information of the prior, which is no cluster.
+    unknowns : int
+        How many the clusters fix, for the correction of few clusters.
+    """
+    root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
+    few = len(clusters) / max(len(clusters) - unknowns, 1)
+    spread = root.T @ (few * clusters.T @ clusters + prior) @ root
+    values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
+    wide = root @ vectors
+    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
+
+
+def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
+    """Return by how many standard deviations the traffic prefers one fit to another.
+
+    The vehicles are clusters, each with the difference of its losses as score, its own place in the
+    lane included: a pose that is off makes up for it by vehicles that all drive aside. The sum is
+    compared with its standard error (Vuong 1989). To that comes what the habits of all drivers on
+    a street may do to the loss of either fit.
+
+    Parameters
+    ----------
+    fit, other : Fit
+        To the same samples.
+    samples : Samples
+        Those.
+    """
+    lost = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
+    gain: Floats = (lost + other.aside - fit.aside)[np.unique(samples.track)]
+    drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
+    spread = float(np.sqrt(drawn + fit.habits + other.habits))
+    total = float(gain.sum())
+    if spread <= 0.0:
+        return float(np.inf * np.sign(total)) if total else 0.0
+    return total / spread
+
+
+def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
+    """Widen sigma along the least-known direction in the plane by profile likelihood.
+
+    Where the cost is lower there, the fit had come to rest on a bump, whose curvature shows no
+    sigma: it is begun again from the lowest place.
+
+    Along a bend of constant curvature, or a straight road, a recording slides with hardly a
+    change of cost, over small dimples that each look like an answer. Several metres away along
+    the valley, all else fitted anew, the cost must have risen as the curvature says (profile
+    likelihood); where it has not, sigma follows from the least rise.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        A local optimum for these samples.
+    prior, model : Prior, Model
+        With which it was found.
+    """
+    settings = scene.settings.hypotheses
+    for look in range(settings.looks + 1):  # the last one only measures
+        hold, way = _weakest(fit, scene.settings.answer)
+        curved_m = float(np.sqrt(hold @ way))
+        sides = [
+            _profile(scene, fit, side * way / curved_m**2, hold, prior, model)
+            for side in (-1.0, 1.0)
+        ]
+        sigma_m = max(_deviation(scene, fit, side) for side in sides)
+        lowest = min((other for side in sides for _, other in side), key=_cost, default=fit)
+        if look == settings.looks or lowest.cost > fit.cost - settings.look_gain:
+            break
+        again = solve(scene, lowest.state, prior, schedule=settings.fine, model=model)
+        if not again.converged or again.cost > fit.cost - settings.look_gain:
+            break
+        fit = again
+    if sigma_m > curved_m:
+        fit = _along(fit, hold, curved_m**-2, sigma_m**-2)
+    return _excluded(scene, fit, hold, sides)
+
+
+def _along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
+    """Return a fit with other information along a combination of the state's parts, 1/m^2."""
+    more = (after - before) * np.outer(hold, hold)
+    return replace(
+        fit,
+        information=fit.information + more,
+        data_information=fit.data_information + more,
+    )
+
+
+def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]) -> Fit:
+    """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
+
+    Curvature holds near the optimum. Where what is not estimated would move the pose farther than
+    to places from which on all are out of the question, these decide: their least rise counts as
+    curvature, and the sigma that it leaves must be no longer than the way there.
+    """
+    settings = scene.settings.answer
+    curved = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
+    for k, (step_m, _) in enumerate(sides[0]):
+        if _spread(fit, hold, settings) <= step_m:
+            break
+        rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
+        if rise < settings.clear_rise:
+            continue
+        walled = _along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
+        if _spread(walled, hold, settings) <= step_m:
+            return walled
+    return fit
+
+
+def _spread(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
+    """Return one standard deviation along a combination of the pose's parts, metres."""
+    to_angles = _to_angles(fit.state)
+    way = np.linalg.solve(to_angles.T, hold[POSE])
+    return float(np.sqrt(way @ certainty(fit, settings).covariance @ way))
+
+
+def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
+    """Return the least-known combination, metres, and its covariance with the state."""
+    covariance: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
+    lever_m = np.array([1.0, 1.0, settings.lever_m])
+    _, vectors = np.linalg.eigh(lever_m[:, None] * covariance[np.ix_(PLANE, PLANE)] * lever_m)
+    hold = np.zeros(SIZE)
+    hold[PLANE] = lever_m * vectors[:, -1]
+    return hold, covariance @ hold
+
+
+def _cost(fit: Fit | Rest) -> float:
+    return fit.cost
+
+
+def _profile(
+    scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
+) -> list[tuple[float, Rest]]:
+    """Return fits at some distances along a valley, metres, all else fitted anew."""
+    found, state, at_m, settings = list[tuple[float, Rest]](), fit.state, 0.0, scene.settings.answer
+    for step_m in settings.valley_steps_m:
+        start = state.moved((step_m - at_m) * way)
+        here = settle(scene, start, prior, schedule=settings.valley, model=model, hold=hold)
+        state, at_m = here.state, step_m
+        found.append((step_m, here))
+    return found
+
+
+def _deviation(scene: Scene, fit: Fit, side: list[tuple[float, Rest]]) -> float:
+    """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
+    sigma_m, settings = 0.0, scene.settings.answer
+    for step_m, here in side:
+        rise = max(here.cost - fit.cost, settings.least_rise)
+        if rise > settings.clear_rise:
+            continue  # this place is out of the question, however far it is
+        sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
+    return sigma_m

@@ -1,0 +1,371 @@
+"""Estimate and validate the offset of two clocks by the traffic that both sensors see.
+
+Two sensors that see a vehicle at (nearly) one moment see it at (nearly) one place. If the clock of
+one is ahead by tau, it sees a vehicle of speed v displaced by -v tau. One may also see the front of
+a vehicle and the other its rear, a displacement that does not depend on the speed. So, over pairs
+of detections of one vehicle,
+
+    s_other - s_one - v (t_other - t_one)  =  d(place, sides)  -  v (tau + drift (t - t_mid))
+
+is solved by robust least squares, with a prior on d: a vehicle is some metres long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.clock_settings import CLOCKS, ClockSettings
+from gis_radar.calibration.lane_detections import LaneDetections
+from gis_radar.errors import NoAnswerError
+
+VALUES_AT_ONCE = 1 << 22  # 16 MiB
+
+
+class NoCommonTrafficError(NoAnswerError):
+    """Two sensors that share no traffic: nothing can be measured between them."""
+
+
+def rough_offset(
+    one: LaneDetections, other: LaneDetections, settings: ClockSettings = CLOCKS
+) -> float:
+    """Return by how much the clock of `other` is ahead of that of `one`, to about half a second.
+
+    Counts in which cells of the lanes both saw a vehicle of the same speed, lag by lag, and
+    compares the best lag with all others.
+
+    Parameters
+    ----------
+    one, other : LaneDetections
+        Of two sensors.
+    settings : ClockSettings
+        Cells, and what a trustworthy lag needs.
+
+    Raises
+    ------
+    NoAnswerError
+        If there is no trustworthy one.
+    """
+    key_one, key_other = _cells(one, settings), _cells(other, settings)
+    common = np.intersect1d(key_one, key_other)
+    if len(common) < settings.rough_pairs:
+        raise NoCommonTrafficError("they see no common traffic")
+    apart_s = float(other.time[0] - one.time[0])
+    bins_one, bins_other = (
+        ((each.time - each.time[0]) / settings.bin_s).astype(np.int64) for each in (one, other)
+    )
+    agreement = _agreement(key_one, bins_one, key_other, bins_other, common)
+    lag = np.arange(len(agreement)) - bins_one.max()
+    shift_s = lag * settings.bin_s + apart_s
+    allowed = np.abs(shift_s) <= abs(apart_s) + settings.max_offset_s
+    return _best_lag(agreement, shift_s, allowed, settings)
+
+
+def _best_lag(
+    agreement: Floats, shift_s: Floats, allowed: Booleans, settings: ClockSettings
+) -> float:
+    width, apart = settings.peak_bins, settings.apart_bins
+    smooth = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
+    around = scipy.ndimage.uniform_filter1d(smooth, settings.around_bins, mode="constant")
+    score = (smooth - around) / np.sqrt(around + 1.0)
+    filled = allowed & (around > 0.0)
+    if smooth[allowed].max(initial=0.0) < settings.rough_pairs or filled.sum() < apart:
+        raise NoAnswerError("they see too little common traffic")
+    spread = 1.4826 * np.median(np.abs(score[filled] - np.median(score[filled])))
+    score = np.where(allowed, score / max(spread, 0.5), -np.inf)
+    best = int(score.argmax())
+    elsewhere = np.abs(np.arange(len(score)) - best) > apart
+    second = float(score[elsewhere & allowed].max(initial=0.0))
+    if score[best] < max(settings.rough_score, settings.rough_ratio * second):
+        raise NoAnswerError("no lag stands out in their common traffic")
+    near = slice(max(best - width // 2, 0), best + width // 2 + 1)
+    weight = np.maximum(agreement[near] - around[best] / width, 1e-9)
+    return float(np.average(shift_s[near], weights=weight))
+
+
+def _cells(seen: LaneDetections, settings: ClockSettings) -> Integers:
+    """Return the cell of each detection: lanelet, place and speed."""
+    place = (seen.s_m / settings.cell_m).astype(np.int64)
+    speed = (seen.speed / settings.cell_mps).astype(np.int64)
+    return (seen.lanelet * 100_000 + place) * 100 + speed
+
+
+def _agreement(
+    key_one: Integers, bins_one: Integers, key_other: Integers, bins_other: Integers,
+    common: Integers,
+) -> Floats:  # fmt: skip
+    """Return for each lag in how many cells both had a detection; lag 0 at `bins_one.max()`."""
+    room = int(bins_one.max() + bins_other.max() + 1)
+    length = scipy.fft.next_fast_len(room, real=True)
+    total = np.zeros(length // 2 + 1, np.complex128)
+    at_once = max(VALUES_AT_ONCE // length, 1)
+    for begin in range(0, len(common), at_once):
+        cells = common[begin : begin + at_once]
+        spectra = [
+            scipy.fft.rfft(_filled(key, bins, cells, length), axis=1)
+            for key, bins in ((key_one, bins_one), (key_other, bins_other))
+        ]
+        total += np.einsum("ij,ij->j", np.conj(spectra[0]), spectra[1])
+    circular = scipy.fft.irfft(total, length)
+    return np.maximum(np.roll(circular, int(bins_one.max()))[:room], 0.0)
+
+
+def _filled(key: Integers, bins: Integers, cells: Integers, length: int) -> NDArray[np.float32]:
+    row = np.searchsorted(cells, key)
+    row[row == len(cells)] = 0
+    mine = cells[row] == key
+    table = np.zeros((len(cells), length), np.float32)
+    table[row[mine], bins[mine]] = 1.0
+    return table
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockOffset:
+    """How far one clock is ahead of another.
+
+    Parameters
+    ----------
+    offset_s, sigma_s : float
+        At the time `at`, with one standard deviation.
+    drift, drift_sigma : float
+        Seconds a second.
+    at : float
+        UNIX seconds of the other clock.
+    vehicles : int
+        Number of vehicles that it rests on.
+    """
+
+    offset_s: float
+    sigma_s: float
+    drift: float
+    drift_sigma: float
+    at: float
+    vehicles: int
+
+
+def fine_offset(
+    one: LaneDetections, other: LaneDetections, rough_s: float, settings: ClockSettings = CLOCKS
+) -> ClockOffset:
+    """Refine the offset of two clocks.
+
+    Parameters
+    ----------
+    one, other : LaneDetections
+        Of two sensors.
+    rough_s : float
+        By how much the clock of `other` is ahead, within a second.
+    settings : ClockSettings
+        Pairing, priors, and what a trustworthy offset needs.
+
+    Raises
+    ------
+    NoAnswerError
+        If there is no trustworthy one.
+    """
+    one, at = _common(one, other, rough_s, settings.most_fitted)
+    values, sigma, pairs = _fit(
+        one, other, np.array([rough_s, 0.0]), at, settings.drift_sigma, settings
+    )
+    # A clock that runs slow by a percent is no quartz that keeps the prior.
+    change, wide_sigma = _solve(pairs, values[1], settings.odd_drift_sigma, settings)
+    drift = abs(values[1] + change[1])
+    if drift > max(settings.odd_drift, settings.odd_drift_sigmas * wide_sigma[1]):
+        start = values + change
+        values, sigma, pairs = _fit(one, other, start, at, settings.odd_drift_sigma, settings)
+        if abs(values[1]) > settings.most_drift:
+            raise NoAnswerError(f"their clocks run apart by {abs(values[1]):.1%}")
+    vehicles = pairs.vehicles
+    if not sigma[0] <= settings.max_sigma_s:
+        raise NoAnswerError(f"their common traffic gives the offset only to {sigma[0]:.2g} s")
+    if abs(values[0] - rough_s) > settings.max_change_s:
+        raise NoAnswerError("their common traffic fits no single offset")
+    return ClockOffset(
+        offset_s=float(values[0]), sigma_s=float(sigma[0]), drift=float(values[1]),
+        drift_sigma=float(sigma[1]), at=at, vehicles=vehicles,
+    )  # fmt: skip
+
+
+def _fit(
+    one: LaneDetections, other: LaneDetections, values: Floats, at: float, drift_sigma: float,
+    settings: ClockSettings,
+) -> tuple[Floats, Floats, _Pairs]:  # fmt: skip
+    """Pair and solve in turn; return offset and drift, their sigmas, and the last pairs."""
+    gaps_m = settings.pair_m
+    for turn in range(settings.rounds):
+        pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)], settings)
+        if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
+            raise NoAnswerError(f"only {pairs.vehicles} vehicles are seen by both")
+        change, sigma = _solve(pairs, values[1], drift_sigma, settings)
+        values = values + change
+        if turn >= len(gaps_m) and abs(change[0]) < settings.converged_s:
+            break
+    return values, sigma, pairs
+
+
+def _common(
+    one: LaneDetections, other: LaneDetections, rough_s: float, most: int
+) -> tuple[LaneDetections, float]:
+    """Return up to `most` detections of `one` while `other` recorded, and their median time."""
+    time = one.time + rough_s
+    keep = np.flatnonzero((time >= other.time[0] - 1.0) & (time <= other.time[-1] + 1.0))
+    if len(keep) > most:
+        keep = np.sort(np.random.default_rng(0).choice(keep, most, replace=False))
+    return one.take(keep), float(np.median(time[keep])) if len(keep) else float(other.time[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Pairs:
+    """Pairs of detections of one vehicle by two sensors: (k,) arrays."""
+
+    gap_m: Floats
+    speed: Floats
+    late_s: Floats
+    sides: Floats
+    place: Integers
+    vehicle: Integers
+
+    @property
+    def vehicles(self) -> int:
+        return int(self.vehicle.max(initial=-1)) + 1
+
+
+def _pairs(
+    one: LaneDetections, other: LaneDetections, values: Floats, at: float, apart_m: float,
+    settings: ClockSettings,
+) -> _Pairs:  # fmt: skip
+    """Pair detections that are of one vehicle if the clocks differ by `values`."""
+    time = other.time - values[0] - values[1] * (other.time - at)
+    begin = min(one.time.min(initial=np.inf), time.min(initial=np.inf))
+    near = {
+        "near_m": apart_m + settings.pair_s * settings.max_speed_mps,
+        "near_s": settings.pair_s,
+        "near_mps": settings.pair_mps,
+    }
+    tree = scipy.spatial.cKDTree(other.scaled(time - begin, **near))
+    found = tree.query_ball_point(
+        one.scaled(one.time - begin, **near), 1.0, p=np.inf, return_sorted=False
+    )
+    count = np.array([len(each) for each in np.asarray(found, object)], np.int64)
+    first = np.repeat(np.arange(len(one)), count)
+    second = np.concatenate([*found, []]).astype(np.int64)
+    speed = (one.speed[first] + other.speed[second]) / 2
+    gap = other.s_m[second] - one.s_m[first] - speed * (time[second] - one.time[first])
+    fits = np.abs(gap) <= apart_m
+    first, second = first[fits], second[fits]
+    block = (one.time[first] // settings.vehicle_s).astype(np.int64)
+    return _Pairs(
+        gap_m=gap[fits],
+        speed=speed[fits],
+        late_s=other.time[second] - at,
+        sides=(one.side[first] - other.side[second]) / 2,
+        place=np.unique(_places(one, settings)[first], return_inverse=True)[1],
+        vehicle=np.unique(one.lanelet[first] * 10**12 + block, return_inverse=True)[1],
+    )
+
+
+def _places(seen: LaneDetections, settings: ClockSettings) -> Integers:
+    """Return the place of each detection: lanelet and length of lane that shares a bias."""
+    return seen.lanelet * 100_000 + (seen.s_m // settings.place_m).astype(np.int64)
+
+
+def _solve(
+    pairs: _Pairs, drift: float, drift_sigma: float, settings: ClockSettings
+) -> tuple[Floats, Floats]:
+    """Return the changes of offset and drift, and their standard deviations.
+
+    The unknowns: offset, drift, a displacement of opposite sides, and a bias a place; each vehicle
+    weighs the same.
+    """
+    places = int(pairs.place.max()) + 1
+    share = 1.0 / np.bincount(pairs.vehicle)[pairs.vehicle]
+    size = 3 + places
+    prior = np.full(size, settings.place_sigma_m**-2)
+    prior[:3] = 0.0, drift_sigma**-2, settings.face_sigma_m**-2
+    mean = np.zeros(size)
+    mean[1:3] = -drift, 2 * settings.face_m  # the drift itself is small, not its change
+    columns = np.column_stack([-pairs.speed, -pairs.speed * pairs.late_s, pairs.sides])
+    spread_m, robust = 2.0, np.ones(len(share))
+    for _ in range(settings.weight_rounds):
+        weight = robust * share / spread_m**2
+        matrix, right = _normal(columns, pairs.place, pairs.gap_m, weight, size)
+        matrix[np.diag_indices(size)] += prior
+        solution = np.linalg.solve(matrix, right + prior * mean)
+        rest = pairs.gap_m - columns @ solution[:3] - solution[3 + pairs.place]
+        by_vehicle = np.bincount(pairs.vehicle, share * rest)
+        spread_m = max(1.4826 * float(np.median(np.abs(by_vehicle))), settings.vehicle_sigma_m)
+        robust = 1.0 / np.maximum(np.abs(rest) / (settings.huber * spread_m), 1.0)
+    sigma = np.sqrt(np.diag(np.linalg.inv(matrix))[:2])
+    return np.asarray(solution[:2]), np.asarray(sigma)
+
+
+def _normal(
+    columns: Floats, place: Integers, gap_m: Floats, weight: Floats, size: int
+) -> tuple[Floats, Floats]:
+    """Return the normal equations of the columns and of a bias for each place."""
+    matrix, right = np.zeros((size, size)), np.zeros(size)
+    matrix[:3, :3] = columns.T @ (columns * weight[:, None])
+    right[:3] = columns.T @ (gap_m * weight)
+    places = size - 3
+    for i in range(3):
+        matrix[i, 3:] = np.bincount(place, columns[:, i] * weight, places)
+    matrix[3:, :3] = matrix[:3, 3:].T
+    matrix[3 + np.arange(places), 3 + np.arange(places)] = np.bincount(place, weight, places)
+    right[3:] = np.bincount(place, gap_m * weight, places)
+    return matrix, right
+
+
+def validate_offset(
+    one: LaneDetections, other: LaneDetections, offset_s: float, settings: ClockSettings = CLOCKS
+) -> None:
+    """Refuse an offset that is not trustworthy.
+
+    Where both look at the same road, most of what one sees the other sees at the same time, and
+    far less of it a moment before or after. Traffic that follows a signal is alike from
+    cycle to cycle, but not vehicle by vehicle.
+
+    Parameters
+    ----------
+    one, other : LaneDetections
+        Of two sensors.
+    offset_s : float
+        By how much the clock of `other` is ahead.
+    settings : ClockSettings
+        What counts as seen by both, and how large its share must be.
+
+    Raises
+    ------
+    NoAnswerError
+        If too small a share is seen by both, or as much at other lags.
+    """
+    lags_s = offset_s + np.array([0.0, *settings.decoys_s])
+    there, back = (
+        np.array([_share_seen(*pair, sign * lag_s, settings) for lag_s in lags_s])
+        for pair, sign in (((one, other), 1.0), ((other, one), -1.0))
+    )
+    share, *decoys = (there + back) / 2
+    if not share >= settings.least_share:
+        raise NoAnswerError("at no lag do they see the same vehicles")
+    if not share >= settings.least_ratio * np.nanmax([0.0, *decoys]):
+        raise NoAnswerError("their common traffic looks alike at other lags too")
+
+
+def _share_seen(
+    one: LaneDetections, other: LaneDetections, offset_s: float, settings: ClockSettings
+) -> float:
+    """Return the share of what `one` sees, where and while `other` sees too, that both see."""
+    time = other.time - offset_s
+    within = (one.time > time[0] + settings.near_s) & (one.time < time[-1] - settings.near_s)
+    common = np.isin(_places(one, settings), _places(other, settings))
+    mine = one.take(np.flatnonzero(within & common))
+    if len(mine) < settings.least_checked:
+        return np.nan
+    mine = mine.take(np.arange(0, len(mine), -(-len(mine) // settings.most_checked)))
+    near = {name: getattr(settings, name) for name in ("near_m", "near_s", "near_mps")}
+    tree = scipy.spatial.cKDTree(other.scaled(time - mine.time[0], **near))
+    points = mine.scaled(mine.time - mine.time[0], **near)
+    apart, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
+    return float(np.isfinite(apart).mean())

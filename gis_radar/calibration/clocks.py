@@ -1,0 +1,400 @@
+"""Measure how far the clocks of sensors are ahead, from the traffic that they see in common."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.clock_offsets import (
+    ClockOffset,
+    NoCommonTrafficError,
+    fine_offset,
+    rough_offset,
+    validate_offset,
+)
+from gis_radar.calibration.clock_settings import CLOCKS, ClockSettings
+from gis_radar.calibration.lane_detections import LaneDetections, LaneMatcher, read_lane_detections
+from gis_radar.crs import metric_crs, require_same
+from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.files import atomic_write
+from gis_radar.json_documents import read_json
+from gis_radar.notebooks import card
+from gis_radar.poses.files import PoseTrack, as_track
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.steps import seconds_from_iso
+
+MOST_DRIFT_PPM = 10_000.0  # a hundred times that of a bad quartz: a unit is mistaken
+NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock, in its file
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorClock:
+    """How far the clock of a sensor is ahead of the reference.
+
+    Parameters
+    ----------
+    offset_s : float
+        Seconds by which it is ahead at the time `at`; its time stamps are later by that much.
+    drift_ppm : float
+        By how much it runs fast, microseconds a second.
+    at : float
+        UNIX seconds on its own clock at which the offset holds.
+    sigma_s, drift_sigma_ppm : float
+        One standard deviation of both; NaN where not known.
+    """
+
+    offset_s: float
+    drift_ppm: float = 0.0
+    at: float = 0.0
+    sigma_s: float = math.nan
+    drift_sigma_ppm: float = math.nan
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.offset_s) and math.isfinite(self.at)):
+            raise InputError(f"clock offset is {self.offset_s} s, expected a number")
+        if not abs(self.drift_ppm) <= MOST_DRIFT_PPM:
+            raise InputError(
+                f"clock drift is {self.drift_ppm} ppm, expected at most {MOST_DRIFT_PPM:g}"
+            )
+
+    def corrected(self, time: Floats) -> Floats:
+        """Return times (UNIX seconds) of this clock as the reference would have stamped them."""
+        ahead = self.offset_s + self.drift_ppm * 1e-6 * (np.asarray(time) - self.at)
+        return np.asarray(time - ahead, dtype=np.float64)
+
+    def shown(self, time: Floats) -> Floats:
+        """Return right times (UNIX seconds) as this clock stamps them."""
+        drift = self.drift_ppm * 1e-6
+        return np.asarray((time + self.offset_s - drift * self.at) / (1.0 - drift), np.float64)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return its entry in a file of clocks; unknown values are left out."""
+        moment = datetime.fromtimestamp(self.at, UTC).isoformat(timespec="milliseconds")
+        numbers = {name: getattr(self, name) for name in NUMBERS}
+        known = {name: value for name, value in numbers.items() if math.isfinite(value)}
+        return known | {"at": moment.replace("+00:00", "Z")}
+
+
+Edges = dict[tuple[str, str], ClockOffset]  # by (one, other): how far the other one is ahead
+Reasons = dict[tuple[str, str], NoAnswerError]  # of the pairs that have no offset
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clocks:
+    """How far each clock is ahead of the reference.
+
+    Parameters
+    ----------
+    reference : str
+        The sensor whose clock counts as right.
+    clocks : dict
+        By sensor, the reference too; those without an answer are not there.
+    refused : dict
+        Of the others: why there is no answer.
+    pairs : dict
+        What was found by pairs of sensors.
+    settings : ClockSettings
+        Constants in effect.
+    """
+
+    reference: str
+    clocks: dict[str, SensorClock]
+    refused: dict[str, str]
+    pairs: Edges
+    settings: ClockSettings = CLOCKS
+
+    def figures(self) -> dict[str, Any]:
+        """Return a line a sensor, and the settings in effect."""
+        return {**self.lines(), "settings": asdict(self.settings)}
+
+    def lines(self) -> dict[str, str]:
+        """Return a line a sensor."""
+        lines = {"reference": self.reference}
+        for sensor, clock in self.clocks.items():
+            if sensor != self.reference:
+                drift = f"drift {clock.drift_ppm:+.0f} ppm" if clock.drift_ppm else "no drift"
+                lines[sensor] = (
+                    f"{clock.offset_s:+.3f} s (sigma {clock.sigma_s:.3f}), {drift} "
+                    f"(sigma {clock.drift_sigma_ppm:.0f} ppm)"
+                )
+        return lines | {sensor: f"no answer: {why}" for sensor, why in self.refused.items()}
+
+    def write(self, path: str | Path) -> Path:
+        """Write a file of clocks (JSON), which `measure` corrects times by."""
+        pairs = [
+            {"one": one, "other": other, "offset_s": offset.offset_s, "sigma_s": offset.sigma_s,
+             "vehicles": offset.vehicles}
+            for (one, other), offset in self.pairs.items()
+        ]  # fmt: skip
+        record = {
+            "reference": self.reference,
+            "clocks": {sensor: clock.as_dict() for sensor, clock in self.clocks.items()},
+            "refused": self.refused,
+            "pairs": pairs,
+            "settings": asdict(self.settings),
+        }
+        with atomic_write(Path(path)) as part:
+            text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+            part.write_text(text + "\n", encoding="utf-8")
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        return card("Clocks: ahead of the reference", self.lines())
+
+    def __repr__(self) -> str:
+        return f"Clocks({'; '.join(f'{name}: {text}' for name, text in self.lines().items())})"
+
+
+def read_clocks(path: str | Path) -> dict[str, SensorClock]:
+    """Read a file of clocks: JSON with `clocks`, by sensor `offset_s`, `drift_ppm`, `at`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or a clock in it has impossible values.
+    """
+    hint = "make one with: gis-radar clocks"
+    record = read_json(path, what="a file of clocks", hint=hint)
+    try:
+        clocks = dict(record["clocks"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: not a file of clocks", hint=hint) from error
+    return {str(sensor): _clock_of(entry, f"{path}: {sensor}") for sensor, entry in clocks.items()}
+
+
+def _clock_of(entry: Any, what: str) -> SensorClock:
+    if not isinstance(entry, dict) or "offset_s" not in entry:
+        raise InputError(f"{what}: lacks offset_s")
+    numbers = {name: entry[name] for name in NUMBERS if name in entry}
+    for name, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{what}: {name} is {value!r}, expected a number")
+    drifts = numbers.get("drift_ppm", 0.0) != 0.0
+    if drifts and "at" not in entry:
+        raise InputError(f"{what}: has a drift but not the time `at` which its offset holds")
+    at = seconds_from_iso(str(entry["at"]), what=f"{what}: at") if "at" in entry else 0.0
+    try:
+        return SensorClock(at=at, **numbers)
+    except InputError as error:
+        raise InputError(f"{what}: {error.message}") from error
+
+
+def measure_clocks(
+    recordings: Sequence[str | Path | Recording],
+    poses: Sequence[Pose | PoseTrack],
+    tiles: gpd.GeoDataFrame,
+    *,
+    reference: str | None = None,
+    settings: ClockSettings = CLOCKS,
+    reporter: Reporter = QUIET,
+) -> Clocks:
+    """Find how far the clocks of sensors are ahead of one of them, and how fast they drift.
+
+    Moving detections are matched to the lanes, with the speed that their Doppler implies there. The
+    lag at which two sensors agree best gives the offset to half a second, the places of the
+    vehicles in both at that lag to milliseconds; the pairs are adjusted by least squares. An offset
+    that fails validation is refused. (The paper, "Global Occupancy Heat Map", names the offsets
+    that remain between synchronised sensors.)
+
+    Parameters
+    ----------
+    recordings : sequence
+        Files, or what :func:`gis_radar.open_recording` returns; of long ones about
+        an hour in which all record is used.
+    poses : sequence of Pose or PoseTrack
+        As many as recordings, in order.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.tiles.tiles.read_tiles`.
+    reference : str, optional
+        The sensor whose clock counts as right; by default the first by name of those that can be
+        compared with the most others.
+    settings : ClockSettings
+        Constants of the comparison; written to the file of clocks.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    Clocks
+
+    Raises
+    ------
+    UsageError
+        If there are not as many poses as recordings, fewer than two sensors, or no such reference.
+    InputError
+        If a recording is damaged or a CRS differs.
+    NoAnswerError
+        If no clock can be compared with the reference.
+    """
+    if len(recordings) != len(poses) or not recordings:
+        raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
+    tracks = [as_track(pose) for pose in poses]
+    sensors = sorted({track.sensor for track in tracks})  # in whatever order they were given
+    if len(sensors) < 2 or (reference or sensors[0]) not in sensors:
+        raise UsageError(
+            f"the poses are of {', '.join(sensors)}: "
+            + ("clocks need two sensors" if len(sensors) < 2 else f"there is no {reference}")
+        )
+    crs = metric_crs(tiles.crs, what="tiles")
+    for track in tracks:
+        what = f"the pose of {track.sensor}"
+        require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
+    opened = [as_recording(recording) for recording in recordings]
+    seen = _read_all(opened, tracks, LaneMatcher(tiles, settings), reporter)
+    edges, reasons = _compare(seen, settings, reporter)
+    reference = reference or best_linked(edges, sensors)
+    clocks, misfit = adjust_network(edges, reference, settings.drift_sigmas)
+    refused = {sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in clocks}
+    if len(clocks) < 2:
+        why = "; ".join(f"{a} and {b}: {error.message}" for (a, b), error in reasons.items())
+        raise NoAnswerError(
+            f"no clock can be compared with that of {reference}: {why}",
+            hint="sensors must see the same moving traffic; longer recordings help",
+        )
+    if misfit > settings.contradiction_sigmas:
+        reporter.log(
+            "the offsets of the pairs contradict each other by "
+            f"{misfit:.1f} standard deviations: is a pose wrong?",
+            "warning",
+        )
+    return Clocks(
+        reference=reference, clocks=clocks, refused=refused, pairs=edges, settings=settings
+    )
+
+
+def _read_all(
+    recordings: list[Recording], tracks: list[PoseTrack], lanes: LaneMatcher, reporter: Reporter
+) -> dict[str, LaneDetections]:
+    """Read what each sensor saw, around the begin of the last recording."""
+    begins = [float(next(recording.read()).time[0]) for recording in recordings]
+    parts: dict[str, list[LaneDetections]] = {}
+    order = sorted(range(len(begins)), key=lambda i: (begins[i], str(recordings[i].path)))
+    for i in order:
+        found = read_lane_detections(recordings[i], tracks[i], lanes, max(begins), reporter)
+        parts.setdefault(tracks[i].sensor, []).append(found)
+    sensors = sorted({track.sensor for track in tracks})
+    return {sensor: LaneDetections.joined(parts[sensor]) for sensor in sensors}
+
+
+def _compare(
+    seen: dict[str, LaneDetections], settings: ClockSettings, reporter: Reporter
+) -> tuple[Edges, Reasons]:
+    """Compare all pairs of sensors; return the offsets, and the reasons where there is none."""
+    edges: Edges = {}
+    reasons: Reasons = {}
+    pairs = list(combinations(seen, 2))
+    for done, (one, other) in enumerate(pairs):
+        reporter.progress("comparing clocks", done, len(pairs))
+        seen_by = seen[one], seen[other]
+        try:
+            found = fine_offset(*seen_by, rough_offset(*seen_by, settings), settings)
+            validate_offset(*seen_by, found.offset_s, settings)
+        except NoAnswerError as error:
+            reasons[one, other] = error
+        else:
+            edges[one, other] = found
+    reporter.progress("comparing clocks", len(pairs), len(pairs))
+    return edges, reasons
+
+
+def _reason(sensor: str, reasons: Reasons) -> str:
+    """Return why a sensor could not be compared, with the other one that it shares most with."""
+    mine = {pair: why for pair, why in reasons.items() if sensor in pair}
+    pair = max(mine, key=lambda each: not isinstance(mine[each], NoCommonTrafficError))
+    other = pair[1] if pair[0] == sensor else pair[0]
+    return f"with {other}: {mine[pair].message}"
+
+
+def adjust_network(
+    edges: Edges, reference: str, drift_sigmas: float = CLOCKS.drift_sigmas
+) -> tuple[dict[str, SensorClock], float]:
+    """Adjust all clocks by weighted least squares over the pairs.
+
+    Parameters
+    ----------
+    edges : dict
+        By (one, other): how far the clock of `other` is ahead of that of `one`.
+    reference : str
+        The sensor whose clock counts as right.
+    drift_sigmas : float
+        A drift below so many of its standard deviations counts as none.
+
+    Returns
+    -------
+    clocks : dict
+        The clock of each sensor linked with the reference, whose own has offset 0.
+    misfit : float
+        The largest misfit of a pair, in its standard deviations; 0 without loops.
+    """
+    rough = _reached(edges, reference)
+    names = [name for name in rough if name != reference]
+    used = {pair: offset for pair, offset in edges.items() if pair[0] in rough}
+    if not used:
+        return {reference: SensorClock(offset_s=0.0)}, 0.0
+    design = np.array([[(n == b) - (n == a) for n in names] for a, b in used], np.float64)
+    found = list(used.values())
+    # When each pair was compared, by the reference's clock.
+    at = np.array([offset.at - rough[b] for (_, b), offset in used.items()])
+    middle = float(np.median(at))
+    drift, drift_sigma, _ = _least_squares(
+        design, np.array([f.drift for f in found]), np.array([f.drift_sigma for f in found])
+    )
+    drift = np.where(np.abs(drift) > drift_sigmas * drift_sigma, drift, 0.0)
+    offset = np.array([f.offset_s for f in found]) - design @ drift * (at - middle)
+    offset, offset_sigma, misfit = _least_squares(
+        design, offset, np.array([f.sigma_s for f in found])
+    )
+    clocks = {
+        name: SensorClock(
+            offset_s=float(offset[i]),
+            sigma_s=float(offset_sigma[i]),
+            drift_ppm=float(drift[i] * 1e6),
+            drift_sigma_ppm=float(drift_sigma[i] * 1e6),
+            at=middle + float(offset[i]),
+        )
+        for i, name in enumerate(names)
+    }
+    first = SensorClock(offset_s=0.0, sigma_s=0.0, drift_sigma_ppm=0.0, at=middle)
+    return {reference: first} | clocks, misfit
+
+
+def best_linked(edges: Edges, sensors: list[str]) -> str:
+    """Return the first of the sensors that pairs link with the most others."""
+    return max(sensors, key=lambda sensor: len(_reached(edges, sensor)))
+
+
+def _reached(edges: Edges, reference: str) -> dict[str, float]:
+    """Return the sensors that pairs link with the reference, and how far they are ahead."""
+    ahead = {reference: 0.0}
+    waiting = [reference]
+    while waiting:
+        here = waiting.pop(0)
+        for (one, other), offset in edges.items():
+            if one == here and other not in ahead:
+                ahead[other] = ahead[here] + offset.offset_s
+                waiting.append(other)
+            elif other == here and one not in ahead:
+                ahead[one] = ahead[here] - offset.offset_s
+                waiting.append(one)
+    return ahead
+
+
+def _least_squares(design: Floats, values: Floats, sigma: Floats) -> tuple[Floats, Floats, float]:
+    """Return the solution, its standard deviations, and the largest misfit over its sigma."""
+    scaled = design / sigma[:, None]
+    covariance = np.linalg.inv(scaled.T @ scaled)
+    solution = covariance @ scaled.T @ (values / sigma)
+    misfit = float(np.max(np.abs(values - design @ solution) / sigma))
+    return solution, np.sqrt(np.diag(covariance)), misfit

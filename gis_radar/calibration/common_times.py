@@ -1,0 +1,165 @@
+"""What several sensors saw while most of them recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.clocks import SensorClock
+from gis_radar.calibration.lanes import Lanes, sample_lanes
+from gis_radar.calibration.settings import LocalizationSettings
+from gis_radar.calibration.traces import Moving, MovingWindow
+from gis_radar.errors import InputError
+from gis_radar.lanelets import LaneletMap
+from gis_radar.recordings.recording import open_recording
+
+RIGHT = SensorClock(offset_s=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """When a recording begins and ends.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    begin, end : float
+        UNIX seconds, by a clock that is right.
+    """
+
+    path: Path
+    begin: float
+    end: float
+
+    def shared_s(self, begin: float, end: float) -> float:
+        """Return how much of a time it recorded, seconds."""
+        return max(min(self.end, end) - max(self.begin, begin), 0.0)
+
+
+def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
+    """Read when a recording begins and ends.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    recording = open_recording(path)
+    found = _stated_times(path) if path.suffix.lower() == ".parquet" else None
+    if found is None:
+        ends = [(float(batch.time[0]), float(batch.time[-1])) for batch in recording.read()]
+        found = ends[0][0], ends[-1][1]
+    begin, end = (float(each) for each in clock.corrected(np.array(found)))
+    return Span(path=path, begin=begin, end=end)
+
+
+def _stated_times(path: Path) -> tuple[float, float] | None:
+    """Return the first and the last time as a Parquet file's footer states them, or None."""
+    metadata = pq.read_metadata(path)
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+    stated = [each.statistics for each in columns if each.path_in_schema == "time"]
+    if not stated or not all(each is not None and each.has_min_max for each in stated):
+        return None
+    return float(stated[0].min), float(stated[-1].max)
+
+
+def common_time(recordings: Sequence[Path]) -> float:
+    """Return until when all recorded, UNIX seconds.
+
+    Raises
+    ------
+    InputError
+        If two of them have no time in common.
+    """
+    spans = [read_span(path) for path in recordings]
+    last = max(spans, key=lambda each: each.begin)
+    first = min(spans, key=lambda each: each.end)
+    if last.begin >= first.end:
+        raise InputError(
+            f"{first.path} ends {last.begin - first.end:.0f} s before {last.path} begins",
+            hint="give recordings of the same time",
+        )
+    return first.end
+
+
+def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
+    """Return the end of the time of a length in which sensors recorded most, the first of these.
+
+    What is recorded later changes it only where more sensors recorded then.
+
+    Parameters
+    ----------
+    spans : mapping of str to sequence of Span
+        Of the recordings of each sensor.
+    length_s : float
+        How long it is.
+    """
+
+    def recorded(end: float) -> float:
+        return sum(
+            each.shared_s(end - length_s, end) for several in spans.values() for each in several
+        )
+
+    ends = sorted({each.end for several in spans.values() for each in several})
+    return max(ends, key=lambda end: round(recorded(end)), default=0.0)
+
+
+def read_until(
+    spans: Sequence[Span], end: float, settings: LocalizationSettings, clock: SensorClock = RIGHT
+) -> Moving:
+    """Return what moved before a sensor in the last frames until a time.
+
+    Raises
+    ------
+    InputError
+        If a recording cannot be read.
+    """
+    window = MovingWindow(frames=settings.traces.frames, min_speed=settings.traces.min_speed_mps)
+    last = -np.inf
+    for span in sorted(spans, key=lambda each: each.begin):
+        for batch in open_recording(span.path).read():
+            right = replace(batch, time=clock.corrected(batch.time))
+            if right.time[0] > end:
+                break
+            kept = right.take((right.time <= end) & (right.time > last))
+            if len(kept):
+                window.push(kept)
+        last = max(last, span.end)
+    return window.moving()
+
+
+def lanes_of_all(
+    moving: Sequence[Moving],
+    places: Floats,
+    roads: LaneletMap,
+    road_points: Floats,
+    settings: LocalizationSettings,
+) -> Lanes:
+    """Return the lanes that any of several sensors sees.
+
+    Parameters
+    ----------
+    moving : sequence of Moving
+        What they saw.
+    places : (n, 2) array
+        Where they may stand.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    settings : LocalizationSettings
+        How finely lanes are sampled.
+    """
+    middle = places.mean(axis=0)
+    flat = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
+    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
+    spread_m = float(np.hypot(*(places - middle).T).max())
+    return sample_lanes(
+        roads.lanelets, road_points,
+        place=middle, reach_m=spread_m + seen_m + settings.lanes.margin_m, settings=settings.lanes,
+    )  # fmt: skip

@@ -1,0 +1,380 @@
+"""Correspondences: vehicles that two radars see at the same time, which relate the poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+import scipy
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.joint_settings import CorrespondenceSettings
+from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.matching import match, place
+from gis_radar.calibration.model import MODEL, Model
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import NONE, Moving, Samples
+
+PLANE = 3  # easting, northing, yaw of a sensor
+FLAT, FACES = slice(0, 2), 3  # of the constants: half length, half width, strength of sides (log)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moments:
+    """Vehicles on their lanes as one sensor sees them, moment by moment.
+
+    Parameters
+    ----------
+    track : (m,) array
+        Number of the moving object.
+    moment : (m,) array
+        Number of the moment, the same for all sensors.
+    arm : (m, 3) array
+        From the sensor to what it sees of the vehicle, in the map's axes, metres.
+    place : (3,) array
+        Of the sensor, local coordinates.
+    along : (m, 2) array
+        Unit vectors of travel.
+    speed : (m,) array
+        Along them, m/s.
+    count : (m,) array
+        Detections in the moment.
+    """
+
+    track: Integers
+    moment: Integers
+    arm: Floats
+    place: Floats
+    along: Floats
+    speed: Floats
+    count: Integers
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    @property
+    def points(self) -> Floats:
+        """What it sees, local coordinates."""
+        return np.asarray(self.arm + self.place)
+
+    def first(self, number: int) -> Moments:
+        """Return the first so many of them."""
+        cut = {each.name: getattr(self, each.name) for each in fields(self)}
+        rows = {name: values[:number] for name, values in cut.items() if name != "place"}
+        return replace(self, **rows)
+
+    def later(self, moments: int) -> Moments:
+        """Return them as if they had been seen so many moments later."""
+        return replace(self, moment=self.moment + moments)
+
+    def moved(self, step: Floats) -> Moments:
+        """Return them after a small step of the sensor: easting, northing, yaw."""
+        turn = step[2] * np.column_stack([-self.arm[:, 1], self.arm[:, 0]])
+        arm, spot = self.arm.copy(), self.place.copy()
+        arm[:, FLAT] += turn
+        spot[FLAT] += step[:2]
+        return replace(self, arm=arm, place=spot)
+
+
+def read_moments(
+    moving: Moving, tracks: Integers, state: State, lanes: Lanes, settings: CorrespondenceSettings
+) -> Moments:
+    """Put the vehicles of a recording on the map, moment by moment.
+
+    Parameters
+    ----------
+    moving : Moving
+        What moved.
+    tracks : (n,) array
+        As from :func:`gis_radar.calibration.traces.link_tracks`.
+    state : State
+        Where the sensor is thought to be, in the lanes' local coordinates.
+    lanes : Lanes
+        The map; directions of travel are theirs.
+    settings : CorrespondenceSettings
+        How long a moment is, and what is one vehicle.
+    """
+    on = tracks != NONE
+    samples = Samples(
+        points=moving.points[on], range_rate=moving.range_rate[on], track=tracks[on],
+        tracks=int(tracks.max(initial=NONE)) + 1, elevation=np.pi / 2,
+    )  # fmt: skip
+    placed = place(samples, state)
+    matches = match(lanes, placed)
+    along = lanes.along[matches.lane]
+    cosine = np.sum(along * placed.sight, axis=1)
+    clear = np.abs(cosine) > settings.least_cosine
+    speed = np.divide(samples.range_rate, cosine, out=np.full(len(samples), np.nan), where=clear)
+    moment = np.floor(moving.time[on] / settings.moment_s).astype(np.int64)
+    columns = {
+        "track": samples.track, "moment": moment, "speed": speed,
+        "late": moving.time[on] - (moment + 0.5) * settings.moment_s,
+        **dict(zip("xyz", placed.arms.T, strict=True)), "e": along[:, 0], "n": along[:, 1],
+        "s": np.sum(along * placed.arms[:, FLAT], axis=1),
+    }  # fmt: skip
+    table = pd.DataFrame(columns)[matches.found]
+    typical = table.groupby("track")["speed"].median()
+    groups = table.groupby(["track", "moment"], sort=True)
+    found, count = groups.mean(), groups.size().to_numpy()
+    extent = (groups["s"].max() - groups["s"].min()).to_numpy()
+    number = found.index.get_level_values("track").to_numpy()
+    pace = groups["speed"].median().to_numpy()
+    pace = np.where(np.isnan(pace), typical.reindex(number).to_numpy(), pace)
+    way = found[["e", "n"]].to_numpy()
+    straight = np.hypot(*way.T)
+    # a queue in one track, or lanes that cross: no place of one vehicle
+    good = (extent < settings.longest_m) & np.isfinite(pace) & (straight > settings.least_straight)
+    way = way / np.maximum(straight, settings.least_straight)[:, None]
+    arm = found[list("xyz")].to_numpy(copy=True)
+    arm[:, FLAT] -= way * (pace * found["late"].to_numpy())[:, None]
+    return Moments(
+        track=number[good], moment=found.index.get_level_values("moment").to_numpy()[good],
+        arm=arm[good], place=state.position, along=way[good], speed=pace[good], count=count[good],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faces:
+    """Mean visible point of a vehicle, relative to its middle.
+
+    Parameters
+    ----------
+    ahead, left : (m,) array
+        Sign of the direction of sight along and across the lane.
+    side : (m,) array
+        Share of the side against front or rear.
+    """
+
+    ahead: Floats
+    left: Floats
+    side: Floats
+
+
+def faces(seen: Moments, model: Model = MODEL) -> Faces:
+    """Return the visible points of vehicles."""
+    sight = seen.arm[:, FLAT] / np.maximum(np.hypot(*seen.arm[:, FLAT].T), 1e-9)[:, None]
+    cosine = np.sum(sight * seen.along, axis=1)
+    sine = sight[:, 1] * seen.along[:, 0] - sight[:, 0] * seen.along[:, 1]
+    strong = model.side_strength * np.abs(sine)
+    return Faces(ahead=np.sign(cosine), left=np.sign(sine), side=strong / (strong + np.abs(cosine)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Gaps between two sensors' estimates of the middle of a vehicle, along and across its lane.
+
+    Parameters
+    ----------
+    pair : (r,) array
+        Number of the pair of tracks, ascending.
+    tracks : (pairs, 2) array
+        Which tracks of the one and of the other sensor.
+    gap : (r, 2) array
+        The one less the other, metres.
+    poses : (r, 2, 6) array
+        Its derivative by easting, northing, yaw of the one and of the other.
+    constants : (r, 2, 3) array
+        By the half length, half width, and the logarithm of the sides' strength.
+    clocks : (r, 2, 2) array
+        By how far the clocks of the one and the other are ahead, m/s.
+    bearings : (r, 2, 2) array
+        By an error of bearing of the one and the other.
+    variance : (r, 2) array
+        Of each moment by itself, m^2.
+    place : (r, 2) array
+        Where the vehicle is, local coordinates.
+    """
+
+    pair: Integers
+    tracks: Integers
+    gap: Floats
+    poses: Floats
+    constants: Floats
+    clocks: Floats
+    bearings: Floats
+    variance: Floats
+    place: Floats
+
+    @cached_property
+    def first(self) -> Integers:
+        """The first row of each pair."""
+        return np.flatnonzero(np.diff(self.pair, prepend=-1))
+
+    def means(self, values: Floats) -> Floats:
+        """Return the mean over the moments of each pair."""
+        number = np.diff(np.append(self.first, len(self.pair)))
+        total = np.add.reduceat(values, self.first, axis=0) if len(values) else values
+        return np.asarray(total / number.reshape(-1, *[1] * (values.ndim - 1)))
+
+    def only(self, pairs: Booleans) -> Rows:
+        """Return the rows of some pairs."""
+        keep = pairs[self.pair]
+        cut = {
+            name: getattr(self, name)[keep]
+            for name in ("gap", "poses", "constants", "clocks", "bearings", "variance", "place")
+        }
+        number = (np.cumsum(pairs) - 1)[self.pair[keep]]
+        return Rows(pair=number, tracks=self.tracks[pairs], **cut)
+
+
+def compare(
+    one: Moments, other: Moments, settings: CorrespondenceSettings, model: Model = MODEL
+) -> Rows:
+    """Compare all vehicles that two sensors see at the same moments, in the same direction.
+
+    Parameters
+    ----------
+    one, other : Moments
+        Of two sensors.
+    settings : CorrespondenceSettings
+        What may be the same vehicle.
+    model : Model
+        How vehicles reflect.
+    """
+    if not _in_reach(one, other, settings):  # sensors of a large site that never meet
+        one = one.first(0)
+    a, b = _same_moment(one.moment, other.moment)
+    table = pd.DataFrame({"one": one.track[a], "other": other.track[b]})
+    way = np.sum(one.along[a] * other.along[b], axis=1)
+    over = np.abs(one.points[a, 2] - other.points[b, 2])
+    alike = (
+        (way > settings.least_alike)
+        & (np.abs(one.speed[a] - other.speed[b]) < settings.speed_mps)
+        & (over < settings.level_m)
+    )
+    near = np.hypot(*(one.points[a] - other.points[b])[:, FLAT].T) < settings.farthest_m
+    both = table.groupby(["one", "other"], sort=True)
+    number = both.ngroup().to_numpy()
+    share = np.bincount(number, weights=alike) / np.maximum(np.bincount(number), 1)
+    keep = alike & near & (share[number] > settings.least_share)
+    enough = np.bincount(number[keep], minlength=len(share)) >= settings.least_moments
+    keep &= enough[number]
+    order = np.flatnonzero(keep)[np.argsort(number[keep], kind="stable")]
+    _, pair = np.unique(number[order], return_inverse=True)
+    tracks = table.iloc[order].groupby(pair).first().to_numpy().reshape(-1, 2)
+    return _rows(one, other, a[order], b[order], pair, tracks, settings, model)
+
+
+def _in_reach(one: Moments, other: Moments, settings: CorrespondenceSettings) -> bool:
+    """Return whether detections of two sensors may be near each other."""
+    if not len(one) or not len(other):
+        return False
+    a, b = one.points[:, FLAT], other.points[:, FLAT]
+    apart_m = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
+    return bool((apart_m < settings.farthest_m).all())
+
+
+def _same_moment(one: Integers, other: Integers) -> tuple[Integers, Integers]:
+    """Return all pairs of indices at which two lists have the same number."""
+    left = pd.DataFrame({"at": one, "a": np.arange(len(one))})
+    right = pd.DataFrame({"at": other, "b": np.arange(len(other))})
+    joined = left.merge(right, on="at")
+    return joined["a"].to_numpy(np.int64), joined["b"].to_numpy(np.int64)
+
+
+def _rows(
+    one: Moments, other: Moments, a: Integers, b: Integers, pair: Integers, tracks: Integers,
+    settings: CorrespondenceSettings, model: Model,
+) -> Rows:  # fmt: skip
+    """Return gaps and derivatives of moments `a` of one sensor against `b` of the other."""
+    along = one.along[a]
+    axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
+    half = np.array([settings.half_length_m, model.half_width])
+    gap = np.einsum("rij,rj->ri", axes, (one.points[a] - other.points[b])[:, FLAT])
+    poses, constants = np.zeros((len(a), 2, 2 * PLANE)), np.zeros((len(a), 2, FACES))
+    clocks, bearings = np.zeros((len(a), 2, 2)), np.zeros((len(a), 2, 2))
+    variance = np.full((len(a), 2), settings.moment_sigma_m**2)
+    for k, (seen, at, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
+        shown, arm = faces(seen, model), seen.arm[at, :2]
+        ends, sides = (1.0 - shown.side[at]) * shown.ahead[at], shown.side[at] * shown.left[at]
+        both, mixed = np.column_stack([ends, sides]), shown.side[at] * (1.0 - shown.side[at])
+        gap += sign * both * half
+        turn = np.einsum("rij,rj->ri", axes, np.column_stack([-arm[:, 1], arm[:, 0]]))
+        poses[:, :, PLANE * k : PLANE * k + 2] = sign * axes
+        poses[:, :, PLANE * k + 2] = sign * turn
+        bearings[:, :, k] = sign * turn
+        constants[:, 0, 0] += sign * ends
+        constants[:, 1, 1] += sign * sides
+        constants[:, 0, 2] -= sign * mixed * shown.ahead[at] * half[0]
+        constants[:, 1, 2] += sign * mixed * shown.left[at] * half[1]
+        clocks[:, 0, k] = sign * seen.speed[at]
+        # a side is seen anywhere along it, an end anywhere across: evenly
+        share = np.column_stack([shown.side[at], 1.0 - shown.side[at]])
+        variance += half**2 * (share / 3.0 + mixed[:, None]) / seen.count[at][:, None]
+    return Rows(
+        pair=pair, tracks=tracks, gap=gap, poses=poses, constants=constants, clocks=clocks,
+        bearings=bearings, variance=variance, place=one.points[a][:, FLAT],
+    )  # fmt: skip
+
+
+def stretches(rows: Rows, settings: CorrespondenceSettings) -> Integers:
+    """Return of each pair a number of the stretch of road and the direction it is driven in."""
+    place = np.floor(rows.means(rows.place) / settings.stretch_m)
+    along = rows.means(rows.poses[:, 0, FLAT])
+    quarter = np.round(np.arctan2(along[:, 1], along[:, 0]) / (np.pi / 2.0)) % 4
+    labels = np.column_stack([place, quarter])
+    return np.asarray(np.unique(labels, axis=0, return_inverse=True)[1].ravel())
+
+
+def effects(
+    rows: Rows, settings: CorrespondenceSettings, model: Model = MODEL
+) -> tuple[Floats, Floats]:
+    """Return the random effects of a pair: (r, 2, 5) derivatives and (5,) variances.
+
+    Which part of it each radar sees best, along and across; its length; both bearings.
+    """
+    spots = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
+    derivatives = np.concatenate([spots, rows.constants[:, :, :1], rows.bearings], axis=2)
+    spread = [*settings.spot_m, settings.half_length_spread_m, model.bearing, model.bearing]
+    return derivatives, np.square(spread)
+
+
+def mean_gaps(
+    rows: Rows, covariance: Floats, settings: CorrespondenceSettings, model: Model = MODEL
+) -> tuple[Floats, Floats]:
+    """Return each pair's mean gap, (pairs, 2), and its covariance, (pairs, 2, 2).
+
+    Parameters
+    ----------
+    rows : Rows
+        From :func:`compare`.
+    covariance : (6, 6) array
+        Of both sensors' easting, northing, yaw.
+    settings, model : CorrespondenceSettings, Model
+        How vehicles differ.
+    """
+    derivatives, variances = effects(rows, settings, model)
+    by_effect, by_pose = rows.means(derivatives), rows.means(rows.poses)
+    number = np.diff(np.append(rows.first, len(rows.pair)))
+    each = rows.means(rows.variance) / np.maximum(number * settings.share, 1.0)[:, None]
+    known = (
+        np.einsum("pik,k,pjk->pij", by_effect, variances, by_effect)
+        + np.einsum("pik,kl,pjl->pij", by_pose, covariance, by_pose)
+        + each[:, :, None] * np.eye(2)
+    )
+    return rows.means(rows.gap), known
+
+
+def assign(chi2: Floats, tracks: Integers, most: float) -> Integers:
+    """Return which pairs are taken: each track once, the least misfit in all, none above `most`.
+
+    Parameters
+    ----------
+    chi2 : (pairs,) array
+        Mean misfit of each pair.
+    tracks : (pairs, 2) array
+        The tracks of each.
+    most : float
+        What a wrong pair costs.
+    """
+    near = np.flatnonzero(chi2 < most)
+    if not len(near):
+        return near
+    (_, a), (_, b) = (np.unique(tracks[near, side], return_inverse=True) for side in (0, 1))
+    cost = np.full((a.max() + 1, b.max() + 1), most)
+    index = np.full(cost.shape, -1)
+    cost[a, b], index[a, b] = chi2[near], near
+    chosen = index[scipy.optimize.linear_sum_assignment(cost)]
+    return np.asarray(np.sort(chosen[chosen >= 0]))

@@ -1,0 +1,243 @@
+"""The method `icp`: the paper's registration of motion traces to the scanned road."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.calibration.residuals import at_least
+from gis_radar.calibration.result import STAGE, Localization, Problem, common
+from gis_radar.calibration.settings import LOCALIZATION, IcpSettings, LocalizationSettings
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import Moving
+from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
+from gis_radar.progress import Reporter
+
+
+@dataclass(frozen=True, kw_only=True)
+class IcpFit:
+    """What ICP ends with.
+
+    Parameters
+    ----------
+    state : State
+        The pose.
+    fitness : float
+        Share of source voxels within a voxel of the road.
+    rmse_m : float
+        Of those.
+    """
+
+    state: State
+    fitness: float
+    rmse_m: float
+
+
+def voxels(points: Floats, size_m: float) -> Floats:
+    """Return the centres of the cubes that hold a point, in a fixed order.
+
+    Parameters
+    ----------
+    points : (n, d) array
+        Metres.
+    size_m : float
+        Edge of a cube.
+    """
+    cells: Integers = np.floor(np.asarray(points) / size_m).astype(np.int64)
+    return np.asarray((np.unique(cells, axis=0) + 0.5) * size_m, dtype=np.float64)
+
+
+def source_voxels(moving: Moving, settings: IcpSettings = LOCALIZATION.icp) -> Floats:
+    """Return the traces as the paper makes them: the voxels of the largest cluster.
+
+    The paper clusters first; of voxels DBSCAN stores bounded lists of neighbours.
+
+    Parameters
+    ----------
+    moving : Moving
+        Detections faster than 0.15 m/s of the last 2000 frames.
+    settings : IcpSettings
+        Of clusters and voxels.
+
+    Raises
+    ------
+    NoAnswerError
+        If nothing that moved is dense enough for a cluster.
+    InputError
+        If Open3D is not installed.
+    """
+    o3d = _open3d()
+    centres = voxels(moving.points, settings.voxel_m)
+    labels = np.asarray(_cloud(o3d, centres).cluster_dbscan(settings.eps_m, settings.min_points))
+    if (labels < 0).all():
+        raise NoAnswerError("nothing moved on the same place often enough", hint="record longer")
+    return np.asarray(centres[labels == np.argmax(np.bincount(labels[labels >= 0]))])
+
+
+def register_icp(
+    source: Floats, road: Floats, starts: list[State], settings: IcpSettings = LOCALIZATION.icp
+) -> IcpFit:
+    """Register traces to the road by point-to-point ICP at three distances, eq. (1) of the paper.
+
+    Parameters
+    ----------
+    source : (n, 3) array
+        Traces, sensor frame, metres.
+    road : (m, 3) array
+        Cells of the road, local map coordinates, metres.
+    starts : list of State
+        Where to begin; the best end wins.
+    settings : IcpSettings
+        Of distances and iterations.
+
+    Raises
+    ------
+    InputError
+        If Open3D is not installed.
+    """
+    o3d = _open3d()
+    traces, target = _cloud(o3d, source), _cloud(o3d, road)
+    fits = [_register(o3d, traces, target, start, settings) for start in starts]
+    return max(fits, key=lambda fit: (fit.fitness, -fit.rmse_m))
+
+
+def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
+    """Return starts at a place: the given heading, or so many evenly around."""
+    yaws = [yaw] if yaw is not None else (np.arange(count) * 2.0 * np.pi / count).tolist()
+    return [
+        State(
+            position=place,
+            R_map_sensor=Rotation.from_euler("Z", turn).as_matrix(),
+            reflection=0.0,
+        )
+        for turn in yaws
+    ]
+
+
+def _register(o3d: Any, source: Any, target: Any, start: State, settings: IcpSettings) -> IcpFit:
+    T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
+    T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
+    pipeline = o3d.pipelines.registration
+    for distance_m in settings.distances_m:
+        result = pipeline.registration_icp(
+            source,
+            target,
+            distance_m,
+            T_map_sensor,
+            pipeline.TransformationEstimationPointToPoint(),
+            pipeline.ICPConvergenceCriteria(max_iteration=settings.iterations),
+        )
+        T_map_sensor = np.array(result.transformation)  # noqa: N806
+    state = State(position=T_map_sensor[:3, 3], R_map_sensor=T_map_sensor[:3, :3], reflection=0.0)
+    return IcpFit(state=state, fitness=float(result.fitness), rmse_m=float(result.inlier_rmse))
+
+
+def pose_information(
+    source: Floats, road: Floats, state: State, settings: LocalizationSettings = LOCALIZATION
+) -> Floats:
+    """Return the (6, 6) information of a registration about its pose, order as a state's step.
+
+    Point-to-point correspondences hold a trace even along a road on which it slides. The curvature
+    is therefore measured over steps of `profile_m` (or a voxel up and down) with the nearest road
+    sought anew at each: what the traces cost off the road, in errors of a voxel. Traces within
+    `crowd_m` of each other count as one.
+
+    Parameters
+    ----------
+    source : (n, 3) array
+        Traces, sensor frame, metres.
+    road : (m, 3) array
+        Cells of the road, local map coordinates, metres.
+    state : State
+        The pose.
+    settings : LocalizationSettings
+        Of steps, voxels and crowds.
+    """
+    icp, tree = settings.icp, cKDTree(road)
+    cells = np.floor(source[:, :2] / settings.traces.crowd_m).astype(np.int64)
+    _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    weight = 0.5 / (count[number.ravel()] * icp.voxel_m**2)
+
+    def cost(step: Floats) -> float:
+        points = state.moved(np.append(step, 0.0)).to_map(source)
+        gap = tree.query(points, distance_upper_bound=icp.profile_m)[0]
+        return float(weight @ np.minimum(gap, icp.profile_m) ** 2)
+
+    size = np.array([icp.profile_m, icp.profile_m] + [icp.voxel_m] * 3 + [icp.profile_m])
+    size /= [1.0, 1.0, 1.0, *[settings.answer.lever_m] * 3]
+    steps = np.diag(size)
+    rise = np.diag([cost(step) + cost(-step) for step in steps]) - 2.0 * cost(np.zeros(6)) * np.eye(
+        6
+    )
+    for i, j in combinations(range(6), 2):
+        a, b = steps[i] / np.sqrt(2.0), steps[j] / np.sqrt(2.0)
+        rise[i, j] = rise[j, i] = 0.5 * (cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b))
+    curvature = rise / np.outer(size, size)
+    return at_least(curvature, settings.solver.floor * np.eye(6))
+
+
+def _cloud(o3d: Any, points: Floats) -> Any:
+    cloud = o3d.geometry.PointCloud()
+    cloud.points = o3d.utility.Vector3dVector(points)
+    return cloud
+
+
+def _open3d() -> Any:
+    try:
+        import open3d  # noqa: PLC0415 - large, and only this method needs it
+    except ImportError as error:
+        raise InputError("the method icp needs Open3D, which is missing", hint=LOCALIZE) from error
+    return open3d
+
+
+def by_icp(
+    problem: Problem,
+    moving: Moving,
+    reporter: Reporter,
+    settings: LocalizationSettings = LOCALIZATION,
+) -> Localization:
+    """Lay the traces on the road's surface, as the paper does."""
+    reporter.progress(STAGE, 1, 3)
+    guess_m, icp = settings.search.guess_m, settings.icp
+    source = source_voxels(moving, icp)
+    local = problem.road - [*problem.guess[:2], 0.0]
+    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + guess_m
+    local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
+    if len(local) == 0:
+        raise NoAnswerError(f"{problem.name}: no road within {reach_m:.0f} m of the guess")
+    reporter.progress(STAGE, 2, 3)
+    height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, icp.mast_m)
+    starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, icp.headings)
+    fit = register_icp(source, voxels(local, icp.voxel_m), starts, icp)
+    away = float(np.hypot(*fit.state.position[:2]))
+    if away > icp.farthest * guess_m:
+        raise NoAnswerError(
+            f"{problem.name}: the registration went {away:.0f} m from the guess",
+            hint="guess closer",
+        )
+    reporter.progress(STAGE, 3, 3)
+    information = pose_information(source, local, fit.state, settings)
+    observable = is_fixed(pose_covariance(information, fit.state), settings.answer)
+    evidence = {**common(moving, "icp"), "fitness": fit.fitness, "observable": observable}
+    return Localization(
+        pose=problem.pose(fit.state, evidence),
+        fitness=fit.fitness,
+        observable=observable,
+        eigenvalues=tuple(eigenvalues(information, settings.answer).tolist()),
+        samples=len(source),
+        traces=source,
+        range_rate=np.full(len(source), np.nan),
+    )
+
+
+def _mast_top(local: Floats, mast_m: float) -> float:
+    """Return the height of a usual mast at the local (0, 0)."""
+    nearest = np.argsort(np.hypot(local[:, 0], local[:, 1]))[:100]
+    return float(np.median(local[nearest, 2])) + mast_m

@@ -1,0 +1,360 @@
+"""Several sensors of a site together: vehicles that two of them see relate their poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.clocks import SensorClock
+from gis_radar.calibration.common_times import (
+    RIGHT,
+    Span,
+    best_end,
+    common_time,
+    lanes_of_all,
+    read_span,
+    read_until,
+)
+from gis_radar.calibration.joint_settings import MATCHING, CorrespondenceSettings
+from gis_radar.calibration.localization import localize
+from gis_radar.calibration.network import CLASH_HINT, Solved, Station, solve_network
+from gis_radar.calibration.result import AmbiguousError, Localization
+from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.crs import moved_position, yaw_from_compass
+from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.files import atomic_writes, output_errors
+from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.notebooks import card
+from gis_radar.poses.files import write_pose
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.scans.scan import read_road, road_crs
+
+STAGE = "finding the poses together"
+READING = "reading what moved"
+AWAY = "it did not record while the others did"
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCalibration:
+    """The poses of several sensors of a site.
+
+    Parameters
+    ----------
+    found : dict of str to Localization
+        By sensor. Where vehicles relate a sensor to others, `together` in its pose's evidence names
+        these, how many pairs of tracks there are, and sigma before and after (m, degrees).
+    refused : dict of str to str
+        Sensors without a trustworthy pose, and why.
+    pairs : dict of (str, str) to int
+        How many vehicles two sensors share.
+    """
+
+    found: dict[str, Localization]
+    refused: dict[str, str]
+    pairs: dict[tuple[str, str], int]
+
+    @property
+    def failure(self) -> NoAnswerError | None:
+        """What is missing, in one line; None where every sensor has a pose."""
+        if not self.refused:
+            return None
+        whys = {
+            why if name in why.partition(":")[0].split() else f"{name}: {why}": None
+            for name, why in self.refused.items()
+        }
+        return NoAnswerError("; ".join(whys), hint="the other sensors have their poses")
+
+    def figures(self) -> dict[str, str]:
+        """Return a line a sensor."""
+        lines = {name: gain_line(found.pose) for name, found in self.found.items()}
+        return lines | {name: f"no answer: {why}" for name, why in self.refused.items()}
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write a pose file for each sensor into a folder, all or none, and return them."""
+        folder = Path(folder)
+        with output_errors(folder):
+            folder.mkdir(exist_ok=True)
+        made = [folder / f"{name}.json" for name in self.found]
+        with atomic_writes(made[0]) as (private, places):
+            for found, path in zip(self.found.values(), made, strict=True):
+                write_pose(found.pose, private / path.name)
+                places[private / path.name] = path
+        return made
+
+    def _repr_html_(self) -> str:
+        return card("Sensors together", self.figures())
+
+    def __repr__(self) -> str:
+        figures = "; ".join(f"{name}: {text}" for name, text in self.figures().items())
+        return f"JointCalibration({figures})"
+
+
+def localize_together(
+    recordings: Sequence[str | Path],
+    map_path: str | Path,
+    road: str | Path,
+    *,
+    guesses: Sequence[Sequence[float]],
+    guess_crs: Any = None,
+    headings: Sequence[float] | None = None,
+    compasses: Sequence[float] | None = None,
+    crs: Any = None,
+    origin: tuple[float, float] | None = None,
+    settings: LocalizationSettings = LOCALIZATION,
+    matching: CorrespondenceSettings = MATCHING,
+    reporter: Reporter = QUIET,
+) -> JointCalibration:
+    """Find the poses of several sensors that recorded at the same time, all files.
+
+    Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
+    the same time relate their poses, which are adjusted together. A sensor that cannot tell several
+    poses apart, or whose place along a straight road is not fixed, is placed by its neighbours.
+
+    Parameters
+    ----------
+    recordings : sequence of paths
+        One a sensor, which is named after the file; they overlap in time.
+    map_path : str or Path
+        A Lanelet2 map.
+    road : str or Path
+        The scanned road, as :func:`gis_radar.mask_road` makes it.
+    guesses : sequence of (easting, northing) or (easting, northing, height)
+        As many as recordings, in order; each within 15 m of the truth.
+    guess_crs : CRS, str or int, optional
+        The guesses' coordinate system, where it is not the map's.
+    headings : sequence of float, optional
+        As many: yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth.
+    compasses : sequence of float, optional
+        The same as bearings: degrees clockwise from true north.
+    crs : CRS, str or int, optional
+        The map frame; that of the road where it is not given.
+    origin : (easting, northing), optional
+        Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
+    settings, matching : LocalizationSettings, CorrespondenceSettings
+        All constants, of the single answers and of what relates them.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    UsageError
+        If there are fewer than two recordings, not as many guesses, or a sensor twice.
+    InputError
+        If a file cannot be read, or two recordings have no time in common.
+    NoAnswerError
+        If no sensor has a trustworthy pose.
+    """
+    paths = [Path(each) for each in recordings]
+    _check_counts(paths, guesses, headings, compasses)
+    frame = road_crs(road) if crs is None else crs
+    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
+    places = [tuple(float(number) for number in guess) for guess in guesses]
+    if guess_crs is not None:
+        places = [moved_position(place, guess_crs, roads.crs) for place in places]
+    if compasses is not None:
+        headings = [
+            yaw_from_compass(compass, roads.crs, place[0], place[1])
+            for compass, place in zip(compasses, places, strict=True)
+        ]
+    return locate_all(
+        paths, roads, read_road(road, roads.crs),
+        guesses=places, headings=headings, settings=settings, matching=matching, reporter=reporter,
+    )  # fmt: skip
+
+
+def locate_all(
+    recordings: Sequence[Path],
+    roads: LaneletMap,
+    road_points: Floats,
+    *,
+    guesses: Sequence[tuple[float, ...]],
+    headings: Sequence[float] | None = None,
+    settings: LocalizationSettings = LOCALIZATION,
+    matching: CorrespondenceSettings = MATCHING,
+    reporter: Reporter = QUIET,
+) -> JointCalibration:
+    """Find the poses of several sensors, with map and road in memory.
+
+    Parameters
+    ----------
+    recordings, guesses, headings, settings, matching, reporter
+        As for :func:`localize_together`; guesses in the map's CRS.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    """
+    end = common_time(recordings)
+    answers: dict[str, tuple[Localization, ...]] = {}
+    refused: dict[str, NoAnswerError] = {}
+    for number, recording in enumerate(recordings):
+        reporter.progress(STAGE, number, len(recordings) + 1)
+        heading = None if headings is None else headings[number]
+        try:
+            found = localize(
+                recording, roads, road_points,
+                guess=guesses[number], heading=heading, settings=settings, reporter=reporter,
+            )  # fmt: skip
+            answers[recording.stem] = (found,)
+        except AmbiguousError as error:
+            answers[recording.stem] = error.answers
+            refused[recording.stem] = error
+        except NoAnswerError as error:
+            refused[recording.stem] = error
+    reporter.progress(STAGE, len(recordings), len(recordings) + 1)
+    if all(name in refused for name in answers):
+        raise NoAnswerError("; ".join(error.message for error in refused.values()),
+                            hint="at least one sensor must have an answer of its own")  # fmt: skip
+    used = {path.stem: path for path in recordings if path.stem in answers}
+    solved = adjust_poses(
+        used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
+        roads, road_points, end=end, settings=settings, matching=matching, reporter=reporter,
+    )  # fmt: skip
+    reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
+    if not solved.poses:
+        raise NoAnswerError("; ".join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT)
+    for name, reason in solved.unmatched.items():
+        if name in solved.poses and len(used) > 1:
+            reporter.log(f"{name}: {reason}", "warning")
+    placed = {
+        name: _with_pose(answers[name][solved.chosen[name]], pose)
+        for name, pose in solved.poses.items()
+    }
+    why = {name: error.message for name, error in refused.items() if name not in placed}
+    ordered = {path.stem: placed[path.stem] for path in recordings if path.stem in placed}
+    return JointCalibration(found=ordered, refused=why | solved.refused, pairs=solved.pairs)
+
+
+def adjust_poses(
+    recordings: Mapping[str, Path | Sequence[Path]],
+    poses: Mapping[str, tuple[Pose, ...]],
+    roads: LaneletMap,
+    road_points: Floats,
+    *,
+    end: float | None = None,
+    clocks: Mapping[str, SensorClock] | None = None,
+    settings: LocalizationSettings = LOCALIZATION,
+    matching: CorrespondenceSettings = MATCHING,
+    reporter: Reporter = QUIET,
+) -> Solved:
+    """Adjust poses by the vehicles that the sensors see at the same time.
+
+    Parameters
+    ----------
+    recordings : mapping of str to Path or sequence of Path
+        By sensor.
+    poses : mapping of str to tuple of Pose
+        By sensor: its own answer with covariance, or several that it cannot tell apart.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    end : float, optional
+        UNIX seconds until which what they recorded counts; by default the end of the 100 s in
+        which most recorded, the latest of these.
+    clocks : mapping of str to SensorClock, optional
+        Of sensors whose clocks were measured: their times are corrected.
+    settings, matching : LocalizationSettings, CorrespondenceSettings
+        Of tracks and correspondences.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Returns
+    -------
+    Solved
+        Without a pose for any sensor where all contradict each other. Sensors with recordings that
+        cannot be read have no correspondences.
+    """
+    right = {name: (clocks or {}).get(name, RIGHT) for name in recordings}
+    paths = {name: [each] if isinstance(each, Path) else each for name, each in recordings.items()}
+    why: dict[str, str] = {}
+    spans: dict[str, list[Span]] = {name: [] for name in paths}
+    for name, several in paths.items():
+        for path in several:
+            with _noted(why, name):
+                spans[name].append(read_span(path, right[name]))
+    until = best_end(spans, matching.window_s) if end is None else end
+    stations = []
+    for done, (name, known) in enumerate(spans.items()):
+        reporter.progress(READING, done, len(spans))
+        there = [each for each in known if each.shared_s(until - matching.window_s, until)]
+        moving = read_until([], until, settings)
+        with _noted(why, name):
+            moving = read_until(there, until, settings, right[name])
+        if not moving.frames:
+            why.setdefault(name, AWAY)
+        clock_s = _sigma_s(right[name])
+        stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
+    reporter.progress(READING, len(spans), len(spans))
+    places = np.array([pose.position[:2] for each in stations for pose in each.poses])
+    lanes = lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
+    solved = solve_network(stations, lanes, settings, matching)
+    for remark in solved.remarks:
+        reporter.log(remark, "warning")
+    unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}
+    return replace(solved, unmatched=unmatched)
+
+
+def _sigma_s(clock: SensorClock) -> float | None:
+    """Return the standard deviation of a measured clock; None where it is not known."""
+    known = clock is not RIGHT and math.isfinite(clock.sigma_s)
+    return clock.sigma_s if known else None
+
+
+@contextmanager
+def _noted(why: dict[str, str], name: str) -> Iterator[None]:
+    """Record errors of a sensor's data instead of failing, for the sake of the others."""
+    try:
+        yield
+    except InputError as error:
+        why[name] = error.message
+
+
+def _check_counts(
+    paths: Sequence[Path],
+    guesses: Sequence[Any],
+    headings: Sequence[Any] | None,
+    compasses: Sequence[Any] | None,
+) -> None:
+    if len(paths) < 2:
+        raise UsageError(
+            f"{len(paths)} recording, at least two are needed", hint="leave out --together"
+        )
+    if headings is not None and compasses is not None:
+        raise UsageError("both heading and compass are given", hint="give one of them")
+    given = {"guesses": guesses, "headings": headings, "compasses": compasses}
+    for what, values in given.items():
+        if values is not None and len(values) != len(paths):
+            raise UsageError(
+                f"{len(paths)} recordings, but {len(values)} {what}", hint="one each, in order"
+            )
+    names = [path.stem for path in paths]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(
+            f"two recordings are of {twice}", hint="sensors are named after their files"
+        )
+
+
+def _with_pose(found: Localization, pose: Pose) -> Localization:
+    observable = bool(pose.evidence.get("observable", found.observable))
+    return replace(found, pose=pose, observable=observable)
+
+
+def gain_line(pose: Pose) -> str:
+    """Return what a pose's evidence says of its certainty and of its correspondences."""
+    sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
+    after = f"position \u00b1 {np.hypot(sigma['easting'], sigma['northing']):.2f} m"
+    turn = f"yaw \u00b1 {sigma['yaw']:.2f} deg"
+    if together is None:
+        return f"{after}, {turn}; alone"
+    before = {name: value["before"] for name, value in together["gained"].items()}
+    return (
+        f"{after} (alone {np.hypot(before['easting'], before['northing']):.2f}), "
+        f"{turn} (alone {before['yaw']:.2f}); {together['pairs']} vehicles shared with "
+        f"{', '.join(together['sensors'])}"
+    )

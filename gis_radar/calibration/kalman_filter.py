@@ -1,0 +1,240 @@
+"""The filter: a pose that stands still, corrected by measurements that share an error.
+
+The paper's Kalman filter ("Localization with ICP", Eqs. 2-7) on the error of the state: metres, and
+a turn about the map's axes. What all measurements have in common, such as the map's own error,
+never averages out however many there are; it is a seventh to twelfth state that is considered and
+not estimated (a Schmidt-Kalman filter). Without it the equations are the paper's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR
+from gis_radar.calibration.settings import LEVER_M
+from gis_radar.calibration.state import State, angles_from_turn
+
+LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A pose with its uncertainty, the paper's state (Eq. 2).
+
+    Parameters
+    ----------
+    time : float
+        UNIX seconds; no later data were used.
+    position : (3,) array
+        Local easting and northing and the height, metres.
+    quaternion : (4,) array
+        Rotation sensor -> map as (x, y, z, w), of length one.
+    covariance : (6, 6) array
+        P, of easting, northing, height and a turn about the map's axes; metres and radians.
+    common : (6, 6) array
+        Covariance of that error (truth less estimate) with what all measurements have in common,
+        the latter in standard deviations.
+    """
+
+    time: float
+    position: Floats
+    quaternion: Floats
+    covariance: Floats
+    common: Floats = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @property
+    def angle_covariance(self) -> Floats:
+        """The covariance in the order easting, northing, height, roll, pitch, yaw."""
+        to_angles = _to_angles(self.quaternion)
+        return np.asarray(to_angles @ self.covariance @ to_angles.T)
+
+    def state(self, like: State) -> State:
+        """Return the pose as a registration's state, with how vehicles reflect from another."""
+        turn = Rotation.from_quat(self.quaternion).as_matrix()
+        return replace(like, position=self.position, R_map_sensor=turn)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """A pose as one window of data shows it: `z = x + v` with `v ~ N(0, R)`.
+
+    Parameters
+    ----------
+    position, quaternion
+        As in :class:`Estimate`.
+    covariance : (6, 6) array
+        R, in the estimate's coordinates.
+    noise : (6, 6) array
+        The part of R that is independent in each window; the rest is in all of them.
+    """
+
+    position: Floats
+    quaternion: Floats
+    covariance: Floats
+    noise: Floats
+
+    @property
+    def common(self) -> Floats:
+        """What one standard deviation of the common error does to the measurement, (6, 6)."""
+        scaled = LEVER[:, None] * (self.covariance - self.noise) * LEVER
+        values, vectors = np.linalg.eigh(scaled)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        return np.asarray(root / LEVER[:, None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Innovation:
+    """Difference of a measurement and an estimate.
+
+    Parameters
+    ----------
+    gap : (6,) array
+        `z - x`, metres and a turn about the map's axes in radians.
+    covariance : (6, 6) array
+        Of the gap.
+    """
+
+    gap: Floats
+    covariance: Floats
+
+    @property
+    def chi2(self) -> float:
+        """Squared Mahalanobis distance, of six degrees of freedom."""
+        return float(self.gap @ np.linalg.solve(self.covariance, self.gap))
+
+
+def covariance_from_angles(quaternion: Floats, covariance: Floats) -> Floats:
+    """Return a covariance of roll, pitch and yaw as one of a turn about the map's axes."""
+    to_turn = np.linalg.inv(_to_angles(quaternion))
+    return np.asarray(to_turn @ covariance @ to_turn.T)
+
+
+def predicted(estimate: Estimate, time: float, drift: Sequence[float] = MONITOR.drift) -> Estimate:
+    """Predict an estimate to a later time: the pose stays, its covariance grows (Eqs. 3, 4).
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The last one.
+    time : float
+        UNIX seconds.
+    drift : (6,) sequence
+        1 sigma after an hour, metres and radians.
+    """
+    hours = max(time - estimate.time, 0.0) / HOUR_S
+    return replace(
+        estimate, time=time, covariance=estimate.covariance + np.diag(np.square(drift) * hours)
+    )
+
+
+def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
+    """Return `z - x` and its covariance `P + R`, less what both have in common (of Eq. 5)."""
+    turn = (
+        Rotation.from_quat(measurement.quaternion) * Rotation.from_quat(estimate.quaternion).inv()
+    )
+    cross = estimate.common @ measurement.common.T
+    return Innovation(
+        gap=np.concatenate([measurement.position - estimate.position, turn.as_rotvec()]),
+        covariance=estimate.covariance + cross + cross.T + measurement.covariance,
+    )
+
+
+def likeliest_move(found: Innovation, spread: Sequence[float]) -> Floats:
+    """Return the likeliest difference of pose behind a gap, (6,).
+
+    Parameters
+    ----------
+    found : Innovation
+        The gap.
+    spread : (6,) sequence
+        How far a pose may have moved, one standard deviation.
+    """
+    may = np.diag(np.square(spread))
+    return np.asarray(may @ np.linalg.solve(may + found.covariance, found.gap))
+
+
+def widened(estimate: Estimate, move: Floats) -> Estimate:
+    """Return an estimate that allows for a move: along it a standard deviation is at least that.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        To be widened.
+    move : (6,) array
+        Metres and a turn about the map's axes in radians.
+    """
+    far = float(move @ np.linalg.solve(estimate.covariance, move))
+    if far <= 1.0:
+        return estimate
+    more = (1.0 - 1.0 / far) * np.outer(move, move)
+    return replace(estimate, covariance=estimate.covariance + more)
+
+
+def displaced(estimate: Estimate, move: Floats, covariance: Floats) -> Estimate:
+    """Return an estimate of a sensor that has moved since.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Before the move.
+    move : (6,) array
+        Metres and a turn about the map's axes in radians.
+    covariance : (6, 6) array
+        Of the move.
+    """
+    turn = Rotation.from_rotvec(move[3:]) * Rotation.from_quat(estimate.quaternion)
+    return replace(
+        estimate,
+        position=estimate.position + move[:3],
+        quaternion=same_sign(np.asarray(turn.as_quat()), estimate.quaternion),
+        covariance=estimate.covariance + covariance,
+    )
+
+
+def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:
+    """Return an estimate that takes a measurement in (Eqs. 5-7).
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Predicted to the measurement's time, from data that the measurement has not seen.
+    measurement : Measurement
+        Of the pose.
+    """
+    found = innovation(estimate, measurement)
+    cross = estimate.common @ measurement.common.T
+    gain = np.linalg.solve(found.covariance, (estimate.covariance + cross).T).T  # Eq. 5
+    step = gain @ found.gap
+    turn = Rotation.from_rotvec(step[3:]) * Rotation.from_quat(estimate.quaternion)
+    keep = np.eye(6) - gain
+    covariance = (  # Eq. 7, and what both have in common
+        keep @ estimate.covariance @ keep.T
+        + gain @ measurement.covariance @ gain.T
+        - keep @ cross @ gain.T
+        - gain @ cross.T @ keep.T
+    )
+    return replace(
+        estimate,
+        position=estimate.position + step[:3],  # Eq. 6
+        quaternion=same_sign(np.asarray(turn.as_quat()), estimate.quaternion),
+        covariance=(covariance + covariance.T) / 2.0,
+        common=keep @ estimate.common - gain @ measurement.common,
+    )
+
+
+def same_sign(quaternion: Floats, like: Floats) -> Floats:
+    """Return a quaternion or its negative, which is the same rotation: whichever is nearer."""
+    unit = quaternion / np.linalg.norm(quaternion)
+    return np.asarray(-unit if unit @ like < 0.0 else unit)
+
+
+def _to_angles(quaternion: Floats) -> Floats:
+    yaw, pitch, _ = Rotation.from_quat(quaternion).as_euler("ZYX")
+    matrix = np.eye(6)
+    matrix[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
+    return matrix

@@ -1,0 +1,264 @@
+"""The method `lane`: tracks on lanes that their Doppler allows, and on the scanned road."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gis_radar.calibration.certainty import advantage, certainty
+from gis_radar.calibration.hypotheses import (
+    Hypothesis,
+    find_hypotheses,
+    mirrored,
+    refine,
+    rough,
+    search_score,
+    widen_by_profile,
+)
+from gis_radar.calibration.lanes import Lanes, sample_lanes
+from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.result import STAGE, AmbiguousError, Localization, Problem, common
+from gis_radar.calibration.settings import (
+    LOCALIZATION,
+    AnswerSettings,
+    LocalizationSettings,
+)
+from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
+from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.poses.pose import COMPONENTS
+from gis_radar.progress import Reporter
+
+
+def by_lanes(
+    problem: Problem,
+    moving: Moving,
+    reporter: Reporter,
+    settings: LocalizationSettings = LOCALIZATION,
+) -> Localization:
+    """Lay the tracks of vehicles on lanes that their Doppler allows, and on the scanned road."""
+    samples = thin(moving, link_tracks(moving, settings.traces), settings.traces)
+    least = settings.answer.least_tracks
+    if samples.tracks < least:
+        raise NoAnswerError(
+            f"{problem.name}: {samples.tracks} moving vehicles in {moving.frames} frames, at least "
+            f"{least} are needed",
+            hint="record while traffic flows",
+        )
+    reporter.progress(STAGE, 1, 5)
+    lanes = lanes_around(problem, samples, reporter, settings=settings)
+    scene = Scene(lanes=lanes, samples=samples, settings=settings)
+    tolerance = settings.search.heading_tolerance
+    heading = None if problem.heading is None else (problem.heading, tolerance)
+    tried = find_hypotheses(scene, heading=heading)
+    reporter.progress(STAGE, 3, 5)
+    _refuse_mirrored(scene, tried, heading)
+    reporter.progress(STAGE, 4, 5)
+    answers = _within_reach(problem, refine(scene, tried), scene)
+    _refuse_unfit(problem, answers[0], settings)
+    best = widen_by_profile(scene, answers[0])
+    others, clear = answers[1:], settings.answer.clear
+    beside = [h for h in others if _one_answer(best, h, settings.answer)]
+    z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
+    reporter.progress(STAGE, 5, 5)
+    if rival is not None and z_score < clear:
+        open_ones = [best, *_others(best, others, scene)]
+        each = [_answer(problem, moving, scene, h, tried, z_score) for h in open_ones]
+        raise _ambiguous(problem, best, rival, tuple(each))
+    beside_z_score, same = _z_score(best, beside, scene)
+    if same is not None and beside_z_score < clear:
+        best = replace(best, rival=same.fit.state)
+    return _answer(problem, moving, scene, best, tried, z_score)
+
+
+def lanes_around(
+    problem: Problem,
+    samples: Samples,
+    reporter: Reporter,
+    *,
+    grow: float = 1.0,
+    settings: LocalizationSettings = LOCALIZATION,
+) -> Lanes:
+    """Return the lanes around the guess, as far as the samples reach.
+
+    Parameters
+    ----------
+    problem : Problem
+        Map, road and guess.
+    samples : Samples
+        Traces.
+    reporter : Reporter
+        Receives a warning where the lanes have no direction.
+    grow : float
+        How many times as far.
+    settings : LocalizationSettings
+        How finely, and which share must be scanned.
+
+    Raises
+    ------
+    InputError
+        If lanes and scanned road do not overlap.
+    NoAnswerError
+        If no lane is there.
+    """
+    reach = np.hypot(samples.points[:, 0], samples.points[:, 1])
+    reach_m = grow * float(np.percentile(reach, 99.5))
+    lanes = sample_lanes(
+        problem.roads.lanelets,
+        problem.road,
+        place=problem.guess[:2],
+        reach_m=reach_m + settings.search.guess_m + settings.lanes.margin_m,
+        settings=settings.lanes,
+    )
+    if lanes.scanned < settings.answer.least_scanned:
+        raise InputError(
+            f"the road's points lie on {lanes.scanned:.0%} of the lanes around the guess",
+            hint="take the mask of a scan of this place, in the map's coordinate system",
+        )
+    if not lanes.directed:
+        reporter.log(
+            "most lanes have no direction: the sign of the Doppler does not help", "warning"
+        )
+    return lanes
+
+
+def _refuse_mirrored(
+    scene: Scene, tried: list[Hypothesis], heading: tuple[float, float] | None
+) -> None:
+    """Refuse a recording that fits far better with its y axis turned round."""
+    turned, settings = scene.of(mirrored(scene.samples)), scene.settings.answer
+    best, least = tried[0], settings.mirror_share * max(h.score for h in tried)
+    if search_score(turned, heading=heading) < least:
+        return
+    other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples
+    z_score = advantage(other.fit, best.fit, part)
+    if z_score > settings.clear and other.fit.fitness > settings.least_fitness:
+        raise NoAnswerError(
+            f"the recording fits the lanes only when mirrored ({other.fit.fitness:.0%} of the "
+            f"traces, {best.fit.fitness:.0%} as it is)",
+            hint="the y axis of the sensor frame must point to the left; change the sign of y",
+        )
+
+
+def _z_score(
+    answer: Hypothesis, others: list[Hypothesis], scene: Scene
+) -> tuple[float, Hypothesis | None]:
+    """Return how clearly the vehicles prefer an answer to its closest rival, and that."""
+    settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
+    best, known = answer.fit, certainty(answer.fit, settings)
+    z_score, closest = math.inf, None
+    for other in others:
+        away_m = float(np.hypot(*other.fit.state.position[:2]))
+        if away_m > guess_m or other.fit.fitness < settings.least_fitness:
+            continue  # no rival: farther off than a guess may be, or no answer itself
+        gap = other.fit.state.difference(best.state)[:6]
+        # along what the scene does not fix, two answers are one
+        apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
+        turned = (gap[5] / known.sigma[5]) ** 2
+        ahead = advantage(best, other.fit, scene.samples)
+        if apart + turned > settings.same_chi2 and ahead < z_score:
+            z_score, closest = ahead, other
+    return z_score, closest
+
+
+def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
+    """Return the answers that lie near the guess; refuse where one beyond is clearly better."""
+    settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
+    away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
+    farthest_m = guess_m + settings.slack_m
+    inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < farthest_m]
+    if not inside or (
+        inside[0] is not answers[0]
+        and advantage(answers[0].fit, inside[0].fit, scene.samples) > settings.clear
+    ):
+        raise NoAnswerError(
+            f"{problem.name}: the fit went {away[0]:.0f} m from the guess, which is too far off",
+            hint=f"guess within {guess_m:.0f} m",
+        )
+    return inside
+
+
+def _refuse_unfit(problem: Problem, answer: Hypothesis, settings: LocalizationSettings) -> None:
+    guess_m = settings.search.guess_m
+    if answer.fit.fitness < settings.answer.least_fitness:
+        raise NoAnswerError(
+            f"{problem.name}: no pose within {guess_m:.0f} m of the guess puts the traffic on the "
+            f"lanes; the best one {answer.fit.fitness:.0%} of it",
+            hint="check the guess, the map, and that the recording's y axis points to the left",
+        )
+    if not answer.fit.converged:
+        raise NoAnswerError(f"{problem.name}: the fit did not come to rest")
+
+
+def _one_answer(answer: Hypothesis, rival: Hypothesis, settings: AnswerSettings) -> bool:
+    """Return whether two optima are so near that they are one answer with a larger sigma."""
+    gap = rival.fit.state.difference(answer.fit.state)
+    return bool(
+        np.hypot(*gap[:2]) < settings.one_answer_m and abs(gap[5]) < settings.one_answer_rad
+    )
+
+
+def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
+    """Return what the vehicles do not clearly rule out beside an answer, as uncertain as it is."""
+    settings = scene.settings.answer
+    return [
+        widen_by_profile(scene, h)
+        for h in others
+        if h.fit.fitness >= settings.least_fitness
+        and advantage(answer.fit, h.fit, scene.samples) < settings.clear
+    ]
+
+
+def _ambiguous(
+    problem: Problem, answer: Hypothesis, rival: Hypothesis, answers: tuple[Localization, ...]
+) -> AmbiguousError:
+    gap = rival.fit.state.difference(answer.fit.state)
+    return AmbiguousError(
+        f"{problem.name}: ambiguous, two poses {float(np.hypot(*gap[:2])):.1f} m and "
+        f"{abs(math.degrees(gap[5])):.1f} deg apart put {answer.fit.fitness:.0%} and "
+        f"{rival.fit.fitness:.0%} of the traffic on lanes",
+        hint="record longer, give a heading, or a scan (--scan): what stands may decide",
+        answers=answers,
+    )
+
+
+def _answer(
+    problem: Problem,
+    moving: Moving,
+    scene: Scene,
+    best: Hypothesis,
+    tried: list[Hypothesis],
+    z_score: float,
+) -> Localization:
+    known = certainty(best.fit, scene.settings.answer, rival=best.rival)
+    samples = scene.samples
+    sigma = np.concatenate([known.sigma[:3], np.degrees(known.sigma[3:])])
+    evidence = {
+        "sigma": {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)},
+        "covariance": known.covariance.tolist(),
+        **common(moving, "lane"),
+        "converged": best.fit.converged,
+        "fitness": best.fit.fitness,
+        "observable": known.observable,
+    }
+    return Localization(
+        pose=problem.pose(best.fit.state, evidence),
+        fitness=best.fit.fitness,
+        observable=known.observable,
+        eigenvalues=tuple(known.eigenvalues.tolist()),
+        hypotheses=tuple(
+            (
+                float(h.fit.state.position[0] + problem.guess[0]),
+                float(h.fit.state.position[1] + problem.guess[1]),
+                float(np.degrees(h.fit.state.yaw_pitch_roll[0])),
+                h.loss,
+            )
+            for h in tried
+        ),
+        vehicles=samples.tracks,
+        samples=len(samples),
+        z_score=z_score,
+        traces=samples.points,
+        range_rate=samples.range_rate,
+    )

@@ -1,0 +1,288 @@
+"""LanePlaces: where in its lane each vehicle drives, cell by cell along the lanes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.calibration.lanes import Lanes, direction_bin
+from gis_radar.calibration.monitor_settings import ALARM, AlarmSettings
+from gis_radar.calibration.state import State
+from gis_radar.calibration.trace_settings import TraceSettings
+from gis_radar.calibration.traces import NONE, Moving, link_tracks
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cells:
+    """Pieces of lanes, each so long that a vehicle's place in it is one number.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The samples of centre lines that they are made of.
+    of_sample : (m,) array
+        The cell of each sample; -1 where lanes of one direction overlap.
+    centre, left : (c, 2) arrays
+        Middle of each cell in local coordinates, and the unit vector to the left of travel.
+    stretch : (c,) array
+        Which stretch of street a cell belongs to, 0 to `stretches` - 1.
+    """
+
+    lanes: Lanes
+    of_sample: Integers
+    centre: Floats
+    left: Floats
+    stretch: Integers
+
+    def __len__(self) -> int:
+        return len(self.stretch)
+
+    @property
+    def stretches(self) -> int:
+        """How many stretches there are."""
+        return int(self.stretch.max(initial=-1)) + 1
+
+
+def cells_along(lanes: Lanes, settings: AlarmSettings = ALARM) -> Cells:
+    """Cut lanes into cells and stretches.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        Around a sensor.
+    settings : AlarmSettings
+        How long they are.
+    """
+    step = np.diff(lanes.points[:, :2], axis=0)
+    on = (np.hypot(*step.T) < 2.0 * lanes.settings.step_m) & (
+        np.sum(lanes.along[1:] * lanes.along[:-1], axis=1) > settings.same_way
+    )
+    run = np.cumsum(np.append(0, ~on))
+    begin = np.flatnonzero(np.append(True, ~on))
+    place_m = (np.arange(len(run)) - begin[run]) * lanes.settings.step_m
+    alone = ~_overlapped(lanes, settings)
+    pieces = [(place_m // size).astype(np.int64) for size in (settings.cell_m, settings.stretch_m)]
+    cell, stretch = (
+        np.unique(np.column_stack([run, piece]), axis=0, return_inverse=True)[1].ravel()
+        for piece in pieces
+    )
+    kept, of_kept = np.unique(cell[alone], return_inverse=True)
+    of_sample = np.full(len(run), NONE, dtype=np.int64)
+    of_sample[alone] = of_kept
+    count = np.maximum(np.bincount(of_kept, minlength=len(kept)), 1)
+    mean = [
+        np.bincount(of_kept, values[alone], minlength=len(kept)) / count
+        for values in (*lanes.points[:, :2].T, *lanes.along.T)
+    ]
+    along = np.column_stack(mean[2:])
+    along /= np.hypot(*along.T)[:, None]
+    first = np.unique(of_kept, return_index=True)[1]
+    _, number = np.unique(stretch[alone][first], return_inverse=True)
+    return Cells(
+        lanes=lanes,
+        of_sample=of_sample,
+        centre=np.column_stack(mean[:2]),
+        left=np.column_stack([-along[:, 1], along[:, 0]]),
+        stretch=number,
+    )
+
+
+def _overlapped(lanes: Lanes, settings: AlarmSettings) -> Booleans:
+    """Return the samples beside which another lane of their direction runs too near."""
+    pairs = cKDTree(lanes.points[:, :2]).query_pairs(settings.apart_m, output_type="ndarray")
+    found = np.zeros(len(lanes.points), dtype=bool)
+    off = lanes.points[pairs[:, 1], :2] - lanes.points[pairs[:, 0], :2]
+    way = lanes.along[pairs[:, 0]]
+    alike = np.sum(way * lanes.along[pairs[:, 1]], axis=1) > settings.same_way
+    across = np.abs(off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1])
+    found[pairs[alike & (across > settings.same_line_m)].ravel()] = True
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class LanePlaces:
+    """Where vehicles drove: a row for each vehicle and cell.
+
+    Parameters
+    ----------
+    vehicle : (n,) array
+        Number of the vehicle, ascending from 0.
+    cell : (n,) array
+        Of :class:`Cells`.
+    across_m : (n,) array
+        Mean of its detections to the left of the lane's middle.
+    over_m : (n,) array
+        Mean of their heights over the road; NaN where the road's height is not known.
+    count : (n,) array
+        How many detections.
+    """
+
+    vehicle: Integers
+    cell: Integers
+    across_m: Floats
+    over_m: Floats
+    count: Integers
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles there are."""
+        return int(self.vehicle.max(initial=NONE)) + 1
+
+
+def lane_places(
+    moving: Moving,
+    cells: Cells,
+    state: State,
+    *,
+    since: float,
+    until: float,
+    traces: TraceSettings,
+    settings: AlarmSettings = ALARM,
+) -> LanePlaces:
+    """Return where those vehicles drove whose last detection falls into some time.
+
+    Parameters
+    ----------
+    moving : Moving
+        A window that holds that time and what goes before.
+    cells : Cells
+        The lanes.
+    state : State
+        With which pose detections are placed.
+    since, until : float
+        UNIX seconds: the time, its end not included.
+    traces : TraceSettings
+        How detections are linked.
+    settings : AlarmSettings
+        Of cells, lanes and vehicles.
+    """
+    number = link_tracks(moving, replace(traces, segment_s=settings.whole_s))
+    last = np.full(int(number.max(initial=NONE)) + 1, -np.inf)
+    np.maximum.at(last, number[number != NONE], moving.time[number != NONE])
+    ended = (last >= since) & (last < until)
+    rows = np.flatnonzero((number != NONE) & ended[number])
+    rows = rows[np.argsort(number[rows], kind="stable")]
+    track, time = number[rows], moving.time[rows]
+    points = state.to_map(moving.points[rows])
+    smooth, velocity = _smoothed(track, time, points, settings.smooth_s)
+    middle = _middles(smooth, velocity, state.position, settings)
+    sample, across_m, over_m = _on_lanes(cells.lanes, middle, velocity, settings)
+    cell = np.where(sample == NONE, NONE, cells.of_sample[sample])
+    good = cell != NONE
+    vehicle = _joined(track, time, points, velocity, settings)[track]
+    keys = np.column_stack([vehicle[good], cell[good]])
+    pairs, of_pair, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    of_pair = of_pair.ravel()
+    across_m, over_m = (
+        np.bincount(of_pair, values[good], minlength=len(pairs)) / np.maximum(count, 1)
+        for values in (across_m, over_m)
+    )
+    enough = count >= settings.least_hits
+    return LanePlaces(
+        vehicle=np.unique(pairs[enough, 0], return_inverse=True)[1],
+        cell=pairs[enough, 1],
+        across_m=across_m[enough],
+        over_m=over_m[enough],
+        count=count[enough],
+    )
+
+
+@compiled
+def _smoothed(  # pragma: no cover - compiled
+    track: Integers, time: Floats, points: Floats, smooth_s: float
+) -> tuple[Floats, Floats]:
+    """Return place (n, 3) and velocity (n, 2) by straight lines through neighbours in time.
+
+    Single detections scatter over the width of a vehicle: to ask each of them for its lane would
+    cut off, on one side, what a move shifts over the lane's edge, and hide half of the move.
+    """
+    place, velocity = points.copy(), np.zeros((len(track), 2))
+    low = 0
+    for i in range(len(track)):
+        while track[low] != track[i] or time[low] < time[i] - smooth_s:
+            low += 1
+        n, t, x, y, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(low, len(track)):
+            if track[j] != track[i] or time[j] > time[i] + smooth_s:
+                break
+            d, u, v = time[j] - time[i], points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+            n, t, x, y = n + 1.0, t + d, x + u, y + v
+            tt, tx, ty = tt + d * d, tx + d * u, ty + d * v
+        spread = tt - t * t / n
+        if n >= 4.0 and spread > 0.01:
+            velocity[i, 0] = (tx - t * x / n) / spread
+            velocity[i, 1] = (ty - t * y / n) / spread
+            place[i, 0] += (x - velocity[i, 0] * t) / n
+            place[i, 1] += (y - velocity[i, 1] * t) / n
+    return place, velocity
+
+
+def _middles(points: Floats, velocity: Floats, eye: Floats, settings: AlarmSettings) -> Floats:
+    """Return detections moved from the near side of their vehicle to its middle, (n, 3).
+
+    Seen from aside it is the side that reflects, from ahead or behind the whole width.
+    """
+    arm = points[:, :2] - eye[:2]
+    along = velocity / np.maximum(np.hypot(*velocity.T), 1e-9)[:, None]
+    left = np.column_stack([-along[:, 1], along[:, 0]])
+    beside, ahead = (np.sum(arm * way, axis=1) for way in (left, along))
+    share = beside / np.maximum(np.abs(beside) + np.abs(ahead), 1e-9)
+    found = points.copy()
+    found[:, :2] += settings.half_width_m * share[:, None] * left
+    return found
+
+
+def _on_lanes(
+    lanes: Lanes, points: Floats, velocity: Floats, settings: AlarmSettings
+) -> tuple[Integers, Floats, Floats]:
+    """Return the lane sample nearest to each detection that drives there, how far left and over."""
+    _, rows, columns = lanes.nearest.shape
+    speed = np.hypot(*velocity.T)
+    place = np.floor((points[:, :2] - lanes.corner) / lanes.settings.cell_m).astype(np.int64)
+    inside = (place >= 0).all(axis=1) & (place < [columns, rows]).all(axis=1)
+    usable = inside & (speed > settings.least_mps)
+    column, row = np.where(usable[:, None], place, 0).T
+    heading = direction_bin(velocity, lanes.settings.bins)
+    best, across = np.full(len(points), NONE), np.full(len(points), np.inf)
+    for turn in (-1, 0, 1):
+        k = lanes.nearest[(heading + turn) % lanes.settings.bins, row, column].astype(np.int64)
+        off, way = points[:, :2] - lanes.points[k, :2], lanes.along[k]
+        left = off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1]
+        same = np.sum(way * velocity, axis=1) > settings.same_way * speed
+        nearer = usable & (k >= 0) & same & (np.abs(left) < np.abs(across))
+        best, across = np.where(nearer, k, best), np.where(nearer, left, across)
+    off, way = points - lanes.points[best], lanes.along[best]
+    over = off[:, 2] - lanes.slope[best] * np.sum(off[:, :2] * way, axis=1)
+    low, high = settings.over_m
+    near = (np.abs(across) < settings.within_m) & ~((over < low) | (over > high))
+    return np.where(near, best, NONE), np.where(near, across, 0.0), over
+
+
+def _joined(
+    track: Integers, time: Floats, points: Floats, velocity: Floats, settings: AlarmSettings
+) -> Integers:
+    """Return for each track the first one of its vehicle: hidden for a while, it comes again."""
+    tracks = int(track.max(initial=NONE)) + 1
+    first = np.arange(tracks)
+    present, begin = np.unique(track, return_index=True)
+    if len(present) == 0:
+        return first
+    end = np.append(begin[1:], len(track)) - 1
+    pace = np.array([np.median(part, axis=0) for part in np.split(velocity, begin[1:])])
+    for j in np.argsort(time[begin], kind="stable"):
+        gap_s = time[begin[j]] - time[end]
+        ahead = points[begin[j], :2] - points[end, :2] - pace * gap_s[:, None]
+        speed = np.hypot(*pace.T)
+        alike = np.sum(pace * pace[j], axis=1) > settings.same_way * speed * speed[j]
+        off_m = np.hypot(*ahead.T) - settings.stray_mps * gap_s
+        near = (gap_s > 0.0) & (gap_s < settings.hidden_s) & alike & (off_m < settings.vehicle_m)
+        if near.any():
+            i = int(np.argmin(np.where(near, off_m, np.inf)))
+            first[present[j]] = first[present[i]]
+    return first

@@ -1,0 +1,225 @@
+"""Lanes as a registration sees them: sampled centre lines with direction, height and speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.calibration.settings import LOCALIZATION
+from gis_radar.calibration.trace_settings import LaneSettings
+from gis_radar.errors import NoAnswerError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lanes:
+    """Samples of the centre lines around a place, and what lies nearest in a grid.
+
+    Parameters
+    ----------
+    origin : (2,) array
+        Map position of the local (0, 0), metres; all else is local in easting and northing.
+    points : (m, 3) array
+        Samples of centre lines, about a metre apart; heights of the scanned road, NaN where
+        neither scan nor map has one.
+    along : (m, 2) array
+        Unit vectors of travel.
+    slope : (m,) array
+        Rise of the road along the lane.
+    top_speed : (m,) array
+        More than a vehicle drives there, m/s.
+    width_m : (m,) array
+        Of the lane.
+    corner : (2,) array
+        South-west corner of the grid.
+    nearest : (bins, rows, columns) int32 array
+        Index of the nearest sample among those of a bin of direction, -1 where none is near.
+    distance : (bins, rows, columns) float32 array
+        Metres to it.
+    directed : bool
+        Whether most of the lanes have a direction.
+    scanned : float
+        Share of the samples whose height the scanned road gives.
+    settings : LaneSettings
+        With which they were sampled.
+    """
+
+    origin: Floats
+    points: Floats
+    along: Floats
+    slope: Floats
+    top_speed: Floats
+    width_m: Floats
+    corner: Floats
+    nearest: np.ndarray
+    distance: np.ndarray
+    directed: bool
+    scanned: float
+    settings: LaneSettings
+
+
+def sample_lanes(
+    lanelets: gpd.GeoDataFrame, road: Floats, *, place: Floats, reach_m: float,
+    settings: LaneSettings = LOCALIZATION.lanes,
+) -> Lanes:  # fmt: skip
+    """Sample the lanes that vehicles use within reach of a place.
+
+    Parameters
+    ----------
+    lanelets : GeoDataFrame
+        As in :class:`gis_radar.lanelets.LaneletMap`.
+    road : (n, 3) array
+        Points of the road's surface in the lanelets' CRS, metres; it gives the heights.
+    place : (2,) array
+        Easting and northing around which to sample; becomes the local origin.
+    reach_m : float
+        How far.
+    settings : LaneSettings
+        How finely.
+
+    Raises
+    ------
+    NoAnswerError
+        If no lane is there.
+    """
+    driven = [
+        any(p == "vehicle" or p.startswith("vehicle:") for p in who)
+        for who in lanelets["participants"]
+    ]
+    close = lanelets["centre"].distance(shapely.Point(place)) < reach_m
+    table = lanelets[np.asarray(driven) & close.to_numpy()]
+    if table.empty:
+        raise NoAnswerError(
+            f"no lane for vehicles within {reach_m:.0f} m of the guess "
+            f"{place[0]:.1f},{place[1]:.1f}",
+            hint="check the guess, its coordinate system, and that the map is the right one",
+        )
+    parts = [_sampled(line, settings.step_m) for line in table["centre"]]
+    count = [len(xyz) for xyz, _ in parts]
+    local = np.vstack([xyz for xyz, _ in parts]) - [*place, 0.0]
+    along = np.vstack([way for _, way in parts])
+    lane = np.repeat(np.arange(len(parts)), count)
+    height, scanned = _heights(local, road - [*place, 0.0], settings)
+    local[:, 2] = height
+    slope = _slopes(local, along, lane, settings)
+    limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
+    top = np.maximum(limit * settings.speeding, settings.min_top_mps)
+    top = np.where(np.isnan(limit), settings.unlimited_mps, top)
+    width = (table.geometry.area / table["centre"].length).to_numpy()[lane]
+    two_way = ~table["one_way"].to_numpy(bool)[lane]
+    near = np.hypot(local[:, 0], local[:, 1]) < reach_m
+    rows = np.concatenate([np.flatnonzero(near), np.flatnonzero(near & two_way)])
+    turn = np.where(np.arange(len(rows)) < near.sum(), 1.0, -1.0)
+    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None], settings)
+    return Lanes(
+        origin=np.asarray(place, dtype=np.float64),
+        points=local[rows],
+        along=along[rows] * turn[:, None],
+        slope=slope[rows] * turn,
+        top_speed=top[rows],
+        width_m=width[rows],
+        corner=corner,
+        nearest=nearest,
+        distance=distance,
+        directed=bool(two_way.mean() < 0.5),
+        scanned=float(scanned[rows].mean()) if len(rows) else 0.0,
+        settings=settings,
+    )
+
+
+def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats]:
+    """Return points about a metre apart, and the directions there; heights may be NaN."""
+    xyz = shapely.get_coordinates(line, include_z=True)
+    step = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
+    xyz, step = xyz[np.append(True, step > 1e-6)], step[step > 1e-6]
+    s = np.append(0.0, np.cumsum(step))
+    n = max(int(np.ceil(s[-1] / step_m)), 1)
+    at = (np.arange(n) + 0.5) * s[-1] / n
+    points = np.column_stack([np.interp(at, s, c) for c in xyz.T])
+    reach = min(step_m, s[-1] / 2)
+    ahead, behind = (
+        np.column_stack([np.interp(np.clip(at + d, 0, s[-1]), s, c) for c in xyz[:, :2].T])
+        for d in (reach, -reach)
+    )
+    way = ahead - behind
+    return points, way / np.hypot(*way.T)[:, None]
+
+
+def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Floats, Booleans]:
+    """Return heights at samples, and whether the scan gives them; the map separates levels."""
+    known = local[:, 2]
+    if len(road) == 0:
+        return known, np.zeros(len(known), dtype=bool)
+    gap, index = cKDTree(road[:, :2]).query(
+        local[:, :2],
+        k=min(settings.scan_points, len(road)),
+        distance_upper_bound=settings.scan_near_m,
+    )
+    gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
+    z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
+    z = np.where(np.abs(z - known[:, None]) > settings.same_level_m, np.nan, z)
+    found = np.isfinite(z).sum(axis=1)
+    ranked = np.sort(z, axis=1)
+    rows = np.arange(len(z))
+    low, high = ranked[rows, np.maximum(found - 1, 0) // 2], ranked[rows, found // 2 % z.shape[1]]
+    height = np.where(found > 0, np.where(found % 2 == 1, low, (low + high) / 2), known)
+    return height, np.asarray(found > 0)
+
+
+def _slopes(points: Floats, along: Floats, lane: Integers, settings: LaneSettings) -> Floats:
+    """Return the rise along each lane; level where the heights are unknown."""
+    reach = settings.slope_reach
+    last = len(points) - 1
+    ahead, behind = (np.clip(np.arange(len(points)) + d, 0, last) for d in (reach, -reach))
+    ahead = np.where(lane[ahead] == lane, ahead, np.arange(len(points)))
+    behind = np.where(lane[behind] == lane, behind, np.arange(len(points)))
+    gap = points[ahead] - points[behind]
+    run = np.sum(gap[:, :2] * along, axis=1)
+    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > settings.step_m)
+    return np.asarray(np.clip(np.nan_to_num(rise), -settings.most_slope, settings.most_slope))
+
+
+def _raster(
+    points: Floats, along: Floats, settings: LaneSettings
+) -> tuple[Floats, np.ndarray, np.ndarray]:
+    """Return the grid's corner, and for each bin of direction the nearest sample of each cell."""
+    cell_m, reach = settings.cell_m, settings.reach_m / settings.cell_m
+    corner = np.floor(points[:, :2].min(axis=0)) - settings.reach_m
+    place = (points[:, :2] - corner) / cell_m
+    columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
+    nearest = np.full((settings.bins, rows, columns), -1, dtype=np.int32)
+    distance = np.full((settings.bins, rows, columns), np.float32(np.inf))
+    _spread(nearest, distance, direction_bin(along, settings.bins), place, reach)
+    distance *= np.float32(cell_m)
+    return corner, nearest, distance
+
+
+@compiled
+def _spread(  # pragma: no cover - compiled
+    nearest: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    bins: Integers,
+    place: Floats,
+    reach: float,
+) -> None:
+    """Enter each sample, and how many cells off it is, where no other of its bin is nearer."""
+    _, rows, columns = nearest.shape
+    for k in range(len(place)):
+        b, x, y = bins[k], place[k, 0] - 0.5, place[k, 1] - 0.5  # of the cells' centres
+        for i in range(max(int(y - reach), 0), min(int(y + reach) + 2, rows)):
+            for j in range(max(int(x - reach), 0), min(int(x + reach) + 2, columns)):
+                gap = np.sqrt((i - y) ** 2 + (j - x) ** 2)
+                if gap < reach and gap < distance[b, i, j]:
+                    nearest[b, i, j] = k
+                    distance[b, i, j] = gap
+
+
+def direction_bin(along: Floats, bins: int) -> Integers:
+    """Return the bin of direction of (m, 2) vectors; bin 0 is centred on east."""
+    turns = np.arctan2(along[:, 1], along[:, 0]) / (2.0 * np.pi)
+    return np.asarray(np.rint(turns * bins).astype(np.int64) % bins)

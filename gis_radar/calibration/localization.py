@@ -1,0 +1,309 @@
+"""Localize: from a recording, the lanes and a rough guess to a pose; from arrays or from files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.icp import by_icp
+from gis_radar.calibration.lane_method import by_lanes
+from gis_radar.calibration.result import (
+    AmbiguousError,
+    Localization,
+    Problem,
+    draw_localization,
+)
+from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.traces import Moving, read_moving
+from gis_radar.crs import looks_like_degrees, moved_position, yaw_from_compass
+from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.poses.pose import Pose, View
+from gis_radar.progress import QUIET, SILENT, Reporter
+from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.units import compare_speeds
+from gis_radar.scans.scan import read_road, road_crs
+from gis_radar.sight import Sight, SightScan, SightTiles, find_sight
+from gis_radar.tiles.lookup import with_road_heights
+from gis_radar.tiles.tiles import make_tiles
+
+if TYPE_CHECKING:  # its image filters are loaded by those who have a scan
+    from gis_radar.calibration.scan_check import ScanCheck
+
+FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
+MOST_TRIES = 5  # recordings tried for a pose, in turn: a quiet day or two in between
+METHODS: dict[str, Callable[[Problem, Moving, Reporter, LocalizationSettings], Localization]] = {
+    "lane": by_lanes,
+    "icp": by_icp,
+}
+
+
+def localize(
+    recording: str | Path,
+    roads: LaneletMap,
+    road_points: Floats,
+    *,
+    guess: tuple[float, ...],
+    heading: float | None = None,
+    method: str = "lane",
+    settings: LocalizationSettings = LOCALIZATION,
+    reporter: Reporter = QUIET,
+) -> Localization:
+    """Find the pose of the sensor that made a recording.
+
+    Parameters
+    ----------
+    recording : str or Path
+        A recording; its last 2000 frames count.
+    roads : LaneletMap
+        The lanes.
+    road_points : (n, 3) array
+        Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them.
+    guess : (easting, northing) or (easting, northing, height)
+        Within 15 m of the truth, in the map's CRS; the height only helps `icp`.
+    heading : float, optional
+        Yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth; without
+        it the heading is searched.
+    method : str
+        `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
+    settings : LocalizationSettings
+        All constants of both methods; those that are not the defaults go into the evidence.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    UsageError
+        If there is no such method, or the guess is no position in metres.
+    InputError
+        If the recording cannot be read or is in other units, or scan and map do not overlap.
+    NoAnswerError
+        If no trustworthy answer follows: no traffic, too few frames, a guess too far off, several
+        answers, a mirrored recording.
+    """
+    if method not in METHODS:
+        raise UsageError(f"method is {method!r}, expected one of {', '.join(METHODS)}")
+    if len(guess) not in {2, 3}:
+        raise UsageError(f"guess has {len(guess)} numbers, expected easting, northing[, height]")
+    if not all(math.isfinite(number) for number in guess) or (
+        heading is not None and not math.isfinite(heading)
+    ):
+        raise UsageError("guess and heading must be finite numbers")
+    if looks_like_degrees(*guess[:2]):
+        raise UsageError(
+            f"guess {guess[0]:g}, {guess[1]:g} looks like degrees",
+            hint="give metres in the CRS of the map; --guess-crs takes another metric one",
+        )
+    open_recording(recording).require_elevation("its height, pitch and roll cannot be found")
+    traces = settings.traces
+    moving = read_moving(
+        recording, frames=traces.frames, min_speed=traces.min_speed_mps, reporter=reporter
+    )
+    if moving.frames < traces.least_frames:
+        raise NoAnswerError(
+            f"{recording}: {moving.frames} frames, at least {traces.least_frames} are needed",
+            hint="record longer: 100 s are a good length",
+        )
+    problem = Problem(
+        name=Path(recording).stem,
+        roads=roads,
+        road=np.asarray(road_points, dtype=np.float64),
+        guess=np.asarray(guess, dtype=np.float64),
+        heading=None if heading is None else math.radians(heading),
+    )
+    try:
+        found = METHODS[method](problem, moving, reporter, settings)
+    except NoAnswerError:
+        _refuse_units(recording, moving)
+        raise
+    changes = settings.changes()
+    if not changes:
+        return found
+    evidence = {**found.pose.evidence, "settings": changes}
+    return replace(found, pose=replace(found.pose, evidence=evidence))
+
+
+def _refuse_units(recording: str | Path, moving: Moving) -> None:
+    """Refuse a recording whose ranges do not change as its range rates state."""
+    odd = compare_speeds(moving.time, moving.points, moving.range_rate)
+    if odd:
+        raise InputError(
+            f"{recording}: no pose follows: {odd}",
+            hint="x, y and z are metres, range_rate is m/s and positive when receding",
+        )
+
+
+def localize_files(
+    recordings: str | Path | Sequence[str | Path],
+    map_path: str | Path,
+    road: str | Path,
+    *,
+    guess: Sequence[float],
+    guess_crs: Any = None,
+    heading: float | None = None,
+    compass: float | None = None,
+    crs: Any = None,
+    origin: tuple[float, float] | None = None,
+    method: str = "lane",
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
+    sensor: str | None = None,
+    view: View | None = None,
+    figure: str | Path | None = None,
+    settings: LocalizationSettings = LOCALIZATION,
+    reporter: Reporter = QUIET,
+) -> Localization:
+    """Find the pose of a sensor from its recordings, a map and a scanned road, all files.
+
+    Read map and road, take guess and compass to the map's CRS, localize by the first recording
+    that gives a pose, check it against scans where there are some, and draw the figure.
+
+    Parameters
+    ----------
+    recordings : path or sequence of paths
+        Of one sensor at one place; of several the first that gives a pose counts, so that one that
+        is added later changes nothing. Five are tried at most: the first four, and the last.
+    map_path : str or Path
+        A Lanelet2 map.
+    road : str or Path
+        The scanned road, as :func:`gis_radar.mask_road` makes it.
+    guess : (easting, northing) or (easting, northing, height)
+        Within 15 m of the truth; the height only helps `icp`.
+    guess_crs : CRS, str or int, optional
+        The guess's coordinate system, where it is not the map's.
+    heading : float, optional
+        Yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth; without
+        it the heading is searched.
+    compass : float, optional
+        The same as a bearing: degrees clockwise from true north.
+    crs : CRS, str or int, optional
+        The map frame; that of the road where it is not given.
+    origin : (easting, northing), optional
+        Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
+    method : str
+        `lane` or `icp`, as for :func:`gis_radar.localize`.
+    scans : sequence of paths
+        Airborne scans for a :func:`gis_radar.check_against_scan`; with them the range that the
+        recording reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is
+        given.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files that do not state it.
+    sensor : str, optional
+        Its name; the recording's file name where it is not given.
+    view : View, optional
+        What the sensor sees; goes into the pose.
+    figure : str or Path, optional
+        Draw the traces over lanes and scan into this PNG, as :func:`gis_radar.draw_localization`.
+    settings : LocalizationSettings
+        All constants of both methods.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    UsageError
+        If both heading and compass are given, or the method is unknown.
+    InputError
+        If a file cannot be read, or scans, map and guess do not overlap.
+    NoAnswerError
+        If none of the recordings gives a trustworthy pose; the first one's reason.
+    """
+    if heading is not None and compass is not None:
+        raise UsageError("both heading and compass are given", hint="give one of them")
+    frame = road_crs(road) if crs is None else crs
+    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
+    points = read_road(road, roads.crs)
+    place = tuple(guess)
+    if guess_crs is not None:
+        place = moved_position(place, guess_crs, roads.crs)
+    if scans:
+        # not at the top: whoever has no scan does not wait for scipy's image filters
+        from gis_radar.calibration.scan_check import check_against_scan, require_scans_near  # noqa: PLC0415
+
+        require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
+    if compass is not None:
+        heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
+    ask = partial(
+        localize, roads=roads, road_points=points,
+        guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
+    )  # fmt: skip
+    if scans:
+        look_at = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
+        ask = partial(_decided, localize=ask, look_at=look_at, reporter=reporter)
+    recording, found = _first_answer(_tried(recordings), ask, reporter)
+    pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
+    found, look = replace(found, pose=pose, recording=recording.name), None
+    if scans:
+        look = check_against_scan(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
+        found = found.with_scan_check(look)
+    if figure is not None:
+        seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
+        draw_localization(found, roads, points, figure, look=look, seen=seen)
+    return found
+
+
+def _sight(
+    pose: Pose,
+    roads: LaneletMap,
+    points: Floats,
+    scans: Sequence[str | Path],
+    scan_crs: Any,
+    reporter: Reporter,
+) -> tuple[Sight, SightTiles] | None:
+    """Return what a sensor sees of the lanes, for the figure; a scan that does not fit is named."""
+    large = make_tiles(roads, length_m=FIGURE_TILE_M, reporter=SILENT)
+    tiles = SightTiles.of(with_road_heights(large, points))
+    try:
+        return find_sight(pose, tiles, SightScan(scans, tiles, scan_crs=scan_crs)), tiles
+    except InputError as error:
+        reporter.log(f"the figure does not show what {pose.sensor} sees: {error}", "warning")
+        return None
+
+
+def _first_answer(
+    recordings: Sequence[Path], ask: Callable[[Path], Localization], reporter: Reporter
+) -> tuple[Path, Localization]:
+    """Return the first recording that gives a pose, with it; refuse where none does."""
+    refusals = []
+    for recording in recordings:
+        try:
+            return recording, ask(recording)
+        except NoAnswerError as error:
+            refusals.append(error)
+            if len(recordings) > 1:
+                reporter.log(f"{recording.name} gives no pose: {error.message}")
+    raise refusals[0]
+
+
+def _decided(
+    recording: Path,
+    *,
+    localize: Callable[[Path], Localization],
+    look_at: Callable[[Path, Pose], ScanCheck],
+    reporter: Reporter,
+) -> Localization:
+    """Localize; where the traffic fits several poses, take the one that what stands confirms."""
+    try:
+        return localize(recording)
+    except AmbiguousError as refusal:
+        confirmed = [a for a in refusal.answers if look_at(recording, a.pose).verdict == "confirms"]
+        if len(confirmed) != 1:
+            raise
+        reporter.log(f"{refusal.message}; what stands in the scan confirms one of them", "warning")
+        return confirmed[0]
+
+
+def _tried(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return the recordings that are asked for a pose, in order."""
+    several = [recordings] if isinstance(recordings, str | Path) else recordings
+    paths = [Path(path) for path in several]
+    if not paths:
+        raise UsageError("no recording is given")
+    return paths if len(paths) <= MOST_TRIES else [*paths[: MOST_TRIES - 1], paths[-1]]

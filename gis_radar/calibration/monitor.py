@@ -1,0 +1,477 @@
+"""Tracking: the pose of a sensor followed through a recording."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.alarm import Displacement
+from gis_radar.calibration.kalman_filter import (
+    Estimate,
+    Measurement,
+    corrected,
+    covariance_from_angles,
+    displaced,
+    innovation,
+    likeliest_move,
+    predicted,
+    widened,
+)
+from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
+from gis_radar.calibration.moves import Change, MoveTest, Scatter, SuspectedMove
+from gis_radar.calibration.pose_track import MOVED, NOTHING, REJECTED, Row, Track, track_of
+from gis_radar.calibration.result import Problem
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import MovingWindow
+from gis_radar.calibration.watch import Watch
+from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
+from gis_radar.crs import require_same
+from gis_radar.errors import NoAnswerError
+from gis_radar.lanelets import LaneletMap
+from gis_radar.poses.files import PoseTrack, as_track
+from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Detections, Recording, as_recording
+from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso, step_of
+
+STAGE = "following the pose"
+SAME_MAP = ("lane", "track")  # methods that share the map's errors with ours
+HINT = "find the pose with gis-radar localize"
+
+
+def track(
+    recording: str | Path | Recording,
+    roads: LaneletMap,
+    road_points: Floats,
+    pose: Pose | PoseTrack,
+    *,
+    settings: MonitorSettings = MONITOR,
+    reporter: Reporter = QUIET,
+) -> Track:
+    """Follow the pose of a sensor through a recording, one corrected pose each cycle.
+
+    The recording is read once, in batches; memory is that of the frames in the window and
+    of the poses.
+
+    Parameters
+    ----------
+    recording : str, Path or Recording
+        The frames.
+    roads : LaneletMap
+        The lanes.
+    road_points : (n, 3) array
+        Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them.
+    pose : Pose or PoseTrack
+        Where the sensor stands when the recording begins, as :func:`gis_radar.localize` finds it;
+        of a track the pose that holds then.
+    settings : MonitorSettings
+        All constants of the tracking.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    CrsError
+        If pose and map are in different coordinate systems.
+    InputError
+        If the recording cannot be read, or scan and map do not overlap.
+    NoAnswerError
+        If the data do not confirm the start pose: no traffic, too few frames, a pose too far off.
+    """
+    opened, known = as_recording(recording), as_track(pose)
+    opened.require_elevation("its pose cannot be followed")
+    require_same(known.poses[0].crs, roads.crs, what="the pose", other_what="the map")
+    cycles = _cycles(opened, settings, reporter)
+    first, ends = next(cycles)
+    begin = float(first.time[0])
+    start = known.poses[int(known.at(np.array([begin]))[0])]
+    problem = Problem(
+        name=start.sensor,
+        roads=roads,
+        road=np.asarray(road_points, dtype=np.float64),
+        guess=start.position[:2],
+        heading=None,
+    )
+    fitter = WindowFitter(problem, settings, reporter=reporter)
+    estimate = start_estimate(start, begin, settings)
+    follower = Follower(fitter, estimate, settings, name=start.sensor, reporter=reporter)
+    for rows, end in chain([(first, ends)], cycles):
+        follower.push(rows)
+        if end is not None:
+            follower.cycle(end)
+    follower.finish(str(opened.path))
+    return track_of(problem, start, follower.rows, settings)
+
+
+def _cycles(
+    recording: Recording, settings: MonitorSettings, reporter: Reporter
+) -> Iterator[tuple[Detections, float | None]]:
+    """Cut a recording where a cycle ends; yield its parts, and the time where one has ended."""
+    cycle_s = settings.cycle_s
+    begin = last = due = np.nan
+    done = 0
+    for batch in recording.read():
+        rows, done = batch, done + len(batch)
+        if np.isnan(due):
+            begin, due = float(rows.time[0]), float(rows.time[0]) + cycle_s
+        last = float(rows.time[-1])
+        while len(rows) and last >= due:
+            early = rows.time < due
+            yield rows.take(early), due
+            rows = rows.take(~early)
+            # no pose where there are no frames
+            count = np.floor((rows.time[0] - begin) / cycle_s) + 1.0
+            due = begin + cycle_s * count
+            if due <= rows.time[0]:  # rounded down to the very frame that it is to come after
+                due = begin + cycle_s * (count + 1.0)
+        yield rows, None
+        reporter.progress(STAGE, done, recording.rows)
+    if due - last < (1.0 - settings.least_cycle) * cycle_s:
+        yield rows.take(np.zeros(len(rows), dtype=bool)), due
+
+
+def start_estimate(pose: Pose, time: float, settings: MonitorSettings = MONITOR) -> Estimate:
+    """Return a pose as an estimate; its easting and northing are the local (0, 0).
+
+    A pose that was found from the very data that follow holds no further information: it is where
+    to begin, and its uncertainty that of a pose measured by hand.
+
+    Parameters
+    ----------
+    pose : Pose
+        With `covariance` or `sigma` in its evidence, or neither.
+    time : float
+        UNIX seconds of the first frame.
+    settings : MonitorSettings
+        Of a pose without sigma.
+
+    Raises
+    ------
+    InputError
+        If covariance or sigma are invalid.
+    """
+    evidence = pose.parsed_evidence()
+    found_here = evidence.method in SAME_MAP
+    by_hand = np.array(settings.by_hand)
+    covariance = _stated_covariance(evidence, by_hand)
+    if covariance is None or (found_here and _sees(evidence, time, pose.sensor)):
+        found_here = False
+        covariance = np.diag(by_hand**2)
+    turned = covariance_from_angles(pose.quaternion, covariance) + np.diag(
+        np.square(settings.least_sigma)
+    )
+    position = np.array([0.0, 0.0, pose.height])
+    common = np.zeros((6, 6))
+    if found_here:
+        measured = Measurement(
+            position=position,
+            quaternion=pose.quaternion,
+            covariance=turned,
+            noise=settings.noise_share * turned,
+        )
+        common = -measured.common
+    return Estimate(
+        time=time,
+        position=position,
+        quaternion=pose.quaternion,
+        covariance=turned,
+        common=common,
+    )
+
+
+def _sees(evidence: Evidence, time: float, sensor: str) -> bool:
+    """Return whether a pose was found from data after a time."""
+    if not evidence.time:
+        return True
+    found = seconds_from_iso(evidence.time, what=f"pose of {sensor}: time")
+    return found > time + STEP_S
+
+
+def _stated_covariance(evidence: Evidence, by_hand: Floats) -> Floats | None:
+    """Return the (6, 6) covariance of a pose, where sigma lacks a component by hand's; or None."""
+    if evidence.covariance is not None or not evidence.sigma:
+        return evidence.covariance
+    sigma = by_hand.copy()
+    for i, name in enumerate(COMPONENTS):
+        if name in evidence.sigma:
+            stated = evidence.sigma[name]
+            sigma[i] = stated if i < 3 else math.radians(stated)
+    return np.diag(sigma**2)
+
+
+class Follower:
+    """Follows the pose of one sensor through its frames.
+
+    Each cycle lays the rolling window on the lanes and corrects by it the estimate that was valid
+    **before the window began**: so no detection counts twice although windows overlap by 95 %.
+
+    Parameters
+    ----------
+    fitter : WindowFitter
+        The lanes.
+    start : Estimate
+        The pose to begin with.
+    settings : MonitorSettings
+        Of window, prediction and moves.
+    name : str
+        Of the sensor, for warnings.
+    reporter : Reporter
+        Receives a warning for each move.
+    """
+
+    def __init__(
+        self,
+        fitter: WindowFitter,
+        start: Estimate,
+        settings: MonitorSettings = MONITOR,
+        *,
+        name: str = "the sensor",
+        reporter: Reporter = QUIET,
+    ) -> None:
+        self.rows = [Row(estimate=start)]
+        self.confirmed = False
+        self._fitter = fitter
+        self._settings = settings
+        self._name, self._reporter = name, reporter
+        self.watch, self.scatter = Watch(fitter, settings), Scatter(settings)
+        traces = settings.localization.traces
+        self._window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
+        self._past: deque[Estimate] = deque([start])
+        self._like = start.state(
+            State(
+                position=start.position,
+                R_map_sensor=np.eye(3),
+                reflection=settings.localization.hypotheses.reflection_m,
+            )
+        )
+        self._seen: WindowFit | None = None
+        self._vehicles = 0
+        self._rejected_since: Estimate | None = None
+
+    @property
+    def now(self) -> Estimate:
+        """The latest estimate."""
+        return self.rows[-1].estimate
+
+    def push(self, rows: Detections) -> None:
+        """Take the next detections, if there are any."""
+        if len(rows):
+            self._window.push(rows)
+            self.watch.push(rows)
+
+    def cycle(self, time: float) -> None:
+        """Correct the pose from all frames so far.
+
+        Parameters
+        ----------
+        time : float
+            UNIX seconds: the end of the last frame, when the corrected pose becomes valid.
+
+        Raises
+        ------
+        NoAnswerError
+            If a whole window of traffic does not confirm the start pose.
+        """
+        traffic = WindowTraffic.of(self._window.moving(), self._settings.localization.traces)
+        suspected = self._suspected_move(traffic, time)
+        if suspected is not None and suspected.change is not None:
+            self._restart(suspected.change, time)
+        else:
+            row = self._corrected(
+                traffic, time, suspected=suspected is not None and suspected.certain
+            )
+            self._keep(row if suspected is None else _allowing(row, suspected.move))
+        self._give_up_if_lost(time)
+        whole = traffic if self.confirmed and self._full and traffic.vehicles else None
+        noticed = self.watch.look(whole, self.now.state(self._like), time)
+        if noticed is not None and self.confirmed:
+            self._move(noticed, time)
+        self._vehicles = max(self._vehicles, traffic.vehicles)
+        if not self.confirmed and self._full and self._seen:
+            self._refuse_start(self._seen)
+
+    def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
+        """Return the move that the newest data suggest, or none."""
+        least = self._settings.localization.answer.least_tracks
+        if not self.confirmed or traffic.vehicles < least or self.watch.unmoved:
+            return None
+        expected = partial(self._expected, time=time)
+        test = MoveTest(
+            fitter=self._fitter, traffic=traffic, now=time, expected=expected, scatter=self.scatter
+        )
+        return test.suspected(self._like)
+
+    def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
+        held = Row(estimate=self._later(self.now, time), vehicles=traffic.vehicles)
+        if suspected:
+            return replace(held, event=REJECTED)
+        prior = self._expected(traffic.moving.begin, time)
+        seen = self._fitter.fit(traffic, prior, self._like)
+        if seen is None:
+            return held
+        self._seen = seen
+        found = innovation(prior, seen.measurement)
+        held = replace(held, fitness=seen.fit.fitness, chi2=found.chi2)
+        if not seen.on_lanes:
+            return replace(held, event=REJECTED)
+        if seen.trusted and found.chi2 > self._settings.gate:
+            return _allowing(
+                replace(held, event=REJECTED), likeliest_move(found, self._settings.knock)
+            )
+        if not seen.trusted:
+            return held  # not converged: no measurement
+        if not self._full:
+            self._fitter.refuse_other_lane(seen)
+        self.confirmed = True
+        self._like = seen.fit.state
+        self._fitter.adapt(seen)
+        return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
+
+    @property
+    def _full(self) -> bool:
+        """Whether the window has its whole length."""
+        return len(self._window) == self._settings.localization.traces.frames
+
+    def _later(self, estimate: Estimate, time: float) -> Estimate:
+        return predicted(estimate, time, self._settings.drift)
+
+    def _expected(self, seen: float, time: float) -> Estimate:
+        """Return the pose at a time, predicted from the data before another."""
+        return self._later(self._before(seen), time)
+
+    def _knocked(self, estimate: Estimate) -> Estimate:
+        """Return an estimate whose sensor may have moved."""
+        spread = np.diag(np.square(self._settings.knock))
+        return replace(estimate, covariance=estimate.covariance + spread)
+
+    def _before(self, time: float) -> Estimate:
+        """Return the latest estimate that has seen no data after a time, or else the first."""
+        earlier = [e for e in self._past if e.time <= time]
+        return earlier[-1] if earlier else self._past[0]
+
+    def _keep(self, row: Row) -> None:
+        self.rows.append(row)
+        self._past.append(row.estimate)
+        while len(self._past) > 1 and self._past[1].time <= self._window.begin:
+            self._past.popleft()
+
+    def _move(self, noticed: Displacement, time: float) -> None:
+        """Move the pose as the alarm states, since when it states, and watch from there."""
+        since = time - self._settings.alarm.settle_s - noticed.seconds
+        earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
+        before = self._later((earlier or [self.rows[0].estimate])[-1], since)
+        new = displaced(before, noticed.move, noticed.covariance)
+        self._replace_since(Row(estimate=new, vehicles=self.rows[-1].vehicles, event=MOVED))
+        self._window.forget(since)
+        self._past, self._rejected_since = deque([new]), None
+        self.watch.restart()
+        self._warn(new, noticed.move)
+
+    def _warn(self, new: Estimate, move: Floats) -> None:
+        when = iso_from_step(int(step_of(np.array(new.time))))
+        self._reporter.log(
+            f"{self._name} was moved by about {np.linalg.norm(move[:3]):.2f} m and "
+            f"{np.degrees(np.linalg.norm(move[3:])):.2f} deg around {when}",
+            "warning",
+        )
+
+    def _restart(self, change: Change, time: float) -> None:
+        """Restart at a change, and replace the poses since then."""
+        self.watch.restart()
+        before = self._expected(change.time, change.time)
+        start = self._knocked(before)
+        new = corrected(start, change.found.measurement)
+        self._window.forget(change.time)
+        self._like = change.found.fit.state
+        vehicles, fitness = change.found.samples.tracks, change.found.fit.fitness
+        row = Row(
+            estimate=new, vehicles=vehicles, fitness=fitness, chi2=change.chi2, corrected=True
+        )
+        self.rows.append(replace(row, estimate=self._later(new, time)))
+        self._replace_since(replace(row, event=MOVED))
+        self._past = deque([start, self.now])
+        gap = innovation(before, change.found.measurement)
+        self._warn(new, likeliest_move(gap, self._settings.knock))
+
+    def _give_up_if_lost(self, time: float) -> None:
+        """Declare `moved` with unknown pose after a whole window of rejected fits (`lost_s`)."""
+        row = self.rows[-1]
+        if row.event != REJECTED:
+            self._rejected_since = None
+            return
+        if self._rejected_since is None:
+            self._rejected_since = row.estimate
+        if not self.confirmed or time - self._rejected_since.time < self._settings.lost_s:
+            return
+        lost = self._knocked(self._rejected_since)
+        self._window.forget(lost.time)
+        self._replace_since(Row(estimate=lost, event=MOVED), REJECTED)
+        self._past, self._rejected_since = deque([lost]), None
+        self.watch.restart()
+
+    def _replace_since(self, row: Row, event: str = NOTHING) -> None:
+        """Put a row in, and what follows from it in the place of all later ones."""
+        begin = row.estimate.time
+        late = [r.estimate.time for r in self.rows if r.estimate.time > begin]
+        self.rows = [r for r in self.rows if r.estimate.time < begin] + [row]
+        self.rows += [
+            replace(row, estimate=self._later(row.estimate, time), event=event) for time in late
+        ]
+
+    def finish(self, name: str) -> None:
+        """Refuse a track that no data have confirmed.
+
+        Parameters
+        ----------
+        name : str
+            Of the recording.
+
+        Raises
+        ------
+        NoAnswerError
+            If there were too few frames or vehicles, or they contradict the start pose.
+        """
+        if self.confirmed:
+            return
+        traces = self._settings.localization.traces
+        least = traces.least_frames
+        if len(self._window) < least:
+            raise NoAnswerError(
+                f"{name}: {len(self._window)} frames, at least {least} are needed",
+                hint=f"record longer: {traces.frames} frames are a good length",
+            )
+        if self._seen:
+            self._refuse_start(self._seen)
+        least = self._settings.localization.answer.least_tracks
+        raise NoAnswerError(
+            f"{name}: {self._vehicles} moving vehicles in the window, at least {least} are needed "
+            "to confirm the start pose",
+            hint="record while traffic flows",
+        )
+
+    def _refuse_start(self, seen: WindowFit) -> None:
+        if not seen.trusted:
+            raise NoAnswerError(
+                f"at the start pose only {seen.fit.fitness:.0%} of the traffic lie on lanes",
+                hint=HINT,
+            )
+        gap: Floats = innovation(self.rows[0].estimate, seen.measurement).gap
+        raise NoAnswerError(
+            f"the traffic puts the sensor {np.linalg.norm(gap[:3]):.2f} m and "
+            f"{np.degrees(np.linalg.norm(gap[3:])):.2f} deg from its start pose, more than that "
+            "pose's sigma allows",
+            hint=HINT,
+        )
+
+
+def _allowing(row: Row, move: Floats) -> Row:
+    """Return a row whose pose may have moved: a failure must not look like an answer."""
+    return replace(row, estimate=widened(row.estimate, move))

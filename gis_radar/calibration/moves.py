@@ -1,0 +1,272 @@
+"""Changes: whether a sensor has moved, since when, and whether it only shook."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.kalman_filter import Estimate, Innovation, innovation, likeliest_move
+from gis_radar.calibration.monitor_settings import MonitorSettings
+from gis_radar.calibration.solver import Fit
+from gis_radar.calibration.state import POSE, State
+from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """A sensor that has moved.
+
+    Parameters
+    ----------
+    time : float
+        UNIX seconds of the move.
+    found : WindowFit
+        The pose since then.
+    chi2 : float
+        By how much it contradicts the pose before.
+    """
+
+    time: float
+    found: WindowFit
+    chi2: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuspectedMove:
+    """A move that the newest part of a window suggests.
+
+    Parameters
+    ----------
+    certain : bool
+        Whether it contradicts the pose beyond chance.
+    move : (6,) array
+        The likeliest move behind it, metres and a turn about the map's axes in radians; zeros
+        where the data fit no pose.
+    change : Change or None
+        The lasting change behind it, where there is one already.
+    """
+
+    certain: bool
+    move: Floats
+    change: Change | None = None
+
+
+def score(gap: Innovation, seen: WindowFit) -> float:
+    """Return how far a fit is beyond chance: chi2 with the tail of few vehicles taken off.
+
+    Along the gap the noise of a fit is known from as many vehicles as share it; the rest of its
+    variance is no estimate (Welch and Satterthwaite's degrees of freedom).
+
+    Parameters
+    ----------
+    gap : Innovation
+        Of the fit and a pose.
+    seen : WindowFit
+        The fit.
+    """
+    chi2, along = gap.chi2, np.linalg.solve(gap.covariance, gap.gap)
+    influence = seen.fit.scores @ np.linalg.inv(seen.fit.information)[:, POSE] @ along
+    squares = np.square(influence)
+    if chi2 <= 0.0 or not squares.any():
+        return chi2
+    variance = float(along @ seen.measurement.noise @ along) * squares / squares.sum()
+    freedom = chi2**2 / float(np.square(variance).sum())
+    return freedom * float(np.log1p(chi2 / freedom))
+
+
+def agreement(rest: Fit, moved: Fit) -> float:
+    """Return by how many standard errors vehicles prefer `moved` to `rest`, each counting as one.
+
+    The mean over its standard error of what each gains (Vuong 1989 with the vehicles as clusters):
+    a sensor that has moved has done so for all of them, what one vehicle does otherwise only that
+    one gains.
+
+    Parameters
+    ----------
+    rest, moved : Fit
+        Of the same samples.
+    """
+    gain = (rest.costs - moved.costs)[(rest.costs != 0.0) | (moved.costs != 0.0)]
+    if len(gain) < 2:
+        return 0.0
+    return float(gain.sum() / np.sqrt(max(len(gain) * gain.var(ddof=1), 1e-12)))
+
+
+class Scatter:
+    """By how much pieces of traffic differ more than their covariances state, at this sensor.
+
+    Tracks are cut in pieces that count as independent, and drivers keep aside for some hundred
+    metres: chi2 is larger than it should be where nothing moves. Its median shows by how much.
+
+    Parameters
+    ----------
+    settings : MonitorSettings
+        Over how many tests.
+    """
+
+    def __init__(self, settings: MonitorSettings) -> None:
+        self._usual = settings.median_chi2
+        self._assumed = [self._usual] * settings.assumed_tests
+        self._last: deque[float] = deque(maxlen=settings.scatter_tests)
+
+    def add(self, chi2: float) -> None:
+        """Take the result of a test."""
+        self._last.append(chi2)
+
+    @property
+    def ratio(self) -> float:
+        """Of variances, at least one."""
+        return max(float(np.median([*self._assumed, *self._last])) / self._usual, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MoveTest:
+    """A window of traffic, tested for a move of its sensor.
+
+    What all windows have in common is the same before and after: a move is held against the noise
+    of the vehicles alone (:func:`~gis_radar.calibration.kalman_filter.innovation`). It must be
+    beyond chance in three ways: by how far the pose of the newest data is from the one before, by
+    how much likelier they are there, and by how well the vehicles agree in that. In some seconds
+    traffic fixes not all directions: a fit that is not quite right in one of them is carried metres
+    away, without being any likelier.
+
+    Parameters
+    ----------
+    fitter : WindowFitter
+        The lanes.
+    traffic : WindowTraffic
+        The window.
+    now : float
+        UNIX seconds at which it ends.
+    expected : callable
+        Returns the pose now, predicted from data before a time.
+    scatter : Scatter
+        Of earlier tests; takes the results of this one.
+    """
+
+    fitter: WindowFitter
+    traffic: WindowTraffic
+    now: float
+    expected: Callable[[float], Estimate]
+    scatter: Scatter
+
+    def suspected(self, like: State) -> SuspectedMove | None:
+        """Test whether the newest data contradict the pose, and estimate the change behind it.
+
+        Parameters
+        ----------
+        like : State
+            How vehicles reflected so far.
+        """
+        suspected, settings, ratio = None, self.fitter.settings, self.scatter.ratio
+        for length_s in settings.lengths_s:
+            part = self.newest(length_s)
+            if part.moving.begin - self.traffic.moving.begin < settings.mature_s:
+                break  # what is known from so little data is corrected by the next windows anyway
+            held = self.expected(part.moving.begin)
+            seen = self.fitter.fit(part, held, like, near=settings.knock, schedule=settings.far)
+            if seen is None:
+                continue
+            if not seen.trusted:
+                found = self.fitter.find(part, held, like, near=settings.knock)
+                if found is None and seen.on_lanes:
+                    continue  # a fit of few vehicles that came to no rest contradicts nothing
+                if found is None:
+                    return SuspectedMove(certain=True, move=np.zeros(6))
+                seen = found
+            gap = innovation(held, seen.measurement)
+            beyond = score(gap, seen)
+            self.scatter.add(beyond)
+            if beyond < ratio * settings.suspect_chi2:
+                continue
+            likelier, agreed = self._likelier(part, held, seen)
+            beyond = min(beyond, likelier)
+            if beyond < ratio * settings.suspect_chi2:
+                continue
+            suspected = SuspectedMove(
+                certain=beyond >= ratio * settings.gate and agreed >= settings.agreement,
+                move=likeliest_move(gap, settings.knock),
+                change=self._change(held, seen),
+            )
+            if suspected.change is not None or suspected.certain:
+                return suspected
+        return suspected
+
+    def newest(self, length_s: float) -> WindowTraffic:
+        """Return the newest part of the traffic; a longer one where there is little traffic.
+
+        Parameters
+        ----------
+        length_s : float
+            How much, seconds; more until it holds the least number of vehicles.
+        """
+        part = self.traffic.between(self.now - length_s, np.inf)
+        least = self.fitter.settings.newest_vehicles
+        while part.vehicles < least and self.now - length_s > self.traffic.moving.begin:
+            length_s *= 1.5
+            part = self.traffic.between(self.now - length_s, np.inf)
+        return part
+
+    def _change(self, held: Estimate, seen: WindowFit) -> Change | None:
+        """Return the change that the newest data show, if it lasts and is certain."""
+        fitter, traffic, settings = self.fitter, self.traffic, self.fitter.settings
+        since, old = self.now, held.state(seen.fit.state)
+        for _ in range(settings.change_rounds):
+            new, old = seen.fit.state, held.state(seen.fit.state)
+            since = self.change_time(replace(old, reflection=new.reflection), new)
+            part = traffic.between(since, np.inf)
+            held = self.expected(since)  # all data since then are of the new pose
+            again = fitter.fit(part, held, new, near=settings.knock, start=new)
+            if self.now - since < settings.settled_s or again is None or not again.trusted:
+                return None
+            seen = again
+        latest = traffic.between(self.now - settings.latest_s, np.inf).samples()
+        if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
+            return None
+        gap = innovation(held, seen.measurement)
+        likelier, agreed = self._likelier(part, held, seen)
+        contradiction = min(score(gap, seen), likelier)
+        if contradiction < self.scatter.ratio * settings.gate or agreed < settings.agreement:
+            return None
+        return Change(time=since, found=seen, chi2=contradiction)
+
+    def _likelier(
+        self, part: WindowTraffic, held: Estimate, seen: WindowFit
+    ) -> tuple[float, float]:
+        """Return twice the log likelihood ratio of a fit to the best one as good as at rest.
+
+        And by how far the vehicles agree: a bus or a lorry gives as many detections as ten cars.
+        """
+        near = np.sqrt(np.diag(held.covariance)).tolist()
+        schedule, like = self.fitter.settings.far, seen.fit.state
+        rest = self.fitter.fit(part, held, like, near=near, schedule=schedule)
+        if rest is None:
+            return np.inf, np.inf
+        return 2.0 * (rest.fit.cost - seen.fit.cost), agreement(rest.fit, seen.fit)
+
+    def change_time(self, old: State, new: State) -> float:
+        """Estimate since when the new pose explains the data better than the old one.
+
+        The likeliest time of one change: the sum over all later slices of time of what the old
+        pose costs more than the new one is greatest there. Between vehicles it is the latest such
+        time.
+
+        Parameters
+        ----------
+        old, new : State
+            The two poses.
+        """
+        slice_s, fitter = self.fitter.settings.slice_s, self.fitter
+        begin = max(self.now - fitter.settings.back_s, self.traffic.moving.begin)
+        edges = begin + slice_s * np.arange(max(int(np.ceil((self.now - begin) / slice_s)), 1))
+        gains = np.zeros(len(edges))
+        for i, edge in enumerate(edges):
+            samples = self.traffic.between(edge, edge + slice_s).samples()
+            if len(samples):
+                gains[i] = fitter.cost(samples, old) - fitter.cost(samples, new)
+        later = np.cumsum(gains[::-1])[::-1]
+        return float(edges[len(later) - 1 - int(np.argmax(later[::-1]))])

@@ -1,0 +1,477 @@
+"""A network of sensors: poses that correspondences confirm, contradict or choose; adjusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.calibration.adjustment import (
+    Adjusted,
+    Correspondences,
+    adjust,
+    clock_gap,
+    shared_covariance,
+    sum_correspondences,
+)
+from gis_radar.calibration.correspondences import (
+    PLANE,
+    Moments,
+    Rows,
+    assign,
+    compare,
+    mean_gaps,
+    read_moments,
+)
+from gis_radar.calibration.covariance import Names, longest_m, moved, plane_covariance, with_gain
+from gis_radar.calibration.joint_settings import MATCHING, CorrespondenceSettings
+from gis_radar.calibration.lags import Lag, find_lag
+from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.placing import (
+    GRID_YAW,
+    Choice,
+    Placing,
+    Shift,
+    find_place,
+    preference,
+)
+from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import Moving, link_tracks
+from gis_radar.poses.pose import Pose
+
+AT_REST = 1e-4  # a step of the adjustment, metres and radians
+CLASH_HINT = "check both guesses, and the clocks of both sensors: gis-radar clocks"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Station:
+    """A sensor of a network.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    moving : Moving
+        What it saw while the others recorded, too.
+    poses : tuple of Pose
+        The poses that it may have by itself: its answer, or several that it cannot tell apart.
+    clock_s : float, optional
+        Standard deviation of its clock, where that was measured.
+    """
+
+    name: str
+    moving: Moving
+    poses: tuple[Pose, ...]
+    clock_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solved:
+    """Result of a joint calibration.
+
+    Parameters
+    ----------
+    poses : dict of str to Pose
+        By sensor; those that nothing relates to others are as they were.
+    chosen : dict of str to int
+        Which of the poses that it may have by itself it was.
+    refused : dict of str to str
+        Sensors without a trustworthy pose, and why, where that is the network's finding.
+    pairs : dict
+        How many vehicles two sensors share, by their names.
+    unmatched : dict of str to str
+        Why a sensor has no correspondences with others.
+    remarks : tuple of str
+        What the user should know.
+    """
+
+    poses: dict[str, Pose]
+    chosen: dict[str, int]
+    refused: dict[str, str]
+    pairs: dict[Names, int]
+    unmatched: dict[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+def solve_network(
+    stations: Sequence[Station],
+    lanes: Lanes,
+    settings: LocalizationSettings = LOCALIZATION,
+    matching: CorrespondenceSettings = MATCHING,
+) -> Solved:
+    """Adjust the poses of several sensors by the vehicles that they see at the same time.
+
+    Parameters
+    ----------
+    stations : sequence of Station
+        The sensors; those with one pose fix those with several.
+    lanes : Lanes
+        The map around all of them.
+    settings, matching : LocalizationSettings, CorrespondenceSettings
+        Of tracks and correspondences.
+    """
+    network = _Network(stations, lanes, settings, matching)
+    network.place_all()
+    while True:
+        network.refuse_clashes()
+        adjusted, matched = network.adjusted()
+        if network.free_clock(matched):
+            continue
+        found = network.misfits(adjusted, matched)
+        if not found:
+            break
+        network.clashes |= found
+    return network.solved(adjusted, matched)
+
+
+@dataclass
+class _Member:
+    """A sensor on its way to a pose."""
+
+    station: Station
+    tracks: Integers
+    choice: int = 0
+    start: Floats = field(default_factory=lambda: np.zeros(PLANE))  # from its own answer
+    away: Floats = field(default_factory=lambda: np.zeros(PLANE))
+    loose: bool = False  # its own answer was no place: correspondences have chosen the start
+    lag: Lag = field(default_factory=Lag)  # by which its clock is thought to be ahead
+    free: bool = False  # its clock is off: it is found with the poses
+
+    @property
+    def pose(self) -> Pose:
+        return self.station.poses[self.choice]
+
+
+class _Network:
+    """The sensors with their places, what agrees and what contradicts."""
+
+    def __init__(
+        self, stations: Sequence[Station], lanes: Lanes, settings: LocalizationSettings,
+        matching: CorrespondenceSettings,
+    ) -> None:  # fmt: skip
+        self.lanes, self.settings, self.answer = lanes, matching, settings.answer
+        self.all = {
+            each.name: _Member(each, link_tracks(each.moving, settings.traces)) for each in stations
+        }
+        self.placed: dict[str, Choice] = {}
+        self.clashes: dict[Names, str] = {}
+        self.agreeing: set[Names] = set()
+        self.refused: dict[str, str] = {}
+        self.unclear: set[str] = set()  # whose vehicles fit those of others in several places
+
+    def seen(self, member: _Member, choice: int, away: Floats) -> Moments:
+        """Return a sensor's vehicles at a step from one of its own poses."""
+        pose = moved(member.station.poses[choice], away)
+        state = State(
+            position=pose.position - [*self.lanes.origin, 0.0],
+            R_map_sensor=pose.R_map_sensor,
+            reflection=0.0,
+        )
+        moving = member.station.moving
+        moving = replace(moving, time=member.lag.corrected(moving.time))
+        return read_moments(moving, member.tracks, state, self.lanes, self.settings)
+
+    def choices(self, member: _Member) -> list[Choice]:
+        """Return all poses that a sensor may have by itself."""
+        return [
+            Choice(
+                seen=self.seen(member, i, np.zeros(PLANE)),
+                covariance=plane_covariance(pose),
+                yaw=math.radians(pose.yaw),
+            )
+            for i, pose in enumerate(member.station.poses)
+        ]
+
+    def place_all(self) -> None:
+        """Fix the sensors with a certain pose, compare them with each other, and place the rest."""
+        longest = {
+            name: float(longest_m(plane_covariance(member.pose)))
+            for name, member in self.all.items()
+            if len(member.station.poses) == 1
+        }
+        firm = sorted(longest, key=lambda name: longest[name])
+        fixed = [name for name in firm if longest[name] < self.settings.fixed_m] or firm[:1]
+        for name in fixed:
+            (choice,), _ = self._look(self.all[name])
+            for other, at in self.placed.items():
+                self._hold_against(name, choice, other, at)
+            self.placed[name] = choice
+        waiting = [name for name in dict.fromkeys((*firm, *self.all)) if name not in self.placed]
+        while any(self._place(name) for name in waiting if name not in self.placed):
+            pass  # who has just been placed may place another
+
+    def _look(self, member: _Member) -> tuple[list[Choice], Placing]:
+        """Place a sensor relative to those that are placed.
+
+        Where vehicles clearly agree better at another time, the sensor's clock is off by that.
+        """
+        choices = self.choices(member)
+        found = find_place(choices, self.placed, self.settings)
+        if not self.placed:
+            return choices, found
+        others = [each.seen for each in self.placed.values()]
+        lags = (find_lag(choice.seen, others, self.settings) for choice in choices)
+        lag = next((each for each in lags if each is not None), None)
+        if lag is None:
+            return choices, found
+        member.lag = lag
+        then = self.choices(member)
+        there = find_place(then, self.placed, self.settings)
+        if (
+            there.inside is None
+            or preference(there.inside.scores, found.best) < self.settings.lag_clear
+        ):
+            member.lag = Lag()
+            return choices, found
+        member.free = True
+        return then, there
+
+    def _hold_against(self, name: str, choice: Choice, other: str, at: Choice) -> None:
+        """Record whether two sensors with certain poses agree or contradict each other."""
+        found = find_place([choice], {other: at}, self.settings)
+        if found.beyond is not None:
+            self.clashes[self._pair(other, name)] = _clash(self._pair(other, name), found.beyond)
+        elif found.inside is not None:
+            self.agreeing.add(self._pair(other, name))
+
+    def _pair(self, *names: str) -> Names:
+        """Return two sensors in the order in which they were given."""
+        one, other = (name for name in self.all if name in names)
+        return one, other
+
+    def _place(self, name: str) -> bool:
+        """Place a sensor by those that have a place; return whether it could be."""
+        member = self.all[name]
+        choices, found = self._look(member)
+        if found.beyond is not None:
+            most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
+            self.clashes[self._pair(most, name)] = _clash(self._pair(most, name), found.beyond)
+            return False
+        if found.inside is None or found.z_score < self.settings.clear:
+            self.unclear |= {name} if found.inside is not None else set()
+            return False
+        member.choice, member.start, member.loose = found.inside.choice, found.inside.step, True
+        covariance = choices[member.choice].covariance
+        seen = self.seen(member, member.choice, member.start)
+        self.placed[name] = Choice(seen=seen, covariance=self._loose(covariance))
+        self.agreeing |= {self._pair(other, name) for other, n in found.inside.pairs.items() if n}
+        return True
+
+    def _loose(self, covariance: Floats) -> Floats:
+        """Return the covariance of a sensor that the grid has placed."""
+        grid = np.array([self.settings.step_m, self.settings.step_m, GRID_YAW]) ** -2.0
+        return np.asarray(np.linalg.inv(np.linalg.inv(covariance) + np.diag(grid)))
+
+    def refuse_clashes(self) -> None:
+        """Refuse of sensors that contradict each other those that fewer others confirm."""
+        for (one, other), why in self.clashes.items():
+            if self.refused.keys() & {one, other}:
+                continue
+            mine, theirs = len(self._friends(one)), len(self._friends(other))
+            if mine <= theirs:
+                self.refused[one] = why
+            if theirs <= mine:
+                self.refused[other] = why
+        left = self.placed.keys() - self.refused.keys()
+        self.placed = {name: self.placed[name] for name in self.all if name in left}
+
+    def _friends(self, name: str) -> set[str]:
+        """Return the sensors that agree with one, or with one that does, itself included."""
+        good = self.agreeing - self.clashes.keys()
+        known, fresh = {name}, {name}
+        while fresh:
+            fresh = {b for pair in good for a, b in (pair, pair[::-1]) if a in fresh} - known
+            known |= fresh
+        return known
+
+    def adjusted(self) -> tuple[Adjusted, dict[Names, Correspondences]]:
+        """Pair and adjust in turn until neither changes."""
+        names = list(self.placed)
+        for name in names:
+            self.all[name].away = self.all[name].start
+        covariances = [plane_covariance(self.all[name].pose) for name in names]
+        gates = [self._loose(c) if self.all[n].loose else c
+                 for n, c in zip(names, covariances, strict=True)]  # fmt: skip
+        within = shared_covariance(gates)
+        result = Adjusted(
+            step=np.zeros((len(names), PLANE)), covariance=shared_covariance(covariances), misfit={}
+        )
+        correspondences: dict[Names, Correspondences] = {}
+        for _ in range(self.settings.rounds):
+            at = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
+            correspondences = self._correspondences(names, at, within)
+            if not correspondences:
+                break
+            index = {
+                (names.index(a), names.index(b)): matched
+                for (a, b), matched in correspondences.items()
+            }
+            held = {(names.index(a), names.index(b)) for a, b in self._held(correspondences)}
+            away = np.array([self.all[name].away for name in names])
+            clocks = [self._clock_s(self.all[name]) for name in names]
+            result = adjust(index, away, covariances, self.settings, clocks_s=clocks, held=held)
+            for name, step in zip(names, result.step, strict=True):
+                self.all[name].away = self.all[name].away + step
+            within = result.covariance
+            if np.abs(result.step).max() < AT_REST:
+                break
+        return result, correspondences
+
+    def _correspondences(
+        self, names: Sequence[str], at: Mapping[str, Moments], covariance: Floats
+    ) -> dict[Names, Correspondences]:
+        """Pair the tracks of all sensors, each with at most one of another sensor."""
+        correspondences = {}
+        for j, other in enumerate(names):
+            for i, one in enumerate(names[:j]):
+                if (one, other) not in self.agreeing:
+                    continue
+                rows = compare(at[one], at[other], self.settings)
+                if len(rows.tracks) < self.settings.least_pairs:
+                    continue
+                own = [*range(PLANE * i, PLANE * i + PLANE), *range(PLANE * j, PLANE * j + PLANE)]
+                rows = self._paired(rows, covariance[np.ix_(own, own)])
+                if len(rows.tracks) >= self.settings.least_pairs:
+                    correspondences[one, other] = sum_correspondences(rows, self.settings)
+        return correspondences
+
+    def _held(self, correspondences: Mapping[Names, Correspondences]) -> set[Names]:
+        """Return the pairs of sensors with too few vehicles to move poses that stand fast."""
+        return {
+            pair
+            for pair, matched in correspondences.items()
+            if len(matched.gap) < self.settings.firm_pairs
+            and not any(self.all[name].loose for name in pair)
+        }
+
+    def _paired(self, rows: Rows, covariance: Floats) -> Rows:
+        gap, known = mean_gaps(rows, covariance, self.settings)
+        chi2 = np.einsum("pi,pij,pj->p", gap, np.linalg.inv(known), gap)
+        keep = np.zeros(len(chi2), dtype=bool)
+        keep[assign(chi2, rows.tracks, self.settings.gate_chi2)] = True
+        return rows.only(keep)
+
+    def misfits(
+        self, adjusted: Adjusted, correspondences: Mapping[Names, Correspondences]
+    ) -> dict[Names, str]:
+        """Return the pairs of sensors whose own poses the correspondences contradict."""
+        names, found = list(self.placed), {}
+        for (i, j), chi2 in adjusted.misfit.items():
+            if chi2 <= self.settings.contradiction_chi2:
+                continue
+            pair = names[i], names[j]
+            own = np.array([self.all[name].away for name in pair])
+            matched = correspondences[pair]
+            gap = matched.gap - matched.slope[:, :, : 2 * PLANE] @ own.ravel()
+            apart_m = float(np.median(np.hypot(*gap.T)))
+            found[pair] = _contradiction(pair, len(gap), apart_m)
+        return found
+
+    def _clock_s(self, member: _Member) -> float:
+        """Return the standard deviation of a sensor's clock."""
+        if member.free:
+            return self.settings.free_clock_s
+        known = member.station.clock_s
+        return self.settings.clock_s if known is None else max(known, self.settings.clock_s)
+
+    def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, bool]:
+        """Return by how much the other's clock is ahead, s, and whether that is out of bounds."""
+        away = np.array([self.all[name].away for name in pair])
+        known = [plane_covariance(self.all[name].pose) for name in pair]
+        ahead_s, sigma_s = clock_gap(matched, away, known, self.settings)
+        most = math.hypot(*[self._clock_s(self.all[name]) for name in pair], sigma_s)
+        return ahead_s, abs(ahead_s) > self.settings.clock_sigmas * most
+
+    def free_clock(self, correspondences: Mapping[Names, Correspondences]) -> bool:
+        """Estimate also the clock that most correspondences show to be off."""
+        off = {
+            pair: ahead_s
+            for pair, matched in correspondences.items()
+            for ahead_s, clearly in [self._clock_gap(pair, matched)]
+            if clearly
+        }
+        if not off:
+            return False
+        named = [name for pair in off for name in reversed(pair) if not self.all[name].free]
+        if not named:
+            return False
+        name = max(named, key=named.count)
+        pair = next(pair for pair in off if name in pair)
+        member, sign = self.all[name], 1.0 if name == pair[1] else -1.0
+        member.free, member.lag = True, member.lag.later(sign * off[pair])
+        return True
+
+    def clock_remarks(self, correspondences: Mapping[Names, Correspondences]) -> list[str]:
+        """Return which clocks are apart by more than the correspondences take for granted."""
+        remarks = []
+        for pair, matched in correspondences.items():
+            one, other = (self.all[name] for name in pair)
+            if not (one.free or other.free):
+                continue
+            ahead_s = other.lag.offset_s - one.lag.offset_s + self._clock_gap(pair, matched)[0]
+            fast = other.lag.rate - one.lag.rate
+            runs = f", and runs {abs(fast):.1%} {'fast' if fast > 0.0 else 'slow'}"
+            remarks.append(
+                f"the clock of {pair[1]} is {abs(ahead_s):.2f} s "
+                f"{'ahead of' if ahead_s > 0.0 else 'behind'} that of {pair[0]}"
+                f"{runs if fast else ''}: the poses allow for it, gis-radar clocks measures it"
+            )
+        return remarks
+
+    def unmatched(self, pairs: Mapping[Names, int], held: Mapping[Names, int]) -> dict[str, str]:
+        """Return why sensors have no correspondences."""
+        matched = {name for pair in pairs for name in pair}
+        left = [name for name in self.all if name not in matched and name not in self.refused]
+        return {name: self._why_unmatched(name, held) for name in left}
+
+    def _why_unmatched(self, name: str, held: Mapping[Names, int]) -> str:
+        mine = {pair: number for pair, number in held.items() if name in pair}
+        if mine:
+            pair = max(mine, key=lambda each: mine[each])
+            other = pair[1] if name == pair[0] else pair[0]
+            return f"{mine[pair]} vehicles shared with {other} confirm its pose, too few to move it"
+        if name in self.unclear and name not in self.placed:
+            return "its vehicles fit those of others in several places"
+        return "no other sensor sees enough of the same vehicles"
+
+    def solved(
+        self, adjusted: Adjusted, correspondences: Mapping[Names, Correspondences]
+    ) -> Solved:
+        """Return poses, pairs and refusals."""
+        poses = {n: m.pose for n, m in self.all.items() if len(m.station.poses) == 1}
+        shared = {pair: len(matched.gap) for pair, matched in correspondences.items()}
+        held = {pair: shared[pair] for pair in self._held(correspondences)}
+        pairs = {pair: number for pair, number in shared.items() if pair not in held}
+        for number, name in enumerate(self.placed):
+            own = slice(PLANE * number, PLANE * number + PLANE)
+            mine = {pair: n for pair, n in pairs.items() if name in pair}
+            if mine:
+                member = self.all[name]
+                poses[name] = with_gain(
+                    moved(member.pose, member.away), adjusted.covariance[own, own], name, mine,
+                    self.answer,
+                )  # fmt: skip
+        poses = {name: pose for name, pose in poses.items() if name not in self.refused}
+        return Solved(
+            poses=poses,
+            chosen={name: self.all[name].choice for name in poses},
+            refused=self.refused,
+            pairs=pairs,
+            unmatched=self.unmatched(pairs, held),
+            remarks=tuple(self.clock_remarks(correspondences)),
+        )
+
+
+def _contradiction(names: Names, vehicles: int, gap_m: float) -> str:
+    return (
+        f"{names[0]} and {names[1]}: their poses contradict each other: {vehicles} vehicles "
+        f"that both see lie {gap_m:.1f} m apart"
+    )
+
+
+def _clash(names: Names, shift: Shift) -> str:
+    return _contradiction(names, sum(shift.pairs.values()), float(np.hypot(*shift.step[:2])))

@@ -1,0 +1,258 @@
+"""Where a sensor stands by what others see: shifts on a grid, scored by the vehicles in common."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.correspondences import PLANE, Moments, Rows, assign, compare, mean_gaps
+from gis_radar.calibration.joint_settings import CorrespondenceSettings
+
+TRIED = 30  # shifts scored one to one, of those that look best
+GRID_YAW = math.radians(0.5)  # between the headings that correspondences are looked for under
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One pose that a sensor alone may have.
+
+    Parameters
+    ----------
+    seen : Moments
+        Its vehicles, put on the map by it.
+    covariance : (3, 3) array
+        Of easting, northing, yaw.
+    yaw : float
+        Where it looks, radians.
+    """
+
+    seen: Moments
+    covariance: Floats
+    yaw: float = 0.0
+
+    def later(self, moments: int) -> Choice:
+        """Return it with all vehicles seen so many moments later."""
+        return replace(self, seen=self.seen.later(moments))
+
+    def turned(self, other: Choice) -> bool:
+        """Whether another one looks elsewhere, by more than the grid allows for."""
+        gap = (self.yaw - other.yaw + math.pi) % (2.0 * math.pi) - math.pi
+        return abs(gap) > 2.0 * GRID_YAW
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    """A pose of a sensor, and how well its vehicles there agree with those of others.
+
+    Parameters
+    ----------
+    choice : int
+        Which of the poses that it alone may have.
+    step : (3,) array
+        From there: easting, northing, yaw.
+    scores : (tracks,) array
+        Of each of its tracks.
+    pairs : dict
+        How many pairs there are with each other sensor, by name.
+    """
+
+    choice: int
+    step: Floats
+    scores: Floats
+    pairs: Mapping[str, int]
+
+
+def total_score(shift: Shift) -> float:
+    """Return the sum of the scores of a shift."""
+    return float(shift.scores.sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placing:
+    """Evidence of other sensors about a sensor's pose.
+
+    Parameters
+    ----------
+    inside : Shift or None
+        The best place that the sensor's own answer allows; None where there are too few pairs.
+    z_score : float
+        By how many standard deviations its vehicles prefer that to other places allowed.
+    beyond : Shift or None
+        A place that its own answer rules out and its vehicles clearly prefer.
+    """
+
+    inside: Shift | None
+    z_score: float
+    beyond: Shift | None
+
+    @property
+    def best(self) -> Floats:
+        """The scores of the better place; empty where there is none."""
+        there = [each for each in (self.inside, self.beyond) if each is not None]
+        return max(there, key=total_score).scores if there else np.empty(0)
+
+
+def find_place(
+    choices: Sequence[Choice], others: Mapping[str, Choice], settings: CorrespondenceSettings
+) -> Placing:
+    """Find the shift at which a sensor's vehicles agree with those of others.
+
+    Parameters
+    ----------
+    choices : sequence of Choice
+        The poses that the sensor alone may have: one, or several that it cannot tell apart.
+    others : mapping
+        Sensors that have a place, by name.
+    settings : CorrespondenceSettings
+        Of the grid, and what is clear.
+    """
+    tracks = 1 + max((int(c.seen.track.max(initial=-1)) for c in choices), default=-1)
+    allowed: list[Shift] = []
+    beyond: list[Shift] = []
+    chance: list[Shift] = []
+    for number, choice in enumerate(choices):
+        score = _Score(choice, others, tracks, settings)
+        steps, inside = _grid(choice.covariance, settings)
+        allowed += score.best(number, steps[inside])
+        if len(choices) == 1:
+            beyond += score.best(number, steps[~inside])
+        for late_s in settings.chance_s:
+            late = round(late_s / settings.moment_s)
+            wrong = {name: other.later(late) for name, other in others.items()}
+            chance += _Score(choice, wrong, tracks, settings).best(number, steps)[:1]
+
+    def good(shift: Shift) -> bool:
+        z_scores = (preference(shift.scores, each.scores) for each in chance)
+        return min(z_scores, default=math.inf) > settings.clear
+
+    allowed, beyond = [s for s in allowed if good(s)], [s for s in beyond if good(s)]
+    best = max(allowed, key=total_score, default=None)
+    rivals = [s for s in allowed if best is not None and _differ(choices, best, s, settings)]
+    z_score = min((preference(best.scores, s.scores) for s in rivals if best), default=math.inf)
+    return Placing(
+        inside=best,
+        z_score=z_score if best is not None else 0.0,
+        beyond=_contradiction(best, beyond, settings),
+    )
+
+
+def _contradiction(
+    best: Shift | None, beyond: Sequence[Shift], settings: CorrespondenceSettings
+) -> Shift | None:
+    """Return the place beyond a sensor's own answer that its vehicles clearly prefer to it."""
+    if best is not None:
+        beyond = [
+            shift
+            for shift in beyond
+            if np.hypot(*(shift.step - best.step)[:2]) > 2.0 * settings.step_m
+            and preference(shift.scores, best.scores) > settings.clear
+        ]
+    return max(beyond, key=total_score, default=None)
+
+
+def _differ(
+    choices: Sequence[Choice], one: Shift, other: Shift, settings: CorrespondenceSettings
+) -> bool:
+    """Return whether two shifts give two answers: the fit merges near ones."""
+    ends = [choices[shift.choice].seen.place[:2] + shift.step[:2] for shift in (one, other)]
+    apart_m = float(np.hypot(*(ends[1] - ends[0])))
+    if one.choice == other.choice:
+        return apart_m > settings.apart_m
+    return apart_m > 2.0 * settings.step_m or choices[one.choice].turned(choices[other.choice])
+
+
+def preference(scores: Floats, others: Floats) -> float:
+    """Return by how many standard deviations tracks prefer one place to another (Vuong 1989)."""
+    longest = max(len(scores), len(others))
+    one, other = (np.pad(each, (0, longest - len(each))) for each in (scores, others))
+    gain = (one - other)[(one > 0.0) | (other > 0.0)]
+    if len(gain) < 2:
+        return 0.0
+    spread = math.sqrt(len(gain) * float(gain.var(ddof=1)))
+    return float(gain.sum()) / spread if spread > 0.0 else math.copysign(math.inf, gain.sum())
+
+
+def _grid(covariance: Floats, settings: CorrespondenceSettings) -> tuple[Floats, Booleans]:
+    """Return steps of easting, northing, yaw, and which of them the sensor's answer allows."""
+    values, axes = np.linalg.eigh(covariance[:2, :2])
+    far_m = math.sqrt(settings.contradiction_chi2) * np.sqrt(values)
+    far_m = np.clip(far_m, settings.reach_m, settings.farthest_m)
+    half = np.ceil(far_m / settings.step_m).astype(np.int64)
+    u, v = np.mgrid[-half[0] : half[0] + 1, -half[1] : half[1] + 1] * settings.step_m
+    flat = np.stack([u.ravel(), v.ravel()], axis=1)
+    chi2 = np.sum(flat**2 / values, axis=1)
+    inside = chi2 < settings.contradiction_chi2
+    east_north = flat @ axes.T
+    # along what a scene does not fix, place and heading go together
+    turn = east_north @ np.linalg.solve(covariance[:2, :2], covariance[:2, 2])
+    return np.column_stack([east_north, np.where(inside, turn, 0.0)]), inside
+
+
+class _Score:
+    """How well a sensor's vehicles agree with those of others, after a step."""
+
+    def __init__(
+        self,
+        choice: Choice,
+        others: Mapping[str, Choice],
+        tracks: int,
+        settings: CorrespondenceSettings,
+    ) -> None:
+        self.settings, self.tracks = settings, tracks
+        self.parts: dict[str, tuple[Rows, Floats, Floats, Floats]] = {}
+        loose = np.diag([settings.step_m**2 / 3.0, settings.step_m**2 / 3.0, GRID_YAW**2])
+        for name, other in others.items():
+            rows = compare(other.seen, choice.seen, settings)
+            if not len(rows.tracks):
+                continue
+            covariance = np.zeros((2 * PLANE, 2 * PLANE))
+            covariance[:PLANE, :PLANE] = other.covariance
+            covariance[PLANE:, PLANE:] = loose
+            gap, known = mean_gaps(rows, covariance, settings)
+            slope = rows.means(rows.poses)[:, :, PLANE:]
+            self.parts[name] = rows, gap, slope, np.asarray(np.linalg.inv(known))
+
+    def best(self, choice: int, steps: Floats) -> list[Shift]:
+        """Return the best of some steps, and the best of those apart from it."""
+        if not self.parts or not len(steps):
+            return []
+        rough = np.array([self._rough(step) for step in steps])
+        order = np.argsort(-rough, kind="stable")
+        first = self._most(choice, steps[order[:TRIED]])
+        away = np.hypot(*(steps[order, :2] - first.step[:2]).T) > self.settings.apart_m
+        found = [first]
+        if away.any():
+            found.append(self._most(choice, steps[order[away][:TRIED]]))
+        return [each for each in found if sum(each.pairs.values()) >= self.settings.least_pairs]
+
+    def _most(self, choice: int, steps: Floats) -> Shift:
+        shifts = [self._shift(choice, step) for step in steps]
+        return max(shifts, key=total_score)
+
+    def _chi2(self, name: str, step: Floats) -> Floats:
+        _, gap, slope, inverse = self.parts[name]
+        moved = gap + slope @ step
+        return np.asarray(np.einsum("pi,pij,pj->p", moved, inverse, moved))
+
+    def _rough(self, step: Floats) -> float:
+        """Return the score where a track of another sensor may be paired more than once."""
+        total = 0.0
+        for name, (rows, *_) in self.parts.items():
+            gain = np.zeros(self.tracks)
+            won = np.maximum(self.settings.gate_chi2 - self._chi2(name, step), 0.0)
+            np.maximum.at(gain, rows.tracks[:, 1], won)
+            total += float(gain.sum())
+        return total
+
+    def _shift(self, choice: int, step: Floats) -> Shift:
+        scores, pairs = np.zeros(self.tracks), {}
+        for name, (rows, *_) in self.parts.items():
+            chi2 = self._chi2(name, step)
+            taken: Integers = assign(chi2, rows.tracks, self.settings.gate_chi2)
+            np.add.at(scores, rows.tracks[taken, 1], self.settings.gate_chi2 - chi2[taken])
+            pairs[name] = len(taken)
+        return Shift(choice=choice, step=step, scores=scores, pairs=pairs)

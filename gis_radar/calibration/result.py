@@ -1,0 +1,362 @@
+"""Problem and result: a sensor to be located, and its pose with evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import Moving
+from gis_radar.errors import NoAnswerError
+from gis_radar.lanelets import LaneletMap
+from gis_radar.notebooks import (
+    axes_or_new,
+    card,
+    label_map,
+    legend_below,
+    picture_file,
+    small_picture,
+)
+from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
+from gis_radar.sight import Sight, SightTiles
+from gis_radar.steps import iso_from_step, step_of
+from gis_radar.words import figure_text, percent, tr
+
+if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
+    from gis_radar.calibration.scan_check import ScanCheck
+
+STAGE = "finding the pose"
+
+DPI = 216
+SIZE_IN = (6.6, 6.6)
+WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # as wide as a page: words stay legible
+LETTERS_PT = 9.0
+LARGER = 1.3  # a panel over two others to these: it is larger, too
+LINE = 46  # letters of a title, as wide as a panel
+MARGIN_M = 12.0
+ROAD_POINTS = 60_000
+ARROW_EVERY_M = 12.0
+# Traces in a light and a dark colour, which grey paper tells apart, too.
+ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
+
+Extent = tuple[Floats, Floats]  # south-west and north-east, metres
+
+
+@dataclass(frozen=True, kw_only=True)
+class Localization:
+    """A pose with its evidence.
+
+    Parameters
+    ----------
+    pose : Pose
+        The answer; its evidence goes into the pose file.
+    fitness : float
+        Share of traces that are where they should be: on lanes of fitting direction (`lane`), or
+        within a voxel of the road (`icp`).
+    observable : bool
+        Whether the scene fixes all six components.
+    recording : str
+        File name of the recording that gave the pose, where several were tried.
+    eigenvalues : tuple of float
+        Of the data's information about the pose, ascending, 1/m^2.
+    hypotheses : tuple of (easting, northing, yaw_deg, loss)
+        What was tried, the best first.
+    vehicles, samples : int
+        Moving objects and detections used.
+    z_score : float
+        By how many standard deviations the vehicles prefer the answer to the next hypothesis;
+        infinite where there is none.
+    traces : (n, 3) array
+        The detections used, sensor frame.
+    range_rate : (n,) array
+        Theirs, m/s; NaN for `icp`.
+    """
+
+    pose: Pose
+    fitness: float
+    observable: bool
+    recording: str = ""
+    eigenvalues: tuple[float, ...] = ()
+    hypotheses: tuple[tuple[float, float, float, float], ...] = ()
+    vehicles: int = 0
+    samples: int = 0
+    z_score: float = math.inf
+    traces: Floats = field(repr=False, default_factory=lambda: np.empty((0, 3)))
+    range_rate: Floats = field(repr=False, default_factory=lambda: np.empty(0))
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return figures worth a look, by name."""
+        sigma = self.pose.evidence.get("sigma", {})
+        look = self.pose.evidence.get("scan_check")
+        return {
+            **{name: round(getattr(self.pose, name), 3) for name in COMPONENTS},
+            **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
+            "fitness": round(self.fitness, 3),
+            "observable": self.observable,
+            "vehicles": self.vehicles,
+            "hypotheses": len(self.hypotheses),
+            **({"scan_check": look["verdict"]} if look else {}),
+        }
+
+    def with_scan_check(self, look: ScanCheck) -> Localization:
+        """Return the same answer with a scan check's verdict and the range that it measured.
+
+        The verdict goes into the pose's evidence; the range (99.9th percentile) into its view,
+        unless it has one.
+        """
+        evidence = {**self.pose.evidence, "scan_check": dict(look.figures())}
+        pose = replace(self.pose, evidence=evidence)
+        if look.range_m > View.min_range_m:
+            pose = pose.with_view(View(max_range_m=look.range_m))
+        return replace(self, pose=pose)
+
+    def plot(
+        self, roads: LaneletMap | None = None, road_points: Floats | None = None, ax: Any = None
+    ) -> Any:
+        """Draw the traces at the found pose, the sensor, and the 95 % ellipse of its place.
+
+        Parameters
+        ----------
+        roads : LaneletMap, optional
+            Drawn under them: the lanes.
+        road_points : (n, 3) array, optional
+            Drawn under them: the scanned road.
+        ax : matplotlib Axes, optional
+            In metres of the map; without it, those of a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        ax = axes_or_new(ax, (8.0, 8.0))
+        traces, place = self.pose.to_map(self.traces), self.pose.position[:2]
+        low, high = extent = _trace_extent(traces, place)
+        if road_points is not None:
+            _draw_road(ax, road_points, extent)
+        if roads is not None:
+            _draw_lanes(ax, roads, extent)
+        _draw_traces(ax, traces, self.range_rate)
+        covariance = self.pose.plane_covariance()
+        ring = None if covariance is None else ellipse(place, covariance)
+        ahead = self.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0
+        draw_sensor(ax, place, ahead, ring, tr("sensor"))
+        label_map(ax)
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._title())
+        for handle in legend_below(ax).legend_handles:  # on the map it would cover the road
+            if hasattr(handle, "set_sizes"):
+                handle.set_sizes([18.0])  # points too small to tell their colours
+        return ax
+
+    def _title(self) -> str:
+        sigma, share = self.pose.evidence.get("sigma"), percent(self.fitness, 0)
+        parts = [tr("{share} of the vehicle paths lie on the lanes", share=share)]
+        if sigma:
+            across = float(np.hypot(sigma["easting"], sigma["northing"]))
+            parts.append(tr(
+                "position ± {across} m, yaw ± {yaw}°",
+                across=figure_text(across, 2), yaw=figure_text(sigma["yaw"], 2),
+            ))  # fmt: skip
+        if not self.observable:
+            parts.append(tr("the scene leaves part of it open"))
+        parts[0] = f"{self.pose.sensor}: {parts[0]}"
+        return ";\n".join(fill(each, LINE) for each in parts)
+
+    def _summary(self) -> str:
+        sigma = self.pose.evidence.get("sigma")
+        parts = [f"{self.pose.sensor}: {self.fitness:.0%} of the traces fit"]
+        if sigma:
+            across = float(np.hypot(sigma["easting"], sigma["northing"]))
+            parts.append(f"position \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg")
+        if not self.observable:
+            parts.append("the scene does not fix all of the pose")
+        return "; ".join(parts)
+
+    def __repr__(self) -> str:
+        return f"Localization({self.pose!r}; {self._summary()})"
+
+    def _repr_html_(self) -> str:
+        picture = small_picture(self._small) if len(self.traces) else b""
+        return card(f"Localization of {self.pose.sensor}", self.figures(), picture=picture)
+
+    def _small(self, ax: Any) -> None:
+        self.plot(ax=ax).set_title("")
+        ax.get_legend().remove()
+        ax.tick_params(labelsize=6)
+
+
+class AmbiguousError(NoAnswerError):
+    """Several poses fit, and none clearly better than the others.
+
+    Parameters
+    ----------
+    message, hint : str
+        As for every error.
+    answers : tuple of Localization
+        The poses, each as if it were the answer; the best first.
+    """
+
+    def __init__(  # by the message alone, too: so errors come back from worker processes
+        self, message: str, *, hint: str = "", answers: tuple[Localization, ...] = ()
+    ) -> None:
+        super().__init__(message, hint=hint)
+        self.answers = answers
+
+
+def draw_localization(
+    found: Localization,
+    roads: LaneletMap,
+    road_points: Floats,
+    path: str | Path,
+    *,
+    look: ScanCheck | None = None,
+    seen: tuple[Sight, SightTiles] | None = None,
+) -> None:
+    """Draw the traces at the found pose over lanes and scanned road (PNG).
+
+    Parameters
+    ----------
+    found : Localization
+        The answer.
+    roads : LaneletMap
+        The lanes, in the answer's CRS.
+    road_points : (n, 3) array
+        The scanned road.
+    path : str or Path
+        The picture; appears whole or not at all.
+    look : ScanCheck, optional
+        Drawn beside it: what stands, over canopy, roofs and walls.
+    seen : (Sight, SightTiles), optional
+        Drawn beside it: which tiles the sensor sees from there, and which something hides.
+    """
+    # not at the top: whoever draws nothing does not wait for matplotlib
+    from matplotlib.text import Text  # noqa: PLC0415
+
+    from gis_radar.calibration.scan_check_picture import draw_surroundings  # noqa: PLC0415
+    from gis_radar.sight.picture import draw_sight  # noqa: PLC0415
+
+    beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
+    size_in = WITH_ONE_IN if len(beside) == 1 else WITH_TWO_IN if beside else SIZE_IN
+    rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
+    with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
+        panels = figure.subplot_mosaic(rows)
+        found.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
+        if len(beside) == 2:  # on a phone it is as wide as the others, so its words grow with it
+            for text in panels["traces"].findobj(match=Text):
+                text.set_fontsize(LARGER * text.get_fontsize())
+        if look is not None:
+            draw_surroundings(panels["look"], look)
+        if seen is not None:
+            ax = panels["sight"]
+            draw_sight(ax, *seen)
+            label_map(ax)
+            counts = seen[0].figures()
+            share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
+            text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
+            ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))
+            legend_below(ax)
+
+
+def _trace_extent(traces: Floats, place: Floats) -> Extent:
+    """Return what a picture shows: nearly all traces and the sensor, with a margin."""
+    low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - MARGIN_M
+    high = np.maximum(np.percentile(traces[:, :2], 99.5, axis=0), place) + MARGIN_M
+    return low, high
+
+
+def _draw_road(ax: Any, road: Floats, extent: Extent) -> None:
+    """Draw the points of the scanned road within an extent."""
+    low, high = extent
+    inside = road[((road[:, :2] > low) & (road[:, :2] < high)).all(axis=1)]
+    shown = inside[:: max(len(inside) // ROAD_POINTS, 1)]
+    ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=ROAD, linewidths=0, label=tr("scanned road"))
+
+
+def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
+    """Draw the bounds of the lanes within an extent, with arrows where they are one-way."""
+    from matplotlib.collections import LineCollection  # noqa: PLC0415 - only who draws waits for it
+
+    low, high = extent
+    near = roads.lanelets.cx[low[0] : high[0], low[1] : high[1]]
+    bounds = [np.asarray(line.coords)[:, :2] for side in ("left", "right") for line in near[side]]
+    ax.add_collection(LineCollection(bounds, colors=LANE, linewidths=0.5))
+    centres = near.loc[near["one_way"].to_numpy(bool), "centre"]
+    for line in centres:
+        for at in np.arange(ARROW_EVERY_M / 2, line.length, ARROW_EVERY_M):
+            here, ahead = line.interpolate(at), line.interpolate(min(at + 2.0, line.length))
+            ax.annotate(
+                "",
+                (ahead.x, ahead.y),
+                (here.x, here.y),
+                arrowprops={"arrowstyle": "->", "color": LANE, "linewidth": 0.5},
+                annotation_clip=True,
+            )
+
+
+def _draw_traces(ax: Any, traces: Floats, rate: Floats) -> None:
+    """Draw traces by whether they recede."""
+    kinds = (
+        (rate > 0.0, AWAY, "recedes"),
+        (rate < 0.0, NEAR, "comes near"),
+        (np.isnan(rate), PLAIN, "moves"),
+    )
+    for which, colour, label in kinds:
+        if which.any():
+            x, y = traces[which, :2].T
+            ax.scatter(x, y, s=1.5, color=colour, linewidths=0, label=tr(label))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Where a sensor is to be found.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    roads : LaneletMap
+        The lanes.
+    road : (n, 3) array
+        Points of the road's surface in the map's CRS, metres.
+    guess : (2,) or (3,) array
+        Easting, northing and perhaps height, metres.
+    heading : float or None
+        Yaw, radians, where one is known.
+    """
+
+    name: str
+    roads: LaneletMap
+    road: Floats
+    guess: Floats
+    heading: float | None
+
+    def pose(self, state: State, evidence: Mapping[str, Any]) -> Pose:
+        """Return a state in local coordinates as a pose in the map."""
+        yaw, pitch, roll = (float(angle) for angle in np.degrees(state.yaw_pitch_roll))
+        easting, northing = (float(v) for v in state.position[:2] + self.guess[:2])
+        return Pose(
+            sensor=self.name,
+            crs=self.roads.crs,
+            easting=easting,
+            northing=northing,
+            height=float(state.position[2]),
+            yaw=yaw,
+            pitch=pitch,
+            roll=roll,
+            evidence=evidence,
+        )
+
+
+def common(moving: Moving, method: str) -> dict[str, Any]:
+    """Return the evidence that all methods give."""
+    return {
+        "time": iso_from_step(int(step_of(np.array(moving.end)))),
+        "method": method,
+        "frames": moving.frames,
+    }

@@ -1,0 +1,462 @@
+"""Check a pose by what stands around the sensor, independently of lanes and traffic.
+
+A pose is scored by how well what stands in a recording fits a scan, and so are poses moved and
+turned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+from scipy import fft, ndimage
+
+from gis_radar.arrays import Floats
+from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
+from gis_radar.calibration.surroundings import (
+    LevelFrame,
+    Slow,
+    Standing,
+    Structure,
+    read_slow,
+    read_structure,
+    standing,
+)
+from gis_radar.errors import InputError
+from gis_radar.grid import CELL_M
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Recording
+from gis_radar.scans.scan import box_with_margin, open_scan
+
+CONFIRMS, DOUBTS, UNCLEAR = "confirms", "doubts", "nothing to compare"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseOffset:
+    """A pose beside the answer, and how well it fits.
+
+    Parameters
+    ----------
+    ahead_m, left_m : float
+        How far it is moved, as the sensor looks.
+    turn_deg : float
+        How far it is turned about the sensor, counter-clockwise, -180 to 180.
+    score : float
+        0 to 1; see :class:`Alignment`.
+    """
+
+    ahead_m: float
+    left_m: float
+    turn_deg: float
+    score: float
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Metres ahead and left, and degrees."""
+        return self.ahead_m, self.left_m, self.turn_deg
+
+    @property
+    def shift_m(self) -> float:
+        """How far it is moved."""
+        return float(np.hypot(self.ahead_m, self.left_m))
+
+    def words(self) -> str:
+        """Return shift and turn as text."""
+        return f"{self.shift_m:.1f} m and {abs(self.turn_deg):.1f} deg away"
+
+    def beyond(self, shift_m: float, turn_deg: float) -> bool:
+        """Return whether it is moved or turned so far."""
+        return self.shift_m >= shift_m or abs(self.turn_deg) >= turn_deg
+
+
+HERE = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """What stands, compared with a scan.
+
+    The score of a pose is the mean over the standing cells of `exp(-d^2 / 2 close_m^2)`, `d` their
+    distance to the next structure of the scan: the share that is where it should be.
+
+    Parameters
+    ----------
+    standing : Standing
+        The cells, in the level frame of the answer.
+    closeness : (n, n) array
+        That value for each cell of the frame.
+    settings : ScanCheckSettings
+        Reach and steps of the search.
+    """
+
+    standing: Standing = field(repr=False)
+    closeness: Floats = field(repr=False)
+    settings: ScanCheckSettings = field(default=SCAN_CHECK, repr=False)
+
+    def at(self, offset: Sequence[float]) -> Floats:
+        """Return the closeness of each standing cell at (ahead, left, turn in degrees)."""
+        ahead, left, turn = offset
+        angle = np.radians(turn)
+        cos, sin = np.cos(angle), np.sin(angle)
+        x, y = self.standing.points[:, :2].T
+        place = np.array([cos * x - sin * y + ahead, sin * x + cos * y + left]) / CELL_M
+        place += len(self.closeness) // 2 - 0.5
+        return np.asarray(ndimage.map_coordinates(self.closeness, place, order=1, mode="constant"))
+
+    def score(self, offset: Sequence[float] = HERE) -> float:
+        """Return the score at (ahead, left, turn in degrees)."""
+        return float(self.at(offset).mean())
+
+    def offset(self, place: Sequence[float]) -> PoseOffset:
+        """Return an offset with its score."""
+        ahead, left, turn = (float(value) for value in place)
+        turn = (turn + 180.0) % 360.0 - 180.0
+        return PoseOffset(ahead_m=ahead, left_m=left, turn_deg=turn, score=self.score(place))
+
+    @property
+    def here(self) -> PoseOffset:
+        """The answer itself."""
+        return self.offset(HERE)
+
+    def z_score(self, one: PoseOffset, other: PoseOffset) -> float:
+        """Return by how many standard deviations what stands prefers one offset to another.
+
+        Neighbouring cells show one wall or one tree, so they vote in patches.
+        """
+        return self._vote(self.at(one.place) - self.at(other.place))
+
+    def over(self, chance: float) -> float:
+        """Return by how many standard deviations the answer's score is over another one."""
+        return self._vote(self.at(HERE) - chance)
+
+    def _vote(self, gain: Floats) -> float:
+        votes = np.bincount(self.standing.patch, gain)
+        spread = float(np.sqrt((votes**2).sum()))
+        return float(votes.sum()) / spread if spread > 0.0 else 0.0
+
+    def climbed(self, place: Sequence[float], *, apart: bool = False) -> PoseOffset:
+        """Climb from an offset to the top nearby; with `apart`, stay away from the answer."""
+        best, limits = self.offset(place), self.settings
+        farthest_m = limits.shift_m * np.sqrt(2.0)
+        for shift_m, turn_deg in limits.steps:
+            step = np.array([shift_m, shift_m, turn_deg])
+            for _ in range(30):
+                around = [self.offset(best.place + move * step) for move in _MOVES]
+                around = [o for o in around if o.shift_m <= farthest_m]
+                if apart:
+                    around = [o for o in around if o.beyond(limits.lane_m, limits.askew_deg)]
+                top = max(around, key=lambda o: o.score, default=best)
+                if top.score <= best.score + 1e-9:
+                    break
+                best = top
+        return best
+
+    def surface(self) -> Floats:
+        """Return the scores at the answer's heading, (ahead, left) every cell up to `shift_m`."""
+        return np.asarray(_scores(self, [0.0])[0])
+
+    def explored(self) -> tuple[list[PoseOffset], float]:
+        """Return the best offsets far from each other in all headings, and the mean of all."""
+        turns = np.arange(-180.0, 180.0, self.settings.turn_deg)
+        scores = _scores(self, turns.tolist(), self.settings.coarse)
+        size = (7, 5, 5)
+        peak = ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest")) == scores
+        order = np.argsort(-np.where(peak, scores, -1.0), axis=None)[: self.settings.candidates]
+        turn, ahead, left = np.unravel_index(order, scores.shape)
+        middle, cell_m = scores.shape[1] // 2, CELL_M * self.settings.coarse
+        places = np.column_stack([(ahead - middle) * cell_m, (left - middle) * cell_m, turns[turn]])
+        return [self.offset(place) for place in places], float(scores.mean())
+
+
+_MOVES = np.array([move for move in product((-1, 0, 1), repeat=3) if any(move)], float)
+
+
+def align(
+    standing: Standing, structure: Structure, settings: ScanCheckSettings = SCAN_CHECK
+) -> Alignment:
+    """Compare what stands with a scan that shows something."""
+    away = ndimage.distance_transform_edt(~structure.visible) * CELL_M
+    closeness = np.asarray(np.exp(-0.5 * (away / settings.close_m) ** 2))
+    return Alignment(standing=standing, closeness=closeness, settings=settings)
+
+
+def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -> Floats:
+    """Return the scores of all shifts at once, by convolution: (headings, ahead, left)."""
+    field, points = alignment.closeness, alignment.standing.points[:, :2]
+    if coarse > 1:
+        field = ndimage.gaussian_filter(field, coarse * alignment.settings.close_m / CELL_M / 2.0)
+    size, cell_m = len(field) // coarse, CELL_M * coarse
+    field = field[: size * coarse, : size * coarse]
+    field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
+    side = int(fft.next_fast_len(size, real=True))
+    spectrum = fft.rfft2(field.astype(np.float32), (side, side))
+    most = round(alignment.settings.shift_m / cell_m)
+    reach = np.arange(-most, most + 1)
+    scores = []
+    for angle in np.radians(turns_deg):
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        place = np.floor(points @ turn / cell_m + size / 2.0).astype(np.int64)
+        count = np.bincount(place[:, 0] * side + place[:, 1], minlength=side**2)
+        image = fft.rfft2(count.astype(np.float32).reshape(side, side))
+        rows = fft.ifft(spectrum * np.conj(image), axis=0)[reach]  # others are not asked for
+        found = fft.irfft(rows, side, axis=1)[:, reach]
+        scores.append(np.asarray(found, np.float64) / len(points))
+    return np.stack(scores)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ScanCheck:
+    """What stands around a sensor, compared with an airborne scan at a pose, and the verdict.
+
+    The score is the share of what stands (cells of half a metre) that is on canopy and walls of
+    the scan. It does not measure height, roll and pitch.
+
+    Parameters
+    ----------
+    pose : Pose
+        The pose that was looked at.
+    verdict : str
+        `confirms`, `doubts` or `nothing to compare`.
+    reason : str
+        Why, in one line.
+    score : float
+        Score at the pose, 0 to 1; NaN where there was nothing to compare.
+    chance : float
+        Mean score of all poses up to 10 m away, in all headings.
+    best : PoseOffset, optional
+        Where the score is highest, near the pose or up to 10 m ahead and aside, in all headings.
+    rival : PoseOffset, optional
+        The best one a lane (3 m) or 3 degrees and more away from the pose.
+    z_score : float
+        By how many standard deviations what stands prefers the pose to `rival`; negative where it
+        prefers the rival, infinite where there is none.
+    standing : Standing
+        What stands, in the level frame of the pose.
+    closeness : (n,) array
+        How close each of its cells is to a structure, 0 to 1; the score is the mean.
+    covered : float
+        Share of those cells over which the scan has points.
+    structure : Structure
+        What the scan shows.
+    surface : (k, k) array
+        Scores at the pose's heading, (ahead, left) every 0.5 m from -10 to 10 m.
+    range_m : float
+        Slant range of 99.9 % of the recording's detections, metres; 0 without any.
+    settings : ScanCheckSettings
+        What was in effect.
+    """
+
+    pose: Pose
+    verdict: str
+    reason: str
+    score: float = float("nan")
+    chance: float = float("nan")
+    best: PoseOffset | None = None
+    rival: PoseOffset | None = None
+    z_score: float = float("nan")
+    standing: Standing
+    closeness: Floats = field(default_factory=lambda: np.empty(0))
+    covered: float = float("nan")
+    structure: Structure
+    surface: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    settings: ScanCheckSettings
+    range_m: float
+
+    @property
+    def level(self) -> LevelFrame:
+        """The frame of the cells and the structure."""
+        return LevelFrame(pose=self.pose)
+
+    def __repr__(self) -> str:
+        return f"ScanCheck({self.pose.sensor}: {self.verdict}: {self.reason})"
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return the figures and the settings in effect, ready for JSON.
+
+        `best_east_m`, `best_north_m` and `best_turn_deg` lead from the pose to where the score is
+        highest.
+        """
+        found: dict[str, Any] = {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "standing_cells": len(self.standing),
+            "scan_classified": self.structure.classified,
+        }
+        if self.best is not None:
+            beside = np.array([[self.best.ahead_m, self.best.left_m]])
+            east, north = (self.level.to_map(beside)[0] - self.pose.position[:2]).tolist()
+            found |= {
+                "covered": round(self.covered, 3),
+                "score": round(self.score, 3),
+                "chance": round(self.chance, 3),
+                "best_score": round(self.best.score, 3),
+                "best_east_m": round(east, 2),
+                "best_north_m": round(north, 2),
+                "best_turn_deg": round(self.best.turn_deg, 2),
+            }
+        if self.rival is not None:
+            found |= {"rival_score": round(self.rival.score, 3), "z_score": round(self.z_score, 2)}
+        return found | {"settings": asdict(self.settings)}
+
+
+def require_scans_near(
+    scans: Sequence[str | Path],
+    crs: CRS,
+    place: Sequence[float],
+    *,
+    scan_crs: Any = None,
+) -> None:
+    """Refuse scans that cannot serve to check a sensor's pose; reads their headers only.
+
+    Parameters
+    ----------
+    scans, scan_crs
+        As for :func:`scan_check`.
+    crs : CRS
+        The map frame.
+    place : (easting, northing, ...)
+        About where the sensor is, metres.
+
+    Raises
+    ------
+    InputError
+        If none of them reaches within 300 m, or one is damaged; CrsError if one has no projected,
+        metric coordinate system.
+    """
+    reach_m = SCAN_CHECK.most_reach_m
+    box = box_with_margin((place[0], place[1], place[0], place[1]), reach_m)
+    # each is opened, so that a bad one is refused at once
+    near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
+    if not any(near):
+        raise _elsewhere(scans, reach_m, "the sensor", place, crs)
+
+
+def _elsewhere(
+    scans: Sequence[str | Path], reach_m: float, what: str, place: Sequence[float], crs: CRS
+) -> InputError:
+    names = ", ".join(str(scan) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
+    return InputError(
+        f"{names}: no point within {reach_m:.0f} m of {what}",
+        hint=f"it stands at {place[0]:.0f} {place[1]:.0f} in {crs.name}; "
+        "take the scan of that place",
+    )
+
+
+def check_against_scan(
+    recording: str | Path | Recording,
+    pose: Pose,
+    scans: Sequence[str | Path],
+    *,
+    scan_crs: Any = None,
+    settings: ScanCheckSettings = SCAN_CHECK,
+    reporter: Reporter = QUIET,
+) -> ScanCheck:
+    """Check whether what stands around a sensor agrees with a pose (the paper's Fig. 2).
+
+    Facades, crowns with their rustling leaves, and poles are detected repeatedly at one place. At
+    the right pose they are on the canopy and at the walls of an airborne scan, and at no other
+    pose nearby. Lanes and traffic are not used.
+
+    Parameters
+    ----------
+    recording : str, Path or Recording
+        What the sensor recorded; its last 2000 frames count.
+    pose : Pose
+        The pose to check.
+    scans : sequence of paths
+        Airborne scans (LAS, LAZ, COPC), whole and not masked; classified or not.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files without one.
+    settings : ScanCheckSettings
+        Choices of the algorithm.
+    reporter : Reporter
+        Where progress and the verdict go.
+
+    Returns
+    -------
+    ScanCheck
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or no scan has a point near the pose; CrsError if a scan has no
+        projected, metric coordinate system.
+    """
+    slow = read_slow(recording, settings=settings, reporter=reporter)
+    level = LevelFrame(pose=pose)
+    reach_m = float(np.clip(slow.reach_m, settings.least_reach_m, settings.most_reach_m))
+    structure = read_structure(
+        scans, level, reach_m=reach_m + settings.margin_m, scan_crs=scan_crs, settings=settings,
+        reporter=reporter,
+    )  # fmt: skip
+    if structure is None:
+        raise _elsewhere(scans, reach_m, pose.sensor, pose.position.tolist(), pose.crs)
+    found = standing(slow, level, structure.ground, reach_m=reach_m, settings=settings)
+    reason = _too_little(slow, found, structure, settings)
+    compared = (
+        {"verdict": UNCLEAR, "reason": reason} if reason else _compared(found, structure, settings)
+    )
+    look = ScanCheck(
+        pose=pose, standing=found, structure=structure, range_m=slow.range_m, settings=settings,
+        **compared,
+    )  # fmt: skip
+    text = f"scan check: {look.verdict}: {look.reason}"
+    reporter.log(text, "warning" if look.verdict == DOUBTS else "info")
+    return look
+
+
+def _too_little(
+    slow: Slow, found: Standing, structure: Structure, settings: ScanCheckSettings
+) -> str:
+    """Return why there is nothing to compare, or nothing."""
+    if len(slow.points) == 0:
+        return "the recording has no still detections with an elevation"
+    if len(found) < settings.least_cells or found.patches < settings.least_patches:
+        return f"little stands in view: {len(found)} cells in {found.patches} places"
+    if not structure.visible.any():
+        return "the scan shows neither canopy nor walls here"
+    return ""
+
+
+def _compared(found: Standing, structure: Structure, settings: ScanCheckSettings) -> dict[str, Any]:
+    """Return the fields of a scan check that come from comparing, verdict and reason included."""
+    alignment = align(found, structure, settings)
+    here = alignment.here
+    peaks, chance = alignment.explored()
+    tops = [alignment.climbed(peak.place) for peak in (here, *peaks)]
+    best = max(tops, key=lambda top: top.score)
+    others = [o for o in (*peaks, *tops) if o.beyond(settings.lane_m, settings.askew_deg)]
+    rivals = [alignment.climbed(other.place, apart=True) for other in others]
+    rival = max(rivals, key=lambda top: top.score, default=None)
+    rows, columns = LevelFrame.cells(found.points, len(structure.top))
+    covered = float(np.isfinite(structure.top[rows, columns]).mean())
+    verdict, reason = _verdict(alignment, best, rival, chance, covered)
+    return {
+        "verdict": verdict, "reason": reason, "score": here.score, "chance": chance, "best": best,
+        "rival": rival, "z_score": alignment.z_score(here, rival) if rival else float("inf"),
+        "closeness": alignment.at(here.place), "covered": covered, "surface": alignment.surface(),
+    }  # fmt: skip
+
+
+def _verdict(
+    alignment: Alignment, best: PoseOffset, rival: PoseOffset | None, chance: float, covered: float
+) -> tuple[str, str]:
+    here, limits = alignment.here, alignment.settings
+    fits = f"{here.score:.0%} of what stands lies on the scan's canopy and walls"
+    elsewhere = best.beyond(limits.same_m, limits.same_deg)
+    other = best if elsewhere else rival
+    if elsewhere and alignment.z_score(best, here) >= limits.better_sigmas:
+        return DOUBTS, f"{fits}, but {best.score:.0%} {best.words()}"
+    if covered < limits.least_covered:
+        return UNCLEAR, f"the scan covers {covered:.0%} of what stands in view"
+    if alignment.over(chance) < limits.better_sigmas:
+        return DOUBTS, f"{fits}, hardly more than by chance ({chance:.0%})"
+    if other is not None and (elsewhere or alignment.z_score(best, other) < limits.clear_sigmas):
+        return UNCLEAR, f"{fits}, and {other.score:.0%} {other.words()}: both may be right"
+    return CONFIRMS, f"{fits}, by chance {chance:.0%}; most of all {best.words()}"

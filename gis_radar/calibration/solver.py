@@ -1,0 +1,394 @@
+"""The solver: robust least squares over all residuals, with a random effect a vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.lanes import direction_bin
+from gis_radar.calibration.matching import Matches, Placed, Scene, match, place
+from gis_radar.calibration.model import MODEL, Model
+from gis_radar.calibration.residuals import (
+    Comparison,
+    Normal,
+    Residuals,
+    assemble,
+    at_least,
+    height,
+    lateral,
+    sums,
+)
+from gis_radar.calibration.settings import Schedule
+from gis_radar.calibration.state import SIZE, State
+from gis_radar.calibration.traces import Samples
+
+FAMILIES = (lateral, height)
+# Constants of the model; the others are of the lateral family.
+OF_HEIGHT = {
+    "elevation", "low", "vehicle", "bent", "lasting", "body_share", "body_over", "body",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """A Gaussian prior of the state.
+
+    Parameters
+    ----------
+    mean : State
+        The likeliest state.
+    information : (7, 7) array
+        About it; inverse variances.
+    """
+
+    mean: State
+    information: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A local optimum.
+
+    Parameters
+    ----------
+    state : State
+        Where it is.
+    information : (7, 7) array
+        Of the state, priors included.
+    data_information : (7, 7) array
+        Of the samples alone, without the prior.
+    scores : (tracks, 7) array
+        Gradient of each vehicle's rows, for the cluster-robust covariance; zeros beyond the last.
+    habits : float
+        Variance of the loss by where the drivers of each street keep in their lanes, all alike.
+    streets : list of (streets, 7) arrays
+        For each family of residuals the gradient of the cost by a 1 m map bias of a street
+        section in one direction.
+    cost : float
+        Negative logarithm of the likelihood of everything, up to a constant.
+    loss : (n,) array
+        Lateral loss of each sample, a negative logarithm of likelihood, weighted.
+    aside : (tracks,) array
+        What each vehicle's own place in its lane costs, a negative logarithm of likelihood.
+    costs : (tracks,) array
+        What each vehicle costs in all, numbered as `scores`.
+    on_lane : (n,) bool array
+        Samples more likely on a vehicle in a lane than not.
+    matches : Matches
+        The lane of each sample.
+    converged : bool
+        Whether the last steps were small.
+    effects : list of (tracks, k) arrays
+        Random effects of each vehicle on the residuals of each family, metres.
+    considered : callable
+        Returns a (constants, 7) array: for each constant of the model how much its standard
+        deviation changes the gradient.
+    """
+
+    state: State
+    information: Floats
+    data_information: Floats
+    scores: Floats
+    habits: float
+    streets: list[Floats]
+    cost: float
+    loss: Floats
+    aside: Floats
+    costs: Floats
+    on_lane: Booleans
+    matches: Matches
+    converged: bool
+    effects: list[Floats]
+    considered: Callable[[], Floats]
+
+    @property
+    def fitness(self) -> float:
+        """Share of samples that lie on a vehicle in a lane that their Doppler allows."""
+        return float(self.on_lane.mean())
+
+
+def solve(
+    scene: Scene,
+    start: State,
+    prior: Prior,
+    *,
+    schedule: Schedule | None = None,
+    model: Model = MODEL,
+    hold: Floats | None = None,
+) -> Fit:
+    """Find the pose near a start at which the traces lie on the lanes and on the road.
+
+    Gauss-Newton steps on the expectation over the faces that samples may lie on, with all spreads
+    widened at first, less and less, so that the optimum is found from afar.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    start : State
+        Where to begin.
+    prior : Prior
+        Of the state.
+    schedule : Schedule, optional
+        By how much all spreads are widened, stage by stage; without it from a lane off.
+    model : Model
+        How vehicles drive and reflect.
+    hold : (7,) array, optional
+        A combination of the state's parts that stays as it is at the start.
+    """
+    schedule = schedule or scene.settings.solver.far
+    return _described(*_descended(scene, start, prior, schedule, model, hold))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """Where a fit came to rest.
+
+    Parameters
+    ----------
+    state : State
+        A local optimum.
+    cost : float
+        As of a :class:`Fit`.
+    """
+
+    state: State
+    cost: float
+
+
+def settle(
+    scene: Scene, start: State, prior: Prior, *, schedule: Schedule, model: Model, hold: Floats
+) -> Rest:
+    """Find a pose as :func:`solve` does, where nothing but its cost is asked for.
+
+    Parameters
+    ----------
+    scene, start, prior, schedule, model, hold
+        As of :func:`solve`.
+    """
+    _, here, _ = _descended(scene, start, prior, schedule, model, hold)
+    return Rest(state=here.point.state, cost=here.total)
+
+
+def _descended(
+    scene: Scene, start: State, prior: Prior, schedule: Schedule, model: Model, hold: Floats | None
+) -> tuple[_Cost, _Here, bool]:
+    """Return the cost in the last stage, where it came to rest, and whether it did."""
+    settings = scene.settings.solver
+    point = _at_rest(scene, start)
+    converged, lever_m = False, np.repeat([1.0, scene.settings.answer.lever_m], 3)
+    for scale_m in schedule.scales_m:
+        cost = _Cost(scene, prior, model, scale_m, hold)
+        here = cost.at(point)
+        for _ in range(schedule.rounds):
+            step, effects, sigmas = cost.step(here)
+            there, share = None, 1.0
+            while share > settings.least_share and (there is None or there.total > here.total):
+                moved = _Point(
+                    here.point.state.moved(share * step),
+                    [b + share * more for b, more in zip(here.point.effects, effects, strict=True)],
+                )
+                there, share = cost.at(moved), share / settings.shrink
+            length_m = float(np.abs(step[:6] * lever_m).max())
+            if there is None or there.total > here.total:
+                converged = length_m < settings.at_rest_m or sigmas < settings.at_rest_sigmas
+                break
+            here = there
+            converged = length_m < settings.settled_m or sigmas < settings.settled_sigmas
+            if converged:
+                break
+        point = here.point
+    return cost, here, converged
+
+
+def cost_at(scene: Scene, state: State, *, model: Model = MODEL, scale_m: float = 0.0) -> float:
+    """Return the cost of the traces at a state, without a prior: a negative log likelihood.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    state : State
+        Where the sensor is, and how vehicles reflect.
+    model : Model
+        How vehicles drive and reflect.
+    scale_m : float
+        Widening of all spreads (root of squares).
+    """
+    flat = Prior(mean=state, information=np.zeros((SIZE, SIZE)))
+    point = _at_rest(scene, state)
+    return _Cost(scene, flat, model, scale_m, None).at(point).total
+
+
+@dataclass(frozen=True)
+class _Point:
+    state: State
+    effects: list[Floats]
+
+
+def _at_rest(scene: Scene, state: State) -> _Point:
+    """Return a state where all random effects are zero: of the vehicles, and of their spells."""
+    samples = scene.samples
+    return _Point(state, [np.zeros((samples.tracks, 1)), np.zeros_like(samples.spell_reach)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Here:
+    point: _Point
+    placed: Placed
+    matches: Matches
+    families: list[Residuals]
+    total: float
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """The negative logarithm of the likelihood, and the steps that lower it."""
+
+    scene: Scene
+    prior: Prior
+    model: Model
+    scale_m: float
+    hold: Floats | None
+
+    def at(self, point: _Point) -> _Here:
+        """Return residuals and cost at a point."""
+        placed = place(self.scene.samples, point.state)
+        matches = match(self.scene.lanes, placed)
+        families = self.families(placed, matches, point.effects)
+        away = point.state.difference(self.prior.mean)
+        total = sum(
+            float(f.weight @ f.loss + 0.5 * np.einsum("ki,kij,kj", effect, f.stiffness, effect))
+            for f, effect in zip(families, point.effects, strict=True)
+        )
+        return _Here(
+            point=point,
+            placed=placed,
+            matches=matches,
+            families=families,
+            total=total + 0.5 * float(away @ self.prior.information @ away),
+        )
+
+    def families(self, placed: Placed, matches: Matches, effects: list[Floats]) -> list[Residuals]:
+        """Return all residuals of samples that lie on their lanes."""
+        compared = self.compared(placed, matches)
+        return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
+
+    def compared(self, placed: Placed, matches: Matches) -> Comparison:
+        """Return what the residuals compare."""
+        return Comparison(
+            lanes=self.scene.lanes,
+            placed=placed,
+            matches=matches,
+            model=self.model,
+            scale_m=self.scale_m,
+            settings=self.scene.settings.solver,
+        )
+
+    def step(self, here: _Here) -> tuple[Floats, list[Floats], float]:
+        """Return the steps of the state and the random effects, and the first in sigmas."""
+        normal = assemble(here.families, here.point.effects)
+        information = normal.information + self.prior.information
+        away = here.point.state.difference(self.prior.mean)
+        gradient = normal.gradient + self.prior.information @ away
+        step: Floats = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
+        if self.hold is not None:
+            way = np.linalg.solve(information, self.hold)
+            step -= way * (self.hold @ step) / (self.hold @ way)
+        effects = [-np.einsum("kij,kj->ki", a, r + g @ step) for r, g, a in normal.shared]
+        return step, effects, float(np.sqrt(step @ information @ step))
+
+
+def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT001
+    """Return the evidence at a point."""
+    across, settings = here.families[0], cost.scene.settings.solver
+    effects = here.point.effects
+    normal = assemble(here.families, effects, curved=True)
+    # where the curvature is no minimum's, a small part of the information of known faces counts
+    known = assemble(here.families, effects).information + cost.prior.information
+    information = at_least(
+        normal.information + cost.prior.information,
+        settings.least_curvature * known + settings.floor * np.eye(len(known)),
+    )
+    street, count = _streets(cost.scene, here.matches)
+    gradients = [sums(street, offsets, count) for offsets in normal.offsets]
+    return Fit(
+        state=here.point.state,
+        information=information,
+        data_information=information - cost.prior.information,
+        scores=sums(cost.scene.samples.vehicles, normal.scores, cost.scene.samples.tracks),
+        habits=_habits(cost, here, normal, street),
+        streets=gradients,
+        cost=here.total,
+        loss=across.weight * across.loss,
+        aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],
+        costs=_costs(cost.scene.samples, here),
+        on_lane=across.loss < settings.no_vehicle - np.log(2.0),
+        matches=here.matches,
+        converged=converged,
+        effects=here.point.effects,
+        considered=cache(partial(_considered, cost, here)),
+    )
+
+
+def _costs(samples: Samples, here: _Here) -> Floats:
+    """Return what the rows and random effects of each vehicle cost; zeros beyond the last."""
+    costs = np.zeros(samples.tracks)
+    for rows, effect in zip(here.families, here.point.effects, strict=True):
+        costs += np.bincount(samples.track, rows.weight * rows.loss, minlength=samples.tracks)
+        costs += 0.5 * np.einsum("ki,kij,kj->k", effect, rows.stiffness, effect)
+    joined = np.bincount(samples.vehicles, costs, minlength=samples.tracks)
+    return np.asarray(joined, dtype=np.float64)
+
+
+def _habits(cost: _Cost, here: _Here, normal: Normal, street: Integers) -> float:
+    """Return the variance of the loss by an offset that the drivers of a street share.
+
+    With the vehicles' own effects at their optimum the loss changes with the offset c of a street
+    as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
+    """
+    own, stiff = here.point.effects[0][:, 0], here.families[0].stiffness[:, 0, 0]
+    variance, sigma_m = normal.shared[0][2][:, 0, 0], cost.scene.settings.answer.street_sigma_m[0]
+    linear = np.bincount(street, weights=own * stiff)
+    square = np.bincount(street, weights=(1.0 - variance * stiff) * stiff)
+    return float(np.sum((sigma_m * linear) ** 2 + 0.5 * (sigma_m**2 * square) ** 2))
+
+
+def _considered(cost: _Cost, here: _Here) -> Floats:
+    """Return how the gradient changes by a standard deviation of each constant of the model.
+
+    The gradient is the sum over the families, and each constant belongs to one of them.
+    """
+    effects = here.point.effects
+
+    def gradient(model: Model, which: int) -> Floats:
+        compared = replace(cost, model=model).compared(here.placed, here.matches)
+        family = FAMILIES[which](compared, effects[which])
+        return assemble([family], [effects[which]], curved=True).gradient
+
+    changes = []
+    for name, less, more in cost.model.variations():
+        which = FAMILIES.index(height if name in OF_HEIGHT else lateral)
+        changes.append((gradient(more, which) - gradient(less, which)) / 2.0)
+    return np.array(changes)
+
+
+def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
+    """Return for each track the number of the street section that it drives on most."""
+    lanes, samples = scene.lanes, scene.samples
+    lane = matches.lane[matches.found]
+    way = direction_bin(lanes.along[lane], lanes.settings.bins) // 2
+    cell = np.floor(lanes.points[lane, :2] / scene.settings.answer.street_m).astype(np.int64)
+    low = cell.min(axis=0, initial=0)
+    span = cell.max(axis=0, initial=0) - low + 1
+    keys = np.ravel_multi_index((*(cell - low).T, way), (*span, lanes.settings.bins))
+    _, number = np.unique(keys, return_inverse=True)
+    count = int(number.max(initial=-1)) + 2
+    votes = np.bincount(
+        samples.track[matches.found] * count + number, minlength=samples.tracks * count
+    )
+    return votes.reshape(samples.tracks, count).argmax(axis=1), count

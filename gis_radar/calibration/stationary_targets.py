@@ -1,0 +1,335 @@
+"""StillTargets: what stands still around a sensor, as a change detector of its small moves.
+
+Walls, posts, signs, kerbs and parked cars return in frame after frame. Where such a target stands
+in the sensor's own frame changes only if the sensor does: a move by `d` and a turn by `w` put what
+was at `a` to `a - d - w x a`. Each target wanders by itself, too, over seconds (neighbours and the
+ground add to its angles), and it may be a car that leaves. So targets are the units: how far each
+has gone that no common move explains is the noise of all, whatever its cause and however long it
+lasts. It is measured in the very comparison that it decides.
+
+Memory is that of a block of detections, a map of hits in range and azimuth, and some hundred
+targets.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter, uniform_filter
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.alarm import Displacement
+from gis_radar.calibration.monitor_settings import (
+    HOUR_S,
+    MONITOR,
+    MonitorSettings,
+    StillTargetSettings,
+)
+
+NONE = -1
+PLANE_AND_ANGLES = [0, 1, 3, 4, 5]  # of a move: height alone moves nothing off its lane
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What targets show of a move between the blocks that were learnt and the newest ones.
+
+    Parameters
+    ----------
+    found : Displacement
+        The likeliest move, in the sensor's frame: how far it is from no move as score, over how
+        long the newest places were taken.
+    targets : int
+        How many were compared.
+    sees : bool
+        Whether a move of `wanted_m` in the plane or of `wanted_rad` about any axis could not hide.
+    rests : bool
+        Whether there was no blow: a move as large as `MonitorSettings.knock` could not hide, and
+        none was found.
+    """
+
+    found: Displacement
+    targets: int
+    sees: bool
+    rests: bool
+
+
+def polar_of(points: Floats) -> Floats:
+    """Return range (m), azimuth and elevation (rad) of points in the sensor frame, (n, 3)."""
+    x, y, z = points.T
+    flat = np.hypot(x, y)
+    return np.column_stack([np.hypot(flat, z), np.arctan2(y, x), np.arctan2(z, flat)])
+
+
+def by_move(polar: Floats) -> Floats:
+    """Return by how much a move changes range, azimuth and elevation of targets, (n, 3, 6).
+
+    Parameters
+    ----------
+    polar : (n, 3) array
+        Where they are.
+
+    Returns
+    -------
+    (n, 3, 6) array
+        Derivatives by metres along x, y, z of the sensor and by a turn about them, radians.
+    """
+    reach, azimuth, elevation = polar.T
+    level, none = np.cos(elevation), np.zeros(len(polar))
+    ahead = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    left = np.column_stack([-np.sin(azimuth), np.cos(azimuth), none])
+    up = np.cross(ahead, left)
+    arm = reach[:, None] * ahead
+    ways = (ahead, left / (reach * level)[:, None], up / reach[:, None])
+    return np.stack([np.hstack([-way, -np.cross(arm, way)]) for way in ways], axis=1)
+
+
+class StillTargets:
+    """Learns persistent still targets of one sensor, and compares their newest places with before.
+
+    Detections are pushed; every `block_s` seconds a block ends with the median place of each
+    target. The newest blocks wait, up to the longest that is tested; then they join the mean. What
+    is hit much and belongs to no target is looked for in the map of hits from time to time.
+
+    Parameters
+    ----------
+    settings : MonitorSettings
+        Of targets, and how a mast drifts; the drift, nearly the same in all directions, is taken in
+        the sensor's axes.
+    """
+
+    def __init__(self, settings: MonitorSettings = MONITOR) -> None:
+        self._settings, self._of = settings, settings.still
+        self._batches: list[Floats] = []  # still detections since the last block: polar
+        self._frames = self._searched = self._blocks = 0  # of this block, of the map, ended
+        cells = (round(self._of.reach_m / self._of.cell_m), round(2 * np.pi / self._of.cell_rad))
+        self._hits = np.zeros(cells, dtype=np.int64)
+        self._recent: deque[Floats] = deque()  # places in the newest blocks, not yet in the mean
+        self.tested: list[Verdict] = []  # at the end of the last block
+        self._scores = {n: deque[float](maxlen=self._of.lasting_blocks) for n in self._of.blocks}
+        self.know(np.empty((0, 3)), np.empty(0))
+
+    def know(self, place: Floats, rate: Floats) -> None:
+        """Set the targets of this sensor; their mean places are still to be learnt.
+
+        What was seen of others is forgotten.
+
+        Parameters
+        ----------
+        place : (n, 3) array
+            About where they are: range (m), azimuth and elevation (rad).
+        rate : (n,) array
+            Hits a frame.
+        """
+        self._recent.clear()
+        self.tested = []
+        for scores in self._scores.values():
+            scores.clear()
+        self._hold(place.copy(), rate, np.zeros(len(rate)), np.zeros(len(rate)))
+
+    def _hold(self, place: Floats, rate: Floats, age: Floats, absent: Floats) -> None:
+        self.place, self.rate = place, rate  # the mean before the newest blocks; hits a frame
+        self._age = age  # blocks that the mean holds
+        self._absent = absent  # blocks since it was last seen
+        self._label = self._labels()
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def push(self, time: Floats, points: Floats, range_rate: Floats) -> None:
+        """Take the next detections.
+
+        Parameters
+        ----------
+        time : (n,) array
+            UNIX seconds, ascending; whole frames.
+        points : (n, 3) array
+            Sensor frame, metres; NaN where a frame has none.
+        range_rate : (n,) array
+            m/s.
+        """
+        still = np.abs(range_rate) <= self._settings.localization.traces.min_speed_mps
+        polar = polar_of(points[still & np.isfinite(points).all(axis=1)])
+        self._batches.append(polar[(polar[:, 0] > 0.0) & (polar[:, 0] < self._of.reach_m)])
+        self._frames += len(np.unique(time))
+
+    def end_block(self) -> None:
+        """Sum up the detections since the last block."""
+        self.take(self.summary())
+
+    def summary(self) -> Floats:
+        """Return the median place of each target since the last block, (targets, 3).
+
+        It is NaN where a target is hidden or gone. All hits are mapped for the next search.
+        """
+        polar = np.vstack([np.empty((0, 3)), *self._batches])
+        frames, self._batches, self._frames = self._frames, [], 0
+        cell = self._cells(polar)
+        np.add.at(self._hits, cell, 1)
+        self._searched += frames
+        return self._medians(polar, self._label[cell], frames)
+
+    def take(self, seen: Floats) -> None:
+        """Process the places of all targets in the newest block; search for new ones."""
+        there = np.isfinite(seen[:, 0])
+        self._absent = np.where(there, 0.0, self._absent + 1.0)
+        self._recent.append(seen)
+        self._blocks += 1
+        # two thirds of a short past are learnt, so that there is something to compare with
+        held = max(self._blocks // 3, self._of.blocks[0])
+        while len(self._recent) > min(held, self._of.blocks[-1]):
+            self._learn(self._recent.popleft())
+        self.tested = [each for each in map(self._lasting, self._of.blocks) if each is not None]
+        first = self._blocks == self._of.first_search
+        if first or self._blocks % self._of.search_blocks == 0:
+            self._search()
+
+    def _cells(self, polar: Floats) -> tuple[Integers, Integers]:
+        size = [self._of.cell_m, self._of.cell_rad]
+        cell = ((polar[:, :2] + [0.0, np.pi]) / size).astype(np.int64)
+        far, round_ = self._hits.shape
+        return np.minimum(cell[:, 0], far - 1), cell[:, 1] % round_
+
+    def _medians(self, polar: Floats, label: Integers, frames: int) -> Floats:
+        found, mine = np.full((len(self), 3), np.nan), label != NONE
+        polar, label = polar[mine], label[mine]
+        count = np.bincount(label, minlength=len(self))
+        enough = count > np.maximum(self._of.least_share * self.rate * frames, 1.0)
+        middle = (np.cumsum(count) - count + count // 2)[enough]
+        for k in range(3):
+            found[enough, k] = polar[np.lexsort((polar[:, k], label)), k][middle]
+        return found
+
+    def _learn(self, seen: Floats) -> None:
+        """Add a block that is no longer new to the running mean."""
+        there = np.isfinite(seen[:, 0])
+        self._age[there] = np.minimum(self._age[there] + 1.0, self._of.reference_blocks)
+        self.place[there] += (seen[there] - self.place[there]) / self._age[there, None]
+
+    def _search(self) -> None:
+        """Drop targets that have left, and add frequently hit places apart from others."""
+        kept = self._absent < self._of.gone_blocks
+        old = int(kept.sum())
+        found, hits = _peaks(self._hits, self._of.least_rate * self._searched, self._of)
+        place = np.vstack([self.place[kept], found])
+        free = _apart(place, old, self._of.apart_m)
+        new = free[old:]
+        none, nothing = np.zeros(int(new.sum())), np.full((int(new.sum()), 3), np.nan)
+        self._recent = deque(np.vstack([block[kept], nothing]) for block in self._recent)
+        self._hold(
+            place[free],
+            np.concatenate([self.rate[kept], hits[new] / max(self._searched, 1)]),
+            np.concatenate([self._age[kept], none]),
+            np.concatenate([self._absent[kept], none]),
+        )
+        self._hits[:], self._searched = 0, 0
+
+    def _labels(self) -> Integers:
+        """Return the target that each cell of range and azimuth belongs to."""
+        label = np.full(self._hits.shape, NONE)
+        rows, columns = self._cells(self.place)
+        high = round(self._of.gate_m / self._of.cell_m)
+        for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
+            across = self._of.gate_rad + self._of.wanted_m / self.place[number, 0]
+            wide = round(across / self._of.cell_rad)
+            beside = np.arange(column - wide, column + wide + 1) % label.shape[1]
+            label[max(row - high, 0) : row + high + 1, beside] = number
+        return label
+
+    def _lasting(self, blocks: int) -> Verdict | None:
+        """Return the verdict of the newest blocks with the least of its last scores."""
+        found, scores = self.verdict(blocks), self._scores[blocks]
+        if found is None:
+            scores.clear()
+            return None
+        scores.append(found.found.score)
+        least = min(scores) if len(scores) == scores.maxlen else 0.0
+        return replace(found, found=replace(found.found, score=least))
+
+    def verdict(self, blocks: int) -> Verdict | None:
+        """Return the likeliest move behind the newest blocks, or none where targets are too few.
+
+        Parameters
+        ----------
+        blocks : int
+            How many.
+        """
+        if len(self._recent) < blocks:
+            return None
+        newest = np.array(list(self._recent)[-blocks:])
+        there = np.isfinite(newest[..., 0])
+        old = self._age >= self._of.least_age
+        good = old & (2 * there.sum(axis=0) >= blocks) & there.any(axis=0)
+        if good.sum() < max(self._of.least_targets, self._of.least_present * old.sum()):
+            return None
+        gap = np.nanmean(newest[:, good], axis=0) - self.place[good]
+        move, covariance = self._move(self.place[good], gap)
+        # from the middle of the newest blocks to that of the mean, which is no older than its age
+        waiting = len(self._recent) - blocks
+        lag = 0.5 * blocks + waiting + float(np.median(self._age[good]))
+        drift = np.square(self._settings.drift) / HOUR_S
+        covariance = covariance + lag * self._of.block_s * np.diag(drift)
+        chi2 = float(move @ np.linalg.solve(covariance, move))
+        count = int(good.sum())
+        sigma = np.sqrt(np.diag(covariance))[PLANE_AND_ANGLES]
+        wanted = np.repeat([self._of.wanted_m, self._of.wanted_rad], [2, 3])
+        blow = np.array(self._settings.knock)[PLANE_AND_ANGLES]
+        score = count * float(np.log1p(chi2 / count))
+        found = Displacement(
+            score=score,
+            seconds=blocks * self._of.block_s,
+            move=move,
+            covariance=covariance,
+        )
+        return Verdict(
+            found=found,
+            targets=count,
+            sees=bool((sigma < self._of.sure * wanted).all()),
+            rests=score < self._of.gate and bool((sigma < self._of.sure * blow).all()),
+        )
+
+    def _move(self, place: Floats, gap: Floats) -> tuple[Floats, Floats]:
+        """Return the common move and its covariance; targets that go elsewhere weigh little."""
+        sigma = np.array([self._of.wander_m, *self._of.wander_rad])
+        least = np.array(self._of.least_scatter)
+        prior = np.diag(np.square(self._settings.knock) ** -1.0)
+        design = by_move(place).reshape(-1, len(prior))
+        weight = np.ones(gap.shape)
+        for _ in range(self._of.rounds):
+            precision = weight / sigma**2
+            weighted = design.T * precision.ravel()
+            covariance = np.linalg.inv(weighted @ design + prior)
+            move = covariance @ weighted @ gap.ravel()
+            rest = gap - (design @ move).reshape(gap.shape)
+            # normalised median of absolute deviations
+            sigma = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), least)
+            weight = 1.0 / (1.0 + np.square(rest / (self._of.outlier * sigma)))
+        return move, covariance
+
+
+def _peaks(hits: Integers, least: float, of: StillTargetSettings) -> tuple[Floats, Floats]:
+    """Return places and hits of the maxima of a map of hits, strongest first."""
+    window = 2 * round(of.gate_m / of.cell_m / 2) + 1
+    near = uniform_filter(hits.astype(np.float64), (window, window), mode=("constant", "wrap"))
+    near = near * window**2
+    top = (near == maximum_filter(near, (window, window), mode=("constant", "wrap"))) & (
+        near > least
+    )
+    row, column = np.nonzero(top)
+    order = np.argsort(-near[row, column], kind="stable")
+    row, column = row[order], column[order]
+    place = np.column_stack(
+        [(row + 0.5) * of.cell_m, (column + 0.5) * of.cell_rad - np.pi, np.zeros(len(row))]
+    )
+    return place, near[row, column]
+
+
+def _apart(place: Floats, kept: int, apart_m: float) -> Booleans:
+    """Return which places are far enough from those before them; the first ones stay."""
+    plane = place[:, :1] * np.column_stack([np.cos(place[:, 1]), np.sin(place[:, 1])])
+    free = np.arange(len(place)) < kept
+    for i in range(kept, len(place)):
+        free[i] = bool((np.hypot(*(plane[:i][free[:i]] - plane[i]).T) > apart_m).all())
+    return free

@@ -1,0 +1,325 @@
+"""Find what stands around a sensor: in its recording, and in an airborne scan of the place.
+
+In a recording these are facades, crowns and poles, hit repeatedly at one place; in a scan the
+crowns of trees, and where walls rise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
+from gis_radar.grid import CELL_M, Grid
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import RangeCounts, Recording, as_recording
+from gis_radar.recordings.window import RollingWindow
+from gis_radar.scans.columns import Columns, ground_under, nearest_known, read_columns
+from gis_radar.scans.scan import box_with_margin, open_scan
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelFrame:
+    """A level frame at a sensor, turned by its yaw, with the map's heights.
+
+    In it, nothing depends on where on earth a site is and how it is turned.
+
+    Parameters
+    ----------
+    pose : Pose
+        The sensor.
+    """
+
+    pose: Pose
+
+    @property
+    def _turn(self) -> Floats:
+        yaw = np.radians(self.pose.yaw)
+        return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+
+    def from_map(self, xyz: Floats) -> Floats:
+        """Move (n, 3) points from the map into the frame."""
+        return np.column_stack([(xyz[:, :2] - self.pose.position[:2]) @ self._turn, xyz[:, 2]])
+
+    def to_map(self, xyz: Floats) -> Floats:
+        """Move (n, 2) or (n, 3) points from the frame into the map."""
+        flat = xyz[:, :2] @ self._turn.T + self.pose.position[:2]
+        return np.column_stack([flat, xyz[:, 2:]])
+
+    def from_sensor(self, xyz: Floats) -> Floats:
+        """Move (n, 3) points from the sensor frame into the frame."""
+        return self.from_map(self.pose.to_map(xyz))
+
+    @staticmethod
+    def cells(points: Floats, size: int) -> tuple[Integers, Integers]:
+        """Return row and column, ahead and left, of points in a grid of `size` cells a side.
+
+        The sensor is in the grid's middle; points beyond its edge count to the outermost.
+        """
+        half = size // 2
+        grid = Grid(cell_m=CELL_M, west=-half, south=-half, columns=size, rows=size)
+        return grid.nearest(points[:, 0], points[:, 1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slow:
+    """Detections that hardly move, from the last frames of a recording.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Sensor frame, metres.
+    rustles : (n,) bool array
+        Whether they move like leaves rather than not at all.
+    span : (n,) array
+        In which of the equal parts of the window they are.
+    frames : int
+        Length of the window.
+    range_m : float
+        Slant range of 99.9 % of all detections of the recording, metres.
+    """
+
+    points: Floats = field(repr=False)
+    rustles: Booleans = field(repr=False)
+    span: Integers = field(repr=False)
+    frames: int
+    range_m: float = 0.0
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the 99th percentile, metres."""
+        if len(self.points) == 0:
+            return 0.0
+        return float(np.percentile(np.linalg.norm(self.points, axis=1), 99.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """Cells of the plane over which something stands, in the level frame of a pose.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Mean place of the detections over each cell: ahead, left, height; metres.
+    rustles : (n,) array
+        Share of them that move like leaves.
+    patch_m : float
+        Side of the squares that vote as one, metres.
+    """
+
+    points: Floats
+    rustles: Floats
+    patch_m: float = SCAN_CHECK.patch_m
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def patch(self) -> Integers:
+        """Number of the square in which each cell is."""
+        squares = np.floor(self.points[:, :2] / self.patch_m).astype(np.int64)
+        return np.asarray(np.unique(squares, axis=0, return_inverse=True)[1])
+
+    @property
+    def patches(self) -> int:
+        """How many such squares there are."""
+        return len(np.unique(self.patch))
+
+
+def read_slow(
+    recording: str | Path | Recording,
+    *,
+    settings: ScanCheckSettings = SCAN_CHECK,
+    reporter: Reporter = QUIET,
+) -> Slow:
+    """Read what hardly moves in the last frames of a recording, in bounded memory.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read.
+    """
+    source = as_recording(recording)
+    window = RollingWindow(
+        frames=settings.frames,
+        keep=lambda batch: (
+            (np.abs(batch.range_rate) <= settings.slow_mps) & np.isfinite(batch.points[:, 2])
+        ),
+    )
+    ranges, done = RangeCounts(), 0
+    for batch in source.read():
+        ranges.add(batch)
+        window.push(batch)
+        done += len(batch)
+        reporter.progress("reading what stands", done, source.rows)
+    slow = window.content()
+    frame = np.searchsorted(slow.frame_times, slow.time)
+    as_recorded: Any = slow.points.astype(np.float32)  # there are many
+    return Slow(
+        points=as_recorded,
+        rustles=np.abs(slow.range_rate.astype(np.float32)) > settings.still_mps,
+        span=frame * settings.spans // len(window),
+        frames=len(window),
+        range_m=ranges.reached_m(),
+    )
+
+
+def standing(
+    slow: Slow,
+    level: LevelFrame,
+    ground: Floats,
+    *,
+    reach_m: float,
+    settings: ScanCheckSettings = SCAN_CHECK,
+) -> Standing:
+    """Find the cells over which something stands through most of the window.
+
+    Parameters
+    ----------
+    slow : Slow
+        From :func:`read_slow`.
+    level : LevelFrame
+        The level frame of the pose.
+    ground : (cells, cells) array
+        Height of the ground under the cells of that frame, NaN where unknown.
+    reach_m : float
+        Farther away nothing counts.
+    settings : ScanCheckSettings
+        How high over the ground, and how often.
+    """
+    points = level.from_sensor(slow.points)
+    near = np.hypot(points[:, 0], points[:, 1]) < reach_m
+    rows, columns = level.cells(points[near], len(ground))
+    over = points[near, 2] - ground[rows, columns]
+    # far under the ground: in a house whose roof was taken for the ground
+    tall = ~(np.abs(over) < settings.overhead_m)
+    points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
+    cells, place = np.unique(rows[tall] * len(ground) + columns[tall], return_inverse=True)
+    hit = np.zeros((len(cells), settings.spans), bool)
+    hit[place, span] = True
+    kept = hit.sum(axis=1) >= settings.least_spans
+    counts = np.bincount(place, minlength=len(cells))[kept]
+    means = [
+        np.bincount(place, values, minlength=len(cells))[kept] / counts
+        for values in (*points.T, rustles)
+    ]
+    return Standing(points=np.column_stack(means[:3]), rustles=means[3], patch_m=settings.patch_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Grids of cells in the level frame of a pose, rows ahead and columns left.
+
+    Parameters
+    ----------
+    top : (n, n) array
+        Height of the highest point, NaN where the scan has none.
+    ground : (n, n) array
+        Height of the ground, also under roofs and crowns; NaN far from any point.
+    canopy, roof : (n, n) bool array
+        Plants of more than `tall_m` and buildings, by their classes; nowhere without these.
+    edge : (n, n) bool array
+        Where something rises by more than `tall_m`: walls, rims of crowns.
+    classified : bool
+        Whether the classes distinguish plants or buildings.
+    """
+
+    top: Floats = field(repr=False)
+    ground: Floats = field(repr=False)
+    canopy: Booleans = field(repr=False)
+    roof: Booleans = field(repr=False)
+    edge: Booleans = field(repr=False)
+    classified: bool
+
+    @property
+    def visible(self) -> Booleans:
+        """Cells in which a radar may see something that stands."""
+        return self.edge | self.canopy
+
+
+def read_structure(
+    scans: Sequence[str | Path],
+    level: LevelFrame,
+    *,
+    reach_m: float,
+    scan_crs: Any = None,
+    settings: ScanCheckSettings = SCAN_CHECK,
+    reporter: Reporter = QUIET,
+) -> Structure | None:
+    """Read what stands around a sensor from airborne scans, in batches.
+
+    Parameters
+    ----------
+    scans : sequence of paths
+        LAS, LAZ or COPC.
+    level : LevelFrame
+        The level frame of the sensor's pose.
+    reach_m : float
+        Up to how far from the sensor.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files without one.
+    settings : ScanCheckSettings
+        What is tall, and how gaps are filled.
+    reporter : Reporter
+        Where progress goes.
+
+    Returns
+    -------
+    Structure, or None where no scan has a point there.
+
+    Raises
+    ------
+    InputError
+        If a scan is damaged; CrsError if it has no projected, metric coordinate system.
+    """
+    opened = [open_scan(scan, crs=scan_crs) for scan in scans]
+    half = int(np.ceil(reach_m / CELL_M))
+    grid = Grid(cell_m=CELL_M, west=-half, south=-half, columns=2 * half, rows=2 * half)
+    window = Columns(grid=grid, from_map=level.from_map)
+    east, north, _ = level.pose.position
+    box = box_with_margin((east, north, east, north), reach_m * np.sqrt(2.0))
+    grounds = read_columns(opened, [window], box, level.pose.crs, reporter=reporter)
+    if window.points == 0:
+        return None
+    return _structure(window, settings, classified=grounds >= settings.least_ground)
+
+
+def _structure(tops: Columns, settings: ScanCheckSettings, *, classified: bool) -> Structure:
+    tall_m, jump = settings.tall_m, settings.jump_cells
+    away, index = nearest_known(np.isfinite(tops.top))
+    top, plants, building = (
+        np.where(away <= settings.gap_cells, grid[index], np.nan)
+        for grid in (tops.top, tops.plants, tops.building)
+    )
+    ground = ground_under(
+        np.minimum(tops.ground, tops.deck) if classified else tops.low,
+        cell_m=CELL_M,
+        coarse_cells=settings.ground_cells,
+        widest_roof_m=settings.widest_roof_m,
+        classified=classified,
+    )
+    below = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
+    low = ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
+    high = _solid(np.nan_to_num(top - low, nan=0.0) > tall_m)
+    # the wall itself runs between the last high cell and the first low one
+    edge = high | (ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > tall_m))
+    canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > tall_m)
+    roof = _solid(np.isfinite(building))
+    # a tree over a roof's edge is seen, one over the middle of a roof is taken for a roof
+    return Structure(
+        top=top, ground=ground, canopy=canopy & ~(roof & ~edge), roof=roof, edge=edge,
+        classified=classified and bool((canopy | roof).any()),
+    )  # fmt: skip
+
+
+def _solid(cells: Booleans) -> Booleans:
+    """Return cells that are no strays: three or more of nine around."""
+    around = ndimage.convolve(cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
+    return np.asarray(cells & (around >= 3))

@@ -1,0 +1,504 @@
+"""Extract the traces of moving vehicles from a recording: window, tracks, samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.calibration.settings import LOCALIZATION
+from gis_radar.calibration.trace_settings import TraceSettings
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.window import RollingWindow
+
+STAGE = "reading traces"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moving:
+    """The moving detections of a window.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, ascending.
+    points : (n, 3) array
+        Sensor frame, metres.
+    range_rate : (n,) array
+        m/s, positive when receding.
+    frames, detections : int
+        How many frames and detections, still ones too, the window holds.
+    begin, end : float
+        UNIX seconds of its first and last frame.
+    """
+
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    frames: int
+    detections: int
+    begin: float
+    end: float
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+class MovingWindow(RollingWindow):
+    """The last frames of a stream of detections, of which the moving ones are kept.
+
+    Parameters
+    ----------
+    frames : int
+        Length of the window.
+    min_speed : float
+        Least absolute range rate of a moving detection, m/s.
+    """
+
+    def __init__(
+        self,
+        *,
+        frames: int = LOCALIZATION.traces.frames,
+        min_speed: float = LOCALIZATION.traces.min_speed_mps,
+    ) -> None:
+        super().__init__(frames=frames, keep=lambda batch: np.abs(batch.range_rate) > min_speed)
+
+    def moving(self) -> Moving:
+        """Return what moved in the window."""
+        found = self.content()
+        return Moving(
+            time=found.time,
+            points=found.points,
+            range_rate=found.range_rate,
+            frames=len(self),
+            detections=found.detections,
+            begin=self.begin,
+            end=float(found.frame_times[-1]) if len(self) else float("nan"),
+        )
+
+
+def read_moving(
+    path: str | Path,
+    *,
+    frames: int = LOCALIZATION.traces.frames,
+    min_speed: float = LOCALIZATION.traces.min_speed_mps,
+    reporter: Reporter = QUIET,
+) -> Moving:
+    """Read what moved in the last frames of a recording, in bounded memory.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording.
+    frames : int
+        Length of the window.
+    min_speed : float
+        Least absolute range rate, m/s.
+    reporter : Reporter
+        Receives progress.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read.
+    """
+    recording, done = open_recording(path), 0
+    window = MovingWindow(frames=frames, min_speed=min_speed)
+    for batch in recording.read():
+        window.push(batch)
+        done += len(batch)
+        reporter.progress(STAGE, done, recording.rows)
+    return window.moving()
+
+
+NONE = -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Moving detections on tracks, thinned: what a registration works on.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Sensor frame, metres.
+    range_rate : (n,) array
+        m/s.
+    track : (n,) array
+        Number of the moving object, 0 to `tracks` - 1.
+    tracks : int
+        How many objects there are.
+    elevation : float
+        How far the view reaches up and down, radians: what hardly any detection exceeds.
+    crowd_m : float
+        Over which length the samples of an object share its swaying.
+    spell : (n,) array, optional
+        In which spell of its object each was seen, counted from 0; without it in one.
+    spell_s : float
+        How long a spell is.
+    vehicle : (tracks,) array, optional
+        Number of the vehicle of each track, from 0; without it each is one.
+    """
+
+    points: Floats
+    range_rate: Floats
+    track: Integers
+    tracks: int
+    elevation: float
+    crowd_m: float = LOCALIZATION.traces.crowd_m
+    spell: Integers | None = None
+    spell_s: float = LOCALIZATION.traces.spell_s
+    vehicle: Integers | None = None
+
+    @cached_property
+    def crowd(self) -> Integers:
+        """How many samples of its own object are within the same `crowd_m`, itself included."""
+        cells = np.floor(self.points[:, :2] / self.crowd_m).astype(np.int64)
+        keys = np.column_stack([self.track, cells])
+        _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+        return np.asarray(count[number.ravel()])
+
+    @cached_property
+    def vehicles(self) -> Integers:
+        """The vehicle of each track."""
+        return np.arange(self.tracks) if self.vehicle is None else self.vehicle
+
+    @cached_property
+    def kept(self) -> dict[tuple[float, ...], Floats]:
+        """What was computed for these samples, by constants: the solver asks again and again."""
+        return {}
+
+    @cached_property
+    def spells(self) -> Integers:
+        """The spell of each, and of its object: `track * longest + spell`."""
+        spell = np.zeros(len(self), dtype=np.int64) if self.spell is None else self.spell
+        return np.asarray(self.track * (int(spell.max(initial=0)) + 1) + spell)
+
+    @cached_property
+    def spell_reach(self) -> Floats:
+        """How far off each object is in each of its spells, (tracks, longest), metres; or 0."""
+        longest = 1 if self.spell is None else int(self.spell.max(initial=0)) + 1
+        size = self.tracks * longest
+        count = np.bincount(self.spells, minlength=size)
+        reach = np.bincount(self.spells, weights=self.reach, minlength=size)
+        return np.asarray((reach / np.maximum(count, 1)).reshape(self.tracks, longest))
+
+    @cached_property
+    def reach(self) -> Floats:
+        """How far off they are, metres."""
+        return np.asarray(np.linalg.norm(self.points, axis=1), dtype=np.float64)
+
+    @cached_property
+    def upward(self) -> Floats:
+        """Their elevation angles, radians."""
+        x, y, z = self.points.T
+        return np.asarray(np.arctan2(z, np.hypot(x, y)), dtype=np.float64)
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def where(self, keep: Booleans) -> Samples:
+        """Return the samples for which `keep` is true; tracks keep their numbers."""
+        return replace(
+            self,
+            points=self.points[keep],
+            range_rate=self.range_rate[keep],
+            track=self.track[keep],
+            spell=None if self.spell is None else self.spell[keep],
+        )
+
+
+def link_tracks(moving: Moving, settings: TraceSettings = LOCALIZATION.traces) -> Integers:
+    """Link moving detections to tracks.
+
+    Two detections belong together where the range changed as the Doppler states and bearing and
+    Doppler are alike. What has few points is a false alarm; what is slow and goes nowhere are
+    leaves; where many never go faster than one walks, these are left out.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+    settings : TraceSettings
+        How detections of one track may differ, and what a vehicle is.
+
+    Returns
+    -------
+    (n,) int64 array
+        Number of the track, `NONE` for detections of none.
+    """
+    if len(moving) == 0:
+        return np.empty(0, dtype=np.int64)
+    time = moving.time - moving.time[0]
+    x, y = moving.points[:, 0], moving.points[:, 1]
+    reach = np.linalg.norm(moving.points, axis=1)
+    s = settings
+    limits = np.array([s.link_s, s.rate_mps, s.range_m, s.across_m, s.across_mps])
+    root = _link(limits, time, reach, np.arctan2(y, x), moving.range_rate)
+    table = pd.DataFrame({"root": root, "segment": (time / settings.segment_s).astype(np.int64)})
+    number = np.asarray(table.groupby(["root", "segment"], sort=True).ngroup(), dtype=np.int64)
+    good = _goes_somewhere(number, time, moving, settings)
+    renumbered = np.where(good, np.cumsum(good) - 1, NONE)
+    return np.asarray(renumbered[number])
+
+
+def _goes_somewhere(
+    number: Integers, time: Floats, moving: Moving, settings: TraceSettings
+) -> Booleans:
+    """Return which tracks are long and fast enough for something that drives."""
+    rows = pd.DataFrame(
+        {
+            "n": number,
+            "t": time,
+            "x": moving.points[:, 0],
+            "y": moving.points[:, 1],
+            "rate": np.abs(moving.range_rate),
+        }
+    ).groupby("n")
+    early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
+    path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
+    extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
+    least_m = settings.min_path_m
+    goes = (path >= least_m) & (path >= 0.5 * extent)
+    streams = (rows["rate"].median() >= settings.sure_mps) & (extent >= least_m)
+    good = (rows.size() >= settings.min_points) & (goes | streams)
+    pace, steady = (way(number, time, moving, settings) for way in (_pace, _steady_speed))
+    drives = good & (np.maximum(pace, steady) > settings.walk_mps)
+    # walkers keep to kerbs, not to lanes; but in a queue vehicles creep
+    walkers = 1.0 - drives.sum() / max(good.sum(), 1)
+    return np.asarray(drives if walkers > settings.creeping else good)
+
+
+def _pace(number: Integers, time: Floats, moving: Moving, settings: TraceSettings) -> Floats:
+    """Return the fastest range rate of each track that lasts, m/s: a median over `pace_s`.
+
+    A walker's limbs swing at up to two and a half times his speed, most of him goes on as he does.
+    """
+    rate = pd.Series(np.abs(moving.range_rate))
+    spell = np.floor(time / settings.pace_s).astype(np.int64)
+    by_spell = rate.groupby([number, spell])
+    lasting = by_spell.median().where(by_spell.size() >= settings.pace_points)
+    fastest = lasting.groupby(level=0).max().fillna(rate.groupby(number).median())
+    return np.asarray(fastest, dtype=np.float64)
+
+
+def _steady_speed(
+    number: Integers, time: Floats, moving: Moving, settings: TraceSettings
+) -> Floats:
+    """Return the speed of the straight line that fits a track, m/s; 0 where none does.
+
+    What crosses the sight shows no Doppler; people behind each other make no line.
+    """
+    count = np.bincount(number)
+    centred = [v - (np.bincount(number, v) / count)[number] for v in (time, *moving.points.T[:2])]
+    t, east, north = centred
+    spread = np.maximum(np.bincount(number, t**2), 1e-9)
+    slopes = [np.bincount(number, t * way) / spread for way in (east, north)]
+    speed = np.hypot(*slopes)
+    left = np.bincount(number, east**2 + north**2) / count - speed**2 * spread / count
+    return np.where(np.sqrt(np.maximum(left, 0.0)) < settings.across_m, speed, 0.0)
+
+
+def thin(
+    moving: Moving,
+    tracks: Integers,
+    settings: TraceSettings = LOCALIZATION.traces,
+    *,
+    seed: int = 0,
+) -> Samples:
+    """Keep a few detections of each track in each voxel, evenly thinned to a limit.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+    tracks : (n,) array
+        As from :func:`link_tracks`.
+    settings : TraceSettings
+        Of voxels and limits.
+    seed : int
+        Decides which; the same again for the same seed.
+    """
+    rng = np.random.default_rng(seed)
+    on = np.flatnonzero(tracks != NONE)
+    on = on[rng.permutation(len(on))]
+    cells = np.floor(moving.points[on, :2] / settings.voxel_m).astype(np.int64)
+    frame = pd.DataFrame({"k": tracks[on], "i": cells[:, 0], "j": cells[:, 1]})
+    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < settings.per_voxel).to_numpy()][
+        : settings.most
+    ]
+    keep.sort()
+    return Samples(
+        points=moving.points[keep],
+        range_rate=moving.range_rate[keep],
+        track=tracks[keep],
+        tracks=int(tracks.max(initial=NONE)) + 1,
+        elevation=_elevation(moving.points),
+        crowd_m=settings.crowd_m,
+        spell=_spells(moving.time[keep], tracks[keep], settings.spell_s),
+        spell_s=settings.spell_s,
+        vehicle=vehicles_of(moving, tracks, settings),
+    )
+
+
+def vehicles_of(
+    moving: Moving, tracks: Integers, settings: TraceSettings = LOCALIZATION.traces
+) -> Integers:
+    """Return which tracks are of one vehicle: hidden for a while, or with faces linked apart.
+
+    A track that begins where another one is at that time, or would be by then, and goes away as
+    fast, is of the same vehicle.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+    tracks : (n,) array
+        As from :func:`link_tracks`.
+    settings : TraceSettings
+        How far a vehicle reaches.
+
+    Returns
+    -------
+    (tracks,) int64 array
+        Number of the vehicle of each track, from 0.
+    """
+    rows = np.flatnonzero(tracks != NONE)
+    rows = rows[np.argsort(tracks[rows], kind="stable")]
+    first = np.unique(tracks[rows], return_index=True)[1]
+    if len(first) == 0:
+        return np.empty(0, dtype=np.int64)
+    limits = np.array(
+        [
+            settings.hidden_s,
+            settings.vehicle_m,
+            settings.stray_mps,
+            settings.pace_s,
+            settings.pace_mps,
+        ]
+    )
+    parent = _join(
+        limits, np.append(first, len(rows)), moving.time[rows], moving.points[rows, :2],
+        moving.range_rate[rows],
+    )  # fmt: skip
+    return np.asarray(np.unique(parent, return_inverse=True)[1], dtype=np.int64)
+
+
+@compiled
+def _join(  # pragma: no cover - compiled
+    limits: Floats, first: Integers, time: Floats, points: Floats, rate: Floats
+) -> Integers:
+    """Return the first track of the vehicle of each; rows are sorted by track, then time."""
+    hidden_s, vehicle_m, stray_mps, pace_s, pace_mps = limits
+    count = len(first) - 1
+    parent = np.arange(count)
+    for j in np.argsort(time[first[:-1]]):
+        begin = time[first[j]]
+        _, now, x, y, _, _, slow = _line(
+            time, points, rate, first[j], first[j + 1], begin, begin + pace_s
+        )
+        best = vehicle_m
+        for i in range(count):
+            ended = time[first[i + 1] - 1]
+            if i == j or time[first[i]] > begin or ended < begin - hidden_s:
+                continue
+            # how it went about that time, or last of all
+            until = min(ended, begin + pace_s)
+            known, then, a, b, east, north, pace = _line(
+                time, points, rate, first[i], first[i + 1], until - 2.0 * pace_s, until
+            )
+            c, d = a + east * (now - then), b + north * (now - then)
+            off = np.hypot(c - x, d - y) - stray_mps * max(begin - ended, 0.0)
+            # as it passes the sensor its range rate changes
+            pace += (east * c + north * d) / max(np.hypot(c, d), 1.0)
+            pace -= (east * a + north * b) / max(np.hypot(a, b), 1.0)
+            if known > 2.0 and off < best and abs(pace - slow) < pace_mps:
+                best = off
+                parent[j] = parent[i]
+    return parent
+
+
+@compiled
+def _line(  # pragma: no cover - compiled
+    time: Floats, points: Floats, rate: Floats, low: int, high: int, since: float, until: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return the straight line through the rows of some time.
+
+    That is how many there are, their mean time and place, velocity, and mean range rate.
+    """
+    n, t, x, y, w, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(low, high):
+        if time[k] < since or time[k] > until:
+            continue
+        d = time[k] - since
+        n, t, x, y, w = n + 1.0, t + d, x + points[k, 0], y + points[k, 1], w + rate[k]
+        tt, tx, ty = tt + d * d, tx + d * points[k, 0], ty + d * points[k, 1]
+    if n == 0.0:
+        return 0.0, since, 0.0, 0.0, 0.0, 0.0, 0.0
+    spread = max(tt - t * t / n, 1e-2)  # of one moment no velocity is known
+    return (
+        n,
+        since + t / n,
+        x / n,
+        y / n,
+        (tx - t * x / n) / spread,
+        (ty - t * y / n) / spread,
+        w / n,
+    )
+
+
+def _spells(time: Floats, track: Integers, spell_s: float) -> Integers:
+    """Return in which spell of its track each sample was seen, counted from 0; time ascends."""
+    first = np.full(int(track.max(initial=NONE)) + 1, np.inf)
+    np.minimum.at(first, track, time)
+    return np.asarray(np.floor((time - first[track]) / spell_s), dtype=np.int64)
+
+
+def _elevation(points: Floats) -> float:
+    if len(points) == 0:
+        return np.pi / 2
+    x, y, z = points.T
+    return float(np.percentile(np.abs(np.arctan2(z, np.hypot(x, y))), 99.5))
+
+
+@compiled
+def _link(  # pragma: no cover - compiled
+    limits: Floats, time: Floats, reach: Floats, bearing: Floats, rate: Floats
+) -> Integers:
+    """Return the root of each detection's track (union-find over pairs that agree)."""
+    link_s, rate_mps, range_m, across_m, across_mps = limits
+    parent = np.arange(len(time))
+    for i in range(len(time)):
+        for j in range(i + 1, len(time)):
+            lapse = time[j] - time[i]
+            if lapse > link_s:
+                break
+            moved = reach[j] - reach[i] - 0.5 * (rate[i] + rate[j]) * lapse
+            if abs(rate[i] - rate[j]) > rate_mps or abs(moved) > range_m:
+                continue
+            turn = abs(bearing[j] - bearing[i])
+            turn = min(turn, 2.0 * np.pi - turn)
+            if turn * reach[i] > across_m + across_mps * lapse:
+                continue
+            a, b = i, j
+            while parent[a] != a:
+                parent[a] = parent[parent[a]]
+                a = parent[a]
+            while parent[b] != b:
+                parent[b] = parent[parent[b]]
+                b = parent[b]
+            parent[max(a, b)] = min(a, b)
+    return parent_roots(parent)
+
+
+@compiled
+def parent_roots(parent: Integers) -> Integers:  # pragma: no cover - compiled
+    """Return the root of every node of a forest whose parents have lower numbers."""
+    for i in range(len(parent)):
+        parent[i] = parent[parent[i]]
+    return parent

@@ -1,0 +1,136 @@
+"""Watch: both change detectors of small moves, what stands still and where vehicles drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gis_radar.calibration.alarm import Alarm, Displacement
+from gis_radar.calibration.lane_places import Cells, cells_along, lane_places
+from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
+from gis_radar.calibration.state import State
+from gis_radar.calibration.stationary_targets import StillTargets, Verdict
+from gis_radar.calibration.windows import WindowFitter, WindowTraffic
+from gis_radar.recordings.recording import Detections
+
+
+def decided(
+    verdicts: Sequence[Verdict],
+    driven: Displacement | None,
+    settings: MonitorSettings = MONITOR,
+) -> Displacement | None:
+    """Return the move that is beyond chance, or none.
+
+    Where enough stands still to show a move of the wanted size, that alone decides: it is known to
+    centimetres and hundredths of degrees, where vehicles in ten minutes are to decimetres, and
+    drivers change their habits. Elsewhere either change detector reports a move.
+
+    Parameters
+    ----------
+    verdicts : sequence of Verdict
+        Of what stands still.
+    driven : Displacement or None
+        Of vehicles.
+    settings : MonitorSettings
+        Both gates.
+    """
+    found = max((each.found for each in verdicts), key=lambda f: f.score, default=None)
+    if found is not None and found.score > settings.still.gate:
+        return found
+    if driven is None or any(each.sees for each in verdicts):
+        return None
+    return driven if driven.score > settings.alarm.gate else None
+
+
+class Watch:
+    """Watches a sensor for small moves while its pose is followed.
+
+    Parameters
+    ----------
+    fitter : WindowFitter
+        The lanes.
+    settings : MonitorSettings
+        Of the alarm.
+    """
+
+    def __init__(self, fitter: WindowFitter, settings: MonitorSettings = MONITOR) -> None:
+        self._fitter, self._settings = fitter, settings
+        self.restart()
+
+    def restart(self) -> None:
+        """Reset what was learnt: the sensor was moved."""
+        self._cells: Cells | None = None
+        self._since = np.nan
+        self._still = StillTargets(self._settings)
+        self._block_since = np.nan
+        self._newest: Verdict | None = None
+
+    def push(self, batch: Detections) -> None:
+        """Take the next detections, those that stand still, too."""
+        self._still.push(batch.time, batch.points, batch.range_rate)
+
+    @property
+    def unmoved(self) -> bool:
+        """Whether what stands still shows that the sensor was not moved, up to the last block."""
+        return self._newest is not None and self._newest.rests
+
+    def look(self, traffic: WindowTraffic | None, state: State, time: float) -> Displacement | None:
+        """Return the move noticed by now, if any.
+
+        Parameters
+        ----------
+        traffic : WindowTraffic or None
+            The window, up to now; none while there is no whole one with vehicles.
+        state : State
+            The pose; what counts for vehicles is the first one since the start.
+        time : float
+            UNIX seconds: now.
+        """
+        ended = self._still_block(time)
+        driven = self._by_vehicles(traffic, state, time) if traffic is not None else None
+        if not ended and driven is None:
+            return None
+        found = decided(self._still.tested, driven, self._settings)
+        if found is None or found is driven:
+            return found
+        # blocks from before the move make it too small where it has just begun
+        latest = self._still.verdict(self._settings.still.latest_blocks)
+        if latest is not None:
+            found = replace(found, move=latest.found.move, covariance=latest.found.covariance)
+        return found.turned(state.R_map_sensor)
+
+    def _still_block(self, time: float) -> bool:
+        """Compare what stands still, at the end of a block."""
+        of = self._settings.still
+        if np.isnan(self._block_since):
+            self._block_since = time
+        if time - self._block_since < of.block_s:
+            return False
+        self._block_since = time
+        self._still.end_block()
+        self._newest = self._still.verdict(of.blow_blocks)
+        return True
+
+    def _by_vehicles(
+        self, traffic: WindowTraffic, state: State, time: float
+    ) -> Displacement | None:
+        alarm = self._settings.alarm
+        if self._cells is None:
+            self._cells = cells_along(self._fitter.lanes(traffic.samples()), alarm)
+            self._state, self._since = state, time
+            self._alarm = Alarm(self._cells, state.position[:2], self._settings)
+        if time - self._since < alarm.block_s:
+            return None
+        seen = lane_places(
+            traffic.moving,
+            self._cells,
+            self._state,
+            since=self._since - alarm.settle_s,
+            until=time - alarm.settle_s,
+            traces=self._settings.localization.traces,
+            settings=alarm,
+        )
+        self._since = time
+        return self._alarm.push(seen, time)

@@ -1,0 +1,333 @@
+"""Register a window of traffic to the lanes, from a pose that is nearly right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.calibration.adaptation import adapted
+from gis_radar.calibration.certainty import advantage, certainty
+from gis_radar.calibration.hypotheses import find_hypotheses, prior_at, rough
+from gis_radar.calibration.kalman_filter import Estimate, Measurement, covariance_from_angles
+from gis_radar.calibration.lane_method import lanes_around
+from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.model import MODEL
+from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
+from gis_radar.calibration.result import Problem
+from gis_radar.calibration.settings import Schedule
+from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
+from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
+from gis_radar.calibration.trace_settings import TraceSettings
+from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
+from gis_radar.errors import NoAnswerError
+from gis_radar.progress import QUIET, Reporter
+
+
+def data_alone(fit: Fit, prior: Prior, settings: MonitorSettings = MONITOR) -> Measurement:
+    """Remove the prior from a fit, or every window would confirm the pose before it.
+
+    In coordinates where the prior has variance one along each axis, `1 + m` is the information of
+    the fit and `m` that of the data; the data's pose is farther off by `(1 + m) / m`.
+
+    Parameters
+    ----------
+    fit : Fit
+        A registration.
+    prior : Prior
+        Of the fit.
+    settings : MonitorSettings
+        From when on information of the data counts.
+    """
+    known = certainty(fit, settings.localization.answer)
+    quaternion = _quaternion(fit.state)
+    unit = np.diag(prior.information[POSE, POSE]) ** -0.5
+    whole, noise = (
+        covariance_from_angles(quaternion, part) / np.outer(unit, unit)
+        for part in (known.covariance, known.noise)
+    )
+    values, vectors = np.linalg.eigh(np.linalg.inv(whole))
+    data = values - 1.0
+    seen = data > settings.least_known
+    away = fit.state.difference(prior.mean)[POSE] / unit
+    farther = np.where(seen, values / np.where(seen, data, 1.0), 0.0)
+    step = np.zeros(SIZE)
+    step[POSE] = unit * (vectors @ (farther * (vectors.T @ away)))
+    there = prior.mean.moved(step)
+    # what is common to all windows grows not where this one sees nothing
+    noise_grows = np.sqrt(values / np.where(seen, data, settings.unknown))
+    common_grows = np.where(seen, noise_grows, 1.0)
+    noise, common = (
+        _stretched(part, vectors * grows @ vectors.T, unit)
+        for part, grows in ((noise, noise_grows), (whole - noise, common_grows))
+    )
+    return Measurement(
+        position=there.position,
+        quaternion=_quaternion(there),
+        covariance=noise + common,
+        noise=noise,
+    )
+
+
+def _stretched(part: Floats, stretch: Floats, unit: Floats) -> Floats:
+    wide = stretch @ part @ stretch.T * np.outer(unit, unit)
+    return np.asarray((wide + wide.T) / 2.0)
+
+
+def _quaternion(state: State) -> Floats:
+    return np.asarray(Rotation.from_matrix(state.R_map_sensor).as_quat(canonical=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowTraffic:
+    """Moving detections of some time, by track.
+
+    Parameters
+    ----------
+    moving : Moving
+        The detections.
+    number : (n,) array
+        The track of each.
+    settings : TraceSettings
+        Of linking and thinning.
+    """
+
+    moving: Moving
+    number: Integers
+    settings: TraceSettings
+
+    @classmethod
+    def of(cls, moving: Moving, settings: TraceSettings) -> WindowTraffic:
+        """Link the detections of a window to tracks."""
+        return cls(moving=moving, number=link_tracks(moving, settings), settings=settings)
+
+    def between(self, begin: float, end: float) -> WindowTraffic:
+        """Return the part of the traffic within a time, its end not included."""
+        low, high = np.searchsorted(self.moving.time, [begin, end])
+        part = slice(int(low), int(high))
+        _, number = np.unique(np.append(self.number[part], -1), return_inverse=True)
+        share = (high - low) / max(len(self.moving), 1)
+        moving = replace(
+            self.moving,
+            time=self.moving.time[part],
+            points=self.moving.points[part],
+            range_rate=self.moving.range_rate[part],
+            detections=int(self.moving.detections * share),
+            begin=max(begin, self.moving.begin),
+            end=min(end, self.moving.end),
+        )
+        return replace(self, moving=moving, number=number[:-1] - 1)
+
+    @cached_property
+    def vehicles(self) -> int:
+        """How many vehicles there are: the parts of a track that is cut count as one."""
+        return len(np.unique(vehicles_of(self.moving, self.number, self.settings)))
+
+    def samples(self) -> Samples:
+        """Return the detections that a registration works on."""
+        return thin(self.moving, self.number, self.settings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowFit:
+    """The fit of a window, and the pose that it measures.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        The pose, from the data alone.
+    fit : Fit
+        The registration.
+    samples : Samples
+        What was registered.
+    on_lanes : bool
+        Whether the traffic is on the lanes.
+    """
+
+    measurement: Measurement
+    fit: Fit
+    samples: Samples
+    on_lanes: bool
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the fit converged, with the traffic on the lanes."""
+        return self.fit.converged and self.on_lanes
+
+
+class WindowFitter:
+    """Fits windows of traffic to the lanes around a sensor.
+
+    Parameters
+    ----------
+    problem : Problem
+        Map, road and where the sensor stands.
+    settings : MonitorSettings
+        How windows are fitted.
+    reporter : Reporter
+        Receives remarks.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: MonitorSettings = MONITOR,
+        *,
+        reporter: Reporter = QUIET,
+    ) -> None:
+        self.settings = settings
+        self._problem = problem
+        self._reporter = reporter
+        self._reach_m = 0.0
+        self._lanes: Lanes | None = None
+        self._model = MODEL
+        self._reflections: tuple[float, float] | None = None  # mean and information
+
+    def lanes(self, samples: Samples) -> Lanes:
+        """Return the lanes within reach of samples."""
+        reach_m = float(np.percentile(np.hypot(*samples.points[:, :2].T), 99.5))
+        if self._lanes is None or reach_m > self._reach_m:
+            grow, reporter = self.settings.reach_grows, self._reporter
+            self._reach_m, self._reporter = grow * reach_m, QUIET  # remarks only once
+            self._lanes = lanes_around(
+                self._problem, samples, reporter, grow=grow, settings=self.settings.localization
+            )
+        return self._lanes
+
+    def scene(self, samples: Samples) -> Scene:
+        """Return samples with the lanes within their reach."""
+        lanes = self.lanes(samples)
+        return Scene(lanes=lanes, samples=samples, settings=self.settings.localization)
+
+    def fit(
+        self,
+        traffic: WindowTraffic,
+        centre: Estimate,
+        like: State,
+        *,
+        near: Sequence[float] | None = None,
+        start: State | None = None,
+        schedule: Schedule | None = None,
+    ) -> WindowFit | None:
+        """Fit a window of traffic to the lanes near a pose; None where it holds too few vehicles.
+
+        Parameters
+        ----------
+        traffic : WindowTraffic
+            What moved.
+        centre : Estimate
+            Where to look.
+        like : State
+            How vehicles reflected so far.
+        near : (6,) sequence, optional
+            How far around, 1 sigma: metres, radians; without it as the settings state.
+        start : State, optional
+            Where to begin, if not there.
+        schedule : Schedule, optional
+            As for :func:`gis_radar.calibration.solver.solve`; without it that of a window.
+        """
+        settings = self.settings
+        if traffic.vehicles < settings.localization.answer.least_tracks:
+            return None
+        samples = traffic.samples()
+        prior = self._prior(centre.state(like), np.array(near or settings.near))
+        begin = prior.mean if start is None else start
+        schedule = schedule or settings.window
+        fit = solve(self.scene(samples), begin, prior, schedule=schedule, model=self._model)
+        return WindowFit(
+            measurement=data_alone(fit, prior, settings),
+            fit=fit,
+            samples=samples,
+            on_lanes=fit.fitness >= settings.localization.answer.least_fitness,
+        )
+
+    def find(
+        self, traffic: WindowTraffic, centre: Estimate, like: State, *, near: Sequence[float]
+    ) -> WindowFit | None:
+        """Search farther around a pose at which the traffic is on no lanes; None if in vain.
+
+        Parameters
+        ----------
+        traffic, centre, like, near
+            As for :meth:`fit`.
+        """
+        samples, state = traffic.samples(), centre.state(like)
+        tolerance = self.settings.localization.search.heading_tolerance
+        heading = float(state.yaw_pitch_roll[0]), tolerance
+        for tried in find_hypotheses(self.scene(samples), heading=heading):
+            away = tried.fit.state.difference(state)[POSE] / np.array(near)
+            if np.abs(away).max() < self.settings.farthest:
+                found = self.fit(traffic, centre, like, near=near, start=tried.fit.state)
+                return found if found is not None and found.trusted else None
+        return None
+
+    def cost(self, samples: Samples, state: State) -> float:
+        """Return the cost of samples at a pose, a negative logarithm of likelihood."""
+        return cost_at(self.scene(samples), state, model=self._model)
+
+    def adapt(self, found: WindowFit) -> None:
+        """Estimate from a trusted fit how this radar sees vehicles; each anew from the defaults."""
+        samples, fit = found.samples, found.fit
+        before = Prior(mean=fit.state, information=np.zeros((SIZE, SIZE)))
+        after, self._model = adapted(self.scene(samples), fit, before, MODEL)
+        if after is not before:
+            known = float(after.information[REFLECTION, REFLECTION])
+            self._reflections = after.mean.reflection, known
+
+    def _prior(self, centre: State, near: Floats) -> Prior:
+        information = prior_at(centre, self.settings.localization).information.copy()
+        information[POSE, POSE] = np.diag(near**-2.0)
+        if self._reflections is not None:
+            mean_m, information[REFLECTION, REFLECTION] = self._reflections
+            centre = replace(centre, reflection=mean_m)
+        return Prior(mean=centre, information=information)
+
+    def refuse_other_lane(self, found: WindowFit) -> None:
+        """Refuse a pose where the same data fit clearly better on a neighbouring lane.
+
+        Raises
+        ------
+        NoAnswerError
+            If the vehicles prefer a pose that is a lane off.
+        """
+        part, here = rough(self.scene(found.samples)), found.fit.state
+        settings = self.settings
+
+        def at(state: State, schedule: Schedule | None = None) -> Fit:
+            prior = replace(prior_at(state, settings.localization), mean=state)
+            return solve(part, state, prior, schedule=schedule)
+
+        def apart_m(one: Fit, other: Fit) -> float:
+            return float(np.hypot(*one.state.difference(other.state)[:2]))
+
+        back = at(here, settings.lane_off)
+        tried = [(state, at(state, settings.lane_off)) for state in _a_lane_off(part, found.fit)]
+        away = [state for state, fit in tried if apart_m(fit, back) > settings.other_lane_m / 2.0]
+        first = at(here) if away else back
+        for other in map(at, away):
+            away_m = apart_m(other, first)
+            z_score = advantage(other, first, part.samples)
+            if z_score > settings.other_lane and away_m > settings.other_lane_m:
+                raise NoAnswerError(
+                    f"{self._problem.name}: the traffic fits clearly better with the sensor "
+                    f"{away_m:.1f} m from its start pose",
+                    hint="find the pose with gis-radar localize",
+                )
+
+
+def _a_lane_off(scene: Scene, fit: Fit) -> list[State]:
+    """Return the fit's state moved by a lane to every side of the main directions of traffic."""
+    lanes, used = scene.lanes, fit.matches.lane[fit.matches.found]
+    if len(used) == 0:
+        return []
+    # twice the angle: both directions of a street are one
+    turn = np.arctan2(lanes.along[used, 1], lanes.along[used, 0])
+    sides = np.angle(np.mean(np.exp(2j * turn))) / 2.0 + np.arange(4) * np.pi / 2.0
+    width_m = float(np.median(lanes.width_m[used]))
+    moves = width_m * np.column_stack([np.cos(sides), np.sin(sides), np.zeros(4)])
+    return [replace(fit.state, position=fit.state.position + move) for move in moves]

@@ -1,0 +1,132 @@
+"""Serve an application over HTTP on a thread of its own, with bounds on what clients may hold."""
+
+from __future__ import annotations
+
+import socket
+from asyncio import TimerHandle, Transport
+from collections.abc import Sequence
+from threading import Thread
+from typing import cast
+
+import uvicorn
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from gis_radar.errors import OutputError
+
+MOST_CONNECTIONS = 300  # a third of the 1,024 files that a process may usually open
+BACKLOG = 64  # connections that are accepted at once, beyond these
+REQUEST_S = 5.0  # for a whole request; browsers open connections that they may need, and wait
+UNREAD_S = 60.0  # for taking what was sent: a megabyte at 20 kB/s
+END_S = 2.0
+LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
+
+
+class BoundedConnection(H11Protocol):
+    """A connection that is closed where its client sends no request, or does not read the answer.
+
+    uvicorn has no such bounds: its own time-out begins after the first answer and ends with the
+    next byte. Of too many connections the one that has waited longest for a request is closed.
+    """
+
+    request_due: TimerHandle
+    _reading_due: TimerHandle | None = None
+
+    @property
+    def answering(self) -> bool:
+        """Whether a request has come and its answer is not complete."""
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def connection_made(self, transport: Transport) -> None:  # type: ignore[override]
+        """Wait for the first request."""
+        super().connection_made(transport)
+        self.request_due = self.loop.call_later(REQUEST_S, transport.close)
+        if len(self.connections) > MOST_CONNECTIONS:
+            all_of_them = cast("set[BoundedConnection]", self.connections)
+            idle = (each for each in all_of_them if not each.answering)
+            oldest = min(idle, key=lambda each: each.request_due.when())
+            self.connections.discard(oldest)
+            oldest.transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Take a part of a request."""
+        super().data_received(data)
+        if self.answering:
+            self.request_due.cancel()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request, unless it has already come."""
+        super().on_response_complete()
+        if not self.answering:
+            self.request_due = self.loop.call_later(REQUEST_S, self.transport.close)
+
+    def pause_writing(self) -> None:
+        """Wait for the client to read."""
+        super().pause_writing()
+        self._reading_due = self.loop.call_later(UNREAD_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Go on, as the client has read."""
+        super().resume_writing()
+        if self._reading_due is not None:
+            self._reading_due.cancel()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no more."""
+        super().connection_lost(exc)
+        self.request_due.cancel()
+        self.resume_writing()
+
+
+class WebServer:
+    """Serves an application until it is closed.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What is served.
+    address : str
+        HOST:PORT.
+    names : sequence of str
+        Names by which browsers may ask for it, besides this machine's own; without them any where
+        other machines reach the address, so that no other page asks in the name of this machine.
+
+    Raises
+    ------
+    OutputError
+        If the address is taken.
+    """
+
+    def __init__(self, app: ASGIApp, address: str, names: Sequence[str] = ()) -> None:
+        self._host, _, port = address.rpartition(":")
+        host = self._host.strip("[]")
+        hosts = [*names, *LOOPBACK] if names or host in LOOPBACK else ["*"]
+        config = uvicorn.Config(
+            TrustedHostMiddleware(app, allowed_hosts=hosts), http=BoundedConnection, ws="none",
+            log_config=None, log_level="critical", backlog=BACKLOG, timeout_graceful_shutdown=1,
+        )  # fmt: skip
+        self._server = uvicorn.Server(config)
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            self._socket = socket.create_server((host, int(port)), family=family, backlog=BACKLOG)
+        except OSError as error:
+            raise OutputError(
+                f"{address}: cannot be served: {error.strerror}",
+                hint="another program may use the address",
+            ) from error
+        self._thread = Thread(
+            target=self._server.run, args=([self._socket],), daemon=True, name=f"web {port}"
+        )
+
+    def open(self) -> str:
+        """Begin to serve; return the address."""
+        self._thread.start()
+        return f"http://{self._host}:{self._socket.getsockname()[1]}/"
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._server.should_exit = True
+        if self._thread.is_alive():
+            self._thread.join(END_S)
+        self._socket.close()
