@@ -18,6 +18,7 @@ from gis_radar.live.payload import STREAM_BYTES, VERSION
 
 LOCK_S = 1.0  # for another program to let go of the file
 ROW_BYTES = 24  # that SQLite takes beside the content of a message; measured
+LAST_NUMBER = 1 << 62  # there is room for the next ones in 64 bits
 CHECK_EVERY = 64  # messages between two looks at the size
 _COLUMNS = {
     "notes": ["name", "value"], "messages": ["number", "content"], "poses": ["number", "message"],
@@ -141,10 +142,13 @@ class DiskBuffer:
             (found,) = self._database.execute("PRAGMA quick_check(1)").fetchone()
             query = "SELECT name FROM pragma_table_info(?)"
             self._note()
-            return found != "ok" or any(
+            if found != "ok" or any(
                 [name for (name,) in self._database.execute(query, (table,))] != names
                 for table, names in _COLUMNS.items()
-            )
+            ):
+                return True
+            odd = "SELECT 1 FROM messages WHERE number NOT BETWEEN 1 AND ?"
+            return self._database.execute(odd, (LAST_NUMBER,)).fetchone() is not None
         except UnicodeDecodeError:
             return True
         except sqlite3.Error as error:
@@ -233,6 +237,7 @@ class DiskBuffer:
 
     def acknowledge(self, number: int) -> None:
         """Drop all messages up to a number: fusion has stored them."""
+        number = min(number, self.last)
         with _errors(self.path):
             self._database.execute("DELETE FROM messages WHERE number <= ?", (number,))
             self._database.execute(
