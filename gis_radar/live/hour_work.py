@@ -20,7 +20,7 @@ from gis_radar.live.recordings import (
     HOUR_US,
     PARTS,
     RECORDINGS,
-    Rows,
+    JoinedRows,
     hour_of_time,
     join_parts,
     make_parts,
@@ -223,7 +223,7 @@ def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> D
             there = recording_path(site.folder, sensor, hour)
             sources += [there] if there.exists() else []
             sources += parts_of_hour(site.folder, sensor, hour)
-        rows = Rows(sources, *span) if sources else None
+        rows = JoinedRows(sources, *span) if sources else None
         if rows is not None and len(rows.table):
             place = path / RECORDINGS / sensor / f"{path.name}.parquet"
             found.append((place, rows.write(place)))

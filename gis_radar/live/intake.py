@@ -79,14 +79,14 @@ class KnownPose:
         Name of what the sensor sees from it.
     road_m : float
         Height of the road near it, metres; NaN where it is not known.
-    refused : str
-        Why frames by it cannot be taken.
+    other_tiles : str
+        Fingerprint of the tiles that it speaks of, where they are others.
     """
 
     pose: Pose | None
     view: str = ""
     road_m: float = float("nan")
-    refused: str = ""
+    other_tiles: str = ""
 
 
 @dataclass(kw_only=True)
@@ -291,7 +291,7 @@ class Intake:
             return
         try:
             key, frames = unpack_detections(content)
-            reason = self._why_not(frames, message.time)
+            reason = self._reason_against(frames, message.time)
         except InputError as error:
             self._pass_over(sensor, message, envelope, content, "damaged", error.message)
             return
@@ -302,8 +302,9 @@ class Intake:
         known = sensor.poses.get(key)
         if known is None:  # the sensor sends it again, too
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
-        elif known.refused:
-            self._refuse(sensor, known.refused)
+        elif known.other_tiles:
+            expected = self._book.road.fingerprint
+            self._refuse(sensor, f"tiles {known.other_tiles}, expected {expected}")
         elif known.pose is None:
             self._pass_over(sensor, message, envelope, content, "damaged", "its pose is damaged")
         else:
@@ -329,7 +330,7 @@ class Intake:
             sensor.health.alarm("lost", lost)
         return True
 
-    def _why_not(self, frames: Sequence[FrameDetections], now_s: float) -> str:
+    def _reason_against(self, frames: Sequence[FrameDetections], now_s: float) -> str:
         """Return why frames cannot be of now, or of an outage lately."""
         times = [each.time_us for each in frames]
         if any(one >= other for one, other in pairwise(times)):
@@ -386,8 +387,7 @@ class Intake:
             return
         found = PoseContent.unpack(message)
         if found.fingerprint != self._book.road.fingerprint:
-            refused = f"tiles {found.fingerprint}, expected {self._book.road.fingerprint}"
-            known = KnownPose(pose=None, refused=refused)
+            known = KnownPose(pose=None, other_tiles=found.fingerprint)
         else:
             try:
                 known = self._known(name, found)
@@ -451,7 +451,7 @@ class Intake:
     ) -> Iterator[tuple[int, Seen]]:
         """Yield by frame its step, and the tiles that it hits."""
         assert known.pose is not None  # noqa: S101 - the caller has looked
-        rows = joined_rows([each.as_rows() for each in frames])
+        rows = rows_of_frames([each.as_rows() for each in frames])
         for counted in self._counter.count(rows, known.pose, road_m=known.road_m):
             yield counted.time_us // STEP_US, Seen(counted.tiles, known.view)
 
@@ -459,7 +459,7 @@ class Intake:
 _LAST_STEP = 5_000_000_000 * 20  # within the years that ISO 8601 writes
 
 
-def joined_rows(parts: Sequence[Detections]) -> Detections:
+def rows_of_frames(parts: Sequence[Detections]) -> Detections:
     """Return the rows of several frames as one table."""
     if len(parts) == 1:
         return parts[0]

@@ -2,7 +2,7 @@
 
 A recording begins and ends two minutes after the full hour, so that an hour of the dataset has all
 that it follows from once its recording is added, and is made once. Parts of it lie beside it until
-then. Rows of a frame come once, in the order of time, whenever and however often they came in.
+then. JoinedRows of a frame come once, in the order of time, whenever and however often they came in.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
     rename_whole(unfinished(path), path)
 
 
-class Rows:
-    """Rows of a sensor from several files, each frame once.
+class JoinedRows:
+    """JoinedRows of a sensor from several files, each frame once.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
     there = [path] if path.exists() else []
     if not parts:
         return path if there else None
-    rows = Rows([*there, *parts])
+    rows = JoinedRows([*there, *parts])
     if rows.differing:
         reporter.log(
             f"{sensor}: {rows.differing:,} frames differ from others of the same time and are "
