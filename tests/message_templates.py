@@ -27,7 +27,11 @@ TELLING = re.compile(
     r"report_contradictions|words|faults_of)"
 )
 TOLD = {"log": 0, "remark": 0}  # methods, and which argument is told
-ALARMED = {"alarm": 1, "_refuse": 1, "_pass_over": 5}  # of the live system: details that its page shows
+ALARMED = {
+    "alarm": 1,
+    "_refuse": 1,
+    "_pass_over": 5,
+}  # of the live system: details that its page shows
 NO_REPORTERS = {"np", "math", "logging", "_LOGGER", "pc"}
 # Single words of a sentence; other single words are names, as of fields and options.
 WORDS = {

@@ -107,6 +107,7 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     assert not folder.exists()
     tiles = gr.read_tiles(made.site.tiles)
     (by_hour,) = read_quarters(gr.open_dataset(made.site.dataset), tiles, [quarter])
+    assert by_hour.lanes["hit_s"].equals(found.lanes["hit_s"])
     assert by_hour.lanes["passages"].sum() == found.lanes["passages"].sum()
     assert take_up(made.site, []).hours == []
 

@@ -85,7 +85,9 @@ def main(folder: Path) -> None:
                  f"health: {health}")  # fmt: skip
             while all(each.poll() is None for each in programs) and not stop.wait(STATUS_S):
                 _show(health)
-            _say("stopping; what came is being recorded" if stop.is_set() else "a program has ended")
+            _say(
+                "stopping; what came is being recorded" if stop.is_set() else "a program has ended"
+            )
         finally:
             _end(programs)
 

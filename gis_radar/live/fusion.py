@@ -37,7 +37,7 @@ from gis_radar.measures.validity import validity_of
 from gis_radar.measures.views import ViewBook
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import SightTiles, open_sight
-from gis_radar.steps import STEP_US, STEPS_PER_SECOND, interval_steps
+from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, interval_steps
 from gis_radar.tiles import read_tiles
 from gis_radar.tracking.map_check import map_of_tiles
 
@@ -106,8 +106,8 @@ class Fusion:
         refuse_other_tiles(measured.dataset, road.fingerprint)
         self._dataset = measured.dataset
         self.vehicles = _vehicles(site, self.tiles, names, reporter)
-        quarters = self.vehicles.counts if self.vehicles is not None else Quarters()
-        self._jobs = HourJobs(measured, quarters, settings=settings, reporter=reporter)
+        self.quarters = Quarters()
+        self._jobs = HourJobs(measured, self.quarters, settings=settings, reporter=reporter)
         self._windows = Windows(site.live.lateness)
         self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
         self._map.holds_s = dict(validity_of(site.cycles(), names))
@@ -192,6 +192,8 @@ class Fusion:
         self._export(self.state())  # the first takes long, before frames come
         gc.collect()
         gc.freeze()  # what is there now stays: to look through it holds frames up for 0.3 s
+        for each in self.sensors.values():  # what comes before was not listened for
+            each.health.heard_s = time.time()
         link.open()
         connections = 0
         try:
@@ -354,8 +356,8 @@ class Fusion:
 
     def _export(self, state: MapState) -> None:
         """Replace the files for QGIS."""
-        observed_s = state.observed_steps * (STEP_US / 1e6)
-        hit_s = state.hit_steps * (STEP_US / 1e6)
+        observed_s = state.observed_steps * STEP_S
+        hit_s = state.hit_steps * STEP_S
         share = np.divide(
             hit_s, observed_s, out=np.full(len(observed_s), np.nan), where=observed_s > 0
         )
@@ -364,8 +366,11 @@ class Fusion:
             observed=state.observed.astype(np.int8), hit_s=hit_s,
             observed_s=observed_s, hit_share=share,
         )  # fmt: skip
-        if self.vehicles is not None:
-            table = table.assign(**self.vehicles.columns())
+        if (lately := self.quarters.lately()) is not None:
+            table = table.assign(
+                occupied_s=lately.tiles.occupied * STEP_S,
+                visible_s=lately.tiles.visible * STEP_S, occupancy=lately.tiles.share(),
+            )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:
             with output_errors(path), atomic_write(path) as part:

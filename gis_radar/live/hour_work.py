@@ -227,7 +227,9 @@ def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> D
         if rows is not None and len(rows.table):
             place = path / RECORDINGS / sensor / f"{path.name}.parquet"
             found.append((place, rows.write(place)))
-    if found:
+    if not found:
+        shutil.rmtree(path, ignore_errors=True)
+    else:
         made = path / DATASET
         site.measure(found, made, before_hour=1 << 40, reporter=done)
         done.quarters = _quarters_in(site, made, [quarter])

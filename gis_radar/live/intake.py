@@ -268,8 +268,7 @@ class Intake:
         trusted = record.get("trusted") is not False
         sensor.health.alarm("moved", None if trusted else "its pose is not known")
         stream = record.get("stream")
-        known = isinstance(stream, str) and STREAM.fullmatch(stream)
-        if online and known and not message.retained:
+        if online and not message.retained and isinstance(stream, str) and STREAM.fullmatch(stream):
             self._use_stream(sensor, stream)
 
     def _use_stream(self, sensor: SensorState, stream: str) -> None:

@@ -2,7 +2,7 @@
 
 A recording begins and ends two minutes after the full hour, so that an hour of the dataset has all
 that it follows from once its recording is added, and is made once. Parts of it lie beside it until
-then. JoinedRows of a frame come once, in the order of time, whenever and however often they came in.
+then. A frame is in it once, in the order of time, whenever and however often it came in.
 """
 
 from __future__ import annotations

@@ -18,12 +18,10 @@ from gis_radar.live.detections import DetectionSelector, pack_detections, unpack
 from gis_radar.live.first_run import SampleSensor
 from gis_radar.live.now import NowFilter, VehiclesNow, layer_of
 from gis_radar.live.payload import POSE_BYTES
-from gis_radar.live.quarters import Quarters
 from gis_radar.measures.frames import rows_of
 from gis_radar.poses.pose import Pose
 from gis_radar.processes import stop_workers, watch_parent
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_S
 from gis_radar.tracking.detections import map_detections
 from gis_radar.tracking.settings import DEFAULTS as TRACKER
 
@@ -107,7 +105,7 @@ def run_vehicles_once() -> None:
 
 
 class LiveVehicles:
-    """Vehicles of a live site: those of now, and what was measured by quarter.
+    """Vehicles of now of a live site.
 
     Parameters
     ----------
@@ -122,8 +120,6 @@ class LiveVehicles:
 
     Attributes
     ----------
-    counts : Quarters
-        What was measured lately.
     dropped : int
         Messages that the process was too busy for.
     """
@@ -131,7 +127,7 @@ class LiveVehicles:
     def __init__(
         self, graph: LaneGraph, sensors: Sequence[str], crs: Any, *, reporter: Reporter = QUIET
     ) -> None:
-        self.counts, self.dropped, self.restarts = Quarters(), 0, 0
+        self.dropped = self.restarts = 0
         self._graph, self._crs, self._reporter = graph, crs, reporter
         self._number = {name: k for k, name in enumerate(sorted(sensors))}
         self._placed: dict[PoseName, Placed] = {}
@@ -222,17 +218,6 @@ class LiveVehicles:
             "vehicles_dropped_messages": float(self.dropped),
             "vehicles_process_restarts": float(self.restarts),
         }
-
-    def columns(self) -> dict[str, Any]:
-        """Return the columns of the map for QGIS, of the last quarter; none before the first."""
-        lately = self.counts.lately()
-        if lately is None:
-            return {}
-        tiles = lately.tiles
-        return {
-            "occupied_s": tiles.occupied * STEP_S, "visible_s": tiles.visible * STEP_S,
-            "occupancy": tiles.share(),
-        }  # fmt: skip
 
     def layer(self) -> gpd.GeoDataFrame:
         """Return the vehicles of now as points in the map."""
