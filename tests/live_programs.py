@@ -171,12 +171,24 @@ def with_shutdown(one):
 class FullDisk:
     """A disk of its own in memory, a few megabytes large, that can be made larger."""
 
-    def __init__(self, folder, size):
-        self.folder = folder
+    def __init__(self, folder, size, *, files=0):
+        self.folder, self.filling = folder, folder / "filling"
         folder.mkdir(exist_ok=True)
-        words = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+        options = f"size={size},nr_inodes={files}"  # 0: no limit
+        words = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
         if shutil.which("mount") is None or subprocess.run(words, check=False).returncode:
             pytest.skip("no disk in memory can be mounted here: that needs root")
+
+    def fill(self):
+        """Take all inodes."""
+        self.filling.mkdir()
+        with contextlib.suppress(OSError):
+            for number in range(10_000):
+                (self.filling / str(number)).touch()
+
+    def free(self):
+        """Give them back."""
+        shutil.rmtree(self.filling)
 
     def grow(self, size):
         words = ["mount", "-o", f"remount,size={size}", str(self.folder)]

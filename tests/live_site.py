@@ -17,6 +17,7 @@ from gis_radar.live.broker_files import password_lines, write_broker_files
 SAMPLE = gr.sample_folder()
 # For what hangs: whatever else is waited for comes sooner, also on a machine that is busy.
 LONGEST_S = 300.0
+OF_THE_SAMPLE = 'oldest = "36500d"\nkeep = "36500d"'  # it is of 2025
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("/usr/sbin/mosquitto")
 
 
@@ -104,7 +105,7 @@ class LiveSite:
     scheme, host, authority = "mqtt", "127.0.0.1", ""
     vehicles = "false"  # else a process begins with each fusion
     of_site = ""  # more of SITE.toml, and of its table [live]
-    of_live = 'oldest = "36500d"\nkeep = "36500d"'  # the sample is of 2025
+    of_live = OF_THE_SAMPLE
 
     def __init__(self, folder, once, **given):
         vars(self).update(given)

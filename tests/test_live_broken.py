@@ -21,14 +21,21 @@ from live_programs import (
     recorded,
     takes_long,
 )
-from live_site import LONGEST_S, Background, LiveSite, needs_mosquitto, wait_for
+from live_site import (
+    LONGEST_S,
+    OF_THE_SAMPLE,
+    Background,
+    LiveSite,
+    needs_mosquitto,
+    wait_for,
+)
 
 from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
 from gis_radar.live.detections import unpack_detections
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
 from gis_radar.live.payload import MOST_BYTES, unpack_message
-from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.live.settings import LiveSettings, read_edge_file, read_live_site
 from gis_radar.live.spool import FRAMES, SpoolFile, spool_files
 
 pytestmark = needs_mosquitto
@@ -170,6 +177,36 @@ def test_fusion_on_a_full_disk_acknowledges_nothing_and_goes_on_once_there_is_ro
         disk.grow("40m")
         work.join()
         work.end()
+        middle.end()
+        site.broker.kill()
+        assert_all_recorded(site.folder, ["R1"])
+        assert_equal_to_batch(site, ["R1"])
+    finally:
+        disk.close()
+
+
+def test_fusion_on_a_disk_without_an_inode_goes_on_and_measures_once_there_is_one(tmp_path, once):
+    disk = FullDisk(tmp_path / "live", "60m", files=300)
+    try:
+        site = LiveSite(tmp_path, once, names=("R1",), of_live=OF_THE_SAMPLE + '\nevery = "1s"')
+        site.broker.start()
+        said, settings = Lines(), LiveSettings(settle_s=1.0, again_s=1.0)
+        fusion = Fusion(read_live_site(site.file), settings=settings, reporter=said)
+        middle = Background(fusion.run)
+        wait_for(lambda: fusion._link is not None and fusion._link.connected)
+        disk.fill()
+        edge = Edge(read_edge_file(site.edge("R1")))
+        work = Background(edge.run)
+        work.join()
+        work.end()  # all is acknowledged: the file that is open takes it
+        wait_for(lambda: said.told("spool"))
+        step = fusion.state().step
+        wait_for(lambda: fusion.state().step > step + 40 and "hours_waiting" in fusion.metrics())
+        errors = [line for line in said.lines if "cannot be written" in line]
+        assert len(errors) == len(set(errors)) >= 1
+        disk.free()
+        dataset = site.folder / "live" / "dataset" / "hours"
+        wait_for(lambda: list(dataset.glob("*/*.json")))
         middle.end()
         site.broker.kill()
         assert_all_recorded(site.folder, ["R1"])

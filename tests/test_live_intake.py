@@ -155,7 +155,6 @@ def test_a_new_start_goes_on_where_it_was(tmp_path):
     fed.spool.close()
     again = FedIntake(tmp_path, begin_us=begin_us)
     assert again.sensor.mark.received == again.sensor.mark.stored == 100
-    assert again.intake.touched == {hour_of_time(begin_us + 50_000)}
     steps = [frames for _, frames in again.windows.close(NOW_US, most=72_000)]
     assert sum(bool(each) for each in steps) == 100
     again.frames(101, frame(NOW_US))

@@ -214,6 +214,13 @@ def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...
     return pose, tuple(frames)
 
 
+def first_time_us(content: bytes) -> int:
+    """Return the time of the first frame of a message, without unpacking it."""
+    read = Numbers(content, POSE_BYTES)
+    read.take()
+    return read.take()
+
+
 def _frame_of(time_us: int, columns: Integers) -> FrameDetections:
     """Return a frame of its columns; refuse what no radar measures."""
     if columns.size and (columns.min() < -FARTHEST or columns.max() > FARTHEST):

@@ -135,7 +135,6 @@ class Fusion:
         self.intake.resume(files, begin_us)
         self._advance(self._windows.close(now_us, most=HOUR_STEPS))
         self._spool.rotate(self.intake.marks)
-        self._jobs.take_up(self._spool.closed)
 
     @property
     def outputs(self) -> list[Path]:
@@ -177,6 +176,7 @@ class Fusion:
         """
         live = self._site.live
         compile_first(run_fusion_once, stop, self._reporter)
+        self._jobs.take_up(self._spool.closed)
         self._make_vehicles_ready(stop)
         topics = SensorTopics(live.site, "+")
         own = SensorTopics(live.site, FUSION).of("status")
@@ -284,7 +284,7 @@ class Fusion:
             return
         self._committed = time.monotonic()
         if self._spool.collect():
-            marks = [each.mark for each in self.sensors.values()]
+            marks = [mark for each in self.sensors.values() for mark in each.marks.values()]
             self._committing = [(each, each.received, each.check) for each in marks]
             self._disk.begin(self._spool.write)
             self._take_written(wait=wait)

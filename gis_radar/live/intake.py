@@ -15,7 +15,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import require_same
 from gis_radar.errors import InputError
 from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
-from gis_radar.live.detections import FrameDetections, unpack_detections
+from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.outbox import ONLINE
@@ -225,10 +225,11 @@ class Intake:
 
     def _take_again(self, sensor: SensorState, content: bytes, begin_us: int) -> None:
         """Count frames for the map once more, after a new start."""
+        if first_time_us(content) < begin_us:
+            return
         key, frames = unpack_detections(content)
-        self.touched |= {hour_of_time(each.time_us) for each in frames}
         known = sensor.poses.get(key)
-        if known is not None and known.pose is not None and frames[-1].time_us >= begin_us:
+        if known is not None and known.pose is not None:
             for step, seen in self._seen(frames, known):
                 self._windows.add(sensor.health.name, step, seen)
 
