@@ -9,9 +9,9 @@ import logging
 import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
@@ -46,6 +46,9 @@ WAITING = 8  # events that a slow reader may lag behind; then the whole map is s
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands behind a proxy
 COOKIE = "gis_radar"
 WEB = Path(__file__).with_name("web")
+_TEMPLATE = Environment(
+    autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+).from_string((WEB / "page.html").read_text(encoding="utf-8"))
 # Long words may break before these on a phone, whose browser need not know where German words do.
 SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|zyklen)")
 # Of a tile that is hit now: blue is no colour of the ramp, as light as this not for eyes that
@@ -310,46 +313,17 @@ def said(text: str) -> dict[str, str]:
 
 
 def _event(name: str, content: dict[str, Any]) -> str:
-    return f"event: {name}\ndata: {json.dumps(content, separators=(',', ':'), allow_nan=False)}\n\n"
+    return f"event: {name}\ndata: {_json(content)}\n\n"
 
 
 def _language(request: Request) -> str:
-    asked = request.query_params.get("lang", "")
-    if asked in LANGUAGES:
-        return asked
     wanted = request.headers.get("accept-language", "").lower().split(",")
-    short = [each.strip()[:2] for each in wanted]
-    return next((each for each in short if each in LANGUAGES), LANGUAGES[0])
-
-
-class Legend(NamedTuple):
-    """What the colours of the map mean.
-
-    Parameters
-    ----------
-    title, note : str
-        The measure, and what it is.
-    classes : list of (str, str)
-        Colours with their words, from top to bottom.
-    """
-
-    title: str
-    note: str
-    classes: list[tuple[str, str]]
-
-
-@cache
-def _template() -> Any:
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    text = (WEB / "page.html").read_text(encoding="utf-8")
-    return environment.from_string(text)
+    asked = [request.query_params.get("lang", ""), *(each.strip()[:2] for each in wanted)]
+    return next((each for each in asked if each in LANGUAGES), LANGUAGES[0])
 
 
 def _page(place: Place, language: str, *, followed: bool) -> str:
     with speaking(language):
-        legends = _legends(language, followed=followed)
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
                  "hit": tr("{n} tiles are hit now"),
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
@@ -360,32 +334,34 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
                    "unobserved": style.NOT_OBSERVED, "free": style.NEVER_HIT,
                    "hit": HIT, "vehicle": VEHICLE,
                    "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
-        return str(
-            _template().render(
-                place=place, followed=followed, legends=legends, language=language, tr=tr,
-                words=words, colours=colours, languages=LANGUAGES,
-                seamed=lambda text: SEAMS.sub("\u00ad", text),
-            )
+        return _TEMPLATE.render(
+            place=place, followed=followed, legends=_legends(language, followed=followed),
+            language=language, tr=tr, words=words, colours=colours, languages=LANGUAGES,
+            seamed=lambda text: SEAMS.sub("\u00ad", text),
         )  # fmt: skip
 
 
-def _legends(language: str, *, followed: bool) -> dict[str, Legend]:
-    """Return by what the page may show its title, its meaning, and colours with their words."""
+def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
+    """Return by what the page may show its title, what it is, and colours with their words."""
     hits = _colours_in_words("hit_share", language)
-    now = [(HIT, tr("hit now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]]
-    found = {
-        "lately": Legend(
-            tr("Share of the observed time"), tr("in which a tile is hit, last 15 minutes"), hits
-        ),
-        "now": Legend(
-            tr("Now"), tr("which tiles are hit; zoomed out: lanes, last 15 minutes"), now
-        ),
+    legends = {
+        "lately": {
+            "title": tr("Share of the observed time"),
+            "note": tr("in which a tile is hit, last 15 minutes"),
+            "classes": hits,
+        },
+        "now": {
+            "title": tr("Now"),
+            "note": tr("which tiles are hit; zoomed out: lanes, last 15 minutes"),
+            "classes": [(HIT, tr("hit now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]],
+        },
+        "occupancy": {
+            "title": tr("Occupancy"),
+            "note": tr("share of time with a vehicle while a tile was visible, last 15 minutes"),
+            "classes": _colours_in_words("occupancy", language),
+        },
     }
-    if followed:
-        occupancy = _colours_in_words("occupancy", language)
-        note = tr("share of time with a vehicle while a tile was visible, last 15 minutes")
-        found["occupancy"] = Legend(tr("Occupancy"), note, occupancy)
-    return found
+    return {name: each for name, each in legends.items() if followed or name != "occupancy"}
 
 
 def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
@@ -399,30 +375,25 @@ def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
 def _site_json(place: Place, language: str) -> bytes:
     """Return what the page draws and what stays: tiles and lanes in longitude and latitude."""
     lanes = place.lanes.set_index("lane").reindex(place.lane_numbers)
-    west, south, east, north = place.in_degrees(place.tiles).total_bounds.round(DEGREES).tolist()
+    tiles = place.in_degrees(place.tiles).geometry
+    west, south, east, north = tiles.total_bounds.round(DEGREES).tolist()
     with speaking(language):
         named = [
             {
-                "number": str(number),  # ids reach 9e18, numbers of a browser 9e15
-                "street": street_label(street, part),
-                "direction": tr(direction),
+                "number": str(each.Index),  # ids reach 9e18, numbers of a browser 9e15
+                "street": street_label(each.street, each.street_part),
+                "direction": tr(each.direction),
             }
-            for number, street, part, direction in zip(
-                place.lane_numbers,
-                lanes["street"],
-                lanes["street_part"],
-                lanes["direction"],
-                strict=True,
-            )
+            for each in lanes.itertuples()
         ]
     content = {
         "fingerprint": place.fingerprint,
         "bounds": [[west, south], [east, north]],
-        "tiles": _collection(place.in_degrees(place.tiles).geometry.to_numpy()),
+        "tiles": _collection(tiles.to_numpy()),
         "lanes": named,
         "lines": _collection(place.in_degrees(lanes).geometry.to_numpy()),
     }
-    return json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+    return _json(content).encode()
 
 
 def _collection(shapes: Any) -> dict[str, Any]:
@@ -431,3 +402,7 @@ def _collection(shapes: Any) -> dict[str, Any]:
         for i, shape in enumerate(geometries(shapes))
     ]
     return {"type": "FeatureCollection", "features": features}
+
+
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False)
