@@ -74,9 +74,9 @@ def make_app(live: LiveMap, token: str = "") -> Starlette:
     Parameters
     ----------
     live : LiveMap
-        What is shown.
+        The map that is shown.
     token : str
-        What readers must show; empty: nothing.
+        Required of readers; empty: none.
     """
     changes = Changes(live)
     answers = _Answers(live)
@@ -110,7 +110,7 @@ class _Answers:
 
     def __init__(self, live: LiveMap) -> None:
         self._live = live
-        self._sites: dict[str, bytes] = {}  # by language: what stays is made once
+        self._sites: dict[str, bytes] = {}  # tiles and lanes by language, made once
 
     def page(self, request: Request) -> Response:
         followed = self._live.snapshot().vehicles is not None
@@ -130,7 +130,7 @@ class _Answers:
 
 
 class _Guard:
-    """Let in who shows the token, by header, cookie, or once in the address; add headers."""
+    """Require the token, by header, cookie, or once in the address; add headers to responses."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app, self._token = app, token
@@ -168,17 +168,17 @@ class _Guard:
 
 
 class Changes:
-    """What changes on the map, made once as text and sent to all readers as server-sent events.
+    """Server-sent events of what changes on the map; each is made once for all readers.
 
     Parameters
     ----------
     live : LiveMap
-        What is shown.
+        The map that is shown.
     """
 
     def __init__(self, live: LiveMap) -> None:
         self._live = live
-        self._shown: dict[str, Any] = {}  # as readers have it, where there are any
+        self._shown: dict[str, Any] = {}  # the state of the readers, where there are any
         self._readers: set[asyncio.Queue[str | None]] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -204,18 +204,18 @@ class Changes:
             await asyncio.sleep(1.0 / EVENTS_PER_S)
             if self._readers:
                 try:
-                    self._hand_out(self._live.snapshot())
+                    self._send(self._live.snapshot())
                 except Exception:  # readers wait for the next one, and see how old theirs is
                     _LOGGER.exception("the page's map could not be made")
 
-    def _hand_out(self, snapshot: Snapshot) -> None:
+    def _send(self, snapshot: Snapshot) -> None:
         whole = whole_event(self._live.place, snapshot)
         text = _event("map", difference(self._shown, whole))
         self._shown = whole
         for queue in list(self._readers):
             try:
                 queue.put_nowait(text)
-            except asyncio.QueueFull:  # it reads too slowly: it is closed, and asks anew
+            except asyncio.QueueFull:  # a slow reader: its stream ends, and it connects again
                 self._readers.discard(queue)
                 while not queue.empty():
                     queue.get_nowait()
@@ -249,7 +249,7 @@ def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
 
 
 def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
-    """Return what of the map differs from what was shown before."""
+    """Return the changes of the map since an earlier state."""
     changed: dict[str, Any] = {name: after[name] for name in ("step", "clock", "vehicles")}
     for name in ("hit", "unobserved"):
         old, new = set(before[name]), set(after[name])
@@ -261,7 +261,7 @@ def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
 
 
 def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
-    """Return of each vehicle its number, the ends of its middle line, width, speed, if heavy."""
+    """Return of each vehicle: number, rear and front in degrees, width, speed, heavy (0 or 1)."""
     now = snapshot.vehicles
     if now is None:
         return None
@@ -272,7 +272,7 @@ def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
 
 
 def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
-    """Return by lane occupancy in permille, passages, and their mean speed in km/h."""
+    """Return by lane: occupancy in permille, passages, mean speed in km/h."""
     if snapshot.lately is None:
         return {}
     table = snapshot.lately.lanes
@@ -285,7 +285,7 @@ def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
 
 
 def _permille(share: float) -> int | None:
-    """Return a share in permille; what is more than nothing never reads as nothing."""
+    """Return a share in permille, at least 1 for a share above 0."""
     return None if np.isnan(share) else max(round(1000 * share), int(share > 0.0))
 
 
@@ -296,20 +296,21 @@ def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
         view = place.view_of(state.pose)
     lag = None if np.isnan(state.lag_s) else round(state.lag_s, 2)
     return {
-        "online": state.online, "alarms": {k: said(text) for k, text in state.alarms.items()},
+        "online": state.online,
+        "alarms": {kind: in_each_language(text) for kind, text in state.alarms.items()},
         "at": where, "view": view,
         "lag_s": lag, "frames_per_s": round(state.frames_per_s, 1), "lost": state.lost,
     }  # fmt: skip
 
 
 @lru_cache(256)
-def said(text: str) -> dict[str, str]:
-    """Return the details of an alarm in each language: one stream serves readers of all."""
-    told = {}
+def in_each_language(text: str) -> dict[str, str]:
+    """Return the details of an alarm by language: one stream serves readers of all."""
+    texts = {}
     for language in LANGUAGES:
         with speaking(language):
-            told[language] = tr_message(text)
-    return told
+            texts[language] = tr_message(text)
+    return texts
 
 
 def _event(name: str, content: dict[str, Any]) -> str:
@@ -342,7 +343,7 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
 
 
 def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
-    """Return by what the page may show its title, what it is, and colours with their words."""
+    """Return title, note and classes (colour, label) of each measure that the page may show."""
     hits = _colours_in_words("hit_share", language)
     legends = {
         "lately": {
@@ -365,7 +366,7 @@ def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
 
 
 def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
-    """Return the classes of a measure, highest first, and what is not known last."""
+    """Return the classes of a measure, highest first, and that of missing values last."""
     classes = [
         (each.colour, class_label(each.label, language)) for each in style.colour_classes(measure)
     ]
@@ -373,7 +374,7 @@ def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
 
 
 def _site_json(place: Place, language: str) -> bytes:
-    """Return what the page draws and what stays: tiles and lanes in longitude and latitude."""
+    """Return tiles and lanes, which do not change, in longitude and latitude."""
     lanes = place.lanes.set_index("lane").reindex(place.lane_numbers)
     tiles = place.in_degrees(place.tiles).geometry
     west, south, east, north = tiles.total_bounds.round(DEGREES).tolist()
