@@ -3,6 +3,7 @@
 import os
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import threading
@@ -12,7 +13,7 @@ from contextlib import suppress
 import pytest
 
 import gis_radar as gr
-from gis_radar.live.broker_files import write_broker_files
+from gis_radar.live.broker_files import password_lines, write_broker_files
 
 SAMPLE = gr.sample_folder()
 # For what hangs: whatever else is waited for comes sooner, also on a machine that is busy.
@@ -124,6 +125,17 @@ class LiveSite:
 
     def password(self, user):
         return (self.folder / "broker" / f"password_of_{user}").read_text().strip()
+
+    def let_in(self, user, *rules):
+        """Give a further client a log-in of its own, with lines of the broker's access list."""
+        folder = self.folder / "broker"
+        (folder / f"password_of_{user}").write_text("secret\n")
+        with (folder / "passwords").open("a") as file:
+            file.write(password_lines({user: "secret"}))
+        with (folder / "access").open("a") as file:
+            file.write("\n".join(["", f"user {user}", *rules, ""]))
+        if self.broker.process is not None:
+            self.broker.process.send_signal(signal.SIGHUP)
 
     def site_text(self, password):
         secret = f', password_file = "{password}"' if password else ""

@@ -11,7 +11,6 @@ from maps import SHARED
 
 import gis_radar as gr
 from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
-from gis_radar.live.broker_files import password_lines
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
 from gis_radar.live.payload import PoseContent, unpack_message
@@ -33,7 +32,7 @@ class Observer:
     """Keeps the poses that sensors publish, with a log-in of its own."""
 
     def __init__(self, site):
-        known = BrokerAddress.of(site.address, user="observer", password="seen")  # noqa: S106
+        known = BrokerAddress.of(site.address, user="observer", password=site.password("observer"))
         topics = (SensorTopics("junction", "+").of("pose"),)
         self.link = Link(known, name="witness", topics=topics)
         self.link.open()
@@ -91,10 +90,7 @@ def test_a_town_with_a_scan_and_poses_that_are_found_and_followed(tmp_path, once
         tmp_path, once, names=NAMES, recordings=TOWN, tiles=inputs / "tiles.gpkg",
         map_file=TOWN / "map.osm", of_site=f'[scan]\nfiles = "{scan}"\n',
     )  # fmt: skip
-    with (tmp_path / "broker" / "passwords").open("a") as passwords:
-        passwords.write(password_lines({"observer": "seen"}))
-    with (tmp_path / "broker" / "access").open("a") as access:
-        access.write("user observer\ntopic read v1/junction/+/pose\n")
+    site.let_in("observer", "topic read v1/junction/+/pose")
     site.broker.start()
     lanes = f'[map]\nfile = "{TOWN / "map.osm"}"\n[view]\nmax_range_m = 200.0\n'
     truth = gr.read_pose(inputs / "R1.json")

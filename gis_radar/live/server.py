@@ -28,7 +28,7 @@ RATE_S = 10.0  # over which frames are counted
 
 
 class FusedMap(Protocol):
-    """What is shown of fusion."""
+    """The part of fusion that is shown."""
 
     sensors: dict[str, SensorState]
 
@@ -36,22 +36,22 @@ class FusedMap(Protocol):
         """Return the map of now."""
 
     def metrics(self) -> str:
-        """Return health as text for Prometheus."""
+        """Return counts and alarms as text for Prometheus."""
 
     @property
     def vehicles(self) -> LiveVehicles | None:
-        """What follows vehicles."""
+        """Vehicles, where they are followed."""
 
 
 class ShownMap:
-    """The map of fusion, as the page and its services take it.
+    """The map of fusion for the page and its services.
 
     Parameters
     ----------
     fusion : FusedMap
-        Which keeps the map.
+        The map of now, sensors, vehicles.
     place : Place
-        What stays.
+        Tiles and lanes.
     recent : RecentCounts
         Counts of the last minutes.
     """
@@ -63,7 +63,7 @@ class ShownMap:
 
     @property
     def place(self) -> Place:
-        """What stays."""
+        """Tiles and lanes."""
         return self._place
 
     def snapshot(self) -> Snapshot:
@@ -93,7 +93,7 @@ class ShownMap:
         return table if known.empty else table.merge(known, on=["lane", "begin"], how="left")
 
     def metrics(self) -> str:
-        """Return counts and lags as Prometheus reads them."""
+        """Return counts and alarms as text for Prometheus."""
         return self._fusion.metrics()
 
     def _rates(self) -> dict[str, float]:
@@ -123,7 +123,7 @@ class ShownMap:
 
 
 def read_token(path: Path) -> str:
-    """Return the token that readers of a page must show.
+    """Read the token that readers of a page must show.
 
     Raises
     ------
@@ -147,11 +147,11 @@ class Page:
     Parameters
     ----------
     fusion : FusedMap
-        Which keeps the map.
+        The map of now, sensors, vehicles.
     site : LiveSite
         Of the site's file.
     table : PageTable
-        Where the page is, and who may read.
+        Address of the page and access to it.
     tiles : GeoDataFrame
         As from :func:`gis_radar.read_tiles`.
 
