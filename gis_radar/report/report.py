@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from gis_radar.errors import PDF, OutputError, UsageError
-from gis_radar.files import atomic_writes
+from gis_radar.errors import PDF, UsageError
+from gis_radar.files import atomic_writes, output_errors
 from gis_radar.heatmap import HeatMap
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
@@ -233,13 +233,8 @@ def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | N
 
 def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
     """Write all files, which appear together or not at all."""
-    try:
+    with output_errors(place):
         place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(
-            f"{place}: cannot be written: {reason}", hint="name a folder for the report"
-        ) from error
     writers = _writers(found, content)
     before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
     with atomic_writes(place / names.PAGE) as (private, places):

@@ -91,7 +91,7 @@ class PdalRunner:
             text = messages.read().decode(errors="replace")
         if code < 0:
             raise GisRadarError(
-                f"{self.name} was ended by {_signal_name(-code)}",
+                f"{self.name} was ended by {signal.Signals(-code).name}",
                 hint="if memory ran out, give it smaller tiles",
             )
         lines = [line.strip() for line in text.splitlines() if line.strip()]
@@ -175,10 +175,3 @@ def _reads(stage: object) -> object:
     if isinstance(stage, Mapping) and str(stage.get("type", "readers.")).startswith("readers."):
         return stage.get("filename")
     return stage if isinstance(stage, str) else None
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
