@@ -1,9 +1,11 @@
 """What this machine has for the tests: PDAL, with a word on it at the end, and SUMO."""
 
 import gc
+import hashlib
 import importlib.util
 import os
 import pickle
+import shutil
 import signal
 import sys
 import warnings
@@ -12,9 +14,11 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
+import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.cli.console import run_group
 from gis_radar.scans.pdal import VARIABLE, find_pdal
+from gis_radar.tiles import fingerprint
 
 FETCHED = Path(__file__).parents[1] / ".pdal" / "bin" / "pdal"
 NONE = "none was found, and `make pdal` fetched none"
@@ -48,6 +52,24 @@ def once(tmp_path_factory):
         return pickle.loads(made.read_bytes())  # noqa: S301 - our own
 
     return make
+
+
+@pytest.fixture
+def measured_once(monkeypatch, once):
+    """Make a dataset that several examples measure with the same words only once."""
+    measure = gr.measure
+
+    def measured(recordings, poses, tiles, map_path, out, **options):
+        asked = [recordings, [vars(pose) for pose in poses], fingerprint(tiles), map_path, options]
+        name = f"dataset-{hashlib.sha256(repr(asked).encode()).hexdigest()[:16]}"
+
+        def make(folder):
+            measure(recordings, poses, tiles, map_path, folder / "made", **options)
+            return folder / "made"
+
+        return gr.open_dataset(shutil.copytree(once(name, make), out))
+
+    monkeypatch.setattr(gr, "measure", measured, raising=False)
 
 
 @pytest.fixture(scope="session")
