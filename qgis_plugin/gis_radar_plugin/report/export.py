@@ -24,6 +24,7 @@ from qgis.core import (
     QgsWkbTypes,
 )
 from qgis.PyQt.QtCore import QMetaType, QTimeZone, QVariant
+from qgis.PyQt.QtXml import QDomDocument
 
 from ..loading import as_ground, heatmap_titles, switch_time_on, translate_legend
 from ..words import tr
@@ -46,7 +47,7 @@ def heat_layer(package: Path, name: str) -> QgsVectorLayer:
         If it is not there.
     """
     title = heatmap_titles(package.parent).get(name, name)
-    layer = QgsVectorLayer(f"{package}|layername={name}", title, "ogr")
+    layer = _drawn_layer(package, name, title)
     if not layer.isValid():
         raise QgsProcessingException(
             tr("{folder} is no heat map: it has no layer '{layer}'.").format(
@@ -58,9 +59,27 @@ def heat_layer(package: Path, name: str) -> QgsVectorLayer:
     return layer
 
 
+def _drawn_layer(package: Path, table: str, title: str) -> QgsVectorLayer:
+    """Return a layer with symbols and labels of its file's style, without its forms and actions.
+
+    Those may hold code, and the file may come from elsewhere.
+    """
+    styled, kinds = QDomDocument(), QgsMapLayer.StyleCategory
+    QgsVectorLayer(f"{package}|layername={table}", title, "ogr").exportNamedStyle(styled)
+    layer = _bare_layer(package, table, title)
+    layer.importNamedStyle(styled, kinds.Symbology | kinds.Labeling)
+    return layer
+
+
+def _bare_layer(package: Path, table: str, title: str) -> QgsVectorLayer:
+    options = QgsVectorLayer.LayerOptions()
+    options.loadDefaultStyle = False
+    return QgsVectorLayer(f"{package}|layername={table}", title, "ogr", options)
+
+
 def ground_layer(package: Path) -> QgsVectorLayer:
     """Return all tiles in grey."""
-    layer = QgsVectorLayer(f"{package}|layername=heatmap", tr("Road, not observed"), "ogr")
+    layer = _bare_layer(package, "heatmap", tr("Road, not observed"))
     as_ground(layer)
     return layer
 
@@ -90,10 +109,7 @@ def lane_layers(package: Path) -> list[QgsMapLayer]:
 
 def _tables(package: Path, names: dict[str, str]) -> list[QgsMapLayer]:
     """Return those of the layers that are there and not empty, by their titles."""
-    layers = [
-        QgsVectorLayer(f"{package}|layername={table}", tr(name), "ogr")
-        for name, table in names.items()
-    ]
+    layers = [_drawn_layer(package, table, tr(name)) for name, table in names.items()]
     return [layer for layer in layers if _count(layer) > 0]
 
 
