@@ -283,7 +283,8 @@ NO_ENUM = {
     "QMetaType.Type", "QgsLayoutObject.DataDefinedProperty",  # the enums themselves
     "QWizard.WizardButton", "QgsFileWidget.StorageMode",
     "Qgis.QGIS_VERSION_INT", "QVariant.String", "QVariant.DateTime", "QVariant.Bool",
-    "QgsMapLayer.StyleCategory", "QgsVectorLayer.LayerOptions",
+    "QgsProcessingParameterDefinition.Flag", "QgsMapLayer.StyleCategory",
+    "QgsVectorLayer.LayerOptions",
     "QgsVectorFileWriter.SaveVectorOptions", "QgsProcessingContext.LayerDetails",
     "QgsLayoutExporter.PdfExportSettings", "QgsLayoutExporter.ImageExportSettings",
 }  # fmt: skip

@@ -1,6 +1,5 @@
 """Each algorithm in a real QGIS: run, progress, cancel, crash, missing worker, odd layers."""
 
-import json
 import shutil
 import time
 from pathlib import Path
@@ -205,20 +204,6 @@ def test_a_command_that_the_worker_has_not(run, site, tmp_path, fake_worker, nam
     )
 
 
-def test_words_of_convert(run, site, tmp_path, fake_worker):
-    """As the contract has it: IN... -o OUT.parquet."""
-    fake_worker(
-        "assert words[0] == 'convert' and words[-1] == '--json', words\n"
-        "out = words[words.index('-o') + 1]\nopen(out, 'w').close()\n"
-        "say(event='result', outputs=[out], summary={'frames': len(words) - 4})"
-    )
-    parameters, made = parameters_of("convertrecordings", site, tmp_path)
-    parameters["INPUT"] = [str(SAMPLE / "R1.parquet"), str(SAMPLE / "R2.parquet")]
-    results, heard = run("convertrecordings", parameters)
-    assert results["OUTPUT"] == str(made)
-    assert "frames: 2" in heard.infos
-
-
 def test_hits_only_give_a_map_of_the_hit_share(run, site, tmp_path):
     parameters, _ = parameters_of("measure", site, tmp_path)
     one = {"RECORDINGS": [str(SAMPLE / "R1.parquet")], "POSES": [str(SAMPLE / "R1.json")]}
@@ -318,18 +303,6 @@ def test_parts_of_tiles(run, site, tmp_path, kind):
     assert heard.errors == []
     written = QgsVectorLayer(f"{package}|layername=sight", "sight", "ogr")
     assert 0 < written.featureCount() <= count
-
-
-def test_scans_and_sight_reach_the_worker(run, site, tmp_path, fake_worker):
-    heard_words = tmp_path / "words.json"
-    fake_worker(f"open({str(heard_words)!r}, 'w').write(json.dumps(words))\nsys.exit(3)")
-    parameters, _ = parameters_of("measure", site, tmp_path)
-    run("measure", parameters | {"SIGHT": str(tmp_path / "sight.gpkg"), "SCAN_CRS": "EPSG:25832"})
-    words = json.loads(heard_words.read_text())
-    given = dict(zip(words, words[1:]))
-    assert given["--scan"] == str(SAMPLE / "scan.laz")
-    assert given["--sight"] == str(tmp_path / "sight.gpkg")
-    assert given["--scan-crs"] == "EPSG:25832"
 
 
 @pytest.mark.parametrize("kind", ["memory", "filtered"])

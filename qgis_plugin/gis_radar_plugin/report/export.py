@@ -28,9 +28,9 @@ from qgis.PyQt.QtXml import QDomDocument
 
 from ..loading import as_ground, heatmap_titles, switch_time_on, translate_legend
 from ..words import tr
+from .folder import PDF
 from .pages import Page, local_time
 
-PROJECT, PAGES, PDF = "report.qgz", "pages.gpkg", "report.pdf"
 _DRAWN = (QgsVectorLayer, QgsRasterLayer)
 # Top to bottom.
 SENSOR_TABLES = {"Sensors": "sensors", "Uncertainty (95 %)": "uncertainty", "Views": "views"}
