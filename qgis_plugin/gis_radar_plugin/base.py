@@ -32,7 +32,6 @@ from .runner import (
 from .words import speaks_german, tr
 from .worker import find_python, plugin_version, same_series, worker_version
 
-PROVIDER = "gisradar"
 SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
 # Figures of hits, for diagnosis: where there is occupancy they would be taken for it.

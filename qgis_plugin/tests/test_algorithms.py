@@ -1,6 +1,5 @@
 """Each algorithm in a real QGIS: run, progress, cancel, crash, missing worker, odd layers."""
 
-import shutil
 import time
 from pathlib import Path
 
@@ -230,27 +229,6 @@ def test_a_recording_is_added_to_a_dataset(run, site, tmp_path):
         _, heard = run("measure", parameters | one)
         assert heard.errors == []
     assert "sensors: R1, R2" in heard.infos
-
-
-def test_run_of_a_site_loads_all(run, site, tmp_path):
-    """The real worker goes on from what a run of the same site has left."""
-    parameters, made = parameters_of("runsite", site, tmp_path)
-    shutil.copytree(site, made.parent)
-    made.unlink()
-    results, heard = run("runsite", parameters, load=True)
-    assert heard.errors == []
-    assert f"Project that is ready to present: {made}" in heard.infos
-    names = {layer.name() for layer in QgsProject.instance().mapLayers().values()}
-    assert names == {
-        "Sensors", "Views", "Uncertainty (95 %)", "Vehicles", "Occupancy by interval",
-        "Occupancy, whole time", "Occupancy, raster", "Road, not observed",
-    }  # fmt: skip
-    assert layer_called("Vehicles").temporalProperties().isActive()
-    assert QgsProject.instance().timeSettings().timeStep() == 0.5  # of the vehicles, not the map
-    tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction (simulated)")
-    order = [node.name() for node in tree.findLayers()]
-    above = [order.index(name) for name in ("Sensors", "Vehicles", "Occupancy by interval")]
-    assert above == sorted(above)
 
 
 def tiles_layer(site):

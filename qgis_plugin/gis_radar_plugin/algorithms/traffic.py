@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm
 from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load, shows_occupancy
+from ..opening import open_dialog
 from ..parameters import (
     Choice,
     File,
@@ -410,25 +412,37 @@ class RunSite(WorkerAlgorithm):
         del answer
         folder = Path(given.outputs["OUTPUT"])
         if given.is_on("LOAD"):
-            load_site(given.context, folder, title_of(folder) or Path(given.text("SITE")).stem)
+            title = site_of(folder).get("title")
+            load_site(given.context, folder, title or Path(given.text("SITE")).stem)
         projects = sorted(folder.glob("site*.qgz"))
         for path in projects:
             given.feedback.pushInfo(f"{tr('Project that is ready to present:')} {path}")
         self.made = [
             (tr("Open the report"), folder / "report.html"),
             *[(tr("Open the project"), path) for path in projects[-1:]],
+            (tr("Make sheets..."), partial(make_sheets, folder)),
             (tr("Show the folder"), folder),
         ]
         return layers_of(folder / "heatmap")
 
 
-def title_of(folder: Path) -> str:
-    """Return what the site of a run is called, empty where the run has no title."""
+def site_of(folder: Path) -> dict[str, Any]:
+    """Return the site of a run as its site file has it, empty where the run does not say."""
     try:
         record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-        return str(record["site"]["title"])
+        return dict(record["site"])
     except (OSError, ValueError, TypeError, KeyError):
-        return ""
+        return {}
+
+
+def make_sheets(folder: Path) -> Any:
+    """Open the algorithm that prints sheets, filled in for the site of a run."""
+    site = site_of(folder)
+    sources = [(site.get("map") or {}).get("source"), *(site.get("attribution") or [])]
+    texts = {"TITLE": site.get("title"), "SOURCE": "; ".join(filter(None, sources))}
+    given = {"HEATMAP": str(folder / "heatmap"), "OUTPUT": str(folder / "sheets")}
+    known = {name: text for name, text in texts.items() if text}
+    return open_dialog("exportreport", given | known)
 
 
 def load_site(context: QgsProcessingContext, folder: Path, group: str) -> None:
