@@ -13,6 +13,7 @@ from qgis.core import (
     QgsProcessingFeatureSource,
     QgsProcessingFeatureSourceDefinition,
     QgsProcessingUtils,
+    QgsProject,
     QgsProviderRegistry,
     QgsVectorFileWriter,
     QgsVectorLayer,
@@ -64,7 +65,7 @@ def layer_file(
         place = _place(layer)
         if place is not None and place[1] in ("", layer_name):
             return place[0]
-    return _exported(source, layer_name, context)
+    return _exported(source, layer_name)
 
 
 def _refuse_wrong(
@@ -106,20 +107,27 @@ def _place(layer: QgsVectorLayer) -> tuple[str, str] | None:
     return path, str(parts.get("layerName") or "")
 
 
-def _exported(
-    source: QgsProcessingFeatureSource, layer_name: str, context: QgsProcessingContext
-) -> str:
+def _exported(source: QgsProcessingFeatureSource, layer_name: str) -> str:
     """Write the features to a GeoPackage of our own, which is closed for the worker."""
     path = str(QgsProcessingUtils.generateTempFilename(f"{layer_name}.gpkg"))
-    layer = source.materialize(QgsFeatureRequest())
+    write_package(source.materialize(QgsFeatureRequest()), path, layer_name)
+    return path
+
+
+def write_package(layer: QgsVectorLayer, path: str, layer_name: str) -> None:
+    """Write a layer to a new GeoPackage.
+
+    Raises
+    ------
+    QgsProcessingException
+        If it cannot be written.
+    """
     options = QgsVectorFileWriter.SaveVectorOptions()
     options.driverName = "GPKG"
     options.layerName = layer_name
     names = [field.name() for field in layer.fields()]
     options.attributes = [place for place, name in enumerate(names) if name.lower() != "fid"]
-    written = QgsVectorFileWriter.writeAsVectorFormatV3(
-        layer, path, context.transformContext(), options
-    )
+    context = QgsProject.instance().transformContext()
+    written = QgsVectorFileWriter.writeAsVectorFormatV3(layer, path, context, options)
     if written[0] != QgsVectorFileWriter.WriterError.NoError:
         raise QgsProcessingException(f"{path}: {written[1]}")
-    return path

@@ -20,24 +20,14 @@ Opened = tuple[str, Any]  # what the button says, and the file or folder that it
 _SHOWN: list[Any] = []  # dialogs
 
 
-def open_project(window: Any, path: Path) -> None:
-    """Open a project in QGIS's window, which asks first where the present one is not saved.
-
-    Parameters
-    ----------
-    window : QgisInterface
-        The window. Its own `addProject` replaces the present project without a question.
-    path : Path
-        The project.
-    """
-    QMetaObject.invokeMethod(window.mainWindow(), "openFile", Q_ARG(str, str(path)))
-
-
 def open_file(path: Path) -> None:
-    """Open a file as the desktop does, a project as :func:`open_project`."""
+    """Open a file as the desktop does, a project in QGIS's window.
+
+    That asks first where the present one is not saved; `addProject` replaces it without a question.
+    """
     window = _window()
     if path.suffix in (".qgz", ".qgs") and window is not None:
-        open_project(window, path)
+        QMetaObject.invokeMethod(window.mainWindow(), "openFile", Q_ARG(str, str(path)))
     else:
         QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
 

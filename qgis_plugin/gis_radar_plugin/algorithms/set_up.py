@@ -6,14 +6,21 @@ from typing import Any
 
 from qgis.core import (
     QgsProcessingException,
-    QgsProcessingFeedback,
     QgsProcessingOutputString,
     QgsSettings,
 )
 
-from ..base import SET_UP, SETTING, Algorithm, WorkerAlgorithm, one_sentence, profile_folder
+from ..base import (
+    SET_UP,
+    SETTING,
+    Algorithm,
+    WorkerAlgorithm,
+    WorkerFeedback,
+    one_sentence,
+    profile_folder,
+)
 from ..claims import claimed
-from ..installer import SetUpListener, bundled_package, find_tools, set_up
+from ..installer import bundled_package, find_tools, set_up
 from ..parameters import File, Given, OutputFolder, Result
 from ..words import tr
 from ..worker import plugin_version, python_in, same_series, worker_folder, worker_version
@@ -69,7 +76,7 @@ class SetUpWorker(Algorithm):
                 tools = find_tools(given.text("PYTHON"))
                 feedback.pushInfo(f"{package}\n{tools.uv or tools.python}")
                 with claimed([str(folder)]):
-                    version = set_up(folder, package, tools, _SetUpFeedback(feedback))
+                    version = set_up(folder, package, tools, WorkerFeedback(feedback))
                 python = str(python_in(folder))
         if not same_series(version, plugin_version()):
             text = tr("The worker is gis_radar {worker}, the plugin {plugin}:").format(
@@ -79,24 +86,6 @@ class SetUpWorker(Algorithm):
         QgsSettings().setValue(SETTING, ready)
         feedback.pushInfo(tr("The worker is ready: gis_radar {version}.").format(version=version))
         return {"WORKER": python, "VERSION": version}
-
-
-class _SetUpFeedback(SetUpListener):
-    """The set-up as a QGIS feedback shows it."""
-
-    def __init__(self, feedback: QgsProcessingFeedback) -> None:
-        self._feedback = feedback
-
-    def stage(self, text: str, percent: float) -> None:
-        if text:
-            self._feedback.setProgressText(tr(text))
-        self._feedback.setProgress(percent)
-
-    def line(self, text: str) -> None:
-        self._feedback.pushConsoleInfo(text)
-
-    def cancelled(self) -> bool:
-        return bool(self._feedback.isCanceled())
 
 
 class SampleSite(WorkerAlgorithm):

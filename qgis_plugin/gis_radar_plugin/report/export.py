@@ -7,25 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import (
-    Qgis,
     QgsFeature,
     QgsFeatureRequest,
-    QgsFeatureSink,
-    QgsField,
-    QgsFields,
     QgsLayoutExporter,
     QgsMapLayer,
     QgsPrintLayout,
     QgsProcessingException,
     QgsProject,
     QgsRasterLayer,
-    QgsVectorFileWriter,
     QgsVectorLayer,
-    QgsWkbTypes,
 )
-from qgis.PyQt.QtCore import QMetaType, QTimeZone, QVariant
+from qgis.PyQt.QtCore import QTimeZone
 from qgis.PyQt.QtXml import QDomDocument
 
+from ..inputs import write_package
 from ..loading import as_ground, heatmap_titles, switch_time_on, translate_legend
 from ..words import tr
 from .folder import PDF
@@ -150,48 +145,33 @@ def copied(layers: Sequence[QgsMapLayer]) -> list[QgsMapLayer]:
     return kept
 
 
+_PAGE = "Polygon?" + "&".join(
+    f"field={name}" for name in (
+        "place:string", "file:string", "time:string", "note:string", "layers:string",
+        "begin:datetime", "end:datetime", "whole:boolean",
+    )
+)  # fmt: skip
+
+
 def write_pages(
     path: Path, pages: Sequence[Page], layers: dict[bool, str], crs: Any, zone: QTimeZone
 ) -> QgsVectorLayer:
     """Write the pages as the layer that the atlas runs over, and open it."""
-    options = QgsVectorFileWriter.SaveVectorOptions()
-    options.driverName, options.layerName = "GPKG", "pages"
-    fields = _page_fields()
-    context = QgsProject.instance().transformContext()
-    kind = QgsWkbTypes.Type.Polygon
-    writer = QgsVectorFileWriter.create(str(path), fields, kind, crs, context, options)
-    if writer.hasError() != QgsVectorFileWriter.WriterError.NoError:
-        raise QgsProcessingException(f"{path}: {writer.errorMessage()}")
+    written = QgsVectorLayer(_PAGE, "pages", "memory")
+    written.setCrs(crs)
+    rows = []
     for page in pages:
-        row = QgsFeature(fields)
+        row = QgsFeature(written.fields())
         row.setGeometry(page.place.frame)
-        row["place"], row["file"] = page.place.name, page.file_name()
-        row["begin"], row["end"] = page.begin, page.end
-        row["whole"], row["layers"] = page.whole, layers[page.whole]
-        row["time"], row["note"] = local_time(page.begin, page.end, zone), tr("whole time")
-        writer.addFeature(row, QgsFeatureSink.Flag.FastInsert)
-    writer.flushBuffer()
-    del writer  # closes the file
+        time = local_time(page.begin, page.end, zone)
+        row.setAttributes([
+            page.place.name, page.file_name(), time, tr("whole time"), layers[page.whole],
+            page.begin, page.end, page.whole,
+        ])  # fmt: skip
+        rows.append(row)
+    written.dataProvider().addFeatures(rows)
+    write_package(written, str(path), "pages")
     return QgsVectorLayer(f"{path}|layername=pages", tr("Pages"), "ogr")
-
-
-def _page_fields() -> QgsFields:
-    text, time, truth = _kinds()
-    fields = QgsFields()
-    for name, kind in (
-        ("place", text), ("file", text), ("time", text), ("note", text), ("layers", text),
-        ("begin", time), ("end", time), ("whole", truth),
-    ):  # fmt: skip
-        fields.append(QgsField(name, kind))
-    return fields
-
-
-def _kinds() -> tuple[Any, Any, Any]:
-    """Return the types of fields: QVariant's until QGIS 3.38, Qt's from then on."""
-    if Qgis.QGIS_VERSION_INT >= 33800:
-        kinds = QMetaType.Type
-        return kinds.QString, kinds.QDateTime, kinds.Bool
-    return QVariant.String, QVariant.DateTime, QVariant.Bool
 
 
 def export(layout: QgsPrintLayout, folder: Path, dpi: float, feedback: Any) -> list[Path]:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from qgis.core import QgsTask
 
-from ..base import chosen_python
-from ..runner import Answer, CancelledError, Listener, WorkerError, run_worker
+from ..base import WorkerFeedback, chosen_python
+from ..runner import Answer, CancelledError, WorkerError, run_worker
 from ..words import tr
 
 
@@ -40,7 +40,7 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
     def run(self) -> bool:
         """Work; QGIS calls it in a thread of its own."""
         try:
-            self._answer = run_worker(chosen_python(), self._words, _TaskListener(self))
+            self._answer = run_worker(chosen_python(), self._words, WorkerFeedback(self))
         except CancelledError:
             self._answer = tr("Cancelled; nothing was left half-written.")
         except WorkerError as error:
@@ -51,23 +51,12 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
         """Hand on the result; QGIS calls it in the window's thread."""
         self._then(self._answer, self._warnings)
 
-    def warned(self, message: str) -> None:
+    def setProgressText(self, text: str) -> None:  # noqa: N802 - as a feedback of Processing
+        """Leave the stage out: the list of tasks shows the title."""
+
+    def pushInfo(self, text: str) -> None:  # noqa: N802
+        """Leave a remark out."""
+
+    def pushWarning(self, text: str) -> None:  # noqa: N802
         """Keep a warning."""
-        self._warnings.append(message)
-
-
-class _TaskListener(Listener):
-    def __init__(self, task: WorkerTask) -> None:
-        self._task = task
-
-    def progress(self, stage: str, done: float, total: float | None) -> None:
-        del stage
-        if total:
-            self._task.setProgress(100.0 * done / total)
-
-    def log(self, message: str, level: str) -> None:
-        if level == "warning":
-            self._task.warned(message)
-
-    def cancelled(self) -> bool:
-        return bool(self._task.isCanceled())
+        self._warnings.append(text)
