@@ -1,5 +1,4 @@
 # `make` lists the targets. Whatever they need is set up first, in .venv.
-# PDAL, for the road mask, comes along where it can be had: see tools/get_pdal.sh.
 # PYTHON=/path/to/python3.12 chooses the Python; UPGRADE=--upgrade renews the pins;
 # QUICK=--quick makes bench-localization a quick look.
 BIN := .venv/bin
@@ -39,8 +38,8 @@ set-up-dev: ## Set up .venv for the checks too
 set-up-bench: set-up-dev ## Set up .venv for bench-localization: Open3D too, 1.5 GB
 	@sh tools/set_up.sh bench
 
-pdal: ## Get PDAL into .pdal, or try again
-	@sh tools/get_pdal.sh --again
+pdal: ## Get PDAL for the tests into .pdal, or try again
+	@sh tools/get_pdal.sh
 
 demo: set-up ## Run the main job on the sample site; results in out/demo
 	$(BIN)/gis-radar demo -o out/demo
@@ -112,7 +111,7 @@ bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes (BEFORE=FOLD
 	$(BIN)/python bench/dataset.py $(if $(BEFORE),--before $(BEFORE))
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
-	$(BIN)/python bench/mask.py
+	PATH=.pdal/bin:$$PATH $(BIN)/python bench/mask.py
 
 bench-localization: set-up-bench ## Measure localization beside the paper's (QUICK=--quick for a look)
 	$(BIN)/python bench/localization $(QUICK)

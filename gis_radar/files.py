@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import ctypes
 import errno
 import json
 import os
@@ -38,8 +37,6 @@ FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 _LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
-
-_HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 _unfinished: set[Path] = set()
 _CLEARING_FILES = 4  # file descriptors to remove a folder in a folder
@@ -196,8 +193,6 @@ def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
     """Move `fresh` to `path`; until it is there, the earlier result comes back."""
     try:
         with output_errors(path):
-            if path.exists() and _exchanged(fresh, path):
-                return  # the earlier one goes with the private folder
             if path.exists():
                 path.rename(earlier)
             fresh.rename(path)
@@ -206,16 +201,6 @@ def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
             earlier.rename(path)
         elif earlier.exists():
             shutil.rmtree(earlier, ignore_errors=True)
-
-
-def _exchanged(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step, where the system can: Linux since 3.15."""
-    if not sys.platform.startswith("linux"):
-        return False
-    with suppress(OSError, AttributeError):
-        rename = ctypes.CDLL(None, use_errno=True).renameat2
-        return bool(rename(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0)
-    return False
 
 
 def _restore(path: Path) -> None:

@@ -366,13 +366,6 @@ def _add_table(digest: Any, database: sqlite3.Connection, name: str) -> None:
         digest.update(marshal.dumps(batch, 2))  # 2: without references, so that equal is equal
 
 
-def read_styles(path: Path) -> dict[str, str]:
-    """Return the default styles of a GeoPackage, QML by layer."""
-    query = "SELECT f_table_name, styleQML FROM layer_styles WHERE useAsDefault"
-    with closing(sqlite3.connect(f"{_uri(path)}?mode=ro", uri=True)) as database:
-        return dict(database.execute(query).fetchall())
-
-
 _writing = Lock()
 
 

@@ -1,9 +1,11 @@
 """What this machine has for the tests: PDAL, with a word on it at the end, and SUMO."""
 
 import gc
+import hashlib
 import importlib.util
 import os
 import pickle
+import shutil
 import signal
 import sys
 import warnings
@@ -12,16 +14,14 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
+import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.cli.console import run_group
-from gis_radar.scans.pdal import PRIVATE, VARIABLE, candidates, find_pdal
+from gis_radar.scans.pdal import VARIABLE, find_pdal
+from gis_radar.tiles import fingerprint
 
-REASON = Path(__file__).parents[1] / ".pdal" / "not-there"
-
-
-def why_no_pdal():
-    """Say why there is no PDAL, as the set-up noted it."""
-    return REASON.read_text().strip() if REASON.exists() else "none was found"
+FETCHED = Path(__file__).parents[1] / ".pdal" / "bin" / "pdal"
+NONE = "none was found, and `make pdal` fetched none"
 
 
 @pytest.fixture(scope="session")
@@ -29,9 +29,8 @@ def pdal():
     """Give the PDAL of this machine; skip where there is none, fail where it does not start."""
     runner = find_pdal()
     if runner is None:
-        broken = [candidate.place for candidate in candidates()]
-        assert not broken, f"PDAL is there and does not start: {', '.join(broken)}"
-        pytest.skip(f"no PDAL here: {why_no_pdal()}")
+        assert VARIABLE not in os.environ, f"{os.environ[VARIABLE]} does not start"
+        pytest.skip(f"no PDAL here: {NONE}")
     return runner
 
 
@@ -55,6 +54,24 @@ def once(tmp_path_factory):
     return make
 
 
+@pytest.fixture
+def measured_once(monkeypatch, once):
+    """Make a dataset that several examples measure with the same words only once."""
+    measure = gr.measure
+
+    def measured(recordings, poses, tiles, map_path, out, **options):
+        asked = [recordings, [vars(pose) for pose in poses], fingerprint(tiles), map_path, options]
+        name = f"dataset-{hashlib.sha256(repr(asked).encode()).hexdigest()[:16]}"
+
+        def make(folder):
+            measure(recordings, poses, tiles, map_path, folder / "made", **options)
+            return folder / "made"
+
+        return gr.open_dataset(shutil.copytree(once(name, make), out))
+
+    monkeypatch.setattr(gr, "measure", measured, raising=False)
+
+
 @pytest.fixture(scope="session")
 def sound_inputs(once):
     """Give a folder with a sound input of every kind, which is only to be looked at or copied."""
@@ -68,14 +85,6 @@ def sound_inputs(once):
     return once("sound_inputs", build)
 
 
-@pytest.fixture(scope="session")
-def private_pdal():
-    """Give the program that the set-up fetched; skip where it did not."""
-    if not PRIVATE.exists():
-        pytest.skip(f"no PDAL in .pdal: {why_no_pdal()}")
-    return PRIVATE
-
-
 @pytest.fixture
 def sumo_installed():
     """Skip where SUMO is missing. Importing it would send PROJ to SUMO's data in this process."""
@@ -84,6 +93,8 @@ def sumo_installed():
 
 
 def pytest_configure(config):
+    if find_pdal() is None and FETCHED.is_file():
+        os.environ[VARIABLE] = str(FETCHED)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         # a shell's background job ignores interrupts, and what the tests start would inherit that
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -92,7 +103,7 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(items):
     for item in items:
-        if {"pdal", "private_pdal"} & set(getattr(item, "fixturenames", ())):
+        if "pdal" in getattr(item, "fixturenames", ()):
             item.add_marker("pdal")
 
 
@@ -121,11 +132,9 @@ def pytest_terminal_summary(terminalreporter):
     if bad:
         text = f"PDAL: {len(bad)} tests with a real PDAL failed"
     elif ran:
-        runner = find_pdal()
-        name = runner.name if runner else "the program in .pdal"
-        text = f"PDAL: tested with {name}, {len(ran)} tests"
+        text = f"PDAL: tested with {find_pdal().name}, {len(ran)} tests"
     else:
-        text = f"PDAL: not tested, only the built-in engine: {why_no_pdal()}"
+        text = f"PDAL: not tested, only the built-in engine: {NONE}"
     terminalreporter.write_line(text)
 
 
@@ -148,9 +157,7 @@ def run(capfd, monkeypatch):
 
 
 @pytest.fixture
-def no_pdal(monkeypatch, tmp_path):
+def no_pdal(monkeypatch):
     """Hide every PDAL of this machine."""
-    monkeypatch.setattr("gis_radar.scans.pdal.PRIVATE", tmp_path / "not there")
-    monkeypatch.setattr("gis_radar.scans.pdal._binding_is_installed", lambda: False)
-    monkeypatch.setattr("gis_radar.scans.pdal.shutil.which", lambda _: None)
+    monkeypatch.setattr("gis_radar.scans.pdal.shutil.which", lambda *_, **__: None)
     monkeypatch.delenv(VARIABLE, raising=False)

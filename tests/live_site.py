@@ -3,6 +3,7 @@
 import os
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import threading
@@ -119,20 +120,23 @@ class LiveSite:
             config.write_text(config.read_text() + "user root\n")
         self.broker = Broker(config, self.port)
 
-    def add_user(self, name, *access):
-        """Let somebody else speak to the broker, who may do what lines of `access` say."""
-        (self.folder / "broker" / f"password_of_{name}").write_text("secret\n")
-        with (self.folder / "broker" / "passwords").open("a") as passwords:
-            passwords.write(password_lines({name: "secret"}))
-        with (self.folder / "broker" / "access").open("a") as rights:
-            rights.write("\n".join([f"user {name}", *access, ""]))
-
     @property
     def address(self):
         return f"{self.scheme}://{self.host}:{self.port}"
 
     def password(self, user):
         return (self.folder / "broker" / f"password_of_{user}").read_text().strip()
+
+    def let_in(self, user, *rules):
+        """Give a further client a log-in of its own, with lines of the broker's access list."""
+        folder = self.folder / "broker"
+        (folder / f"password_of_{user}").write_text("secret\n")
+        with (folder / "passwords").open("a") as file:
+            file.write(password_lines({user: "secret"}))
+        with (folder / "access").open("a") as file:
+            file.write("\n".join(["", f"user {user}", *rules, ""]))
+        if self.broker.process is not None:
+            self.broker.process.send_signal(signal.SIGHUP)
 
     def site_text(self, password):
         secret = f', password_file = "{password}"' if password else ""

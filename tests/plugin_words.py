@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 CATALOGUES = PACKAGE / "languages"
 CLASS_TEXTS = ("TITLE", "SUBTITLE", "HELP")
 CONSTANTS = (
-    "SITE", "TRAFFIC", "RESULTS", "SET_UP", "CRS_HELP", "ORIGIN_HELP", "WINDS", "_GONE", "_UNKNOWN",
+    "SITE", "TRAFFIC", "RESULTS", "SET_UP", "WINDS", "_GONE", "_UNKNOWN",
 )  # fmt: skip
 ERRORS = ("WorkerError", "NoWorkerError")
 
@@ -36,8 +36,9 @@ def _said(node):
             yield from node.args[:1]
         if name in ERRORS:
             yield from (each for each in node.args[:1] if has_words(each))
-        yield from (word.value for word in node.keywords if word.arg == "about")
-        yield from _shared_parameter(name, node.args)
+        yield from (word.value for word in node.keywords if word.arg in ("about", "title"))
+        if name in PARAMETERS or getattr(node.func, "id", "") == "replace":
+            yield from _declared(node)
     elif isinstance(node, ast.Assign):
         targets = [name for target in node.targets for name in _names(target)]
         if set(targets) & {*CLASS_TEXTS, *CONSTANTS}:
@@ -66,14 +67,24 @@ def errors_with_values_inside():
     ]  # fmt: skip
 
 
-def _shared_parameter(name, given):
-    """Yield title and help of a parameter that a function of parameters.py adds."""
-    if name in ("add_text", "add_number"):
-        yield from given[2:4]
-    elif name in ("add_file", "add_choice"):
-        yield from (given[2], *given[4:5])
-    elif name == "add_timezone":
-        yield given[1]
+PARAMETERS = {
+    node.name
+    for node in ast.parse((FOLDER / "parameters.py").read_text(encoding="utf-8")).body
+    if isinstance(node, ast.ClassDef)
+} | {"Roads", "Poses"}  # fmt: skip
+
+
+def _declared(node):
+    """Yield title, help, labels and kinds of files of a parameter that is declared."""
+    yield from node.args[1:3] if node.args[0:1] and isinstance(node.args[0], ast.Constant) else ()
+    for word in node.keywords:
+        if word.arg == "labels":
+            yield from word.value.elts
+        if word.arg == "default" and " " in str(getattr(word.value, "value", "")):
+            yield word.value
+        if word.arg == "kinds" and isinstance(word.value, ast.Constant):
+            kinds = [kind.partition(" (")[0] for kind in word.value.value.split(";;")]
+            yield from (ast.Constant(kind) for kind in kinds if has_words(ast.Constant(kind)))
 
 
 def _names(target):

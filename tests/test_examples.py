@@ -1,9 +1,7 @@
 """What the README and the notebooks show runs as it stands."""
 
-import hashlib
 import json
 import re
-import shutil
 import time
 from pathlib import Path
 
@@ -11,9 +9,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pytest
 
-import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.tiles import fingerprint
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -21,21 +17,8 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 @pytest.fixture
-def elsewhere(tmp_path, monkeypatch, once):
-    """A folder to work in. Datasets that several examples measure with the same words are one."""
-    measure = gr.measure
-
-    def measured(recordings, poses, tiles, map_path, out, **options):
-        asked = [recordings, [vars(pose) for pose in poses], fingerprint(tiles), map_path, options]
-        name = f"dataset-{hashlib.sha256(repr(asked).encode()).hexdigest()[:16]}"
-
-        def make(folder):
-            measure(recordings, poses, tiles, map_path, folder / "made", **options)
-            return folder / "made"
-
-        return gr.open_dataset(shutil.copytree(once(name, make), out))
-
-    monkeypatch.setattr(gr, "measure", measured, raising=False)
+def elsewhere(tmp_path, monkeypatch, measured_once):
+    """A folder to work in."""
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")
     yield tmp_path

@@ -15,7 +15,7 @@ from test_qgis_project import a_pose
 
 import gis_radar as gr
 from gis_radar.dataset.measure import measure
-from gis_radar.geopackage import content_digest, read_styles
+from gis_radar.geopackage import content_digest
 from gis_radar.site.execution import RunState
 
 MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.40\"/>"
@@ -31,6 +31,13 @@ def change(path, *statements):
     with closing(sqlite3.connect(path)) as database, database:
         for text, values in statements:
             database.execute(text, values)
+
+
+def read_styles(path):
+    """Return the default styles of a file, QML by layer."""
+    with closing(sqlite3.connect(path)) as database:
+        query = "SELECT f_table_name, styleQML FROM layer_styles WHERE useAsDefault"
+        return dict(database.execute(query).fetchall())
 
 
 def look(path):

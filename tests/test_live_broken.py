@@ -267,8 +267,8 @@ class Stranger:
 def test_noise_and_replays_at_the_broker_change_nothing(tmp_path, once):
     """Damaged, oversized, replayed, doubled messages with the rights of the sensor."""
     site = LiveSite(tmp_path, once, names=("R1",))
-    site.add_user("observer", "topic read v1/junction/#")
-    site.add_user("stranger", "topic write v1/junction/R1/#")
+    site.let_in("observer", "topic read v1/junction/#")
+    site.let_in("stranger", "topic write v1/junction/R1/#")
     site.broker.start()
     said = Lines()
     fusion = Fusion(read_live_site(site.file), reporter=said)

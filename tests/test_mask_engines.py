@@ -113,8 +113,8 @@ def test_the_document_runs_on_its_own(tmp_path, pdal):
     mask = gr.mask_road([path], box_roads(ROAD), engine="laspy")
     mask.write(tmp_path / "road.laz")
     text = (tmp_path / "road.pipeline.json").read_bytes()
-    words = {"input": text, "env": dict(pdal.environment), "cwd": tmp_path}
-    subprocess.run(pdal.command, **words, check=True)
+    command = [pdal.path, "pipeline", "--stdin"]
+    subprocess.run(command, input=text, cwd=tmp_path, check=True)
     written = laspy.read(tmp_path / "road.points.laz")
     inside = np.asarray(written.xyz)[:, :2] - [EAST, NORTH]
     assert (inside >= 0.0).all()

@@ -1,8 +1,6 @@
 """PDAL found and run. Stand-ins are shell scripts; the fixture `pdal` is the real one."""
 
-import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,13 +12,11 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-import gis_radar.scans.pdal
 from gis_radar.crs import transformer
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.progress import Reporter
 from gis_radar.scans.pdal import INSTALL_HINT, VARIABLE, find_pdal
 
-WHICH = shutil.which
 needs_sh = pytest.mark.skipif(os.name == "nt", reason="stand-ins are shell scripts")
 
 
@@ -87,25 +83,18 @@ def test_none_is_none(no_pdal):
 
 
 @needs_sh
-def test_the_order(no_pdal, tmp_path, monkeypatch):
-    names = {name: tmp_path / name / "pdal" for name in ("named", "path", "private")}
-    versions = {"named": "2.3.0", "path": "2.4.0", "private": "2.5.0"}
-    for name, path in names.items():
-        make_program(path, version=versions[name])
-    fake_binding(tmp_path, monkeypatch)
-    monkeypatch.setattr(gis_radar.scans.pdal, "_binding_is_installed", lambda: True)
-    monkeypatch.setenv(VARIABLE, str(names["named"]))
-    monkeypatch.setattr("gis_radar.scans.pdal.shutil.which", WHICH)
-    monkeypatch.setenv("PATH", str(names["path"].parent))
-    monkeypatch.setattr(gis_radar.scans.pdal, "PRIVATE", names["private"])
-
-    assert find_pdal().name == "pdal binding 2.9.3"
-    monkeypatch.setattr(gis_radar.scans.pdal, "_binding_is_installed", lambda: False)
-    assert find_pdal().name == "pdal program 2.3.0"
+def test_the_order(tmp_path, monkeypatch):
+    named, beside, path = (tmp_path / each / "pdal" for each in ("named", "beside", "path"))
+    for program, version in ((named, "2.3.0"), (beside, "2.4.0"), (path, "2.5.0")):
+        make_program(program, version=version)
+    monkeypatch.setenv(VARIABLE, str(named))
+    monkeypatch.setattr(sys, "executable", str(beside.parent / "python"))
+    monkeypatch.setenv("PATH", str(path.parent))
+    assert find_pdal().name == "PDAL 2.3.0"
     monkeypatch.delenv(VARIABLE)
-    assert find_pdal().name == "pdal program 2.4.0"
-    names["path"].unlink()
-    assert find_pdal().name == "pdal program 2.5.0"
+    assert find_pdal().name == "PDAL 2.4.0"
+    beside.unlink()
+    assert find_pdal().name == "PDAL 2.5.0"
     assert find_pdal().version == (2, 5, 0)
 
 
@@ -123,10 +112,8 @@ def test_a_broken_program_is_passed_over(no_pdal, tmp_path, monkeypatch, text, r
     broken.write_text(f"#!/bin/sh\n{text}\n")
     broken.chmod(0o755)
     monkeypatch.setenv(VARIABLE, str(broken))
-    private = make_program(tmp_path / "private" / "pdal")
-    monkeypatch.setattr(gis_radar.scans.pdal, "PRIVATE", private)
     notes = Notes()
-    assert find_pdal(reporter=notes).command[0] == str(private)
+    assert find_pdal(reporter=notes) is None
     [(level, line)] = notes.lines
     assert level == "warning"
     assert line.startswith(f"{VARIABLE}={broken} is passed over")
@@ -148,55 +135,6 @@ def test_a_program_is_asked_once(no_pdal, tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(program))
     assert find_pdal() == find_pdal()
     assert (tmp_path / "asked").read_text() == "x\n"
-
-
-def fake_binding(folder, monkeypatch, run="self.log = ''", ask="2.9.3"):
-    """Put a stand-in for the Python package where a child finds it."""
-    package = folder / "modules" / "pdal"
-    package.mkdir(parents=True)
-    (package / "__init__.py").write_text(
-        "import pathlib, types\n"
-        f"info = types.SimpleNamespace(version={ask!r})\n"
-        "class Pipeline:\n"
-        "    def __init__(self, document): self.document = document\n"
-        f"    def execute(self): {run}\n"
-    )
-    monkeypatch.setenv("PYTHONPATH", str(package.parent))
-    monkeypatch.syspath_prepend(str(package.parent))
-
-
-def test_the_binding_runs_a_document(tmp_path, monkeypatch):
-    out = tmp_path / "seen.json"
-    run = f"self.log = ''; pathlib.Path({str(out)!r}).write_text(self.document)"
-    fake_binding(tmp_path, monkeypatch, run)
-    runner = find_pdal()
-    assert (runner.name, runner.version) == ("pdal binding 2.9.3", (2, 9, 3))
-    runner.run({"pipeline": ["ä.las"]})
-    assert json.loads(out.read_text()) == {"pipeline": ["ä.las"]}
-
-
-def test_the_binding_fails_in_one_line(tmp_path, monkeypatch):
-    fake_binding(tmp_path, monkeypatch, "raise RuntimeError('readers.las: broken')")
-    with pytest.raises(InputError) as caught:
-        find_pdal().run({"pipeline": ["a.las", "b.las"]})
-    assert caught.value.message == "PDAL: readers.las: broken"
-
-
-def test_a_binding_that_does_not_import(no_pdal, tmp_path, monkeypatch):
-    package = tmp_path / "modules" / "pdal"
-    package.mkdir(parents=True)
-    (package / "__init__.py").write_text("raise ImportError('libpdalcpp.so.18: not found')")
-    monkeypatch.setenv("PYTHONPATH", str(package.parent))
-    monkeypatch.setattr(gis_radar.scans.pdal, "_binding_is_installed", lambda: True)
-    notes = Notes()
-    assert find_pdal(reporter=notes) is None
-    assert "libpdalcpp.so.18: not found" in notes.lines[0][1]
-
-
-def test_a_folder_with_the_name_is_no_binding(tmp_path, monkeypatch):
-    (tmp_path / "pdal").mkdir()
-    monkeypatch.setattr(sys, "path", [str(tmp_path)])
-    assert not gis_radar.scans.pdal._binding_is_installed()
 
 
 # Running stand-ins
@@ -257,19 +195,6 @@ def test_progress_and_much_output(stand_in):
     assert len(notes.lines) == 4000
     assert notes.stages
     assert {stage for stage, _, _ in notes.stages} == {"running PDAL"}
-
-
-@needs_sh
-def test_the_private_program_gets_a_clean_environment(no_pdal, tmp_path, monkeypatch):
-    program = make_program(tmp_path / "private" / "pdal", f"env >'{tmp_path}/seen'")
-    monkeypatch.setattr(gis_radar.scans.pdal, "PRIVATE", program)
-    foreign = ("PYTHONHOME", "PYTHONPATH", "PROJ_DATA", "PROJ_LIB", "GDAL_DATA", "LD_LIBRARY_PATH")
-    for name in (*foreign, "KEPT"):
-        monkeypatch.setenv(name, "/nowhere")
-    find_pdal().run({"pipeline": []})
-    seen = dict(line.split("=", 1) for line in (tmp_path / "seen").read_text().splitlines())
-    assert seen["KEPT"] == "/nowhere"
-    assert not set(foreign) & set(seen)
 
 
 INTERRUPTED = """
@@ -360,22 +285,3 @@ def test_pdal_refuses_a_wrong_stage(pdal, tmp_path):
     make_scan(tmp_path / "a.las")
     with pytest.raises(InputError, match=r"filters\.nothing"):
         pdal.run(from_to(tmp_path / "a.las", tmp_path / "b.las", {"type": "filters.nothing"}))
-
-
-def test_the_program_of_the_set_up_can_be_moved(private_pdal, tmp_path):
-    make_scan(tmp_path / "a.las")
-    (tmp_path / "by link").symlink_to(private_pdal)
-    (tmp_path / "run.json").write_text(
-        json.dumps(
-            from_to(
-                tmp_path / "a.las",
-                tmp_path / "b.laz",
-                {"type": "filters.reprojection", "out_srs": "EPSG:4326"},
-            )
-        )
-    )
-    foreign = {"LD_LIBRARY_PATH": "/nowhere", "PROJ_LIB": "/nowhere", "GDAL_DATA": "/nowhere"}
-    command = [tmp_path / "by link", "pipeline", tmp_path / "run.json"]
-    done = subprocess.run(command, env=os.environ | foreign, capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert laspy.read(tmp_path / "b.laz").header.point_count == 400

@@ -280,9 +280,10 @@ def test_the_texts_are_found():
 
 # Qt 6 knows an enum's members by the enum only: Qt.AlignmentFlag.AlignRight, not Qt.AlignRight.
 NO_ENUM = {
-    "QMetaType.Type", "QgsLayoutObject.DataDefinedProperty",  # the enums themselves
+    "QgsLayoutObject.DataDefinedProperty",  # the enums themselves
     "QWizard.WizardButton", "QgsFileWidget.StorageMode",
-    "Qgis.QGIS_VERSION_INT", "QVariant.String", "QVariant.DateTime", "QVariant.Bool",
+    "QgsProcessingParameterDefinition.Flag", "QgsMapLayer.StyleCategory",
+    "QgsVectorLayer.LayerOptions",
     "QgsVectorFileWriter.SaveVectorOptions", "QgsProcessingContext.LayerDetails",
     "QgsLayoutExporter.PdfExportSettings", "QgsLayoutExporter.ImageExportSettings",
 }  # fmt: skip

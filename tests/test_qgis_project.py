@@ -173,6 +173,36 @@ def test_the_same_results_give_the_same_project(results, tmp_path):
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+FOREIGN = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<qgis version="3.40"><editforminitcode>import os; os.abort()</editforminitcode>
+<attributeactions><actionsetting action="[% env('PATH') %]" type="1" /></attributeactions>
+<renderer-v2 type="singleSymbol"><symbols><symbol name="http://198.51.100.1/x.svg" /></symbols>
+</renderer-v2><mapTip>[% env('PATH') %]</mapTip></qgis>"""
+
+
+def test_no_style_of_a_heat_map_that_was_given_comes_into_the_project(results, tmp_path):
+    """Code of forms, actions and expressions: a project shows what gis_radar writes itself."""
+    heatmap, project = (
+        shutil.copytree(results / "heatmap", tmp_path / "heatmap"),
+        tmp_path / "p.qgz",
+    )
+    gr.write_qgis_project(project, heatmap=heatmap)
+    before = project.read_bytes()
+    with closing(sqlite3.connect(heatmap / "heatmap.gpkg")) as database, database:
+        query = "SELECT f_table_name, styleQML FROM layer_styles"
+        ours = dict(database.execute(query).fetchall())
+        database.execute("UPDATE layer_styles SET styleQML = ?", (FOREIGN,))
+    gr.write_qgis_project(project, heatmap=heatmap)
+    assert project.read_bytes() == before
+    layers = {layer.findtext("id"): layer for layer in read_project(project).iter("maplayer")}
+    for name, qml in ours.items():
+        own = ET.fromstring(qml[qml.index("<qgis") :]).find("renderer-v2")  # noqa: S314 - our own
+        there = layers[f"gis_radar_{name}"].find("renderer-v2")
+        assert ET.canonicalize(ET.tostring(there), strip_text=True) == ET.canonicalize(
+            ET.tostring(own), strip_text=True
+        )
+
+
 def test_the_print_layout_of_a_project(results, tmp_path):
     gr.write_qgis_project(
         tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=results / "sensors.gpkg",

@@ -220,10 +220,12 @@ def test_the_paper(made):
 
 
 def test_lanes_have_the_names_of_their_streets(results, tmp_path):
-    """As the layer of lanes beside the tiles has them; without it, as in older folders, none."""
+    """As the layer of lanes beside the tiles has them."""
     shutil.copytree(results, tmp_path / "run")
     lanes = gpd.GeoDataFrame(
-        {"lane": [100, 102], "street": ["Münchner Straße", None]}, geometry=[None, None], crs=25832
+        {"lane": [100, 102], "street": ["Münchner Straße", None], "street_part": None},
+        geometry=[None, None],
+        crs=25832,
     )
     lanes.to_file(tmp_path / "run" / "tiles.gpkg", layer="lanes")
     gr.write_report(tmp_path / "run")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from datetime import UTC, datetime
 from io import BytesIO
 from zoneinfo import ZoneInfo
@@ -13,8 +12,8 @@ from PIL import Image
 from report_site import write_results
 
 import gis_radar as gr
+from gis_radar.errors import OutputError
 from gis_radar.progress import Reporter
-from gis_radar.report import paper
 from gis_radar.report.content import Chapter, Content, Fact, Figure, MapSeries, Table
 from gis_radar.report.pages import bound
 from gis_radar.report.paper import write_pdf
@@ -135,21 +134,32 @@ def test_a_machine_without_its_library_has_all_but_the_pdf(tmp_path, monkeypatch
     folder, heard = write_results(tmp_path, names=("R1",), steps=400), []
     (folder / "report.html").write_text("of an earlier report")
     (folder / "report.pdf").write_bytes(b"%PDF of an earlier report")
-    monkeypatch.setitem(sys.modules, "weasyprint", None)
-    paper.weasyprint.cache_clear()
+    (tmp_path / "modules" / "weasyprint").mkdir(parents=True)
+    broken = "print('which library')\nraise OSError('cannot load library pango')\n"
+    (tmp_path / "modules" / "weasyprint" / "__init__.py").write_text(broken)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
 
     class Listener(Reporter):
         def log(self, message, level="info"):
             heard.append((level, message))
 
-    try:
-        made = gr.write_report(folder, reporter=Listener())
-    finally:
-        paper.weasyprint.cache_clear()
+    made = gr.write_report(folder, reporter=Listener())
     assert "report.pdf" not in {path.name for path in made.outputs}
     assert not (folder / "report.pdf").exists()
     assert [level for level, text in heard if "pip install gis_radar[pdf]" in text] == ["warning"]
     assert (folder / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+@pytest.mark.parametrize(
+    ("fails", "reason"),
+    [("raise ValueError('odd')", "ValueError: odd"),
+     ("import os; os.abort()", "WeasyPrint ended with -6")],
+)  # fmt: skip
+def test_a_library_that_fails_is_one_line(tmp_path, monkeypatch, fails, reason):
+    (tmp_path / "weasyprint.py").write_text(fails)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(OutputError, match=rf"a\.pdf: cannot be written: {reason}$"):
+        write_pdf(content_of(), tmp_path / "a.pdf")
 
 
 def test_no_line_ends_between_a_number_and_its_percent_sign():

@@ -2,12 +2,12 @@
 # Set up .venv with pinned packages, and the system libraries that they miss.
 #
 #   tools/set_up.sh run    what gis-radar needs
-#   tools/set_up.sh dev    and what its checks and its documentation need
+#   tools/set_up.sh dev    and what its checks and its documentation need, PDAL too (tools/get_pdal.sh)
 #   tools/set_up.sh bench  and the extra packages that the benchmarks compare with
 #
 # With --programs behind it, apt begins to fetch the programs of the checks, and goes on afterwards.
 #
-# PYTHON=... names the Python to use (3.11 or newer). PDAL is fetched meanwhile (tools/get_pdal.sh).
+# PYTHON=... names the Python to use (3.11 or newer).
 # Where all is in place already, this says nothing and uses no network.
 set -eu
 cd "$(dirname "$0")/.."
@@ -114,20 +114,14 @@ case $level in
 run | dev | bench) ;;
 *) fail "what is \"$level\"? Give run, dev or bench." ;;
 esac
-# Beside the rest. In a group of its own a Ctrl-C reaches it only as we end it: at once, with no note
-# that there is no PDAL.
-own_group=$(command -v setsid || true)
-$own_group sh tools/get_pdal.sh &
-pdal=$!
 apt_log=$(mktemp)
-trap 'kill -- -$pdal 2>/dev/null || kill $pdal 2>/dev/null || true; rm -f "$apt_log"' EXIT
+trap 'rm -f "$apt_log"' EXIT
 trap 'exit 130' INT TERM HUP
 state=$({
     pwd -P
     cat pyproject.toml constraints.txt tools/set_up.sh tools/missing_libraries.py
 } | cksum)
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$state" ] && venv_is_good; then
-    wait $pdal
     exit 0
 fi
 
@@ -137,7 +131,7 @@ missing=$(list_missing)
 install_system $missing
 # In a group of its own and to its end: broken off, apt leaves half of a package.
 if [ "${2:-}" = --programs ]; then
-    $own_group nice -n 10 sh tools/get_browser_and_qgis.sh --apt >/dev/null 2>&1 &
+    $(command -v setsid || true) nice -n 10 sh tools/get_browser_and_qgis.sh --apt >/dev/null 2>&1 &
 fi
 echo "set-up: filling $venv with Python $(version "$python"); the first time takes about a minute."
 make_venv
@@ -145,5 +139,5 @@ install_packages
 check_packages
 [ "$level" = run ] || echo "$state" >$venv/.set-up-run
 [ "$level" != bench ] || echo "$state" >$venv/.set-up-dev
+[ "$level" = run ] || sh tools/get_pdal.sh
 echo "$state" >"$stamp"
-wait $pdal

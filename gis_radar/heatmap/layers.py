@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -126,13 +127,12 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     options = {"geometry_type": "Polygon", "layer_metadata": metadata}
     add_layer(tally.tiles, path, TILES, use_arrow=True, **options)
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
-    measure = tally.measure
-    notes, styles = _notes_of(tally), {}
-    for layer, interval, shown_s in ((WIDE, None, None), (LONG, 0, length_s)):
-        least_s = tally.least_visible_s(interval)
-        titles = {name: title for name, (title, _) in notes[layer].fields.items()}
-        qml = style.vector_qml(interval_s=shown_s, measure=measure, least_s=least_s, titles=titles)
-        styles[layer] = (qml, style.sld(layer, measure, least_s=least_s))
+    measure, notes = tally.measure, _notes_of(tally)
+    least_s = {layer: tally.least_visible_s(part) for layer, part in ((WIDE, None), (LONG, 0))}
+    styles = {
+        layer: (qml, style.sld(layer, measure, least_s=least_s[layer]))
+        for layer, qml in own_styles(measure, length_s, least_s).items()
+    }
     about = f"fixed classes of {measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
         write_wide(database, tally)
@@ -142,6 +142,48 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         add_styles(database, styles, name=measure, about=about)
 
 
+def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]:
+    """Return the QGIS styles of both layers as gis_radar gives them to a heat map.
+
+    What is stored in the file may be anybody's, with code of forms, actions and expressions.
+
+    Parameters
+    ----------
+    path : Path
+        The GeoPackage.
+    measure : str
+        What it shows.
+    length_s : float
+        Length of its intervals, seconds.
+    """
+    longest_s = dict.fromkeys((WIDE, LONG), 0.0)
+    if measure == "occupancy":
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            for layer in longest_s:
+                query = f'SELECT max("visible_s") FROM "{layer}"'  # noqa: S608 - our own names
+                longest_s[layer] = float(database.execute(query).fetchone()[0] or 0.0)
+    least_s = {layer: style.UNCERTAIN_SEEN * each for layer, each in longest_s.items()}
+    return own_styles(measure, length_s, least_s)
+
+
+def own_styles(measure: str, length_s: float, least_s: Mapping[str, float]) -> dict[str, str]:
+    """Return the QGIS styles of both layers; `least_s` is what is visible for long enough."""
+    measured = {
+        name: title for name, title in _TITLES.items()
+        if measure == "occupancy" or name in _OF_HITS
+    }  # fmt: skip
+    titles = {name: title for name, (title, _) in FIELDS.items()}
+    return {
+        layer: style.vector_qml(
+            interval_s=shown_s, measure=measure, least_s=least_s[layer],
+            titles=titles | more | measured,
+        )
+        for layer, shown_s, more in ((WIDE, None, {}), (LONG, length_s, _TIMES))
+    }  # fmt: skip
+
+
+_TIMES = {BEGIN: "Begin (UTC)", END: "End (UTC)"}
+_OF_HITS = ("hit_s", "observed_s", "hit_share")
 _TITLES = {
     "hit_s": "Hit (s)",
     "observed_s": "Observed (s)",
@@ -156,7 +198,7 @@ _TITLES = {
 def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
     """Return titles and meaning of both layers and their fields."""
     measured = {name: (_TITLES[name], text) for name, text in tally.definitions.items()}
-    times = {BEGIN: ("Begin (UTC)", "of the interval"), END: ("End (UTC)", "exclusive")}
+    times = {BEGIN: (_TIMES[BEGIN], "of the interval"), END: (_TIMES[END], "exclusive")}
     begin, end = tally.whole_iso
     about = f"{tally.definitions[tally.measure]}. Sensors {', '.join(tally.sensors)}"
     title = tally.labels.title or "Heat map"

@@ -57,7 +57,9 @@ WORDS = {
 
 OTHER_SHARE = MeasureWords("Share of time", "", "never", "no data")  # of a column of tile counts
 
-_SEEN = """([% format_number("{}_s", 0) %] s)[% coalesce('<br>' || attribute('lane'), '') %]"""
+# A lane's name is shown as text: QGIS takes a tip for HTML.
+_LANE = "replace(replace(attribute('lane'), '&', '&amp;'), '<', '&lt;')"
+_SEEN = f"""([% format_number("{{}}_s", 0) %] s)[% coalesce('<br>' || {_LANE}, '') %]"""
 # What QGIS shows under the cursor, numbers as its language writes them.
 _TIPS = {
     "hit_share": """<b>[% coalesce(format_number(100 * "hit_share", 1) || ' %', '\u2013') %]</b> """

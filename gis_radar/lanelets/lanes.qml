@@ -95,6 +95,7 @@
     <alias index="8" field="length_m" name="Length (m)" />
   </aliases>
   <previewExpression>"lane"</previewExpression>
-  <mapTip enabled="1">&lt;b&gt;[% "lane" %]&lt;/b&gt;[% coalesce(' ' || "street", '') %][% coalesce(' (' || "street_part" || ')', '') %]&lt;br&gt;[% "direction" %][% coalesce(', ' || "turn", '') %], [% format_number("length_m", 0) %] m</mapTip>
+  <!-- Texts of the file are shown as text: QGIS takes a tip for HTML. -->
+  <mapTip enabled="1">&lt;b&gt;[% replace(replace("lane", '&amp;', '&amp;amp;'), '&lt;', '&amp;lt;') %]&lt;/b&gt;[% coalesce(' ' || replace(replace("street", '&amp;', '&amp;amp;'), '&lt;', '&amp;lt;'), '') %][% coalesce(' (' || replace(replace("street_part", '&amp;', '&amp;amp;'), '&lt;', '&amp;lt;') || ')', '') %]&lt;br&gt;[% replace(replace("direction", '&amp;', '&amp;amp;'), '&lt;', '&amp;lt;') %][% coalesce(', ' || replace(replace("turn", '&amp;', '&amp;amp;'), '&lt;', '&amp;lt;'), '') %], [% format_number("length_m", 0) %] m</mapTip>
   <layerGeometryType>1</layerGeometryType>
 </qgis>

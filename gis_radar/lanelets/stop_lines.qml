@@ -23,6 +23,6 @@
     <alias index="5" field="sign" name="Sign" />
   </aliases>
   <previewExpression>"stop_line"</previewExpression>
-  <mapTip enabled="1">&lt;b&gt;[% "lane" %]&lt;/b&gt;, [% format_number("lane_m", 1) %] m</mapTip>
+  <mapTip enabled="1">&lt;b&gt;[% replace(replace("lane", '&amp;', '&amp;amp;'), '&lt;', '&amp;lt;') %]&lt;/b&gt;, [% format_number("lane_m", 1) %] m</mapTip>
   <layerGeometryType>1</layerGeometryType>
 </qgis>

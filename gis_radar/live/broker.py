@@ -29,7 +29,7 @@ FUSION = "fusion"  # its name in topics, and as whom it logs in
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 KEEP_ALIVE_S = 10  # a cut link is noticed after one and a half
 SLOWEST_RETRY_S = 30
-IN_FLIGHT = 100  # messages that wait for the broker's word at a time
+IN_FLIGHT = 100  # messages sent before the broker has confirmed the first
 _TAKEN_OVER, _NOT_AUTHORISED = 142, 135  # reason codes of MQTT 5
 _REFUSED = range(128, 256)
 TWINS, TWINS_WITHIN_S = 3, 120.0  # so many short links are no restart of the broker
@@ -39,14 +39,14 @@ SHORT_S = 10.0  # a link that ends sooner is short
 
 @dataclass(frozen=True, kw_only=True)
 class BrokerAddress:
-    """Where the broker is, and as whom to speak to it.
+    """Address of a broker and the log-in there.
 
     Parameters
     ----------
     host, port : str, int
-        Where.
+        Its address.
     user, password : str
-        As whom; without a user as nobody.
+        The log-in; empty: none.
     tls : bool
         Whether the link is encrypted.
     authority : Path, optional
@@ -62,7 +62,7 @@ class BrokerAddress:
 
     @classmethod
     def of(cls, address: str, **options: Any) -> BrokerAddress:
-        """Return the parts of `mqtt://HOST[:PORT]` or `mqtts://HOST[:PORT]`.
+        """Read `mqtt://HOST[:PORT]` or `mqtts://HOST[:PORT]`.
 
         Raises
         ------
@@ -75,20 +75,17 @@ class BrokerAddress:
             )
         try:
             parts = urlsplit(address)
-            port = parts.port
-        except ValueError:
-            parts, port = urlsplit(""), 0
-        if (
-            parts.scheme not in PORTS
-            or not parts.hostname
-            or port == 0
-            or (parts.path.strip("/") or parts.query or parts.fragment)
-        ):
+            port = PORTS[parts.scheme] if parts.port is None else parts.port
+            fits = bool(parts.hostname and port) and not (
+                parts.path.strip("/") or parts.query or parts.fragment
+            )
+        except (ValueError, KeyError):
+            fits = False
+        if not fits:
             raise UsageError(
                 f"{address!r} is no address of a broker", hint="such as mqtts://broker.example:8883"
             )
-        tls = parts.scheme == "mqtts"
-        return cls(host=parts.hostname, port=port or PORTS[parts.scheme], tls=tls, **options)
+        return cls(host=parts.hostname or "", port=port, tls=parts.scheme == "mqtts", **options)
 
     def __str__(self) -> str:
         return f"{'mqtts' if self.tls else 'mqtt'}://{self.host}:{self.port}"
@@ -100,11 +97,11 @@ class Received(NamedTuple):
     Parameters
     ----------
     topic : str
-        Where it was published.
+        Its topic.
     payload : bytes
-        What it holds.
+        Its content.
     time : float
-        When it came, UNIX seconds.
+        Arrival, UNIX seconds.
     retained : bool
         Whether the broker had kept it from before.
     """
@@ -121,24 +118,24 @@ class Link:
     Parameters
     ----------
     address : BrokerAddress
-        Where and as whom.
+        Of the broker.
     name : str
-        Id of the client: one program at a time may have it.
+        Id of the client, in messages; the broker takes the user's name.
     topics : sequence of str
-        What to receive.
+        Subscribed to.
     will : (str, bytes), optional
-        Retained by the broker once this program is gone without a word.
+        Topic and content, published by the broker and retained once this program is gone.
     reporter : Reporter
         Receives a line when the link is made, lost or refused.
 
     Attributes
     ----------
     connections : int
-        How often it was made.
+        Number of times it was made.
     refused : int
         Messages that the broker did not take.
     twins : bool
-        Whether another program takes the same id in turn with this one.
+        Whether another program with the same id and this one end each other's links.
 
     Raises
     ------
@@ -188,7 +185,7 @@ class Link:
         return client
 
     def open(self) -> None:
-        """Begin to connect; it goes on in the background."""
+        """Begin to connect, in the background."""
         self._client.connect_async(
             self._address.host, self._address.port, keepalive=KEEP_ALIVE_S, clean_start=True,
             properties=self._properties,
@@ -196,7 +193,7 @@ class Link:
         self._client.loop_start()
 
     def close(self, topic: str = "", farewell: bytes = b"") -> None:
-        """Leave; a farewell is retained in the place of the will."""
+        """Disconnect; a farewell is retained in place of the will."""
         if topic and self._connected:
             self._client.publish(topic, farewell, qos=1, retain=True).wait_for_publish(2.0)
         self._client.disconnect()
@@ -214,7 +211,7 @@ class Link:
             self._client.publish(topic, payload, qos=1, retain=retain)
 
     def take(self, timeout_s: float) -> Received | None:
-        """Return the next message that came in, waiting for it at most so long."""
+        """Return the next received message, or None after `timeout_s` seconds."""
         until = time.monotonic() + timeout_s
         while True:
             try:
@@ -280,7 +277,7 @@ class Link:
 
 
 def _why_no_link(error: BaseException | None, address: BrokerAddress) -> str:
-    """Return why no link came about: nobody there, or no trust in whom is there."""
+    """Return why a link could not be made: no answer, or a certificate that is not trusted."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"the certificate of the broker at {address} is refused: {error.verify_message}"
     if isinstance(error, ssl.SSLError):
@@ -322,6 +319,6 @@ class SensorTopics:
 
 
 def parts_of(topic: str) -> tuple[str, str]:
-    """Return the sensor and the kind of a topic; both empty where it is none of ours."""
+    """Return sensor and kind of a topic; both empty if it is not of this tree."""
     parts = topic.split("/")
     return (parts[2], parts[3]) if len(parts) == 4 and parts[0] == TOPICS else ("", "")

@@ -26,14 +26,14 @@ _HEADER_BYTES = 1024  # of a message, over its content: topic and properties
 
 
 def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
-    """Write what a broker of a live site needs; passwords are new each time.
+    """Write the files of a live site's broker; passwords are new each time.
 
     Parameters
     ----------
     path : str or Path
         The site's file, with a table `[live]`.
     folder : str or Path
-        Where they go, whole or not at all.
+        Where they are written, whole or not at all.
 
     Raises
     ------
@@ -63,45 +63,49 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
     return sorted(place.iterdir())
 
 
+_CONFIG = """\
+# Of gis_radar's live system; see docs/live.md. Nothing here must outlive the broker.
+listener {port}
+allow_anonymous false
+# A client's id is its user name: with an id of its choice it would end the link of another.
+use_username_as_clientid true
+password_file {passwords}
+acl_file {access}
+persistence false
+max_packet_size {size}
+max_inflight_messages {in_flight}
+max_queued_messages {queued}
+max_queued_bytes {queued_bytes}
+max_keepalive 60
+connection_messages true
+log_dest stderr
+"""
+_TLS = """\
+certfile {folder}/server.crt
+keyfile {folder}/server.key
+tls_version tlsv1.2
+"""
+
+
 def broker_config(site: LiveSite, folder: Path) -> str:
-    """Return Mosquitto's configuration: a log-in for all, bounded messages and queues."""
+    """Return Mosquitto's configuration: log-in required, messages and queues bounded."""
     address = BrokerAddress.of(site.live.broker.address)
-    # What all sensors may have on their way; the rest is asked for again.
+    # Messages that all sensors may have sent unacknowledged, twice.
     queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
-    size = MOST_BYTES + _HEADER_BYTES
-    lines = [
-        "# Of gis_radar's live system; see docs/live.md. Nothing here must outlive the broker.",
-        f"listener {address.port}",
-        "allow_anonymous false",
-        "use_username_as_clientid true",  # else whoever takes the id of another ends its link
-        f"password_file {folder / PASSWORDS}",
-        f"acl_file {folder / ACCESS}",
-        "persistence false",
-        f"max_packet_size {size}",
-        f"max_inflight_messages {IN_FLIGHT}",
-        f"max_queued_messages {queued}",
-        f"max_queued_bytes {queued * 2048}",
-        "max_keepalive 60",
-        "connection_messages true",
-        "log_dest stderr",
-    ]
-    if address.tls:
-        lines += [
-            f"certfile {folder / 'server.crt'}",
-            f"keyfile {folder / 'server.key'}",
-            "tls_version tlsv1.2",
-        ]
-    return "\n".join(lines) + "\n"
+    return _CONFIG.format(
+        port=address.port, passwords=folder / PASSWORDS, access=folder / ACCESS,
+        size=MOST_BYTES + _HEADER_BYTES, in_flight=IN_FLIGHT, queued=queued,
+        queued_bytes=queued * 2048,
+    ) + (_TLS.format(folder=folder) if address.tls else "")  # fmt: skip
 
 
 def broker_access(site: str) -> str:
-    """Return who may publish and read what: a sensor its own topics, fusion those of all."""
-    root = f"{TOPICS}/{site}"
-    own = [f"pattern write {root}/%u/{kind}" for kind in ("detections", "status", "pose")]
-    of_all = [f"topic read {root}/+/{kind}" for kind in ("detections", "status", "pose")]
+    """Return the access list: a sensor publishes its own topics, fusion reads those of all."""
+    root, kinds = f"{TOPICS}/{site}", ("detections", "status", "pose")
     lines = [
-        f"user {FUSION}", *of_all, f"topic write {root}/+/ack", f"topic write {root}/{FUSION}/#",
-        "", *own, f"pattern read {root}/%u/ack",
+        f"user {FUSION}", *(f"topic read {root}/+/{kind}" for kind in kinds),
+        f"topic write {root}/+/ack", f"topic write {root}/{FUSION}/#", "",
+        *(f"pattern write {root}/%u/{kind}" for kind in kinds), f"pattern read {root}/%u/ack",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
@@ -142,14 +146,12 @@ NoNewPrivileges=true
 [Install]
 WantedBy=multi-user.target
 """
-# Where compiled code is kept: homes are read only, and an account may have none.
+# Folder of compiled code: homes are read only, and an account may have none.
 _KEPT = "CacheDirectory=gis_radar\nEnvironment=NUMBA_CACHE_DIR=%C/gis_radar\n"
-# Where docs/live.md puts things on the computer of a sensor, which is another one.
+# Paths of docs/live.md on the computer of a sensor, which is another one.
 _THERE, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
 _USER = "gis_radar"
-# Fusion follows the last minutes and writes the hour.
-_STOP_S = 300
-
+_STOP_S = 300  # fusion follows the last minutes of vehicles and writes the hour
 
 _IMAGE = """\
 # Broker and gis_radar in one image; see docs/live.md.
@@ -164,7 +166,7 @@ COPY Dockerfile *.whl /build/
 RUN python3 -m venv /venv && /venv/bin/pip install --no-cache-dir "$GIS_RADAR" && rm -r /build
 ENV PATH=/venv/bin:/usr/sbin:/usr/bin:/sbin:/bin
 """
-# What must not get into the image: passwords, keys.
+# Passwords and keys must not get into the image.
 _LEFT_OUT = "*\n!Dockerfile\n!*.whl\n"
 
 
@@ -253,7 +255,7 @@ def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
 
 
 def _command(words: Sequence[str], *, instance: bool) -> str:
-    """Return words as systemd reads them: quoted, and no variable or specifier but the instance."""
+    """Return a command as systemd reads it: quoted, without variables and specifiers of its own."""
     if instance:
         return " ".join(words)
     quoted = (each.replace("\\", "\\\\").replace('"', '\\"') for each in words)

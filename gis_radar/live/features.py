@@ -7,8 +7,7 @@ Layers are in longitude and latitude.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
@@ -35,26 +34,15 @@ _CONFORMANCE = [
 JSON, GEOJSON = "application/json", "application/geo+json"
 OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
 LIMIT, MOST = 1_000, 20_000  # features of a page, and the most that may be asked for
-
-
-@dataclass(frozen=True, kw_only=True)
-class Collection:
-    """A layer that is served.
-
-    Parameters
-    ----------
-    title, description : str
-        For people.
-    layer : callable
-        Gives its features as they are now, geometry in longitude and latitude.
-    times : tuple of str
-        Columns of the begin and the end of what a feature speaks of, where it has a time.
-    """
-
-    title: str
-    description: str
-    layer: Callable[[], gpd.GeoDataFrame]
-    times: tuple[str, str] | None = None
+COLLECTIONS = {  # title and description; the layer is the method of _Layers with this name
+    "tiles": ("Tiles", "Slices of 0.5 m of a lane that were observed in the last 15 minutes"),
+    "vehicles": ("Vehicles", "Those of now: speed in m/s"),
+    "lanes": ("Lanes", "Hit share of the last 15 minutes"),
+    "intervals": (
+        "Lanes by 15 minutes", "Hit and observed seconds of each lane in intervals of 15 minutes",
+    ),
+    "sensors": ("Sensors", "Where they stand, and their state"),
+}  # fmt: skip
 
 
 def feature_routes(live: LiveMap) -> list[Route]:
@@ -65,8 +53,8 @@ def feature_routes(live: LiveMap) -> list[Route]:
         "/ogc/": service.landing,
         "/ogc/api": service.api,
         "/ogc/conformance": service.conformance,
-        "/ogc/collections": service.listed,
-        "/ogc/collections/{name}": service.described,
+        "/ogc/collections": service.collections,
+        "/ogc/collections/{name}": service.collection,
         "/ogc/collections/{name}/items": service.items,
         "/ogc/collections/{name}/items/{number:int}": service.item,
     }
@@ -77,18 +65,13 @@ class _Service:
     """Responses by address of the service."""
 
     def __init__(self, live: LiveMap) -> None:
-        self._live, self._collections = live, _collections(live)
-
-    def _chosen(self, request: Request) -> tuple[str, Collection]:
-        name = request.path_params["name"]
-        if name not in self._collections:
-            raise HTTPException(404, f"there is no collection {name[:40]!r}")
-        return name, self._collections[name]
+        self._title, self._layers = live.place.title, _Layers(live)
+        self._bounds = live.place.in_degrees(live.place.lanes).total_bounds.tolist()
 
     def landing(self, request: Request) -> Response:
         at = _root(request)
         content = {
-            "title": self._live.place.title,
+            "title": self._title,
             "description": "Which tiles of the roads are hit, now and lately",
             "links": [
                 _link(at, "self", JSON, "this page"),
@@ -103,27 +86,52 @@ class _Service:
         return JSONResponse({"conformsTo": _CONFORMANCE})
 
     def api(self, request: Request) -> Response:
-        content = _openapi(_root(request), self._live.place.title)
-        return JSONResponse(content, media_type=OPENAPI)
+        return JSONResponse(_openapi(_root(request), self._title), media_type=OPENAPI)
 
-    def listed(self, request: Request) -> Response:
+    def collections(self, request: Request) -> Response:
         at = _root(request)
-        found = [_described(*each, at, self._live) for each in self._collections.items()]
+        found = [self._described(name, at) for name in COLLECTIONS]
         links = [_link(f"{at}/collections", "self", JSON, "the layers")]
         return JSONResponse({"collections": found, "links": links})
 
-    def described(self, request: Request) -> Response:
-        return JSONResponse(_described(*self._chosen(request), _root(request), self._live))
+    def collection(self, request: Request) -> Response:
+        return JSONResponse(self._described(_chosen(request), _root(request)))
+
+    def _described(self, name: str, at: str) -> dict[str, Any]:
+        title, description = COLLECTIONS[name]
+        here = f"{at}/collections/{name}"
+        links = [_link(f"{here}/items", "items", GEOJSON, title),
+                 _link(here, "self", JSON, "this layer")]  # fmt: skip
+        extent = {"spatial": {"bbox": [self._bounds], "crs": CRS84}}
+        return {
+            "id": name, "title": title, "description": description, "extent": extent,
+            "itemType": "feature", "crs": [CRS84], "links": links,
+        }  # fmt: skip
 
     def items(self, request: Request) -> Response:
-        return _items(request, *self._chosen(request))
+        layer = _filtered(self._layer(request), request.query_params)
+        limit = min(_whole(request.query_params, "limit", LIMIT, least=1), MOST)
+        offset = _whole(request.query_params, "offset", 0, least=0)
+        shown = layer.iloc[offset : offset + limit]
+        links = [_link(str(request.url), "self", GEOJSON, "these features")]
+        if offset + limit < len(layer):
+            after = request.url.include_query_params(offset=offset + limit, limit=limit)
+            here = f"{_root(request)}/collections/{_chosen(request)}/items"
+            links.append(_link(f"{here}?{after.query}", "next", GEOJSON, "the next ones"))
+        content = {
+            "type": "FeatureCollection",
+            "features": _features(shown),
+            "numberMatched": len(layer),
+            "numberReturned": len(shown),
+            "links": links,
+        }
+        return JSONResponse(content, media_type=GEOJSON)
 
     def item(self, request: Request) -> Response:
-        name, collection = self._chosen(request)
-        layer, number = collection.layer(), request.path_params["number"]
+        layer, number = self._layer(request), request.path_params["number"]
         if number not in layer.index:
-            raise HTTPException(404, f"{name} has no feature {number}")
-        at = f"{_root(request)}/collections/{name}"
+            raise HTTPException(404, f"{_chosen(request)} has no feature {number}")
+        at = f"{_root(request)}/collections/{_chosen(request)}"
         links = [
             _link(f"{at}/items/{number}", "self", GEOJSON, "this feature"),
             _link(at, "collection", JSON, "its layer"),
@@ -131,31 +139,17 @@ class _Service:
         feature = _features(layer.loc[[number]])[0] | {"links": links}
         return JSONResponse(feature, media_type=GEOJSON)
 
+    def _layer(self, request: Request) -> gpd.GeoDataFrame:
+        layer: gpd.GeoDataFrame = getattr(self._layers, _chosen(request))()
+        return layer
 
-def _collections(live: LiveMap) -> dict[str, Collection]:
-    layers = _Layers(live)
-    return {
-        "tiles": Collection(
-            title="Tiles",
-            layer=layers.tiles,
-            description="Slices of 0.5 m of a lane that were observed in the last 15 minutes",
-        ),
-        "vehicles": Collection(
-            title="Vehicles", layer=layers.vehicles, description="Those of now: speed in m/s"
-        ),
-        "lanes": Collection(
-            title="Lanes", layer=layers.lanes, description="Hit share of the last 15 minutes"
-        ),
-        "intervals": Collection(
-            title="Lanes by 15 minutes",
-            layer=layers.intervals,
-            times=("begin", "end"),
-            description="Hit and observed seconds of each lane in intervals of 15 minutes",
-        ),
-        "sensors": Collection(
-            title="Sensors", layer=layers.sensors, description="Where they stand, and their state"
-        ),
-    }
+
+def _chosen(request: Request) -> str:
+    """Return the name of the collection that is asked for."""
+    name: str = request.path_params["name"]
+    if name not in COLLECTIONS:
+        raise HTTPException(404, f"there is no collection {name[:40]!r}")
+    return name
 
 
 class _Layers:
@@ -216,68 +210,33 @@ class _Layers:
 
 
 def _measures(now: Snapshot) -> dict[str, Any]:
+    """Return the columns of tiles that change."""
     hit = np.zeros(len(now.observed), bool)
     hit[now.now] = True
-    return {
+    measures = {
         "observed_now": now.observed_now,
         "hit_now": hit,
         "hit_share_15min": now.hit_share(),
         "observed_15min_s": now.observed * STEP_S,
-        **(
-            {}
-            if now.lately is None
-            else {
-                "occupancy_15min": now.lately.tiles.share(),
-                "visible_15min_s": now.lately.tiles.visible * STEP_S,
-            }
-        ),
-        "time": iso_from_step(now.step),
     }
+    if now.lately is not None:
+        measures["occupancy_15min"] = now.lately.tiles.share()
+        measures["visible_15min_s"] = now.lately.tiles.visible * STEP_S
+    return measures | {"time": iso_from_step(now.step)}
 
 
-def _described(name: str, collection: Collection, at: str, live: LiveMap) -> dict[str, Any]:
-    here = f"{at}/collections/{name}"
-    west, south, east, north = live.place.in_degrees(live.place.lanes).total_bounds.tolist()
-    links = [_link(f"{here}/items", "items", GEOJSON, collection.title),
-             _link(here, "self", JSON, "this layer")]  # fmt: skip
-    extent = {"spatial": {"bbox": [[west, south, east, north]], "crs": CRS84}}
-    return {
-        "id": name, "title": collection.title, "description": collection.description,
-        "extent": extent, "itemType": "feature", "crs": [CRS84], "links": links,
-    }  # fmt: skip
-
-
-def _items(request: Request, name: str, collection: Collection) -> Response:
-    asked = request.query_params
-    known = {"bbox", "limit", "offset", "datetime", "f", "token"}
-    layer = collection.layer()
-    filters = {key: value for key, value in asked.items() if key not in known}
-    if unknown := [key for key in filters if key not in layer.columns or key == "geometry"]:
-        raise HTTPException(400, f"{unknown[0][:40]} is no parameter of {name}")
-    for key, value in filters.items():
-        layer = layer[layer[key].map(_text) == value]
+def _filtered(layer: gpd.GeoDataFrame, asked: Mapping[str, str]) -> gpd.GeoDataFrame:
+    """Return the features that fit what is asked: properties, place, time."""
+    columns = layer.columns.drop(layer.geometry.name)
+    for key in sorted(asked.keys() - {"bbox", "limit", "offset", "datetime", "f", "token"}):
+        if key not in columns:
+            raise HTTPException(400, f"{key[:40]} is no parameter of this layer")
+        layer = layer[layer[key].map(_text) == asked[key]]
     if "bbox" in asked:
         layer = layer[layer.intersects(_box(asked["bbox"]))]
-    if "datetime" in asked and collection.times is not None:
-        layer = layer[_within(layer, collection.times, asked["datetime"])]
-    limit = min(_whole(asked, "limit", LIMIT, least=1), MOST)
-    offset = _whole(asked, "offset", 0, least=0)
-    shown = layer.iloc[offset : offset + limit]
-    here = f"{_root(request)}/collections/{name}/items"
-    links = [_link(str(request.url), "self", GEOJSON, "these features")]
-    if offset + limit < len(layer):
-        after = request.url.include_query_params(offset=offset + limit, limit=limit)
-        links.append(_link(f"{here}?{after.query}", "next", GEOJSON, "the next ones"))
-    return JSONResponse(
-        {
-            "type": "FeatureCollection",
-            "features": _features(shown),
-            "numberMatched": len(layer),
-            "numberReturned": len(shown),
-            "links": links,
-        },
-        media_type=GEOJSON,
-    )
+    if "datetime" in asked and "begin" in columns:
+        layer = layer[_within(layer, asked["datetime"])]
+    return layer
 
 
 def _box(text: str) -> shapely.Polygon:
@@ -300,7 +259,7 @@ def _whole(asked: Mapping[str, str], name: str, usual: int, *, least: int) -> in
     return int(text[:9])
 
 
-def _within(layer: gpd.GeoDataFrame, times: tuple[str, str], text: str) -> pd.Series:
+def _within(layer: gpd.GeoDataFrame, text: str) -> pd.Series:
     """Return which features meet a moment, or a span `begin/end` whose ends may be `..`."""
     begin, _, end = text.partition("/")
     end = end if "/" in text else begin
@@ -311,7 +270,7 @@ def _within(layer: gpd.GeoDataFrame, times: tuple[str, str], text: str) -> pd.Se
         )
     except InputError as error:
         raise HTTPException(400, str(error)) from error
-    first, last = (pd.to_datetime(layer[name], utc=True) for name in times)
+    first, last = (pd.to_datetime(layer[name], utc=True) for name in ("begin", "end"))
     found = pd.Series(data=True, index=layer.index)
     if low is not None:
         found &= last > pd.Timestamp(low, unit="s", tz="UTC")
@@ -361,16 +320,20 @@ def _link(href: str, rel: str, kind: str, title: str) -> dict[str, str]:
 
 def _openapi(at: str, title: str) -> dict[str, Any]:
     """Return the least description that clients ask for: paths, and the limits of pages."""
-    named = {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
-    numbered = {**named, "name": "number", "schema": {"type": "integer"}}
-    whole = {"type": "integer", "minimum": 1, "maximum": MOST, "default": LIMIT}
+
+    def parameter(name: str, kind: str, **limits: int) -> dict[str, Any]:
+        return {"name": name, "in": "query", "schema": {"type": kind, **limits}}
+
+    path = {"in": "path", "required": True}
+    named = path | {"name": "name", "schema": {"type": "string"}}
+    numbered = path | {"name": "number", "schema": {"type": "integer"}}
+    box = {"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 6}
     asked = [
-        {"name": "limit", "in": "query", "schema": whole},
-        {"name": "offset", "in": "query", "schema": {"type": "integer", "minimum": 0}},
-        {"name": "bbox", "in": "query", "style": "form", "explode": False,
-         "schema": {"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 6}},
-        {"name": "datetime", "in": "query", "schema": {"type": "string"}},
-    ]  # fmt: skip
+        parameter("limit", "integer", minimum=1, maximum=MOST, default=LIMIT),
+        parameter("offset", "integer", minimum=0),
+        parameter("datetime", "string"),
+        {"name": "bbox", "in": "query", "style": "form", "explode": False, "schema": box},
+    ]
     paths = {
         "/": [], "/conformance": [], "/collections": [], "/collections/{name}": [named],
         "/collections/{name}/items": [named, *asked],
@@ -378,12 +341,9 @@ def _openapi(at: str, title: str) -> dict[str, Any]:
     }  # fmt: skip
     answers = {"200": {"description": "the answer"}, "400": {"description": "not understood"},
                "404": {"description": "not there"}}  # fmt: skip
+    gets = {name: {"get": {"parameters": parameters, "responses": answers}}
+            for name, parameters in paths.items()}  # fmt: skip
     return {
-        "openapi": "3.0.3",
-        "info": {"title": title, "version": "1"},
-        "servers": [{"url": at}],
-        "paths": {
-            path: {"get": {"parameters": parameters, "responses": answers}}
-            for path, parameters in paths.items()
-        },
-    }
+        "openapi": "3.0.3", "info": {"title": title, "version": "1"}, "servers": [{"url": at}],
+        "paths": gets,
+    }  # fmt: skip

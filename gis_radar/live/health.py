@@ -57,7 +57,7 @@ class SensorHealth:
     name : str
         Of the sensor.
     settings : LiveSettings
-        From when on a clock is wrong, or a sensor silent.
+        Limits of the alarms.
     reporter : Reporter
         Receives a line when an alarm begins or ends.
     """
@@ -89,14 +89,14 @@ class SensorHealth:
             self.reporter.log(f"{self.name}: {ALARMS[kind]}: {text}", "warning")
 
     def heard(self, arrival_s: float, frame_s: float, *, live: bool) -> None:
-        """Take in when a frame came; those that waited on disk tell nothing of the clock."""
+        """Record the arrival of a frame; only live ones, not those from disk, test the clock."""
         self.heard_s = arrival_s
         self.newest_s = frame_s
         if not live:
             return
         self._delays.append(arrival_s - frame_s)
         self._heard += 1
-        if self._heard % (self.settings.clock_frames // 10):  # the least of many takes its time
+        if self._heard % (self.settings.clock_frames // 10):  # a minimum of many, which is slow
             return
         offset_s = self.clock_offset_s
         most_s = self.settings.clock_alarm_s
@@ -106,22 +106,18 @@ class SensorHealth:
 
     @property
     def clock_offset_s(self) -> float:
-        """The least delay of the last live frames, seconds: the clock's offset and the way."""
+        """Least delay of the last live frames, seconds: clock offset and transmission."""
         return min(self._delays, default=float("nan"))
 
     @property
     def lag_s(self) -> float:
-        """The usual delay of the last live frames, seconds."""
+        """Median delay of the last live frames, seconds."""
         return statistics.median(self._delays) if self._delays else float("nan")
 
     def look(self, now_s: float) -> None:
-        """Raise the alarm of a sensor from which nothing comes."""
+        """Raise the alarm of a silent sensor; end alarms of single messages after a while."""
         quiet_s = now_s - self.heard_s
-        for kind in (
-            "damaged",
-            "off_time",
-            "twins",
-        ):  # of single messages: over once none came for a while
+        for kind in ("damaged", "off_time", "twins"):  # of single messages
             if now_s - self.raised_s.get(kind, now_s) > self.settings.over_s:
                 self.alarm(kind, None)
         silent = quiet_s > self.settings.silent_s
@@ -130,7 +126,7 @@ class SensorHealth:
 
 @dataclass(frozen=True)
 class _Metrics:
-    """What Prometheus collects of sensors, and of the site: a number by name."""
+    """Metrics of the sensors and of the site, as prometheus-client collects them."""
 
     sensors: Sequence[SensorHealth]
     figures: Mapping[str, float]

@@ -9,9 +9,9 @@ import logging
 import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
@@ -46,6 +46,9 @@ WAITING = 8  # events that a slow reader may lag behind; then the whole map is s
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands behind a proxy
 COOKIE = "gis_radar"
 WEB = Path(__file__).with_name("web")
+_TEMPLATE = Environment(
+    autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+).from_string((WEB / "page.html").read_text(encoding="utf-8"))
 # Long words may break before these on a phone, whose browser need not know where German words do.
 SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|zyklen)")
 # Of a tile that is hit now: blue is no colour of the ramp, as light as this not for eyes that
@@ -71,9 +74,9 @@ def make_app(live: LiveMap, token: str = "") -> Starlette:
     Parameters
     ----------
     live : LiveMap
-        What is shown.
+        The map that is shown.
     token : str
-        What readers must show; empty: nothing.
+        Required of readers; empty: none.
     """
     changes = Changes(live)
     answers = _Answers(live)
@@ -107,7 +110,7 @@ class _Answers:
 
     def __init__(self, live: LiveMap) -> None:
         self._live = live
-        self._sites: dict[str, bytes] = {}  # by language: what stays is made once
+        self._sites: dict[str, bytes] = {}  # tiles and lanes by language, made once
 
     def page(self, request: Request) -> Response:
         followed = self._live.snapshot().vehicles is not None
@@ -127,7 +130,7 @@ class _Answers:
 
 
 class _Guard:
-    """Let in who shows the token, by header, cookie, or once in the address; add headers."""
+    """Require the token, by header, cookie, or once in the address; add headers to responses."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app, self._token = app, token
@@ -165,17 +168,17 @@ class _Guard:
 
 
 class Changes:
-    """What changes on the map, made once as text and sent to all readers as server-sent events.
+    """Server-sent events of what changes on the map; each is made once for all readers.
 
     Parameters
     ----------
     live : LiveMap
-        What is shown.
+        The map that is shown.
     """
 
     def __init__(self, live: LiveMap) -> None:
         self._live = live
-        self._shown: dict[str, Any] = {}  # as readers have it, where there are any
+        self._shown: dict[str, Any] = {}  # the state of the readers, where there are any
         self._readers: set[asyncio.Queue[str | None]] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -201,18 +204,18 @@ class Changes:
             await asyncio.sleep(1.0 / EVENTS_PER_S)
             if self._readers:
                 try:
-                    self._hand_out(self._live.snapshot())
+                    self._send(self._live.snapshot())
                 except Exception:  # readers wait for the next one, and see how old theirs is
                     _LOGGER.exception("the page's map could not be made")
 
-    def _hand_out(self, snapshot: Snapshot) -> None:
+    def _send(self, snapshot: Snapshot) -> None:
         whole = whole_event(self._live.place, snapshot)
         text = _event("map", difference(self._shown, whole))
         self._shown = whole
         for queue in list(self._readers):
             try:
                 queue.put_nowait(text)
-            except asyncio.QueueFull:  # it reads too slowly: it is closed, and asks anew
+            except asyncio.QueueFull:  # a slow reader: its stream ends, and it connects again
                 self._readers.discard(queue)
                 while not queue.empty():
                     queue.get_nowait()
@@ -246,7 +249,7 @@ def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
 
 
 def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
-    """Return what of the map differs from what was shown before."""
+    """Return the changes of the map since an earlier state."""
     changed: dict[str, Any] = {name: after[name] for name in ("step", "clock", "vehicles")}
     for name in ("hit", "unobserved"):
         old, new = set(before[name]), set(after[name])
@@ -258,7 +261,7 @@ def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
 
 
 def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
-    """Return of each vehicle its number, the ends of its middle line, width, speed, if heavy."""
+    """Return of each vehicle: number, rear and front in degrees, width, speed, heavy (0 or 1)."""
     now = snapshot.vehicles
     if now is None:
         return None
@@ -269,7 +272,7 @@ def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
 
 
 def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
-    """Return by lane occupancy in permille, passages, and their mean speed in km/h."""
+    """Return by lane: occupancy in permille, passages, mean speed in km/h."""
     if snapshot.lately is None:
         return {}
     table = snapshot.lately.lanes
@@ -282,7 +285,7 @@ def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
 
 
 def _permille(share: float) -> int | None:
-    """Return a share in permille; what is more than nothing never reads as nothing."""
+    """Return a share in permille, at least 1 for a share above 0."""
     return None if np.isnan(share) else max(round(1000 * share), int(share > 0.0))
 
 
@@ -293,63 +296,35 @@ def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
         view = place.view_of(state.pose)
     lag = None if np.isnan(state.lag_s) else round(state.lag_s, 2)
     return {
-        "online": state.online, "alarms": {k: said(text) for k, text in state.alarms.items()},
+        "online": state.online,
+        "alarms": {kind: in_each_language(text) for kind, text in state.alarms.items()},
         "at": where, "view": view,
         "lag_s": lag, "frames_per_s": round(state.frames_per_s, 1), "lost": state.lost,
     }  # fmt: skip
 
 
 @lru_cache(256)
-def said(text: str) -> dict[str, str]:
-    """Return the details of an alarm in each language: one stream serves readers of all."""
-    told = {}
+def in_each_language(text: str) -> dict[str, str]:
+    """Return the details of an alarm by language: one stream serves readers of all."""
+    texts = {}
     for language in LANGUAGES:
         with speaking(language):
-            told[language] = tr_message(text)
-    return told
+            texts[language] = tr_message(text)
+    return texts
 
 
 def _event(name: str, content: dict[str, Any]) -> str:
-    return f"event: {name}\ndata: {json.dumps(content, separators=(',', ':'), allow_nan=False)}\n\n"
+    return f"event: {name}\ndata: {_json(content)}\n\n"
 
 
 def _language(request: Request) -> str:
-    asked = request.query_params.get("lang", "")
-    if asked in LANGUAGES:
-        return asked
     wanted = request.headers.get("accept-language", "").lower().split(",")
-    short = [each.strip()[:2] for each in wanted]
-    return next((each for each in short if each in LANGUAGES), LANGUAGES[0])
-
-
-class Legend(NamedTuple):
-    """What the colours of the map mean.
-
-    Parameters
-    ----------
-    title, note : str
-        The measure, and what it is.
-    classes : list of (str, str)
-        Colours with their words, from top to bottom.
-    """
-
-    title: str
-    note: str
-    classes: list[tuple[str, str]]
-
-
-@cache
-def _template() -> Any:
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    text = (WEB / "page.html").read_text(encoding="utf-8")
-    return environment.from_string(text)
+    asked = [request.query_params.get("lang", ""), *(each.strip()[:2] for each in wanted)]
+    return next((each for each in asked if each in LANGUAGES), LANGUAGES[0])
 
 
 def _page(place: Place, language: str, *, followed: bool) -> str:
     with speaking(language):
-        legends = _legends(language, followed=followed)
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
                  "hit": tr("{n} tiles are hit now"),
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
@@ -360,36 +335,38 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
                    "unobserved": style.NOT_OBSERVED, "free": style.NEVER_HIT,
                    "hit": HIT, "vehicle": VEHICLE,
                    "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
-        return str(
-            _template().render(
-                place=place, followed=followed, legends=legends, language=language, tr=tr,
-                words=words, colours=colours, languages=LANGUAGES,
-                seamed=lambda text: SEAMS.sub("\u00ad", text),
-            )
+        return _TEMPLATE.render(
+            place=place, followed=followed, legends=_legends(language, followed=followed),
+            language=language, tr=tr, words=words, colours=colours, languages=LANGUAGES,
+            seamed=lambda text: SEAMS.sub("\u00ad", text),
         )  # fmt: skip
 
 
-def _legends(language: str, *, followed: bool) -> dict[str, Legend]:
-    """Return by what the page may show its title, its meaning, and colours with their words."""
+def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
+    """Return title, note and classes (colour, label) of each measure that the page may show."""
     hits = _colours_in_words("hit_share", language)
-    now = [(HIT, tr("hit now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]]
-    found = {
-        "lately": Legend(
-            tr("Share of the observed time"), tr("in which a tile is hit, last 15 minutes"), hits
-        ),
-        "now": Legend(
-            tr("Now"), tr("which tiles are hit; zoomed out: lanes, last 15 minutes"), now
-        ),
+    legends = {
+        "lately": {
+            "title": tr("Share of the observed time"),
+            "note": tr("in which a tile is hit, last 15 minutes"),
+            "classes": hits,
+        },
+        "now": {
+            "title": tr("Now"),
+            "note": tr("which tiles are hit; zoomed out: lanes, last 15 minutes"),
+            "classes": [(HIT, tr("hit now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]],
+        },
+        "occupancy": {
+            "title": tr("Occupancy"),
+            "note": tr("share of time with a vehicle while a tile was visible, last 15 minutes"),
+            "classes": _colours_in_words("occupancy", language),
+        },
     }
-    if followed:
-        occupancy = _colours_in_words("occupancy", language)
-        note = tr("share of time with a vehicle while a tile was visible, last 15 minutes")
-        found["occupancy"] = Legend(tr("Occupancy"), note, occupancy)
-    return found
+    return {name: each for name, each in legends.items() if followed or name != "occupancy"}
 
 
 def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
-    """Return the classes of a measure, highest first, and what is not known last."""
+    """Return the classes of a measure, highest first, and that of missing values last."""
     classes = [
         (each.colour, class_label(each.label, language)) for each in style.colour_classes(measure)
     ]
@@ -397,32 +374,27 @@ def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
 
 
 def _site_json(place: Place, language: str) -> bytes:
-    """Return what the page draws and what stays: tiles and lanes in longitude and latitude."""
+    """Return tiles and lanes, which do not change, in longitude and latitude."""
     lanes = place.lanes.set_index("lane").reindex(place.lane_numbers)
-    west, south, east, north = place.in_degrees(place.tiles).total_bounds.round(DEGREES).tolist()
+    tiles = place.in_degrees(place.tiles).geometry
+    west, south, east, north = tiles.total_bounds.round(DEGREES).tolist()
     with speaking(language):
         named = [
             {
-                "number": str(number),  # ids reach 9e18, numbers of a browser 9e15
-                "street": street_label(street, part),
-                "direction": tr(direction),
+                "number": str(each.Index),  # ids reach 9e18, numbers of a browser 9e15
+                "street": street_label(each.street, each.street_part),
+                "direction": tr(each.direction),
             }
-            for number, street, part, direction in zip(
-                place.lane_numbers,
-                lanes["street"],
-                lanes["street_part"],
-                lanes["direction"],
-                strict=True,
-            )
+            for each in lanes.itertuples()
         ]
     content = {
         "fingerprint": place.fingerprint,
         "bounds": [[west, south], [east, north]],
-        "tiles": _collection(place.in_degrees(place.tiles).geometry.to_numpy()),
+        "tiles": _collection(tiles.to_numpy()),
         "lanes": named,
         "lines": _collection(place.in_degrees(lanes).geometry.to_numpy()),
     }
-    return json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+    return _json(content).encode()
 
 
 def _collection(shapes: Any) -> dict[str, Any]:
@@ -431,3 +403,7 @@ def _collection(shapes: Any) -> dict[str, Any]:
         for i, shape in enumerate(geometries(shapes))
     ]
     return {"type": "FeatureCollection", "features": features}
+
+
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False)

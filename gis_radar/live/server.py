@@ -29,7 +29,7 @@ RATE_S = 10.0  # over which frames are counted
 
 
 class FusedMap(Protocol):
-    """What is shown of fusion."""
+    """The part of fusion that is shown."""
 
     sensors: dict[str, SensorState]
     quarters: Quarters
@@ -38,22 +38,22 @@ class FusedMap(Protocol):
         """Return the map of now."""
 
     def metrics(self) -> str:
-        """Return health as text for Prometheus."""
+        """Return counts and alarms as text for Prometheus."""
 
     @property
     def vehicles(self) -> LiveVehicles | None:
-        """What follows vehicles."""
+        """Vehicles, where they are followed."""
 
 
 class ShownMap:
-    """The map of fusion, as the page and its services take it.
+    """The map of fusion for the page and its services.
 
     Parameters
     ----------
     fusion : FusedMap
-        Which keeps the map.
+        The map of now, sensors, vehicles.
     place : Place
-        What stays.
+        Tiles and lanes.
     recent : RecentCounts
         Counts of the last minutes.
     """
@@ -65,7 +65,7 @@ class ShownMap:
 
     @property
     def place(self) -> Place:
-        """What stays."""
+        """Tiles and lanes."""
         return self._place
 
     def snapshot(self) -> Snapshot:
@@ -94,7 +94,7 @@ class ShownMap:
         return table.drop_duplicates(["lane", "begin"]).sort_values("begin", kind="stable")
 
     def metrics(self) -> str:
-        """Return counts and lags as Prometheus reads them."""
+        """Return counts and alarms as text for Prometheus."""
         return self._fusion.metrics()
 
     def _rates(self) -> dict[str, float]:
@@ -124,7 +124,7 @@ class ShownMap:
 
 
 def read_token(path: Path) -> str:
-    """Return the token that readers of a page must show.
+    """Read the token that readers of a page must show.
 
     Raises
     ------
@@ -148,11 +148,11 @@ class Page:
     Parameters
     ----------
     fusion : FusedMap
-        Which keeps the map.
+        The map of now, sensors, vehicles.
     site : LiveSite
         Of the site's file.
     table : PageTable
-        Where the page is, and who may read.
+        Address of the page and access to it.
     tiles : GeoDataFrame
         As from :func:`gis_radar.read_tiles`.
 

@@ -20,8 +20,9 @@ from pyproj import CRS
 from gis_radar.crs import Box, metric_crs
 from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.errors import OutputError, UsageError
-from gis_radar.geopackage import opened_package, read_styles
+from gis_radar.geopackage import opened_package
 from gis_radar.heatmap import style
+from gis_radar.heatmap.layers import read_own_styles
 from gis_radar.heatmap.step_table import LONG, TIMES
 from gis_radar.heatmap.wide_table import WIDE
 from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_style
@@ -112,7 +113,7 @@ def write_qgis_project(
         crs, box = _observed_box(package)
         played = _time_range(package)
         measure = _measure(package)
-        layers = _heatmap_layers(Path(heatmap).resolve(), measure)
+        layers = _heatmap_layers(Path(heatmap).resolve(), measure, played.step_s if played else 0.0)
     if sensors is not None:
         layers |= _sensor_layers(Path(sensors).resolve())
     if sight is not None:
@@ -300,11 +301,11 @@ def _measure(package: Path) -> str:
     return "occupancy" if "occupancy" in fields else "hit_share"
 
 
-def _heatmap_layers(folder: Path, measure: str) -> dict[str, LayerSource]:
-    """Return the layers of a heat map, as their own file styles them."""
+def _heatmap_layers(folder: Path, measure: str, step_s: float) -> dict[str, LayerSource]:
+    """Return the layers of a heat map in our own styles, whatever styles its file holds."""
     package = folder / "heatmap.gpkg"
     raster = folder / ("heatmap.tif" if measure == "occupancy" else "hits.tif")
-    qml = read_styles(package)
+    qml = read_own_styles(package, measure, step_s)
     layers = {
         "by_interval": LayerSource(package, qml[LONG], LONG),
         "heatmap": LayerSource(package, qml[WIDE], WIDE),

@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-from contextlib import redirect_stdout
+import os
+import sys
 from dataclasses import replace
-from functools import cache
-from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 
-from gis_radar.report.content import WORDS, Content
+from gis_radar.errors import OutputError
+from gis_radar.files import scratch_folder
+from gis_radar.processes import run_child
+from gis_radar.report.content import Content
 from gis_radar.report.pages import page_of
-from gis_radar.words import tr
+from gis_radar.report.printing import MISSING
 
 FONT = "DejaVu Sans of Matplotlib"  # the same letters, whatever fonts the machine has
 LETTERS = {"normal": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf"}
 
 
-@cache
-def weasyprint() -> Any | None:
-    """Return the package; None where it, or a system library that it calls, is missing."""
-    try:
-        with redirect_stdout(StringIO()):  # it prints which library is missing
-            import weasyprint  # noqa: PLC0415 - of the extra pdf
-            from weasyprint.text import fonts  # noqa: F401, PLC0415
-    except (ImportError, OSError):
-        return None
-    weasyprint.LOGGER.setLevel("CRITICAL")  # it remarks on each rule that is for browsers
-    return weasyprint
-
-
 def write_pdf(content: Content, path: Path) -> None:
     """Write the page as PDF, with the map of the whole time.
+
+    Nothing is written where WeasyPrint, or a system library that it calls, is missing. It runs in a
+    process of its own: Pango ends its process where memory runs out.
 
     Parameters
     ----------
@@ -41,20 +32,29 @@ def write_pdf(content: Content, path: Path) -> None:
         What to write.
     path : Path
         The file. The same content gives the same bytes.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, or WeasyPrint fails.
     """
-    if (library := weasyprint()) is None:
-        raise ModuleNotFoundError("weasyprint")
     still = replace(content, map=replace(content.map, frames=()))
-    fonts = library.text.fonts.FontConfiguration()
-    # The page brings its pictures along; nothing else is fetched.
-    reader = library.urls.URLFetcher(allowed_protocols=("data", "file"))
-    letters = library.CSS(string=_letters(), font_config=fonts, url_fetcher=reader)
-    page = library.HTML(string=page_of(still), url_fetcher=reader)
-    paper = page.render(stylesheets=[letters], font_config=fonts)
-    paper.metadata.description = tr(WORDS[content.measure].kind)
-    # Not the time of writing: what was made of the same data is the same.
-    paper.metadata.created = content.until.isoformat(timespec="seconds")
-    paper.write_pdf(path, pdf_tags=True)
+    with scratch_folder() as folder:
+        (folder / "page.html").write_text(page_of(still), encoding="utf-8")
+        (folder / "letters.css").write_text(_letters(), encoding="utf-8")
+        # Not the time of writing: what was made of the same data is the same.
+        made = content.until.isoformat(timespec="seconds")
+        command = (sys.executable, "-P", "-m", "gis_radar.report.printing", folder, path, made)
+        with Path(os.devnull).open("rb") as nothing, (folder / "said").open("w+b") as said:
+            code = run_child(
+                list(map(str, command)), stdin=nothing, stderr=said, waiting=lambda _: None,
+                environment={**os.environ, "TMPDIR": str(folder)},
+            )  # fmt: skip
+            said.seek(0)
+            lines = said.read().decode(errors="replace").strip().splitlines()
+    if code not in {0, MISSING}:
+        reason = lines[-1] if lines and code > 0 else f"WeasyPrint ended with {code}"
+        raise OutputError(f"{path}: cannot be written: {reason}")
 
 
 def _letters() -> str:
@@ -65,6 +65,5 @@ def _letters() -> str:
         f"src: url({(folder / name).as_uri()}); }}"
         for weight, name in LETTERS.items()
     ]
-    return "\n".join(
-        [*faces, f'body {{ font-family: "{FONT}"; }} @page {{ font-family: "{FONT}"; }}']
-    )
+    family = f'{{ font-family: "{FONT}"; }}'
+    return "\n".join([*faces, f"body {family} @page {family}"])

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from gis_radar.errors import PDF, OutputError, UsageError
-from gis_radar.files import atomic_writes
+from gis_radar.errors import PDF, UsageError
+from gis_radar.files import atomic_writes, output_errors
 from gis_radar.heatmap import HeatMap
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
@@ -53,7 +53,7 @@ from gis_radar.report.lanes import (
 )
 from gis_radar.report.maps import draw_hits, draw_maps, draw_sights, lay_out
 from gis_radar.report.pages import page_of
-from gis_radar.report.paper import weasyprint, write_pdf
+from gis_radar.report.paper import write_pdf
 from gis_radar.report.plan import draw_plan
 from gis_radar.report.results import (
     Results,
@@ -233,30 +233,27 @@ def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | N
 
 def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
     """Write all files, which appear together or not at all."""
-    try:
+    with output_errors(place):
         place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(
-            f"{place}: cannot be written: {reason}", hint="name a folder for the report"
-        ) from error
     writers = _writers(found, content)
-    if names.PAPER not in writers:
+    before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
+    with atomic_writes(place / names.PAGE) as (private, places):
+        for done, (name, write) in enumerate(writers.items(), start=1):
+            write(private / name)
+            if (private / name).is_file():
+                places[private / name] = place / name
+            reporter.progress("writing the report", done, len(writers))
+    made = list(places.values())
+    for path in before:  # what the last report had and this one has not
+        if path not in made:
+            path.unlink(missing_ok=True)
+    if place / names.PAPER not in made:
         reporter.log(
             f"{names.PAPER} is not written: WeasyPrint, or Pango, which it calls, is missing "
             f"({PDF}); a browser prints {names.PAGE} alike",
             "warning",
         )
-    before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
-    with atomic_writes(place / names.PAGE) as (private, places):
-        for done, (name, write) in enumerate(writers.items(), start=1):
-            write(private / name)
-            places[private / name] = place / name
-            reporter.progress("writing the report", done, len(writers))
-    for path in before:  # what the last report had and this one has not
-        if path.name not in writers:
-            path.unlink(missing_ok=True)
-    return [place / name for name in writers]
+    return made
 
 
 def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], object]]:
@@ -264,7 +261,7 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
     clock, heat, quality = found.clock, found.results.heat, found.quality
     writers: dict[str, Callable[[Path], object]] = {
         names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
-        **({names.PAPER: lambda path: write_pdf(content, path)} if weasyprint() else {}),
+        names.PAPER: lambda path: write_pdf(content, path),
         names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
         names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
         names.SENSORS: lambda path: write_sensor_table(path, found.results),

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pyogrio
 from PIL import Image
 
@@ -236,9 +235,9 @@ def _streets(folder: Path) -> dict[int, tuple[str, str]]:
         with opened_package(path, what="a GeoPackage of tiles") as place:
             table = pyogrio.read_dataframe(place, layer=LANES, read_geometry=False)
     except InputError:
-        return {}  # of an older version
+        return {}  # `gr.write_tiles` without lanes
     named = table.dropna(subset=["street"])
-    parts = named.get("street_part", pd.Series("", named.index)).fillna("")  # not of version 0.1
+    parts = named["street_part"].fillna("")
     names = zip(named["street"].astype(str), parts.astype(str), strict=True)
     return dict(zip(named["lane"].astype(int), names, strict=True))
 

@@ -59,7 +59,7 @@ class MapDetections:
 
     def reversed(self) -> MapDetections:
         """Return the same detections as they come when time runs backward."""
-        back = self.take(np.arange(len(self))[::-1])
+        back = self.take(slice(None, None, -1))
         return replace(back, time=-back.time, range_rate=-back.range_rate)
 
     @classmethod

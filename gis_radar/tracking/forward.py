@@ -130,6 +130,16 @@ class ForwardFilter:
             by this detection: of the branch that it took by the end of these detections.
         """
         number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
+        # Of a frame without moving detections its time matters: one row of it.
+        taken = np.flatnonzero(
+            (np.abs(detections.range_rate) >= self._limits[MOVING])
+            | (np.diff(detections.time, prepend=-np.inf) > 0.0)
+        )
+        number[taken], state[taken] = self._push(detections.take(taken))
+        return number, state
+
+    def _push(self, detections: MapDetections) -> tuple[Integers, Floats]:
+        number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
         seen = np.column_stack(
             [
                 detections.points,
@@ -140,7 +150,7 @@ class ForwardFilter:
             ]
         )
         count = len(detections) + SPARE
-        past = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((count, 8)))
+        past = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((4 * count, 8)))
         self._counts[BASE], self._counts[KEPT] = self._counts[BRANCHES], 0
         _follow(
             seen, self._limits, self._bodies, self._waiting, self._counts, (number, state), past,

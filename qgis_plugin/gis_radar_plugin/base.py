@@ -12,13 +12,15 @@ from qgis.core import (
     QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingException,
-    QgsProcessingParameterDefinition,
+    QgsProcessingFeedback,
     QgsSettings,
 )
 from qgis.PyQt.QtGui import QIcon
 
 from .claims import claimed
+from .loading import finish_output
 from .opening import Opened, offer
+from .parameters import Given, Output, OutputLayer, Parameter
 from .runner import (
     Answer,
     CancelledError,
@@ -30,7 +32,6 @@ from .runner import (
 from .words import speaks_german, tr
 from .worker import find_python, plugin_version, same_series, worker_version
 
-PROVIDER = "gisradar"
 SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
 # Figures of hits, for diagnosis: where there is occupancy they would be taken for it.
@@ -105,6 +106,7 @@ class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
     GROUP: ClassVar[str] = SITE
     HELP: ClassVar[str] = ""
     KEYWORDS: ClassVar[tuple[str, ...]] = ()
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
 
     def __init__(self) -> None:
         super().__init__()
@@ -148,29 +150,48 @@ class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
     def svgIconPath(self) -> str:  # noqa: N802
         return str(ICONS / f"{self.NAME}.svg")
 
-    def add(
-        self,
-        parameter: QgsProcessingParameterDefinition,
-        *,
-        about: str = "",
-        advanced: bool = False,
-    ) -> None:
-        """Add a parameter, with a help text and, if so, in the folded part of the dialog."""
-        parameter.setHelp(tr(about))
-        if advanced:
-            flag = QgsProcessingParameterDefinition.Flag.FlagAdvanced
-            parameter.setFlags(parameter.flags() | flag)
-        self.addParameter(parameter)
+    def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
+        for parameter in self.PARAMETERS:
+            parameter.add_to(self)
 
-    def files(
-        self, parameters: dict[str, Any], name: str, context: QgsProcessingContext
-    ) -> list[str]:
-        """Return the files of a parameter; QGIS gives one without a name where there are none."""
-        return [path for path in self.parameterAsFileList(parameters, name, context) if path]
+    def processAlgorithm(  # noqa: N802
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
+    ) -> dict[str, Any]:
+        return self.process(Given(self, parameters, context, feedback))
+
+    def process(self, given: Given) -> dict[str, Any]:
+        """Do the work; return the results by name."""
+        raise NotImplementedError
 
 
 class WorkerAlgorithm(Algorithm):
-    """An algorithm that the worker does."""
+    """An algorithm that is a command of the worker: the words of its parameters, in their order."""
+
+    COMMAND: ClassVar[str] = ""
+    CHANGES: ClassVar[tuple[str, ...]] = ()  # parameters that are read and written
+
+    def process(self, given: Given) -> dict[str, Any]:
+        outputs = [each for each in self.PARAMETERS if isinstance(each, Output)]
+        given.outputs.update({each.name: each.path(given) for each in outputs})
+        words = [word for each in self.PARAMETERS for word in each.words(given)]
+        written = [given.outputs[each.name] for each in outputs if each.flag is not None]
+        written += [given.text(name) for name in self.CHANGES]
+        answer = self.work(
+            [self.COMMAND, *words], [path for path in written if path], given.feedback
+        )
+        results = given.outputs | self.finish(given, answer)
+        for each in outputs:
+            if isinstance(each, OutputLayer):
+                finish_output(given.context, given.outputs[each.name])
+        return results
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        """Do what comes after the command, such as to load layers; return further results."""
+        del given, answer
+        return {}
 
     def canExecute(self) -> tuple[bool, str]:  # noqa: N802
         """Return whether there is a worker, and if not, what to do."""
@@ -276,8 +297,3 @@ def readable(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(readable(item) for item in value)
     return tr(str(value))
-
-
-def option(flag: str, value: Any) -> list[str]:
-    """Return an option's words, or none where it has no value."""
-    return [] if value is None or value == "" else [flag, str(value)]

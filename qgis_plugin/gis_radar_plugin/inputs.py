@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import (
-    QgsFeatureSink,
+    QgsFeatureRequest,
     QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeatureSource,
     QgsProcessingFeatureSourceDefinition,
     QgsProcessingUtils,
+    QgsProject,
     QgsProviderRegistry,
     QgsVectorFileWriter,
     QgsVectorLayer,
@@ -35,8 +36,8 @@ def layer_file(
     layer_name: str,
     fields: tuple[str, ...] = (),
     metric: bool = True,
-) -> tuple[str, str]:
-    """Return a GeoPackage and its layer that hold what the user chose.
+) -> str:
+    """Return a GeoPackage with a layer that holds what the user chose.
 
     Parameters
     ----------
@@ -63,8 +64,8 @@ def layer_file(
     if layer is not None and not _is_part(parameters.get(name), layer):
         place = _place(layer)
         if place is not None and place[1] in ("", layer_name):
-            return place[0], layer_name
-    return _exported(source, layer_name, context), layer_name
+            return place[0]
+    return _exported(source, layer_name)
 
 
 def _refuse_wrong(
@@ -106,30 +107,27 @@ def _place(layer: QgsVectorLayer) -> tuple[str, str] | None:
     return path, str(parts.get("layerName") or "")
 
 
-def _exported(
-    source: QgsProcessingFeatureSource, layer_name: str, context: QgsProcessingContext
-) -> str:
-    """Write the features to a GeoPackage of our own; the worker opens it after we closed it."""
+def _exported(source: QgsProcessingFeatureSource, layer_name: str) -> str:
+    """Write the features to a GeoPackage of our own, which is closed for the worker."""
     path = str(QgsProcessingUtils.generateTempFilename(f"{layer_name}.gpkg"))
+    write_package(source.materialize(QgsFeatureRequest()), path, layer_name)
+    return path
+
+
+def write_package(layer: QgsVectorLayer, path: str, layer_name: str) -> None:
+    """Write a layer to a new GeoPackage.
+
+    Raises
+    ------
+    QgsProcessingException
+        If it cannot be written.
+    """
     options = QgsVectorFileWriter.SaveVectorOptions()
     options.driverName = "GPKG"
     options.layerName = layer_name
-    fields = source.fields()
-    row_id = fields.lookupField("fid")
-    if row_id >= 0:
-        fields.remove(row_id)
-    writer = QgsVectorFileWriter.create(
-        path, fields, source.wkbType(), source.sourceCrs(), context.transformContext(), options
-    )
-    if writer.hasError() != QgsVectorFileWriter.WriterError.NoError:
-        raise QgsProcessingException(f"{path}: {writer.errorMessage()}")
-    for feature in source.getFeatures():
-        if row_id >= 0:
-            values = feature.attributes()
-            del values[row_id]
-            feature.setAttributes(values)
-        if not writer.addFeature(feature, QgsFeatureSink.Flag.FastInsert):
-            raise QgsProcessingException(f"{path}: {writer.errorMessage()}")
-    writer.flushBuffer()
-    del writer  # closes the file
-    return path
+    names = [field.name() for field in layer.fields()]
+    options.attributes = [place for place, name in enumerate(names) if name.lower() != "fid"]
+    context = QgsProject.instance().transformContext()
+    written = QgsVectorFileWriter.writeAsVectorFormatV3(layer, path, context, options)
+    if written[0] != QgsVectorFileWriter.WriterError.NoError:
+        raise QgsProcessingException(f"{path}: {written[1]}")

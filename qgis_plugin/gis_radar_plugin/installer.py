@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .runner import NO_WINDOW, WorkerError, clean_environment, run_command
+from .runner import NO_WINDOW, Listener, WorkerError, clean_environment, run_command
 from .words import tr
 from .worker import forget_versions, python_in, worker_version
 
@@ -36,20 +36,6 @@ class Tools:
 
     python: str
     uv: str
-
-
-class SetUpListener:
-    """A receiver of how far the set-up is; this one ignores it."""
-
-    def stage(self, text: str, percent: float) -> None:
-        """Take what is done now, and how far all of it is, percent."""
-
-    def line(self, text: str) -> None:
-        """Take a line that a tool prints."""
-
-    def cancelled(self) -> bool:
-        """Return whether to stop."""
-        return False
 
 
 def bundled_package() -> str:
@@ -119,7 +105,7 @@ def set_up(
     folder: Path,
     package: str,
     tools: Tools,
-    listener: SetUpListener,
+    listener: Listener,
     *,
     options: Sequence[str] = (),
 ) -> str:
@@ -133,8 +119,8 @@ def set_up(
         The wheel of gis_radar.
     tools : Tools
         With what.
-    listener : SetUpListener
-        Hears how far it is, and is asked whether to stop.
+    listener : Listener
+        Hears the stage and how far all of it is, percent, and is asked whether to stop.
     options : sequence of str
         Further words for pip or uv, such as where packages come from.
 
@@ -152,13 +138,17 @@ def set_up(
     """
     part = folder.with_name(f"{folder.name}.part")
     _remove(part)
+
+    def stage(text: str, percent: float) -> None:
+        listener.progress(text, percent, 100.0)
+
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        listener.stage("Making an environment", 2)
+        stage("Making an environment", 2)
         _make_environment(part, tools, listener)
-        listener.stage("Fetching gis_radar and what it needs", 8)
+        stage("Fetching gis_radar and what it needs", 8)
         _install(part, package, tools, listener, options)
-        listener.stage("Trying it out", 94)
+        stage("Trying it out", 94)
         version = worker_version(str(python_in(part)))
         _run([str(python_in(part)), "-P", "-m", "gis_radar", "--version"], listener)
         _put_in_place(part, folder)
@@ -169,11 +159,11 @@ def set_up(
     finally:
         shutil.rmtree(part, ignore_errors=True)
         forget_versions()
-    listener.stage("Done", 100)
+    stage("Done", 100)
     return version
 
 
-def _make_environment(part: Path, tools: Tools, listener: SetUpListener) -> None:
+def _make_environment(part: Path, tools: Tools, listener: Listener) -> None:
     if tools.uv:
         wanted = tools.python or ">=3.11"
         _run([tools.uv, "venv", "--quiet", "--python", wanted, str(part)], listener)
@@ -187,7 +177,7 @@ def _make_environment(part: Path, tools: Tools, listener: SetUpListener) -> None
 
 
 def _install(
-    part: Path, package: str, tools: Tools, listener: SetUpListener, options: Sequence[str]
+    part: Path, package: str, tools: Tools, listener: Listener, options: Sequence[str]
 ) -> None:
     python = str(python_in(part))
     words = [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input",
@@ -200,7 +190,7 @@ def _install(
     _run([*words, "--only-binary", ":all:", *options, package], listener, counted=True)
 
 
-def _run(command: Sequence[str], listener: SetUpListener, *, counted: bool = False) -> None:
+def _run(command: Sequence[str], listener: Listener, *, counted: bool = False) -> None:
     """Run a step; count the packages that it names, so that the bar moves."""
     last: list[str] = []
     seen = 0
@@ -211,10 +201,11 @@ def _run(command: Sequence[str], listener: SetUpListener, *, counted: bool = Fal
         if not text:
             return
         last.append(text)
-        listener.line(text)
+        listener.log(text, "info")
         if counted and text.startswith(("Collecting", "Downloading", "Processing", "Prepared")):
             seen += 1
-            listener.stage("", 8 + min(84.0, 84.0 * seen / (2 * _PACKAGES)))
+            percent = 8 + min(84.0, 84.0 * seen / (2 * _PACKAGES))
+            listener.progress("Fetching gis_radar and what it needs", percent, 100.0)
 
     code, _ = run_command(command, on_line, listener.cancelled, grace_s=_GRACE_S, merged=True)
     if code != 0:

@@ -3,38 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from qgis.core import Qgis, QgsApplication
+from qgis.PyQt import sip
 from qgis.PyQt.QtCore import Q_ARG, QMetaObject, QUrl
 from qgis.PyQt.QtGui import QDesktopServices
 
 from .words import tr
 
-Opened = tuple[str, Path]  # what the button says, and the file or folder that it opens
+PROVIDER = "gisradar"
+Opened = tuple[str, Any]  # what the button says, and the file or folder that it opens, or a call
 
-
-def open_project(window: Any, path: Path) -> None:
-    """Open a project in QGIS's window, which asks first where the present one is not saved.
-
-    Parameters
-    ----------
-    window : QgisInterface
-        The window. Its own `addProject` replaces the present project without a question.
-    path : Path
-        The project.
-    """
-    QMetaObject.invokeMethod(window.mainWindow(), "openFile", Q_ARG(str, str(path)))
+_SHOWN: list[Any] = []  # dialogs
 
 
 def open_file(path: Path) -> None:
-    """Open a file as the desktop does, a project as :func:`open_project`."""
+    """Open a file as the desktop does, a project in QGIS's window.
+
+    That asks first where the present one is not saved; `addProject` replaces it without a question.
+    """
     window = _window()
     if path.suffix in (".qgz", ".qgs") and window is not None:
-        open_project(window, path)
+        QMetaObject.invokeMethod(window.mainWindow(), "openFile", Q_ARG(str, str(path)))
     else:
         QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
+
+
+def open_dialog(algorithm: str, parameters: dict[str, Any]) -> Any:
+    """Show the dialog of an algorithm, filled in."""
+    import processing  # noqa: PLC0415 - a plugin of QGIS, there once it has started
+
+    dialog = processing.createAlgorithmDialog(f"{PROVIDER}:{algorithm}", parameters)
+    # A dialog without a reference loses what Python does in it.
+    _SHOWN[:] = [*(each for each in _SHOWN if not sip.isdeleted(each)), dialog]
+    dialog.show()
+    return dialog
 
 
 def offer(algorithm: str, made: Sequence[Opened]) -> Any:
@@ -44,20 +50,22 @@ def offer(algorithm: str, made: Sequence[Opened]) -> Any:
     ----------
     algorithm : str
         Its name: its dialog gets the message, or QGIS's window where there is no dialog any more.
-    made : sequence of (str, Path)
+    made : sequence of (str, Path or callable)
         The buttons; what is not there has none.
     """
-    made = [(text, path) for text, path in made if path.exists()]
+    made = [(text, do) for text, do in made if not isinstance(do, Path) or do.exists()]
     bar = _bar(algorithm) if made else None
     if bar is None:
         return None
     from qgis.PyQt.QtWidgets import QPushButton  # noqa: PLC0415 - qgis_process has no window
 
     message = bar.createMessage(tr("Results"), "")
-    for text, path in made:
+    for text, do in made:
         button = QPushButton(text, message)
-        button.setToolTip(str(path))
-        button.clicked.connect(lambda _=False, file=path: open_file(file))
+        if isinstance(do, Path):
+            button.setToolTip(str(do))
+            do = partial(open_file, do)  # noqa: PLW2901 - a call from here on
+        button.clicked.connect(lambda _=False, call=do: call())
         message.layout().addWidget(button)
     return bar.pushWidget(message, Qgis.MessageLevel.Success)
 

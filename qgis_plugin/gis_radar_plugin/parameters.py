@@ -1,229 +1,176 @@
-"""Parameters that several algorithms have, with their checks, and the words that they become."""
+"""Parameters by declaration: what a dialog asks for, and the worker's option that it becomes."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 from qgis.core import (
+    QgsCoordinateReferenceSystem,
+    QgsCoordinateTransform,
+    QgsCsException,
     QgsProcessing,
+    QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeedback,
+    QgsProcessingParameterBoolean,
     QgsProcessingParameterCrs,
+    QgsProcessingParameterDefinition,
     QgsProcessingParameterEnum,
     QgsProcessingParameterFeatureSource,
+    QgsProcessingParameterField,
     QgsProcessingParameterFile,
+    QgsProcessingParameterFileDestination,
+    QgsProcessingParameterFolderDestination,
     QgsProcessingParameterMultipleLayers,
     QgsProcessingParameterNumber,
+    QgsProcessingParameterPoint,
+    QgsProcessingParameterRange,
     QgsProcessingParameterString,
+    QgsProcessingParameterVectorDestination,
 )
 
-from .base import Algorithm, option
-from .inputs import TILE_FIELDS, TILES, layer_file
+from .inputs import layer_file
 from .words import WINDS, speaks_german, tr
 
-CRS_HELP = "A projected system in metres; without one the UTM zone of the site is taken."
-ORIGIN_HELP = (
-    "Only for maps whose latitudes and longitudes are empty or false: easting and northing "
-    "of the map's local (0, 0), with a comma between them."
-)
+WEB_MERCATOR = "EPSG:3857"  # metric, and of the whole world
+_REAL = QgsProcessingParameterNumber.Type.Double
 
 
-def add_map(algorithm: Algorithm, *, about: str = "", optional: bool = False) -> None:
-    """Add the Lanelet2 map."""
-    kinds = tr("Lanelet2 maps") + " (*.osm *.xml)"
-    algorithm.add(
-        QgsProcessingParameterFile("MAP", tr("Lanelet2 map"), optional=optional, fileFilter=kinds),
-        about=about,
-    )
+@dataclass(frozen=True)
+class Given:
+    """The values that an algorithm was given."""
+
+    algorithm: QgsProcessingAlgorithm
+    parameters: dict[str, Any]
+    context: QgsProcessingContext
+    feedback: QgsProcessingFeedback
+    outputs: dict[str, str] = field(default_factory=dict)  # by name, each asked for once
+
+    def has(self, name: str) -> bool:
+        """Return whether a parameter has a value of its own."""
+        return self.parameters.get(name) not in (None, "")
+
+    def text(self, name: str) -> str:
+        """Return a text, or a file or folder to read."""
+        text = self.algorithm.parameterAsString(self.parameters, name, self.context)
+        return str(text).strip()
+
+    def files(self, name: str) -> list[str]:
+        """Return files; QGIS gives one without a name where there are none."""
+        paths = self.algorithm.parameterAsFileList(self.parameters, name, self.context)
+        return [str(path) for path in paths if path]
+
+    def first(self, name: str) -> str:
+        """Return the first of several texts, such as the name of a field."""
+        texts = self.algorithm.parameterAsStrings(self.parameters, name, self.context)
+        return str(texts[0]) if texts else ""
+
+    def place(self, name: str) -> int:
+        """Return which of the labels of a choice was chosen."""
+        return int(self.algorithm.parameterAsEnum(self.parameters, name, self.context))
+
+    def chosen(self, name: str) -> str:
+        """Return which of the words of a choice was chosen."""
+        known = self.parameters, name, self.context
+        return str(self.algorithm.parameterAsEnumString(*known))
+
+    def number(self, name: str) -> float:
+        """Return a number."""
+        return float(self.algorithm.parameterAsDouble(self.parameters, name, self.context))
+
+    def is_on(self, name: str) -> bool:
+        """Return whether a switch is on."""
+        return bool(self.algorithm.parameterAsBoolean(self.parameters, name, self.context))
+
+    def is_loaded(self, name: str) -> bool:
+        """Return whether QGIS loads an output into the project."""
+        return bool(self.context.willLoadLayerOnCompletion(self.outputs[name]))
 
 
-def add_road(algorithm: Algorithm, *, about: str, optional: bool = False) -> None:
-    """Add the scanned road."""
-    kinds = tr("Point clouds") + " (*.laz *.las)"
-    algorithm.add(
-        QgsProcessingParameterFile("ROAD", tr("Scanned road"), optional=optional, fileFilter=kinds),
-        about=about,
-    )
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter; children say of which kind it is, and what it becomes.
 
-
-def add_crs(algorithm: Algorithm) -> None:
-    """Add the system of what is made of a map."""
-    crs = QgsProcessingParameterCrs("CRS", tr("Coordinate system"), optional=True)
-    algorithm.add(crs, about=CRS_HELP, advanced=True)
-
-
-def add_origin(algorithm: Algorithm) -> None:
-    """Add the origin of a map without true latitudes and longitudes."""
-    origin = QgsProcessingParameterString("ORIGIN", tr("Origin of the map"), optional=True)
-    algorithm.add(origin, about=ORIGIN_HELP, advanced=True)
-
-
-def add_tiles(algorithm: Algorithm, *, about: str) -> None:
-    """Add the layer of tiles."""
-    polygons = [QgsProcessing.SourceType.TypeVectorPolygon]
-    algorithm.add(QgsProcessingParameterFeatureSource("TILES", tr("Tiles"), polygons), about=about)
-
-
-def add_dataset(algorithm: Algorithm) -> None:
-    """Add the dataset of a site."""
-    folder = QgsProcessingParameterFile.Behavior.Folder
-    algorithm.add(
-        QgsProcessingParameterFile("DATASET", tr("Dataset"), folder),
-        about="A folder from 'Measure traffic', or 'dataset' of a site's run.",
-    )
-
-
-def tile_file(
-    algorithm: Algorithm, parameters: dict[str, Any], context: QgsProcessingContext
-) -> str:
-    """Return a GeoPackage of the chosen tiles."""
-    return layer_file(
-        algorithm, parameters, "TILES", context, layer_name=TILES, fields=TILE_FIELDS
-    )[0]
-
-
-def add_recordings(algorithm: Algorithm, *, about: str) -> None:
-    """Add recordings, and the pose of each."""
-    files = QgsProcessing.SourceType.TypeFile
-    algorithm.add(
-        QgsProcessingParameterMultipleLayers("RECORDINGS", tr("Recordings"), files), about=about
-    )
-    algorithm.add(
-        QgsProcessingParameterMultipleLayers("POSES", tr("Poses"), files),
-        about="As many pose files (JSON) or pose tracks (CSV) as recordings.",
-    )
-
-
-def add_hiding_scans(algorithm: Algorithm) -> None:
-    """Add scans that tell what sensors see."""
-    files = QgsProcessing.SourceType.TypeFile
-    algorithm.add(
-        QgsProcessingParameterMultipleLayers("SCANS", tr("Airborne scans"), files, optional=True),
-        about="LAS or LAZ, whole and not masked: what stands in them hides tiles, which then "
-        "are not observed. Without them all that is within the view counts as seen.",
-    )
-
-
-def add_text(algorithm: Algorithm, name: str, title: str, about: str = "") -> None:
-    """Add an option that is a text."""
-    text = QgsProcessingParameterString(name, tr(title), optional=True)
-    algorithm.add(text, about=about, advanced=True)
-
-
-def add_number(algorithm: Algorithm, name: str, title: str, about: str = "") -> None:
-    """Add an option that is a number; empty where the command's own default holds."""
-    kind = QgsProcessingParameterNumber.Type.Double
-    number = QgsProcessingParameterNumber(name, tr(title), kind, None, optional=True)
-    algorithm.add(number, about=about, advanced=True)
-
-
-def add_file(algorithm: Algorithm, name: str, title: str, kinds: str, about: str = "") -> None:
-    """Add an option that is a file; its kinds are as `Clocks (*.json)`."""
-    words, _, ends = kinds.partition(" (")
-    file = QgsProcessingParameterFile(
-        name, tr(title), optional=True, fileFilter=f"{tr(words)} ({ends}"
-    )
-    algorithm.add(file, about=about, advanced=True)
-
-
-def add_choice(
-    algorithm: Algorithm, name: str, title: str, choices: tuple[str, ...], about: str = ""
-) -> None:
-    """Add an option that is one of some words; the first is the command's default."""
-    choice = QgsProcessingParameterEnum(
-        name, tr(title), list(choices), defaultValue=choices[0], usesStaticStrings=True
-    )
-    algorithm.add(choice, about=about, advanced=True)
-
-
-def users_languages() -> tuple[str, str]:
-    """Return the languages that there are, the user's first."""
-    return ("de", "en") if speaks_german() else ("en", "de")
-
-
-def add_language(algorithm: Algorithm) -> None:
-    """Add the language of what people read; first is the user's."""
-    add_choice(algorithm, "LANGUAGE", "Language", users_languages())
-
-
-def add_views(algorithm: Algorithm) -> None:
-    """Add what sensors see whose poses do not state it."""
-    add_number(algorithm, "MAX_RANGE", "Range of poses without a view, m")
-    add_number(algorithm, "AZIMUTH", "Azimuth of poses without a view, deg")
-    add_number(algorithm, "ELEVATION", "Elevation of poses without a view, deg")
-
-
-def add_sight(algorithm: Algorithm) -> None:
-    """Add what sensors see, as a file in place of scans."""
-    add_file(
-        algorithm, "SIGHT", "Sight", "GeoPackages (*.gpkg)",
-        "What sensors see, from 'What sensors see', in place of the scans.",
-    )  # fmt: skip
-
-
-def add_frame_times(algorithm: Algorithm) -> None:
-    """Add cycles of slow sensors, and clocks that are off."""
-    add_text(
-        algorithm, "CYCLE", "Cycles of slow radars",
-        "Only for radars under 10 Hz: R3=150ms, with a comma between more.",
-    )  # fmt: skip
-    add_text(
-        algorithm, "CLOCKS", "Clocks",
-        "Corrects clocks that are off: a file from 'Compare clocks', or the word auto.",
-    )  # fmt: skip
-
-
-def add_timezone(algorithm: Algorithm, about: str) -> None:
-    """Add the time zone of what people read."""
-    zone = QgsProcessingParameterString("TIMEZONE", tr("Time zone"), optional=True)
-    algorithm.add(zone, about=about)
-
-
-VIEWS = ("MAX_RANGE", "AZIMUTH", "ELEVATION")
-FRAME_TIMES = ("CYCLE", "CLOCKS")
-
-
-def given_words(
-    algorithm: Algorithm,
-    parameters: dict[str, Any],
-    context: QgsProcessingContext,
-    names: tuple[str, ...],
-) -> list[str]:
-    """Return options of the worker, each named as its parameter, of those that are given.
-
-    A choice is given where it is not the command's own.
+    Parameters
+    ----------
+    name, title, about : str
+        Its name in scripts, its label, and its help.
+    flag : str or None
+        The worker's option; by default `--` and the name, empty for a word without one, None for
+        what is not the worker's.
+    optional, advanced : bool
+        Whether it may be empty, and whether it is in the folded part of the dialog.
     """
-    words: list[str] = []
-    for name in names:
-        flag = "--" + name.lower().replace("_", "-")
-        definition = algorithm.parameterDefinition(name)
-        kind = definition.type()
-        if kind == "boolean":
-            words += [flag] if algorithm.parameterAsBoolean(parameters, name, context) else []
-        elif kind == "number":
-            if parameters.get(name) not in (None, ""):
-                number = algorithm.parameterAsDouble(parameters, name, context)
-                words += option(flag, f"{number:.12g}")
-        elif kind == "enum":
-            chosen = algorithm.parameterAsEnumString(parameters, name, context)
-            is_own = chosen == definition.defaultValue() and name not in ("LANGUAGE", "CSV_LOCALE")
-            words += [] if is_own else [flag, chosen]
-        else:
-            words += option(flag, algorithm.parameterAsString(parameters, name, context).strip())
-    return words
+
+    QGIS: ClassVar[Any] = QgsProcessingParameterString
+    name: str
+    title: str
+    about: str = ""
+    flag: str | None = "--"
+    optional: bool = False
+    advanced: bool = False
+
+    def more(self) -> tuple[Any, ...]:
+        """Return what QGIS's class takes beside name and label."""
+        return ()
+
+    def words(self, given: Given) -> list[str]:
+        """Return the words of the worker's command line."""
+        return self._option(given.text(self.name))
+
+    def add_to(self, algorithm: Any) -> None:
+        """Add it to an algorithm, in the language of QGIS."""
+        definition = self.QGIS(self.name, tr(self.title), *self.more())
+        definition.setHelp(tr(self.about))
+        kinds, flags = QgsProcessingParameterDefinition.Flag, definition.flags()
+        flags = flags | kinds.FlagOptional if self.optional else flags
+        definition.setFlags(flags | kinds.FlagAdvanced if self.advanced else flags)
+        algorithm.addParameter(definition)
+
+    @property
+    def option(self) -> str:
+        """The worker's option."""
+        name = self.name.lower().replace("_", "-")
+        return f"--{name}" if self.flag == "--" else self.flag or ""
+
+    def _option(self, *values: str) -> list[str]:
+        words = [word for value in values if value for word in (self.option, value) if word]
+        return words if self.flag is not None else []
 
 
-def scan_words(
-    algorithm: Algorithm, parameters: dict[str, Any], context: QgsProcessingContext
-) -> list[str]:
-    """Return whole scans, and their system, as the worker reads them."""
-    words: list[str] = []
-    for scan in algorithm.files(parameters, "SCANS", context):
-        words += ["--scan", scan]
-    return words + crs_words(algorithm, parameters, "SCAN_CRS", context)
+@dataclass(frozen=True)
+class Text(Parameter):
+    """A text, as a rule an option among the further ones."""
+
+    optional: bool = True
+    advanced: bool = True
+    default: str = ""
+
+    def more(self) -> tuple[Any, ...]:
+        return (tr(self.default) or None,)
+
+
+@dataclass(frozen=True)
+class Names(Text):
+    """Several names, with a comma or a space between them."""
+
+    def words(self, given: Given) -> list[str]:
+        return self._option(*names_in(given.text(self.name)))
+
+
+def names_in(text: str) -> list[str]:
+    """Return names with a comma or a space between them, each once."""
+    return list(dict.fromkeys(text.replace(",", " ").split()))
+
+
+@dataclass(frozen=True)
+class Bearing(Text):
+    """A compass bearing: degrees, or a word of the user's language."""
+
+    def words(self, given: Given) -> list[str]:
+        return self._option(bearing_word(given.text(self.name)))
 
 
 def bearing_word(text: str) -> str:
@@ -235,86 +182,286 @@ def bearing_word(text: str) -> str:
     return text.strip().replace(",", ".")
 
 
-def add_csv_locale(algorithm: Algorithm) -> None:
-    """Add in which country's form numbers in tables are."""
-    add_choice(
-        algorithm, "CSV_LOCALE", "Numbers in tables as in", users_languages(),
-        "de: semicolons and decimal commas, as Excel in Germany opens them.",
-    )  # fmt: skip
+@dataclass(frozen=True)
+class File(Parameter):
+    """A file of some kinds, such as `Clocks (*.json)`."""
+
+    QGIS = QgsProcessingParameterFile
+    kinds: str = ""
+
+    def more(self) -> tuple[Any, ...]:
+        behaviour, ending = QgsProcessingParameterFile.Behavior.File, ""
+        return behaviour, ending, None, self.optional, _file_filter(self.kinds)
 
 
-def add_scan_crs(algorithm: Algorithm) -> None:
-    """Add the system of scans that do not state theirs."""
-    crs = QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True)
-    algorithm.add(crs, about="Only for scans without one.", advanced=True)
+@dataclass(frozen=True)
+class Folder(Parameter):
+    """A folder."""
+
+    QGIS = QgsProcessingParameterFile
+
+    def more(self) -> tuple[Any, ...]:
+        return (QgsProcessingParameterFile.Behavior.Folder,)
 
 
-def crs_words(
-    algorithm: Algorithm, parameters: dict[str, Any], name: str, context: QgsProcessingContext
-) -> list[str]:
-    """Return a coordinate system as an option of the worker, nothing where there is none."""
-    crs = algorithm.parameterAsCrs(parameters, name, context)
-    flag = "--" + name.lower().replace("_", "-")
-    return option(flag, crs.authid() or crs.toWkt()) if crs.isValid() else []
+def _file_filter(kinds: str) -> str:
+    """Return kinds of files with their words in the user's language."""
+    parts = [kind.partition(" (") for kind in kinds.split(";;") if kind]
+    return ";;".join(f"{tr(words)} ({ends}" for words, _, ends in parts)
 
 
-def recording_words(
-    algorithm: Algorithm,
-    parameters: dict[str, Any],
-    context: QgsProcessingContext,
-    feedback: QgsProcessingFeedback,
-) -> list[str]:
-    """Return recordings, their poses and tiles as the worker reads them.
+@dataclass(frozen=True)
+class Files(Parameter):
+    """Several files."""
 
-    Raises
-    ------
-    QgsProcessingException
-        If poses do not fit the recordings, or the layer is not one of tiles.
-    """
-    recordings = algorithm.files(parameters, "RECORDINGS", context)
-    poses = paired(recordings, algorithm.files(parameters, "POSES", context))
-    for recording, pose in zip(recordings, poses):
-        feedback.pushInfo(f"{Path(recording).name} - {Path(pose).name}")
-    words = [*recordings, "--tiles", tile_file(algorithm, parameters, context)]
-    for pose in poses:
-        words += ["--pose", pose]
-    return words
+    QGIS = QgsProcessingParameterMultipleLayers
+    source: Any = QgsProcessing.SourceType.TypeFile
+
+    def more(self) -> tuple[Any, ...]:
+        return (self.source,)
+
+    def words(self, given: Given) -> list[str]:
+        return self._option(*given.files(self.name))
 
 
-def paired(recordings: list[str], poses: list[str]) -> list[str]:
-    """Return the pose of each recording: by name, or in order where no name fits.
+@dataclass(frozen=True)
+class Layers(Files):
+    """Several layers of the project."""
 
-    Raises
-    ------
-    QgsProcessingException
-        If there are not as many poses as recordings, or only some of the names fit.
-    """
-    if len(recordings) != len(poses):
-        text = tr("{recordings} recordings and {poses} poses: each recording needs its pose.")
-        raise QgsProcessingException(text.format(recordings=len(recordings), poses=len(poses)))
-    names = [_names(pose) for pose in poses]
-    fitting = [
-        [place for place, known in enumerate(names) if Path(recording).stem in known]
-        for recording in recordings
-    ]
-    if not any(fitting):
-        return poses
-    chosen = [places[0] for places in fitting if len(places) == 1]
-    if len(set(chosen)) != len(recordings):
-        raise QgsProcessingException(
-            tr("Only some recordings and poses fit by name: rename them as R1.parquet, R1.json.")
+    source: Any = QgsProcessing.SourceType.TypeMapLayer
+
+
+@dataclass(frozen=True)
+class Number(Parameter):
+    """A number; an option without a default may be empty: the command's own default holds."""
+
+    QGIS = QgsProcessingParameterNumber
+    optional: bool = True
+    advanced: bool = True
+    default: float | None = None
+    limits: tuple[float, ...] = ()  # the least, or both
+
+    def more(self) -> tuple[Any, ...]:
+        return _REAL, self.default, self.optional, *self.limits
+
+    def words(self, given: Given) -> list[str]:
+        known = given.has(self.name) or self.default is not None
+        return self._option(f"{given.number(self.name):.12g}" if known else "")
+
+
+@dataclass(frozen=True)
+class Range(Parameter):
+    """The limits of a height."""
+
+    QGIS = QgsProcessingParameterRange
+
+    def more(self) -> tuple[Any, ...]:
+        return (_REAL,)
+
+    def words(self, given: Given) -> list[str]:
+        """Return both limits with a comma between them.
+
+        Raises
+        ------
+        QgsProcessingException
+            If one is missing, or they are the wrong way round.
+        """
+        if given.parameters.get(self.name) in (None, "", "None,None"):
+            return []
+        low, high = given.algorithm.parameterAsRange(given.parameters, self.name, given.context)
+        if not low < high:  # also where QGIS gives NaN for an empty box
+            raise QgsProcessingException(
+                tr("Height over the road: give both limits, the lower one first.")
+            )
+        return self._option(f"{low},{high}")
+
+
+@dataclass(frozen=True)
+class Switch(Parameter):
+    """A switch among the further options."""
+
+    QGIS = QgsProcessingParameterBoolean
+    advanced: bool = True
+    default: bool = False
+
+    def more(self) -> tuple[Any, ...]:
+        return (self.default,)
+
+    def words(self, given: Given) -> list[str]:
+        return [self.option] if self.option and given.is_on(self.name) else []
+
+
+@dataclass(frozen=True)
+class Choice(Parameter):
+    """One of some words; the first is the command's default, and not given."""
+
+    QGIS = QgsProcessingParameterEnum
+    advanced: bool = True
+    choices: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()  # shown in place of the words: scripts give the place of one
+    default: int = 0
+
+    def more(self) -> tuple[Any, ...]:
+        if self.labels:
+            return [tr(label) for label in self.labels], False, self.default
+        return list(self.choices), False, self.choices[0], False, True
+
+    def words(self, given: Given) -> list[str]:
+        chosen = self.choices[given.place(self.name)] if self.labels else given.chosen(self.name)
+        return self._option(chosen) if chosen != self.choices[0] else []
+
+
+@dataclass(frozen=True)
+class Language(Choice):
+    """A language; the first one is the user's."""
+
+    def more(self) -> tuple[Any, ...]:
+        choices = ["de", "en"] if speaks_german() else ["en", "de"]
+        return choices, False, choices[0], False, True
+
+    def words(self, given: Given) -> list[str]:
+        return self._option(given.chosen(self.name))
+
+
+@dataclass(frozen=True)
+class Crs(Parameter):
+    """A coordinate system, an option among the further ones."""
+
+    QGIS = QgsProcessingParameterCrs
+    optional: bool = True
+    advanced: bool = True
+
+    def words(self, given: Given) -> list[str]:
+        crs = given.algorithm.parameterAsCrs(given.parameters, self.name, given.context)
+        return self._option(crs.authid() or crs.toWkt()) if crs.isValid() else []
+
+
+@dataclass(frozen=True)
+class Point(Parameter):
+    """A click on the map, where a radar stands."""
+
+    QGIS = QgsProcessingParameterPoint
+
+    def words(self, given: Given) -> list[str]:
+        """Return the click in a metric system that has a number; the worker takes it from there.
+
+        Raises
+        ------
+        QgsProcessingException
+            If it has no coordinate system, or is no place on earth.
+        """
+        known = given.parameters, self.name, given.context
+        point = given.algorithm.parameterAsPoint(*known)
+        crs = given.algorithm.parameterAsPointCrs(*known)
+        if not crs.isValid():
+            raise QgsProcessingException(
+                tr("Where the radar stands: the point has no coordinate system.")
+            )
+        if crs.isGeographic() or not crs.authid().startswith("EPSG:"):
+            metres = QgsCoordinateReferenceSystem(WEB_MERCATOR)
+            way = QgsCoordinateTransform(crs, metres, given.context.transformContext())
+            try:
+                point, crs = way.transform(point), metres
+            except QgsCsException as error:
+                text = tr("Where the radar stands: {point} is no place on earth.")
+                raise QgsProcessingException(text.format(point=point.toString())) from error
+        place = f"{point.x():.3f},{point.y():.3f}"
+        return [self.option, place, f"{self.option}-crs", crs.authid()]
+
+
+@dataclass(frozen=True)
+class Layer(Parameter):
+    """A layer of QGIS, which the worker gets as a GeoPackage."""
+
+    QGIS = QgsProcessingParameterFeatureSource
+    source: Any = QgsProcessing.SourceType.TypeVectorPolygon
+    layer: str = ""  # how it is called in the GeoPackage
+    fields: tuple[str, ...] = ()  # that it must have
+    metric: bool = True  # whether coordinates in degrees are refused
+
+    def more(self) -> tuple[Any, ...]:
+        return ([self.source],)
+
+    def words(self, given: Given) -> list[str]:
+        if self.optional and not given.has(self.name):
+            return []
+        return self._option(self.file(given, metric=self.metric))
+
+    def file(self, given: Given, *, metric: bool) -> str:
+        """Return a GeoPackage of what the user chose; see :func:`inputs.layer_file`."""
+        known = given.parameters, self.name, given.context
+        return layer_file(
+            given.algorithm, *known, layer_name=self.layer, fields=self.fields, metric=metric
         )
-    return [poses[place] for place in chosen]
 
 
-def _names(pose: str) -> set[str]:
-    """Return what the sensor of a pose file may be called."""
-    names = {Path(pose).stem}
-    if Path(pose).name == "pose.json":  # of a site's run: sensors/R1/pose.json
-        names = {Path(pose).parent.name}
-    try:
-        record = json.loads(Path(pose).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return names  # the worker reports what is wrong with the file
-    sensor = record.get("sensor") if isinstance(record, dict) else None
-    return names | ({str(sensor)} if sensor else set())
+@dataclass(frozen=True)
+class Field(Parameter):
+    """A field of a layer that another parameter gives."""
+
+    QGIS = QgsProcessingParameterField
+    of: str = ""
+
+    def more(self) -> tuple[Any, ...]:
+        return None, self.of
+
+    def words(self, given: Given) -> list[str]:
+        return self._option(given.first(self.name) if given.has(self.of) else "")
+
+
+@dataclass(frozen=True)
+class Output(Parameter):
+    """A file that an algorithm writes; an optional one only where it is named."""
+
+    QGIS = QgsProcessingParameterFileDestination
+    flag: str | None = "-o"
+    kinds: str = ""
+
+    def more(self) -> tuple[Any, ...]:
+        return _file_filter(self.kinds), None, self.optional, not self.optional
+
+    def path(self, given: Given) -> str:
+        """Return where it goes; a temporary one has another name whenever QGIS is asked."""
+        known = given.parameters, self.name, given.context
+        return str(given.algorithm.parameterAsFileOutput(*known))
+
+    def words(self, given: Given) -> list[str]:
+        return self._option(given.outputs[self.name])
+
+
+@dataclass(frozen=True)
+class OutputFolder(Output):
+    """A folder that an algorithm writes."""
+
+    QGIS = QgsProcessingParameterFolderDestination
+
+    def more(self) -> tuple[Any, ...]:
+        return None, self.optional, not self.optional
+
+
+@dataclass(frozen=True)
+class OutputLayer(Output):
+    """A layer that an algorithm writes, and QGIS loads."""
+
+    QGIS = QgsProcessingParameterVectorDestination
+
+    def more(self) -> tuple[Any, ...]:
+        return ()
+
+    def path(self, given: Given) -> str:
+        known = given.parameters, self.name, given.context
+        return str(given.algorithm.parameterAsOutputLayer(*known))
+
+
+@dataclass(frozen=True)
+class Result(Parameter):
+    """A result that follows from the others, for models and scripts."""
+
+    kind: Any = None
+
+    def words(self, given: Given) -> list[str]:
+        del given
+        return []
+
+    def add_to(self, algorithm: Any) -> None:
+        algorithm.addOutput(self.kind(self.name, tr(self.title)))

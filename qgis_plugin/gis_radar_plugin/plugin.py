@@ -8,7 +8,8 @@ from typing import Any
 from qgis.core import Qgis, QgsApplication
 from qgis.PyQt.QtGui import QIcon
 
-from .base import ICONS, PROVIDER, chosen_python
+from .base import ICONS, chosen_python
+from .opening import PROVIDER
 from .provider import GisRadarProvider
 from .runner import WorkerError
 from .words import language, tr

@@ -6,7 +6,8 @@ from qgis.core import QgsProcessingProvider
 from qgis.PyQt.QtGui import QIcon
 
 from .algorithms import ALGORITHMS
-from .base import ICONS, PROVIDER
+from .base import ICONS
+from .opening import PROVIDER
 
 
 class GisRadarProvider(QgsProcessingProvider):  # type: ignore[misc]

@@ -1,7 +1,5 @@
 """Each algorithm in a real QGIS: run, progress, cancel, crash, missing worker, odd layers."""
 
-import json
-import shutil
 import time
 from pathlib import Path
 
@@ -18,24 +16,12 @@ from qgis.core import (
 )
 
 IDS = (
-    "splitlanelets",
-    "maskroad",
-    "localizeradar",
-    "convertrecordings",
-    "measure",
-    "heatmap",
-    "footprints",
-    "runsite",
-    "exportreport",
-    "setupworker",
-    "samplesite",
-)
-# Those of one call each, beside the ones above: tests/test_options.py.
-PLAIN = (
-    "trackpose", "sight", "checksite", "clocks", "detections", "quality", "dataset", "sitereport",
-    "qgisproject",
+    "splitlanelets", "maskroad", "localizeradar", "trackpose", "sight", "checksite",
+    "convertrecordings", "clocks", "measure", "heatmap", "footprints", "detections", "quality",
+    "dataset", "runsite", "exportreport", "sitereport", "qgisproject", "setupworker", "samplesite",
 )  # fmt: skip
-BY_WORKER = tuple(name for name in IDS if name not in ("exportreport", "setupworker"))
+# One class turns all into the worker's command; of these one has two commands.
+BY_WORKER = ("heatmap", "localizeradar")
 
 
 def parameters_of(name, site, out):
@@ -58,8 +44,6 @@ def parameters_of(name, site, out):
                      "OUTPUT": out / "dataset"}, "dataset/dataset.json"),
         "heatmap": ({"DATASET": site / "dataset", "INTERVAL": "20s", "OUTPUT": out / "map"},
                     "map/heatmap.gpkg"),
-        "footprints": ({"DATASET": site / "dataset", "OUTPUT": out / "moving.gpkg"},
-                       "moving.gpkg"),
         "runsite": ({"SITE": SAMPLE / "SITE.toml", "OUTPUT": out / "run"}, "run/site.qgz"),
         "samplesite": ({"OUTPUT": out / "sample"}, "sample/junction.osm"),
     }  # fmt: skip
@@ -72,10 +56,10 @@ def parameters_of(name, site, out):
 
 
 def test_ids_are_stable(provider):
-    assert sorted(alg.name() for alg in provider.algorithms()) == sorted((*IDS, *PLAIN))
+    assert sorted(alg.name() for alg in provider.algorithms()) == sorted(IDS)
 
 
-@pytest.mark.parametrize("name", [*IDS, *PLAIN])
+@pytest.mark.parametrize("name", IDS)
 def test_each_says_what_it_is(provider, name):
     one = algorithm(name)
     assert one.shortHelpString().startswith("<p>")
@@ -89,17 +73,13 @@ def test_each_says_what_it_is(provider, name):
 @pytest.mark.preload
 @pytest.mark.parametrize(
     "name",
-    ["maskroad", "splitlanelets", "localizeradar", "convertrecordings", "measure", "heatmap",
-     "samplesite"],
+    ["splitlanelets", "localizeradar", "convertrecordings", "heatmap", "samplesite"],
 )  # fmt: skip
 def test_run(run, site, tmp_path, name):
     parameters, made = parameters_of(name, site, tmp_path)
     results, heard = run(name, parameters, load=True)
     assert heard.errors == []
     assert made.is_file()
-    if name == "measure":
-        assert "passages: " in "\n".join(heard.infos)
-        assert not any(line.startswith("hits: ") for line in heard.infos)
     assert results["OUTPUT"] in (str(made), str(made.parent))
     assert heard.percents, "no progress"
     assert heard.percents[-1] <= 100
@@ -184,7 +164,7 @@ def test_without_a_worker(provider, monkeypatch, tmp_path, name):
     assert "gone is not there: run 'Set up the worker' again." in why
 
 
-@pytest.mark.parametrize("name", [*IDS, *PLAIN])
+@pytest.mark.parametrize("name", IDS)
 def test_with_a_worker(provider, name):
     assert algorithm(name).canExecute() == (True, "")
 
@@ -205,25 +185,17 @@ def test_a_command_that_the_worker_has_not(run, site, tmp_path, fake_worker, nam
     )
 
 
-def test_words_of_convert(run, site, tmp_path, fake_worker):
-    """As the contract has it: IN... -o OUT.parquet."""
-    fake_worker(
-        "assert words[0] == 'convert' and words[-1] == '--json', words\n"
-        "out = words[words.index('-o') + 1]\nopen(out, 'w').close()\n"
-        "say(event='result', outputs=[out], summary={'frames': len(words) - 4})"
-    )
-    parameters, made = parameters_of("convertrecordings", site, tmp_path)
-    parameters["INPUT"] = [str(SAMPLE / "R1.parquet"), str(SAMPLE / "R2.parquet")]
-    results, heard = run("convertrecordings", parameters)
-    assert results["OUTPUT"] == str(made)
-    assert "frames: 2" in heard.infos
-
-
 def test_hits_only_give_a_map_of_the_hit_share(run, site, tmp_path):
+    """Two sensors, one after the other, into one dataset."""
     parameters, _ = parameters_of("measure", site, tmp_path)
-    one = {"RECORDINGS": [str(SAMPLE / "R1.parquet")], "POSES": [str(SAMPLE / "R1.json")]}
-    _, heard = run("measure", parameters | one | {"SCANS": [], "HITS_ONLY": True})
-    assert heard.errors == []
+    for name in ("R1", "R2"):
+        one = {
+            "RECORDINGS": [str(SAMPLE / f"{name}.parquet")],
+            "POSES": [str(SAMPLE / f"{name}.json")],
+        }
+        _, heard = run("measure", parameters | one | {"SCANS": [], "HITS_ONLY": True})
+        assert heard.errors == []
+    assert "sensors: R1, R2" in heard.infos
     assert not (tmp_path / "dataset" / "tracks").exists()
     parameters, made = parameters_of("heatmap", site, tmp_path)
     given = {"DATASET": str(tmp_path / "dataset"), "MAP_OF": "hit_steps"}
@@ -233,39 +205,6 @@ def test_hits_only_give_a_map_of_the_hit_share(run, site, tmp_path):
     layer = layer_called("Hit share by interval")
     assert layer.renderer().classAttribute() == "hit_share"
     assert layer.renderer().ranges()[0].label() == "0 %, never hit"
-
-
-def test_a_recording_is_added_to_a_dataset(run, site, tmp_path):
-    parameters, made = parameters_of("measure", site, tmp_path)
-    for name in ("R1", "R2"):
-        one = {
-            "RECORDINGS": [str(SAMPLE / f"{name}.parquet")],
-            "POSES": [str(SAMPLE / f"{name}.json")],
-        }
-        _, heard = run("measure", parameters | one)
-        assert heard.errors == []
-    assert "sensors: R1, R2" in heard.infos
-
-
-def test_run_of_a_site_loads_all(run, site, tmp_path):
-    """The real worker goes on from what a run of the same site has left."""
-    parameters, made = parameters_of("runsite", site, tmp_path)
-    shutil.copytree(site, made.parent)
-    made.unlink()
-    results, heard = run("runsite", parameters, load=True)
-    assert heard.errors == []
-    assert f"Project that is ready to present: {made}" in heard.infos
-    names = {layer.name() for layer in QgsProject.instance().mapLayers().values()}
-    assert names == {
-        "Sensors", "Views", "Uncertainty (95 %)", "Vehicles", "Occupancy by interval",
-        "Occupancy, whole time", "Occupancy, raster", "Road, not observed",
-    }  # fmt: skip
-    assert layer_called("Vehicles").temporalProperties().isActive()
-    assert QgsProject.instance().timeSettings().timeStep() == 0.5  # of the vehicles, not the map
-    tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction (simulated)")
-    order = [node.name() for node in tree.findLayers()]
-    above = [order.index(name) for name in ("Sensors", "Vehicles", "Occupancy by interval")]
-    assert above == sorted(above)
 
 
 def tiles_layer(site):
@@ -318,18 +257,6 @@ def test_parts_of_tiles(run, site, tmp_path, kind):
     assert heard.errors == []
     written = QgsVectorLayer(f"{package}|layername=sight", "sight", "ogr")
     assert 0 < written.featureCount() <= count
-
-
-def test_scans_and_sight_reach_the_worker(run, site, tmp_path, fake_worker):
-    heard_words = tmp_path / "words.json"
-    fake_worker(f"open({str(heard_words)!r}, 'w').write(json.dumps(words))\nsys.exit(3)")
-    parameters, _ = parameters_of("measure", site, tmp_path)
-    run("measure", parameters | {"SIGHT": str(tmp_path / "sight.gpkg"), "SCAN_CRS": "EPSG:25832"})
-    words = json.loads(heard_words.read_text())
-    given = dict(zip(words, words[1:]))
-    assert given["--scan"] == str(SAMPLE / "scan.laz")
-    assert given["--sight"] == str(tmp_path / "sight.gpkg")
-    assert given["--scan-crs"] == "EPSG:25832"
 
 
 @pytest.mark.parametrize("kind", ["memory", "filtered"])

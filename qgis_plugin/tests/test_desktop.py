@@ -3,7 +3,7 @@
 import shutil
 import sys
 
-from conftest import ROOT, environment
+from conftest import ROOT, SAMPLE, environment
 
 sys.path.append(str(ROOT / "tools"))
 
@@ -79,7 +79,9 @@ def said_in_desktop(body, profiles, site, place):
     SHOTS.mkdir(parents=True, exist_ok=True)
     desktop = place / "profiles"
     shutil.copytree(profiles / "profiles", desktop / "profiles")
-    script = desktop_script(body, SHOTS=str(SHOTS), SITE=str(site), OUT=str(place))
+    script = desktop_script(
+        body, SHOTS=str(SHOTS), SITE=str(site), OUT=str(place), SAMPLE=str(SAMPLE)
+    )
     with virtual_screen(1600, 950, environment(profiles, TZ="America/New_York")) as around:
         done = run_desktop(script, place, desktop, around, "--profile", "default")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -105,6 +107,7 @@ def test_the_desktop(profiles, site, tmp_path):
 
 OPENING = """
 from qgis.core import QgsProject, QgsSettings
+from qgis.gui import QgsProcessingAlgorithmDialogBase
 from qgis.PyQt.QtWidgets import QApplication, QMessageBox, QPushButton
 project = QgsProject.instance()
 QgsSettings().setValue("app/askToSaveMemoryLayers", False)  # what lies in /tmp is none for QGIS
@@ -142,30 +145,64 @@ def sheets_are_there():  # made in the window's own thread
 @after(1)
 def wizard():
     box.close()
-    global window
     window = plugins["gis_radar_plugin"].new_site()
-    window.check_page.folder_box.setFilePath(SITE)
-    button = window.run_page.open_buttons["site.qgz"]
-    button.setEnabled(True)
+    window.check_page.site_box.setFilePath(SAMPLE + "/SITE.toml")
+    window.check_page.folder_box.setFilePath(OUT + "/run")
+    window.accept()
+
+def dialog_of(algorithm):
+    for each in QApplication.topLevelWidgets():
+        if isinstance(each, QgsProcessingAlgorithmDialogBase) and each.isVisible():
+            if each.algorithm().name() == algorithm:
+                return each
+
+def wait_for_run():
+    item = dialog_of("runsite").messageBar().currentItem()
+    if item is None:
+        steps.insert(0, (1, wait_for_run))
+        return
+    shot("run.png")
+    buttons = {each.text(): each for each in item.findChildren(QPushButton)}
+    say("buttons", list(buttons))
+    group = project.layerTreeRoot().findGroup("Sample junction (simulated)")
+    say([node.name() for node in group.findLayers()], project.timeSettings().timeStep())
+    say(project.mapLayersByName("Vehicles")[0].temporalProperties().isActive())
+    buttons["Make sheets..."].click()
+    sheets = dialog_of("exportreport")
+    given = sheets.createProcessingParameters()
+    say(given["TITLE"], "-", given["SOURCE"][:15], os.path.relpath(given["OUTPUT"], OUT))
+    sheets.close()
     project.setTitle("saved")
-    opened_by(button, "Cancel")
-    opened_by(button, "Save")
-    opened_by(window.run_page.open_buttons["site.qgz"], "Discard")
+    opened_by(buttons["Open the project"], "Cancel")
+    opened_by(buttons["Open the project"], "Save")
+    opened_by(buttons["Open the project"], "Discard")
     project.read(OUT + "/sheets/report.qgz")
     say(project.title())
+steps.append((1, wait_for_run))
 
 @after(2)
 def end():
     shot("opened.png")
-    window.close()
+    dialog_of("runsite").close()
 """
 
 
+LAYERS_OF_A_RUN = [
+    "Sensors", "Views", "Uncertainty (95 %)", "Vehicles", "Occupancy by interval",
+    "Occupancy, whole time", "Occupancy, raster", "Road, not observed",
+]  # fmt: skip
+
+
 def test_another_project_is_opened_as_qgis_opens_it(profiles, site, tmp_path):
-    """Over a project of gis_radar, from sheets and from the wizard: QGIS asks before it is lost."""
+    """Over a project of ours, from sheets and the wizard's run: QGIS asks before it is lost."""
+    shutil.copytree(site, tmp_path / "run")  # from which the run goes on
     assert said_in_desktop(OPENING, profiles, site, tmp_path) == [
         "Cancel asked site.qgz not saved",
         "Discard asked report.qgz ",
+        "buttons ['Open the report', 'Open the project', 'Make sheets...', 'Show the folder']",
+        f"{LAYERS_OF_A_RUN} 0.5",
+        "True",  # the project plays the vehicles, not the map
+        "Sample junction (simulated) - gis_radar, MIT; run/sheets",
         "Cancel asked report.qgz saved",
         "Save asked site.qgz Sample junction (simulated)",
         "Discard site.qgz Sample junction (simulated)",

@@ -83,35 +83,6 @@ def test_no_option_is_forgotten(provider, options, command):
     assert set(left_out) <= set(options[command])  # none is left out that is gone
 
 
-def words_of(run, fake_worker, tmp_path, name, parameters):
-    """Return the words that reach the worker, with the value behind each option."""
-    heard = tmp_path / "words.json"
-    fake_worker(f"open({str(heard)!r}, 'w').write(json.dumps(words))\nsys.exit(3)")
-    run(name, parameters)
-    words = json.loads(heard.read_text())
-    return words, dict(zip(words, words[1:]))
-
-
-def test_options_reach_the_worker(run, site, tmp_path, fake_worker):
-    shared = {
-        "RECORDINGS": [str(SAMPLE / "R1.parquet")], "POSES": [str(SAMPLE / "R1.json")],
-        "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": str(tmp_path / "out"),
-        "MAX_RANGE": 250, "AZIMUTH": 100, "ELEVATION": 25.5, "CYCLE": "R1=150ms", "CLOCKS": "auto",
-        "SIGHT": "sight.gpkg", "MAP": str(SAMPLE / "junction.osm"),
-    }  # fmt: skip
-    expected = {
-        "--max-range": "250", "--azimuth": "100", "--elevation": "25.5", "--cycle": "R1=150ms",
-        "--clocks": "auto", "--sight": "sight.gpkg",
-    }  # fmt: skip
-    more = {"MIN_SPEED": 0.5, "ELEVATION_ERROR": 1, "HITS_ONLY": True, "JOBS": 2}
-    words, given = words_of(run, fake_worker, tmp_path, "measure", shared | more)
-    assert {flag: given[flag] for flag in expected} == expected
-    assert (given["--min-speed"], given["--elevation-error"]) == ("0.5", "1")
-    assert (given["--map"], given["--jobs"]) == (str(SAMPLE / "junction.osm"), "2")
-    assert "--hits-only" in words
-    assert "--min-rcs" not in words
-
-
 @pytest.mark.parametrize(
     ("written", "sent"),
     [("Nordost", "north-east"), ("nord-ost", "north-east"), ("Süd West", "south-west"),
@@ -124,38 +95,106 @@ def test_compass_words_are_the_users(monkeypatch, written, sent):
     assert parameters.bearing_word(written) == sent
 
 
-def test_files_reach_the_worker(run, site, tmp_path, fake_worker):
-    """Of the algorithms that do nothing but call a command."""
-    recording, pose = str(SAMPLE / "R1.parquet"), str(SAMPLE / "R1.json")
-    osm, scan = str(SAMPLE / "junction.osm"), str(SAMPLE / "scan.laz")
-    tiles, out = f"{site}/tiles.gpkg|layername=tiles", str(tmp_path / "out.gpkg")
-    paired = {"RECORDINGS": [recording], "POSES": [pose], "TILES": tiles}
-    calls = {
-        "trackpose": ({"RECORDING": recording, "MAP": osm, "ROAD": scan, "POSE": pose},
-                      ["track", recording, "--map", osm, "--road", scan, "--pose", pose]),
-        "sight": ({**paired, "SCANS": [scan]},
-                  ["sight", "-o", out, "--tiles", f"{site}/tiles.gpkg", "--pose", pose,
-                   "--recording", recording, "--scan", scan]),
-        "clocks": ({**paired, "REFERENCE": "R1"},
-                   ["clocks", recording, "--tiles", f"{site}/tiles.gpkg", "--pose", pose, "-o", out,
-                    "--reference", "R1"]),
-        "detections": ({"RECORDING": recording, "POSE": pose},
-                       ["project", recording, "--pose", pose, "-o", out]),
-        "heatmap": ({"DATASET": "d", "INTERVAL": "15min", "BEGIN": "2025-06-12 07:30"},
-                    ["heatmap", "d", "-o", out, "--interval", "15min",
-                     "--begin", "2025-06-12 07:30"]),
-        "dataset": ({"DATASET": "d", "RELINK": "here", "WITHDRAW": recording},
-                    ["dataset", "d", "--relink", "here", "--withdraw", recording]),
-        "quality": ({"DATASET": "d"}, ["quality", "d", "-o", out]),
-        "footprints": ({"DATASET": "d"}, ["footprints", "d", "-o", out]),
-        "sitereport": ({"RESULTS": str(site), "TIMEZONE": "Europe/Berlin", "DATASET": "d"},
-                       ["report", str(site), "-o", out, "--dataset", "d",
-                        "--timezone", "Europe/Berlin",
-                        "--language", "en", "--csv-locale", "en"]),
-    }  # fmt: skip
-    for name, (call, expected) in calls.items():
-        words, _ = words_of(run, fake_worker, tmp_path, name, {**call, "OUTPUT": out})
-        assert words[: len(expected)] == expected, name
+R1, POSE = str(SAMPLE / "R1.parquet"), str(SAMPLE / "R1.json")
+OSM, SCAN = str(SAMPLE / "junction.osm"), str(SAMPLE / "scan.laz")
+GPKG, LAYER = "SITE/tiles.gpkg", "SITE/tiles.gpkg|layername=tiles"
+PAIRED = {"RECORDINGS": [R1], "POSES": [POSE], "TILES": LAYER}
+UTM = "EPSG:25832"
+# What is given, and all words that reach the worker; OUT is the output, SITE the folder of results.
+WORDS = {
+    "splitlanelets": (
+        {"MAP": OSM, "ROAD": SCAN, "LENGTH": 1, "CRS": UTM, "SUBTYPE": "road", "ORIGIN": "1,2"},
+        ["tiles", OSM, "--road", SCAN, "--length", "1", "--crs", UTM, "--subtype", "road",
+         "--origin", "1,2", "-o", "OUT"],
+    ),
+    "maskroad": (
+        {"SCANS": [SCAN], "ROADS": "SITE/road.roads.gpkg", "ENGINE": "laspy", "SCAN_CRS": UTM},
+        ["mask", SCAN, "--map", "SITE/road.roads.gpkg", "--layer", "roads", "--scan-crs", UTM,
+         "--engine", "laspy", "-o", "OUT"],
+    ),
+    "localizeradar": (
+        {"RECORDING": R1, "MAP": OSM, "ROAD": SCAN, "GUESS": "690356,5336183 [EPSG:25832]",
+         "SCANS": [SCAN], "COMPASS": "68,5", "METHOD": 1, "POSE": "pose.json", "FIGURE": "f.png"},
+        ["localize", R1, "--guess", "690356.000,5336183.000", "--guess-crs", UTM, "--map", OSM,
+         "--road", SCAN, "--scan", SCAN, "--compass", "68.5", "--method", "icp", "-o", "pose.json",
+         "--figure", "f.png"],
+    ),
+    "trackpose": (
+        {"RECORDING": R1, "MAP": OSM, "ROAD": SCAN, "POSE": POSE},
+        ["track", R1, "--pose", POSE, "--map", OSM, "--road", SCAN, "-o", "OUT"],
+    ),
+    "sight": (
+        {**PAIRED, "SCANS": [SCAN]},
+        ["sight", "--pose", POSE, "--tiles", GPKG, "--scan", SCAN, "--recording", R1, "-o", "OUT"],
+    ),
+    "checksite": ({"SITE": "site.toml"}, ["check", "site.toml"]),
+    "convertrecordings": (
+        {"INPUT": [R1, POSE], "SENSOR": "1.2.3.4", "COLUMNS": "x=X", "TIME_UNIT": "ms",
+         "CLOCK": "auto"},
+        ["convert", R1, POSE, "--sensor", "1.2.3.4", "--columns", "x=X", "--time-unit", "ms", "-o",
+         "OUT"],
+    ),
+    "clocks": (
+        {**PAIRED, "REFERENCE": "R1"},
+        ["clocks", R1, "--pose", POSE, "--tiles", GPKG, "--reference", "R1", "-o", "OUT"],
+    ),
+    "measure": (
+        {**PAIRED, "MAP": OSM, "SCANS": [SCAN], "SIGHT": "sight.gpkg", "SCAN_CRS": UTM,
+         "HITS_ONLY": True, "CLEARANCE": "-0.5,4.5", "MIN_SPEED": 0.5, "ELEVATION_ERROR": 1,
+         "MAX_RANGE": 250, "AZIMUTH": 100, "ELEVATION": 25.5, "CYCLE": "R1=150ms",
+         "CLOCKS": "auto", "JOBS": 2},
+        ["measure", R1, "--pose", POSE, "--tiles", GPKG, "--map", OSM, "--scan", SCAN, "--sight",
+         "sight.gpkg", "--scan-crs", UTM, "--hits-only", "--clearance", "-0.5,4.5", "--min-speed",
+         "0.5", "--elevation-error", "1", "--max-range", "250", "--azimuth", "100", "--elevation",
+         "25.5", "--cycle", "R1=150ms", "--clocks", "auto", "--jobs", "2", "-o", "OUT"],
+    ),
+    "heatmap": (
+        {"DATASET": "d", "BEGIN": "2025-06-12 07:30", "MAP_OF": "hidden_steps, hit_steps"},
+        ["heatmap", "d", "--interval", "15min", "--begin", "2025-06-12 07:30", "--language", "en",
+         "--map-of", "hidden_steps", "--map-of", "hit_steps", "-o", "OUT"],
+    ),
+    "footprints": ({"DATASET": "d"}, ["footprints", "d", "-o", "OUT"]),
+    "detections": (
+        {"RECORDING": R1, "POSE": POSE}, ["project", R1, "--pose", POSE, "-o", "OUT"]
+    ),
+    "quality": ({"DATASET": "d"}, ["quality", "d", "--csv-locale", "en", "-o", "OUT"]),
+    "dataset": (
+        {"DATASET": "d", "RELINK": "here", "WITHDRAW": R1, "CHECK": True},
+        ["dataset", "d", "--relink", "here", "--withdraw", R1, "--check"],
+    ),
+    "runsite": (
+        {"SITE": "site.toml", "FRESH": True}, ["run", "site.toml", "--fresh", "-o", "OUT"]
+    ),
+    "sitereport": (
+        {"RESULTS": "r", "TIMEZONE": "Europe/Berlin", "DATASET": "d", "CSV_LOCALE": "de"},
+        ["report", "r", "--timezone", "Europe/Berlin", "--language", "en", "--csv-locale", "de",
+         "--dataset", "d", "-o", "OUT"],
+    ),
+    "qgisproject": (
+        {"HEATMAP": "h", "LANES": "t.gpkg", "TITLE": "Ä", "LANGUAGE": "de"},
+        ["qgis", "h", "--lanes", "t.gpkg", "--title", "Ä", "--language", "de", "-o", "OUT"],
+    ),
+    "samplesite": ({}, ["sample", "-o", "OUT"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WORDS)
+def test_options_reach_the_worker(run, site, tmp_path, fake_worker, name):
+    heard, out = tmp_path / "words.json", str(tmp_path / "out.gpkg")
+    fake_worker(f"open({str(heard)!r}, 'w').write(json.dumps(words))\nsys.exit(3)")
+    here = {"SITE": str(site), "OUT": out}
+
+    def placed(value):
+        whole = isinstance(value, str) and value.replace("SITE/", f"{site}/", 1)
+        return here.get(value, whole) if whole else value
+
+    given, expected = WORDS[name]
+    run(name, {key: placed(value) for key, value in given.items()} | {"OUTPUT": out})
+    assert json.loads(heard.read_text()) == [*map(placed, expected), "--json"]
+
+
+def test_each_command_is_called_so(provider):
+    assert set(WORDS) == {name for name, _ in COMMANDS.values()}
 
 
 def test_the_new_ones_run(run, site, tmp_path):

@@ -19,6 +19,8 @@ from qgis.core import (
     QgsExpressionContextUtils,
     QgsFeature,
     QgsFeatureRequest,
+    QgsField,
+    QgsFields,
     QgsGeometry,
     QgsLayoutExporter,
     QgsLayoutItemLabel,
@@ -38,7 +40,7 @@ from qgis.core import (
     QgsVectorLayer,
     QgsVectorLayerTemporalContext,
 )
-from qgis.PyQt.QtCore import QDateTime, QSize, Qt
+from qgis.PyQt.QtCore import QDateTime, QMetaType, QSize, Qt
 from qgis.PyQt.QtGui import QImage
 from test_results import STYLE, colours, drawn
 
@@ -330,3 +332,19 @@ def test_a_project_that_was_saved_in_qgis_stays(qgis_new_project, site, tmp_path
         assert (folder / "site.qgz").read_bytes() == mine
     assert opened.read(str(folder / "site_2.qgz"))
     assert opened.title() != "mine"
+
+
+@pytest.mark.parametrize("layer", ["Lanes", "Occupancy, whole time"])
+def test_names_in_map_tips_are_no_html(qgis_new_project, project, layer):
+    """Streets and lanes are called as their file has it, and QGIS takes a tip for HTML."""
+    assert QgsProject.instance().read(str(project))
+    name, fields = "<img src=x onerror=alert(1)> & Söhne", QgsFields()
+    for field in ("lane", "street", "street_part", "direction", "turn"):
+        fields.append(QgsField(field, QMetaType.Type.QString))
+    row = QgsFeature(fields)
+    row.setAttributes([name] * fields.count())
+    context = QgsExpressionContext()
+    context.setFeature(row)
+    tip = QgsExpression.replaceExpressionText(layer_called(layer).mapTipTemplate(), context)
+    assert name.replace("&", "&amp;").replace("<", "&lt;") in tip
+    assert "<img" not in tip

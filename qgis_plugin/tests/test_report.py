@@ -1,6 +1,9 @@
 """Sheets in batch: PDF and PNG over places and intervals, and a project to change them by hand."""
 
 import shutil
+import sqlite3
+import zipfile
+from contextlib import closing
 
 import pytest
 from conftest import SAMPLE, WORKER
@@ -135,6 +138,29 @@ def test_the_layout_has_all_of_a_sheet(report, qgis_new_project):
     assert {"Occupancy by interval", "Lanes", "Stop lines", "Sensors"} <= shown
     assert "Occupancy, whole time" not in shown
     atlas.endRender()
+
+
+FORM = "<editforminitcode>import os; os.abort()</editforminitcode>"
+
+
+def test_no_code_of_a_style_comes_onto_the_sheets(run, site, tmp_path, qgis_new_project):
+    """A heat map from elsewhere may have forms and actions; its symbols are drawn, no more."""
+    heat = shutil.copytree(site / "heatmap", tmp_path / "heatmap")
+    with closing(sqlite3.connect(heat / "heatmap.gpkg")) as database, database:
+        change = "UPDATE layer_styles SET styleQML = replace(styleQML, '<mapTip', ? || '<mapTip')"
+        database.execute(change, (FORM,))
+    assert (
+        "abort"
+        in QgsVectorLayer(f"{heat}/heatmap.gpkg|layername=heatmap").editFormConfig().initCode()
+    )
+    out = tmp_path / "report"
+    _, heard = run("exportreport", {"HEATMAP": str(heat), "OVER": 2, "DPI": 50, "OUTPUT": str(out)})
+    assert heard.errors == []
+    with zipfile.ZipFile(out / "report.qgz") as archive:
+        assert all(b"os.abort" not in archive.read(name) for name in archive.namelist())
+    assert QgsProject.instance().read(str(out / "report.qgz"))
+    (layer,) = QgsProject.instance().mapLayersByName("Occupancy, whole time")
+    assert layer.renderer().classAttribute() == "occupancy"
 
 
 def test_a_report_replaces_an_earlier_one(run, earlier_report, site):

@@ -96,14 +96,14 @@ def test_cancel(run, profile, tmp_path):
 
 def test_cancel_of_a_tool_that_does_not_listen(run, profile, tmp_path):
     """Neither pip nor venv notices that its standard input ends: it is ended within a second."""
-    from gis_radar_plugin.installer import _GRACE_S, SetUpListener, Tools, set_up
-    from gis_radar_plugin.runner import CancelledError
+    from gis_radar_plugin.installer import _GRACE_S, Tools, set_up
+    from gis_radar_plugin.runner import CancelledError, Listener
 
     python = tmp_path / "python"
     python.write_text("#!/usr/bin/python3\nimport time\ntime.sleep(600)\n")
     python.chmod(0o755)
 
-    class Stopped(SetUpListener):
+    class Stopped(Listener):
         def cancelled(self):
             return time.monotonic() - began > 0.5
 

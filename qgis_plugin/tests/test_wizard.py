@@ -5,34 +5,24 @@ import os
 import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from conftest import SAMPLE, WORKER
+from helpers import algorithm, context_of
 from qgis.core import QgsApplication, QgsCoordinateReferenceSystem, QgsPointXY, QgsProject
 from qgis.gui import QgsMapCanvas, QgsMessageBar
 from qgis.PyQt import sip
-from qgis.PyQt.QtCore import QCoreApplication, QEvent, QPoint, Qt, pyqtSlot
+from qgis.PyQt.QtCore import QCoreApplication, QEvent, QPoint, Qt
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QApplication, QMainWindow, QMessageBox
-
-
-class Main(QMainWindow):
-    """Is asked to open files."""
-
-    def __init__(self):
-        super().__init__()
-        self.opened = []
-
-    @pyqtSlot(str)
-    def openFile(self, path):
-        self.opened.append(path)
+from qgis.PyQt.QtWidgets import QApplication, QDialog, QMainWindow
 
 
 class Window:
     """As much of QGIS's window as the wizard asks for."""
 
     def __init__(self):
-        self.main = Main()
+        self.main = QMainWindow()
         self.canvas, self.bar = QgsMapCanvas(self.main), QgsMessageBar(self.main)
         self.main.setCentralWidget(self.canvas)
         self.main.resize(800, 600)
@@ -222,7 +212,7 @@ def test_a_check_of_what_was_there_before_counts_for_nothing(wizard, place, fake
 
 
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("what", ["map", "check", "run"])
+@pytest.mark.parametrize("what", ["map", "check"])
 def test_what_runs_ends_with_the_window(
     provider, qgis_new_project, place, fake_worker, monkeypatch, what
 ):
@@ -232,7 +222,6 @@ def test_what_runs_ends_with_the_window(
     begun, failed = place / "begun", []
     fake_worker(f"open({str(begun)!r}, 'w').close()\ntime.sleep(600)")
     monkeypatch.setattr(sys, "excepthook", lambda *error: failed.append(error[1]))
-    monkeypatch.setattr(QMessageBox, "question", lambda *_: QMessageBox.StandardButton.Yes)
     window = Window()
     wizard = SiteWizard(window)
     wizard.show()
@@ -241,7 +230,6 @@ def test_what_runs_ends_with_the_window(
     start = {
         "map": lambda: wizard.map_page.map_box.setFilePath(str(place / "junction.osm")),
         "check": wizard.check_page.check,
-        "run": wizard.run_page.run,
     }
     start[what]()
     wait_until(begun.exists)
@@ -298,49 +286,32 @@ def test_a_measured_view_is_not_stated_beside_that_of_a_pose(tmp_path, pose, tex
     assert "view = { max_range_m = 250.0 }" in SiteDraft(sensors=[radar]).text(tmp_path)
 
 
-@pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("cancelled", [False, True])
-def test_the_run_is_a_task(wizard, place, fake_worker, cancelled):
-    """It reports, can be cancelled, and says at its end what to open."""
-    results = place / "results"
-    fake_worker(
-        f"import pathlib\nout = pathlib.Path({str(results)!r})\n"
-        "say(event='progress', stage='tiles', done=1, total=2)\n"
-        "say(event='log', level='warning', message='odd <&>')\n"
-        + ("time.sleep(600)" if cancelled else
-           "out.mkdir()\n(out / 'report.html').write_text('x')\n"
-           "say(event='result', outputs=[], summary={'tiles': 7})")
-    )  # fmt: skip
-    check, page = wizard.check_page, wizard.run_page
-    check.site_box.setFilePath(str(place / "SITE.toml"))
-    check.folder_box.setFilePath(str(results))
-    page.initializePage()
-    page.run()
-    wait_until(lambda: "odd <&>" in page.log.toPlainText())
-    if cancelled:
-        page.cancel()
-    wait_until(lambda: not page.is_running)
-    shown = page.log.toPlainText()
-    if cancelled:
-        assert "Cancelled; nothing was left half-written." in shown
-        assert page.stage.text() == "Not done: the reason is below."
-    else:
-        assert "tiles: 7" in shown
-        assert page.stage.text() == f"Done. Results: {results}"
-    assert page.open_buttons["report.html"].isEnabled() is not cancelled
-    assert not page.open_buttons["site.qgz"].isEnabled()
-    assert page.run_button.isEnabled()
+def test_the_run_is_that_of_the_toolbox(wizard, place, monkeypatch):
+    """In QGIS's own dialog, which is filled in and begins; the lanes of the wizard are gone."""
+    import processing
+
+    shown, box = [], QDialog()
+    box.runButton = lambda: SimpleNamespace(click=lambda: shown.append("runs"))
+    monkeypatch.setattr(
+        processing, "createAlgorithmDialog", lambda *given: shown.append(given) or box
+    )
+    wizard.check_page.site_box.setFilePath(str(place / "SITE.toml"))
+    wizard.check_page.folder_box.setFilePath(str(place / "results"))
+    wizard.accept()
+    given = {"SITE": str(place / "SITE.toml"), "OUTPUT": str(place / "results")}
+    assert shown == [("gisradar:runsite", given), "runs"]
+    assert not wizard.isVisible()
+    (place / "SITE.toml").touch()
+    one, context = algorithm("runsite"), context_of(QgsProject.instance())
+    assert one.checkParameterValues(given, context)[0]
 
 
-def test_radars_are_drawn_until_another_project_is_there(wizard, tmp_path):
-    """QGIS asks before it opens one: who cancels keeps all."""
+def test_radars_are_drawn_until_another_project_is_there(wizard):
     from gis_radar_plugin.wizard.draft import SensorDraft
 
     wizard.lanes.crs = QgsCoordinateReferenceSystem("EPSG:25832")
     wizard.draft.sensors = [SensorDraft("R1", easting=690356.0, northing=5336183.0)]
     wizard.draw_sensors(None)
-    wizard.open_project(tmp_path / "site.qgz")
-    assert wizard._iface.main.opened == [str(tmp_path / "site.qgz")]
     assert len(wizard._items) == 1
     QgsProject.instance().clear()
     assert wizard._items == []

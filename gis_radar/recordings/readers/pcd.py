@@ -1,4 +1,8 @@
-"""Folders of PCD files, one file a frame, the time in its name; or one such file."""
+"""Folders of PCD files, one file a frame, the time in its name; or one such file.
+
+Read here and not by pypcd4, which takes a text with too few points as whole, reads a header line of
+any length, and allocates what a damaged header states.
+"""
 
 from __future__ import annotations
 

@@ -1,21 +1,27 @@
-"""Set up the worker, from inside QGIS."""
+"""Set-up: the worker, made from inside QGIS, and a sample site to try everything on."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from qgis.core import (
-    QgsProcessingContext,
     QgsProcessingException,
-    QgsProcessingFeedback,
     QgsProcessingOutputString,
-    QgsProcessingParameterFile,
     QgsSettings,
 )
 
-from ..base import SET_UP, SETTING, Algorithm, one_sentence, profile_folder
+from ..base import (
+    SET_UP,
+    SETTING,
+    Algorithm,
+    WorkerAlgorithm,
+    WorkerFeedback,
+    one_sentence,
+    profile_folder,
+)
 from ..claims import claimed
-from ..installer import SetUpListener, bundled_package, find_tools, set_up
+from ..installer import bundled_package, find_tools, set_up
+from ..parameters import File, Given, OutputFolder, Result
 from ..words import tr
 from ..worker import plugin_version, python_in, same_series, worker_folder, worker_version
 
@@ -36,50 +42,41 @@ class SetUpWorker(Algorithm):
         "worker stays until the new one is complete."
     )
     KEYWORDS = ("install", "python", "environment", "update")
+    PARAMETERS = (
+        File(
+            "READY", "Use this Python instead",
+            "One that has gis_radar already; then nothing is fetched.", optional=True,
+            kinds=ANY_FILE,
+        ),
+        File(
+            "PACKAGE", "Package of gis_radar",
+            "Another wheel than the one that came with the plugin.", optional=True, advanced=True,
+            kinds="* (*.whl)",
+        ),
+        File(
+            "PYTHON", "Python to build on", "3.11 or newer; without it one is looked for.",
+            optional=True, advanced=True, kinds=ANY_FILE,
+        ),
+        Result("WORKER", "The worker's Python", kind=QgsProcessingOutputString),
+        Result("VERSION", "Its version", kind=QgsProcessingOutputString),
+    )  # fmt: skip
 
-    def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
-        self.add(
-            QgsProcessingParameterFile(
-                "READY", tr("Use this Python instead"), optional=True, fileFilter=ANY_FILE
-            ),
-            about="One that has gis_radar already; then nothing is fetched.",
-        )
-        self.add(
-            QgsProcessingParameterFile(
-                "PACKAGE", tr("Package of gis_radar"), extension="whl", optional=True
-            ),
-            about="Another wheel than the one that came with the plugin.", advanced=True,
-        )  # fmt: skip
-        self.add(
-            QgsProcessingParameterFile(
-                "PYTHON", tr("Python to build on"), optional=True, fileFilter=ANY_FILE
-            ),
-            about="3.11 or newer; without it one is looked for.", advanced=True,
-        )  # fmt: skip
-        self.addOutput(QgsProcessingOutputString("WORKER", tr("The worker's Python")))
-        self.addOutput(QgsProcessingOutputString("VERSION", tr("Its version")))
-
-    def processAlgorithm(  # noqa: N802
-        self,
-        parameters: dict[str, Any],
-        context: QgsProcessingContext,
-        feedback: QgsProcessingFeedback,
-    ) -> dict[str, Any]:
-        ready = self.parameterAsFile(parameters, "READY", context)
+    def process(self, given: Given) -> dict[str, Any]:
+        ready, feedback = given.text("READY"), given.feedback
         folder = worker_folder(profile_folder())
         with one_sentence():
             if ready:
                 python, version = ready, worker_version(ready)
             else:
-                package = self.parameterAsFile(parameters, "PACKAGE", context) or bundled_package()
+                package = given.text("PACKAGE") or bundled_package()
                 if not package:
                     raise QgsProcessingException(
                         tr("This plugin came without the package of gis_radar: choose its wheel.")
                     )
-                tools = find_tools(self.parameterAsFile(parameters, "PYTHON", context))
+                tools = find_tools(given.text("PYTHON"))
                 feedback.pushInfo(f"{package}\n{tools.uv or tools.python}")
                 with claimed([str(folder)]):
-                    version = set_up(folder, package, tools, _SetUpFeedback(feedback))
+                    version = set_up(folder, package, tools, WorkerFeedback(feedback))
                 python = str(python_in(folder))
         if not same_series(version, plugin_version()):
             text = tr("The worker is gis_radar {worker}, the plugin {plugin}:").format(
@@ -91,19 +88,16 @@ class SetUpWorker(Algorithm):
         return {"WORKER": python, "VERSION": version}
 
 
-class _SetUpFeedback(SetUpListener):
-    """The set-up as a QGIS feedback shows it."""
+class SampleSite(WorkerAlgorithm):
+    """An algorithm that copies the sample junction to a folder."""
 
-    def __init__(self, feedback: QgsProcessingFeedback) -> None:
-        self._feedback = feedback
-
-    def stage(self, text: str, percent: float) -> None:
-        if text:
-            self._feedback.setProgressText(tr(text))
-        self._feedback.setProgress(percent)
-
-    def line(self, text: str) -> None:
-        self._feedback.pushConsoleInfo(text)
-
-    def cancelled(self) -> bool:
-        return bool(self._feedback.isCanceled())
+    NAME = "samplesite"
+    COMMAND = "sample"
+    TITLE = "Get the sample site"
+    GROUP = SET_UP
+    HELP = (
+        "Copies the files of a made-up junction to a folder, to try everything on: a Lanelet2 map, "
+        "an airborne scan, recordings and poses of two radars."
+    )
+    KEYWORDS = ("example", "demo", "tutorial")
+    PARAMETERS = (OutputFolder("OUTPUT", "Sample site"),)

@@ -7,29 +7,25 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import (
-    Qgis,
     QgsFeature,
     QgsFeatureRequest,
-    QgsFeatureSink,
-    QgsField,
-    QgsFields,
     QgsLayoutExporter,
     QgsMapLayer,
     QgsPrintLayout,
     QgsProcessingException,
     QgsProject,
     QgsRasterLayer,
-    QgsVectorFileWriter,
     QgsVectorLayer,
-    QgsWkbTypes,
 )
-from qgis.PyQt.QtCore import QMetaType, QTimeZone, QVariant
+from qgis.PyQt.QtCore import QTimeZone
+from qgis.PyQt.QtXml import QDomDocument
 
+from ..inputs import write_package
 from ..loading import as_ground, heatmap_titles, switch_time_on, translate_legend
 from ..words import tr
+from .folder import PDF
 from .pages import Page, local_time
 
-PROJECT, PAGES, PDF = "report.qgz", "pages.gpkg", "report.pdf"
 _DRAWN = (QgsVectorLayer, QgsRasterLayer)
 # Top to bottom.
 SENSOR_TABLES = {"Sensors": "sensors", "Uncertainty (95 %)": "uncertainty", "Views": "views"}
@@ -46,7 +42,7 @@ def heat_layer(package: Path, name: str) -> QgsVectorLayer:
         If it is not there.
     """
     title = heatmap_titles(package.parent).get(name, name)
-    layer = QgsVectorLayer(f"{package}|layername={name}", title, "ogr")
+    layer = _drawn_layer(package, name, title)
     if not layer.isValid():
         raise QgsProcessingException(
             tr("{folder} is no heat map: it has no layer '{layer}'.").format(
@@ -58,9 +54,27 @@ def heat_layer(package: Path, name: str) -> QgsVectorLayer:
     return layer
 
 
+def _drawn_layer(package: Path, table: str, title: str) -> QgsVectorLayer:
+    """Return a layer with symbols and labels of its file's style, without its forms and actions.
+
+    Those may hold code, and the file may come from elsewhere.
+    """
+    styled, kinds = QDomDocument(), QgsMapLayer.StyleCategory
+    QgsVectorLayer(f"{package}|layername={table}", title, "ogr").exportNamedStyle(styled)
+    layer = _bare_layer(package, table, title)
+    layer.importNamedStyle(styled, kinds.Symbology | kinds.Labeling)
+    return layer
+
+
+def _bare_layer(package: Path, table: str, title: str) -> QgsVectorLayer:
+    options = QgsVectorLayer.LayerOptions()
+    options.loadDefaultStyle = False
+    return QgsVectorLayer(f"{package}|layername={table}", title, "ogr", options)
+
+
 def ground_layer(package: Path) -> QgsVectorLayer:
     """Return all tiles in grey."""
-    layer = QgsVectorLayer(f"{package}|layername=heatmap", tr("Road, not observed"), "ogr")
+    layer = _bare_layer(package, "heatmap", tr("Road, not observed"))
     as_ground(layer)
     return layer
 
@@ -90,10 +104,7 @@ def lane_layers(package: Path) -> list[QgsMapLayer]:
 
 def _tables(package: Path, names: dict[str, str]) -> list[QgsMapLayer]:
     """Return those of the layers that are there and not empty, by their titles."""
-    layers = [
-        QgsVectorLayer(f"{package}|layername={table}", tr(name), "ogr")
-        for name, table in names.items()
-    ]
+    layers = [_drawn_layer(package, table, tr(name)) for name, table in names.items()]
     return [layer for layer in layers if _count(layer) > 0]
 
 
@@ -134,48 +145,33 @@ def copied(layers: Sequence[QgsMapLayer]) -> list[QgsMapLayer]:
     return kept
 
 
+_PAGE = "Polygon?" + "&".join(
+    f"field={name}" for name in (
+        "place:string", "file:string", "time:string", "note:string", "layers:string",
+        "begin:datetime", "end:datetime", "whole:boolean",
+    )
+)  # fmt: skip
+
+
 def write_pages(
     path: Path, pages: Sequence[Page], layers: dict[bool, str], crs: Any, zone: QTimeZone
 ) -> QgsVectorLayer:
     """Write the pages as the layer that the atlas runs over, and open it."""
-    options = QgsVectorFileWriter.SaveVectorOptions()
-    options.driverName, options.layerName = "GPKG", "pages"
-    fields = _page_fields()
-    context = QgsProject.instance().transformContext()
-    kind = QgsWkbTypes.Type.Polygon
-    writer = QgsVectorFileWriter.create(str(path), fields, kind, crs, context, options)
-    if writer.hasError() != QgsVectorFileWriter.WriterError.NoError:
-        raise QgsProcessingException(f"{path}: {writer.errorMessage()}")
+    written = QgsVectorLayer(_PAGE, "pages", "memory")
+    written.setCrs(crs)
+    rows = []
     for page in pages:
-        row = QgsFeature(fields)
+        row = QgsFeature(written.fields())
         row.setGeometry(page.place.frame)
-        row["place"], row["file"] = page.place.name, page.file_name()
-        row["begin"], row["end"] = page.begin, page.end
-        row["whole"], row["layers"] = page.whole, layers[page.whole]
-        row["time"], row["note"] = local_time(page.begin, page.end, zone), tr("whole time")
-        writer.addFeature(row, QgsFeatureSink.Flag.FastInsert)
-    writer.flushBuffer()
-    del writer  # closes the file
+        time = local_time(page.begin, page.end, zone)
+        row.setAttributes([
+            page.place.name, page.file_name(), time, tr("whole time"), layers[page.whole],
+            page.begin, page.end, page.whole,
+        ])  # fmt: skip
+        rows.append(row)
+    written.dataProvider().addFeatures(rows)
+    write_package(written, str(path), "pages")
     return QgsVectorLayer(f"{path}|layername=pages", tr("Pages"), "ogr")
-
-
-def _page_fields() -> QgsFields:
-    text, time, truth = _kinds()
-    fields = QgsFields()
-    for name, kind in (
-        ("place", text), ("file", text), ("time", text), ("note", text), ("layers", text),
-        ("begin", time), ("end", time), ("whole", truth),
-    ):  # fmt: skip
-        fields.append(QgsField(name, kind))
-    return fields
-
-
-def _kinds() -> tuple[Any, Any, Any]:
-    """Return the types of fields: QVariant's until QGIS 3.38, Qt's from then on."""
-    if Qgis.QGIS_VERSION_INT >= 33800:
-        kinds = QMetaType.Type
-        return kinds.QString, kinds.QDateTime, kinds.Bool
-    return QVariant.String, QVariant.DateTime, QVariant.Bool
 
 
 def export(layout: QgsPrintLayout, folder: Path, dpi: float, feedback: Any) -> list[Path]:

@@ -7,13 +7,19 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from qgis.core import QgsFeatureRequest, QgsRectangle, QgsVectorLayer
+from qgis.core import (
+    QgsFeatureRequest,
+    QgsGeometry,
+    QgsPointXY,
+    QgsRectangle,
+    QgsSpatialIndex,
+    QgsVectorLayer,
+)
 
 NEAR_M = 1.5  # between the middles of overlapping tiles
 LEAST_TURN_DEG = 25.0  # lanes that merge, or run side by side, do not cross
 FLOOR_M = 3.0  # a bridge crosses nothing
 APART_M = 25.0  # crossings nearer to each other than this are one junction
-Cell = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -47,8 +53,10 @@ def junctions_of(layer: QgsVectorLayer) -> list[QgsRectangle]:
     layer : QgsVectorLayer
         The tiles of a heat map; what no radar observed does not count.
     """
-    crossings = list(_crossings(_tiles(layer)))
-    boxes = [_box(group) for group in _clusters(crossings)]
+    crossings = list(_crossings(list(_tiles(layer))))
+    near = QgsGeometry.fromMultiPointXY(crossings).buffer(APART_M / 2, 5)
+    parts = near.asGeometryCollection() if crossings else []
+    boxes = [part.boundingBox().buffered(-APART_M / 2) for part in parts]
     return sorted(boxes, key=lambda box: (-box.center().y(), box.center().x()))
 
 
@@ -71,15 +79,15 @@ def _tiles(layer: QgsVectorLayer) -> Iterator[Tile]:
             yield Tile(lanelet, here[1], here[2], here[3], heading)
 
 
-def _crossings(tiles: Iterator[Tile]) -> Iterator[tuple[float, float]]:
+def _crossings(tiles: list[Tile]) -> Iterator[QgsPointXY]:
     """Yield the middles of tiles that another lane's tile crosses."""
-    cells: dict[Cell, list[Tile]] = defaultdict(list)
-    for tile in tiles:
-        for cell in _around(_cell(tile.x, tile.y, NEAR_M)):
-            if any(_cross(tile, other) for other in cells.get(cell, ())):
-                yield tile.x, tile.y
-                break
-        cells[_cell(tile.x, tile.y, NEAR_M)].append(tile)
+    index = QgsSpatialIndex()
+    for number, tile in enumerate(tiles):
+        here = QgsPointXY(tile.x, tile.y)
+        near = index.intersects(QgsRectangle.fromCenterAndSize(here, 2 * NEAR_M, 2 * NEAR_M))
+        if any(_cross(tile, tiles[other]) for other in near):
+            yield here
+        index.addFeature(number, QgsRectangle(here, here))
 
 
 def _cross(one: Tile, other: Tile) -> bool:
@@ -94,34 +102,3 @@ def _cross(one: Tile, other: Tile) -> bool:
 def _apart_m(one: float | None, other: float | None) -> float:
     """Return how far heights are apart; heights that are not known are taken for the same."""
     return 0.0 if one is None or other is None else abs(one - other)
-
-
-def _clusters(points: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
-    """Return points in groups: a chain of cells that touch holds them together."""
-    cells: dict[Cell, list[tuple[float, float]]] = defaultdict(list)
-    for x, y in points:
-        cells[_cell(x, y, APART_M / 2)].append((x, y))
-    groups = []
-    while cells:
-        start, group = next(iter(cells)), []
-        waiting = {start}
-        while waiting:
-            cell = waiting.pop()
-            group += cells.pop(cell)
-            waiting |= {near for near in _around(cell) if near in cells}
-        groups.append(group)
-    return groups
-
-
-def _cell(x: float, y: float, size: float) -> Cell:
-    return math.floor(x / size), math.floor(y / size)
-
-
-def _around(cell: Cell) -> Iterator[Cell]:
-    column, row = cell
-    return ((column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1))
-
-
-def _box(points: list[tuple[float, float]]) -> QgsRectangle:
-    east, north = zip(*points)
-    return QgsRectangle(min(east), min(north), max(east), max(north))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -98,7 +99,7 @@ def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer])
     title = ": ".join(occupied)
     if _measure(layers) != "occupancy":
         title = tr("Share of the observed time")
-    legend.setTitle(_wrapped(title))
+    legend.setTitle("|".join(textwrap.wrap(title, _TITLE_WIDTH)))  # its wrap character
     legend.setAutoUpdateModel(False)
     tree = legend.model().rootGroup()
     patterns = {node.layerId(): node.clone() for node in tree.findLayers()}
@@ -139,14 +140,3 @@ def _explain(layout: QgsPrintLayout, layers: Mapping[str, QgsMapLayer]) -> None:
             label.setText(tr(label.text()))
         else:
             layout.removeLayoutItem(label)
-
-
-def _wrapped(text: str) -> str:
-    """Break a text into lines at the legend's wrap character."""
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + len(word) >= _TITLE_WIDTH:
-            lines.append(word)
-        else:
-            lines[-1] = f"{lines[-1]} {word}".strip()
-    return "|".join(lines)

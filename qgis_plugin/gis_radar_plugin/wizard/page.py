@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
-from qgis.gui import QgsFileWidget
+from qgis.core import QgsCoordinateReferenceSystem
+from qgis.gui import QgsFileWidget, QgsProjectionSelectionWidget
 from qgis.PyQt.QtCore import Qt
-from qgis.PyQt.QtWidgets import QCheckBox, QDoubleSpinBox, QLabel, QLineEdit, QWizardPage
+from qgis.PyQt.QtWidgets import (
+    QCheckBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QWizardPage,
+)
 
 from ..words import tr
 
@@ -33,44 +44,94 @@ class Page(QWizardPage):  # type: ignore[misc]
         setattr(self.draft, key, value)
         self.completeChanged.emit()
 
-    def line(self, key: str, example: str = "") -> QLineEdit:
-        """Return a box for a text of the draft."""
-        box = QLineEdit()
-        box.setPlaceholderText(example)
-        box.textChanged.connect(lambda text: self.keep(key, text.strip()))
+    def bind(self, key: str, box: Any) -> Any:
+        """Let a box fill in a value of the draft; return the box."""
         self.boxes[key] = box
+        _listen(box, lambda value: self.keep(key, value))
         return box
 
-    def switch(self, key: str, text: str, *, on: bool) -> QCheckBox:
-        """Return a box to tick."""
-        box = QCheckBox(text)
-        box.setChecked(on)
-        box.toggled.connect(lambda is_on: self.keep(key, is_on))
-        self.boxes[key] = box
+    def row(self, form: QFormLayout, key: str, label: str, box: Any) -> Any:
+        """Add a box that fills in a value of the draft to a form; return the box."""
+        form.addRow(label, self.bind(key, box))
         return box
 
-    def fill(self) -> None:
-        """Show what the draft says: of a site file that was opened."""
+    def fill(self, source: Any = None) -> None:
+        """Show what the draft says, or another source of the values."""
         for key, box in self.boxes.items():
-            value = getattr(self.draft, key)
-            if isinstance(value, bool):
-                box.setChecked(value)
-            else:
-                box.setText(value)
+            box.blockSignals(True)
+            _show(box, getattr(source or self.draft, key))
+            box.blockSignals(False)
 
 
-def file_box(kinds: str, *, several: bool = False) -> QgsFileWidget:
-    """Return a box for a file, or for several."""
+def _listen(box: Any, do: Callable[[Any], None]) -> None:
+    """Call with the value of a box whenever it changes."""
+    if isinstance(box, QCheckBox):
+        box.toggled.connect(do)
+    elif isinstance(box, QDoubleSpinBox):
+        box.valueChanged.connect(do)
+    elif isinstance(box, QgsProjectionSelectionWidget):
+        box.crsChanged.connect(lambda crs: do(_name_of(crs)))
+    elif not isinstance(box, QgsFileWidget):
+        box.textChanged.connect(lambda text: do(text.strip()))
+    elif box.storageMode() == QgsFileWidget.StorageMode.GetMultipleFiles:
+        box.fileChanged.connect(lambda text: do(_files_in(text)))
+    else:
+        box.fileChanged.connect(lambda text: do(text.strip()))
+
+
+def _show(box: Any, value: Any) -> None:
+    """Show a value in a box."""
+    if isinstance(box, QCheckBox):
+        box.setChecked(value)
+    elif isinstance(box, QDoubleSpinBox):
+        box.setValue(0.0 if math.isnan(value) else value)
+    elif isinstance(box, QgsProjectionSelectionWidget):
+        box.setCrs(QgsCoordinateReferenceSystem(value))
+    elif isinstance(box, QgsFileWidget):
+        several = isinstance(value, list)
+        box.setFilePath(" ".join(f'"{path}"' for path in value) if several else value)
+    else:
+        box.setText(value)
+
+
+def _name_of(crs: QgsCoordinateReferenceSystem) -> str:
+    return str(crs.authid() or crs.toWkt()) if crs.isValid() else ""
+
+
+def _files_in(text: str) -> list[str]:
+    """Return the files of a box for several, which quotes each where there are more."""
+    return [str(path) for path in QgsFileWidget.splitFilePaths(text) if str(path)]
+
+
+def line(example: str = "") -> QLineEdit:
+    """Return a box for a text."""
+    box = QLineEdit()
+    box.setPlaceholderText(example)
+    return box
+
+
+def switch(text: str, *, on: bool) -> QCheckBox:
+    """Return a box to tick."""
+    box = QCheckBox(text)
+    box.setChecked(on)
+    return box
+
+
+def file_box(kinds: str, mode: Any = QgsFileWidget.StorageMode.GetFile) -> QgsFileWidget:
+    """Return a box for a file, or what else the mode says."""
     box = QgsFileWidget()
-    mode = QgsFileWidget.StorageMode
-    box.setStorageMode(mode.GetMultipleFiles if several else mode.GetFile)
+    box.setStorageMode(mode)
     box.setFilter(kinds)
     return box
 
 
-def files_in(text: str) -> list[str]:
-    """Return the files of a box for several, which quotes each where there are more."""
-    return [str(path) for path in QgsFileWidget.splitFilePaths(text) if str(path)]
+def crs_box(without: str) -> QgsProjectionSelectionWidget:
+    """Return a box for a coordinate system, and how it is called where none is chosen."""
+    box = QgsProjectionSelectionWidget()
+    box.setOptionVisible(QgsProjectionSelectionWidget.CrsOption.CrsNotSet, True)
+    box.setNotSetText(without)
+    box.setCrs(QgsCoordinateReferenceSystem())
+    return box
 
 
 def note(text: str) -> QLabel:
@@ -82,9 +143,18 @@ def note(text: str) -> QLabel:
     return label
 
 
-def spin(low: float, high: float, decimals: int) -> QDoubleSpinBox:
+def spin(low: float, high: float, decimals: int, value: float = 0.0) -> QDoubleSpinBox:
+    """Return a box for a number."""
     box = QDoubleSpinBox()
     box.setRange(low, high)
     box.setDecimals(decimals)
     box.setGroupSeparatorShown(False)
+    box.setValue(value)
+    return box
+
+
+def button(text: str, do: Callable[[], Any]) -> QPushButton:
+    """Return a button."""
+    box = QPushButton(text)
+    box.clicked.connect(lambda _=False: do())
     return box

@@ -16,17 +16,17 @@ from qgis.core import (
     QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import Qt, QTemporaryDir
-from qgis.PyQt.QtWidgets import QMessageBox, QWizard
+from qgis.PyQt.QtWidgets import QWizard
 
 from ..base import WorkerAlgorithm, chosen_python
 from ..loading import as_ground
-from ..opening import open_project
+from ..opening import open_dialog
 from ..runner import Answer, WorkerError
 from ..words import language, tr
 from .canvas import PlaceTool, SensorItem, heading_of, moved
+from .check_page import CheckPage
 from .draft import SensorDraft, SiteDraft, open_draft
 from .pages import MapPage, RadarPage, ResultPage
-from .run_pages import CheckPage, RunPage
 from .site_file import read_toml
 from .tasks import WorkerTask
 
@@ -58,20 +58,17 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         self.setWindowTitle(tr("New site"))
         self.setWizardStyle(QWizard.WizardStyle.ModernStyle)
         self.setOption(QWizard.WizardOption.NoBackButtonOnStartPage)
-        self.setOption(QWizard.WizardOption.NoCancelButtonOnLastPage)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setModal(False)
         buttons = QWizard.WizardButton
         for button, text in (
             (buttons.BackButton, tr("< Back")), (buttons.NextButton, tr("Next >")),
-            (buttons.FinishButton, tr("Close")), (buttons.CancelButton, tr("Cancel")),
+            (buttons.FinishButton, tr("Run now")), (buttons.CancelButton, tr("Close")),
         ):  # fmt: skip
             self.setButtonText(button, text)
         self.map_page, self.radar_page = MapPage(), RadarPage()
-        self.result_page, self.check_page, self.run_page = ResultPage(), CheckPage(), RunPage()
-        for page in (
-            self.map_page, self.radar_page, self.result_page, self.check_page, self.run_page,
-        ):  # fmt: skip
+        self.result_page, self.check_page = ResultPage(), CheckPage()
+        for page in (self.map_page, self.radar_page, self.result_page, self.check_page):
             self.addPage(page)
         self.resize(860, 700)
 
@@ -193,37 +190,16 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         while self._items:
             self.canvas.scene().removeItem(self._items.pop())
 
-    # The end.
-
-    def open_project(self, path: Path) -> None:
-        """Open a project in place of the present one; QGIS asks where that is not saved."""
-        open_project(self._iface, path)
-
-    def reject(self) -> None:
-        """Leave; a run that is not done is stopped if the user says so."""
-        if self._may_leave():
-            super().reject()
-
     def accept(self) -> None:
-        """Close at the end, as :meth:`reject` leaves."""
-        if self._may_leave():
-            super().accept()
-
-    def _may_leave(self) -> bool:
-        if self.run_page.is_running:
-            answer = QMessageBox.question(
-                self, tr("New site"),
-                tr("The run is not done. Stop it? What is done stays done."),
-            )  # fmt: skip
-            if answer != QMessageBox.StandardButton.Yes:
-                return False
-            self.run_page.cancel()
-        return True
+        """Run the site in QGIS's own dialog, which shows how far it is, and end."""
+        check = self.check_page
+        given = {"SITE": check.site_box.filePath(), "OUTPUT": check.folder_box.filePath()}
+        super().accept()  # the lanes go before those of the run come
+        open_dialog("runsite", given).runButton().click()
 
     def done(self, result: int) -> None:
         """Stop what runs, and leave the map as it was."""
         self.check_page.let_go()
-        self.run_page.let_go()
         self.lanes.let_go()
         if self._tool is not None:
             self.canvas.unsetMapTool(self._tool)

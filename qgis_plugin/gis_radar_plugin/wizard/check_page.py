@@ -1,33 +1,28 @@
-"""The last pages of the site wizard: check and save the site file, run it."""
+"""The last page of the site wizard: the site file is saved and checked."""
 
 from __future__ import annotations
 
 import html
-import time
 from pathlib import Path
 from typing import Any
 
 from qgis.core import QgsApplication
 from qgis.gui import QgsFileWidget
-from qgis.PyQt.QtCore import QDateTime, Qt, QTimeZone, QUrl
-from qgis.PyQt.QtGui import QDesktopServices
+from qgis.PyQt.QtCore import QDateTime, Qt, QTimeZone
 from qgis.PyQt.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
-    QLabel,
     QPlainTextEdit,
     QProgressBar,
-    QPushButton,
     QTextBrowser,
-    QVBoxLayout,
 )
 
 from ..report.pages import local_time
 from ..runner import Answer
 from ..words import speaks_german, tr
 from .draft import keep_earlier
-from .page import Page
-from .tasks import RunFeedback, SiteRunner, WorkerTask
+from .page import Page, button, file_box
+from .tasks import WorkerTask
 
 BAD, ODD, GOOD = "#b91c1c", "#b45309", "#15803d"
 
@@ -43,18 +38,15 @@ class CheckPage(Page):
     def __init__(self) -> None:
         super().__init__()
         form = QFormLayout(self)
-        self.site_box = QgsFileWidget()
-        self.site_box.setStorageMode(QgsFileWidget.StorageMode.SaveFile)
-        self.site_box.setFilter(tr("Site files") + " (*.toml)")
+        modes = QgsFileWidget.StorageMode
+        self.site_box = file_box(tr("Site files") + " (*.toml)", modes.SaveFile)
         self.site_box.setConfirmOverwrite(False)  # an earlier file is kept beside it
         self.site_box.fileChanged.connect(self._stale)
         form.addRow(tr("Site file"), self.site_box)
-        self.folder_box = QgsFileWidget()
-        self.folder_box.setStorageMode(QgsFileWidget.StorageMode.GetDirectory)
-        form.addRow(tr("Folder of the results"), self.folder_box)
+        self.folder_box = file_box("", modes.GetDirectory)
         self.folder_box.fileChanged.connect(lambda _: self.completeChanged.emit())
-        self.check_button = QPushButton(tr("Save and check"))
-        self.check_button.clicked.connect(self.check)
+        form.addRow(tr("Folder of the results"), self.folder_box)
+        self.check_button = button(tr("Save and check"), self.check)
         self.bar = QProgressBar()
         row = QHBoxLayout()
         row.addWidget(self.check_button)
@@ -203,141 +195,3 @@ class CheckPage(Page):
     def isComplete(self) -> bool:  # noqa: N802
         """Return whether the check is passed."""
         return self.is_good and bool(self.folder_box.filePath())
-
-
-class RunPage(Page):
-    """The run, as a task of QGIS: its progress, what it reports, and what to open at its end."""
-
-    TITLE = "Run"
-    SUBTITLE = (
-        "Poses, tiles, vehicles and maps are made. You can go on working in QGIS; what is done "
-        "stays done when you cancel, and another run goes on from there."
-    )
-
-    def __init__(self) -> None:
-        super().__init__()
-        column = QVBoxLayout(self)
-        self.stage = QLabel()
-        column.addWidget(self.stage)
-        row = QHBoxLayout()
-        self.bar = QProgressBar()
-        self.run_button = QPushButton(tr("Run now"))
-        self.run_button.clicked.connect(self.run)
-        self.cancel_button = QPushButton(tr("Cancel the run"))
-        self.cancel_button.clicked.connect(self.cancel)
-        for part in (self.bar, self.run_button, self.cancel_button):
-            row.addWidget(part)
-        column.addLayout(row)
-        self.log = QTextBrowser()
-        column.addWidget(self.log, 1)
-        row = QHBoxLayout()
-        self.open_buttons = {}
-        for name, text in (
-            ("site.qgz", tr("Open the project")), ("report.html", tr("Open the report")),
-            ("heatmap", tr("Make sheets...")), ("", tr("Show the folder")),
-        ):  # fmt: skip
-            button = QPushButton(text)
-            button.clicked.connect(lambda _=False, file=name: self._open(file))
-            self.open_buttons[name] = button
-            row.addWidget(button)
-        column.addLayout(row)
-        self._runner: SiteRunner | None = None
-        self._began = 0.0
-        self._is_closed = False
-
-    @property
-    def folder(self) -> Path:
-        """Where the results go."""
-        return Path(self.wizard().check_page.folder_box.filePath())
-
-    def initializePage(self) -> None:  # noqa: N802
-        """Wait for the button: a run takes minutes."""
-        self.log.clear()
-        self.bar.setValue(0)
-        self.stage.setText(tr("Results: {folder}").format(folder=self.folder))
-        self._show_buttons(running=False)
-
-    def run(self) -> None:
-        """Begin the run."""
-        if self._runner is not None:
-            return
-        self.log.clear()
-        feedback = RunFeedback()
-        feedback.said.connect(self._heard)
-        feedback.progressChanged.connect(self._progressed)
-        site = self.wizard().check_page.site_box.filePath()
-        self._began = time.time()
-        self.wizard().lanes.remove()  # the result has them, too
-        self._runner = SiteRunner(site, str(self.folder), feedback, self._ended)
-        self._show_buttons(running=True)
-        self._runner.start()
-
-    def cancel(self) -> None:
-        """Stop the run."""
-        if self._runner is not None:
-            self.cancel_button.setEnabled(False)
-            self._runner.cancel()
-
-    @property
-    def is_running(self) -> bool:
-        """Whether it runs."""
-        return self._runner is not None
-
-    def let_go(self) -> None:
-        """Stop a run as the window closes: its end is not shown."""
-        self._is_closed = True
-        self.cancel()
-
-    def _progressed(self, percent: float) -> None:
-        if not self._is_closed:
-            self.bar.setValue(int(percent))
-
-    def _heard(self, kind: str, text: str) -> None:
-        if self._is_closed:
-            return
-        if kind == "stage":
-            self.stage.setText(text)
-            return
-        colour = {"warning": ODD, "error": BAD}.get(kind, "#111827")
-        self.log.append(f'<span style="color: {colour}">{html.escape(text)}</span>')
-
-    def _ended(self, done: bool) -> None:  # noqa: FBT001 - of a signal
-        self._runner = None
-        if self._is_closed:
-            return
-        self.bar.setValue(100 if done else 0)
-        self.stage.setText(
-            tr("Done. Results: {folder}").format(folder=self.folder) if done
-            else tr("Not done: the reason is below.")
-        )  # fmt: skip
-        self._show_buttons(running=False)
-
-    def _show_buttons(self, *, running: bool) -> None:
-        self.run_button.setEnabled(not running)
-        self.cancel_button.setEnabled(running)
-        for name, button in self.open_buttons.items():
-            path = self.folder / name
-            fresh = path.exists() and path.stat().st_mtime >= self._began - 1.0
-            button.setEnabled(not running and fresh and self._began > 0.0)
-
-    def _open(self, name: str) -> None:
-        path = self.folder / name
-        if path.suffix == ".qgz":
-            self.wizard().open_project(path)
-        elif name == "heatmap":
-            self._make_sheets(path)
-        else:
-            QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
-
-    def _make_sheets(self, heatmap: Path) -> None:
-        """Open the algorithm that prints sheets, filled in for this site."""
-        import processing  # noqa: PLC0415 - a plugin of QGIS, there once it has started
-
-        draft, known = self.draft, {}
-        if draft.map_source or draft.attribution:
-            known["SOURCE"] = "; ".join(filter(None, (draft.map_source, draft.attribution)))
-        self.sheets = processing.createAlgorithmDialog("gisradar:exportreport", {
-            "HEATMAP": str(heatmap), "TITLE": draft.title, "OUTPUT": str(self.folder / "sheets"),
-            **known,
-        })  # fmt: skip
-        self.sheets.show()

@@ -1,0 +1,463 @@
+"""Algorithms of traffic: from recordings to a dataset, and what is made of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from qgis.core import (
+    QgsProcessingContext,
+    QgsProcessingOutputFile,
+    QgsProcessingOutputFolder,
+    QgsProcessingOutputRasterLayer,
+    QgsProcessingOutputVectorLayer,
+)
+
+from ..base import TRAFFIC, WorkerAlgorithm
+from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load, shows_occupancy
+from ..opening import open_dialog
+from ..parameters import (
+    Choice,
+    File,
+    Files,
+    Folder,
+    Given,
+    Names,
+    Number,
+    Output,
+    OutputFolder,
+    OutputLayer,
+    Range,
+    Result,
+    Switch,
+    Text,
+    names_in,
+)
+from ..runner import Answer
+from ..words import tr
+from . import shared
+
+
+class ConvertRecordings(WorkerAlgorithm):
+    """An algorithm that makes a recording of what a radar's driver wrote."""
+
+    NAME = "convertrecordings"
+    COMMAND = "convert"
+    TITLE = "Convert recordings"
+    GROUP = TRAFFIC
+    HELP = (
+        "Turns what a radar's driver wrote, in any known format, into one recording (Parquet) that "
+        "the other algorithms read.\n"
+        "Several files of the same sensor are joined in the order of their times."
+    )
+    KEYWORDS = ("pcap", "rosbag", "parquet", "import")
+    PARAMETERS = (
+        Files("INPUT", "Files of one radar", "What the radar's driver wrote.", ""),
+        Text(
+            "SENSOR", "Only this sensor",
+            "Where the files have several: its address or topic, such as 10.13.1.113.",
+        ),
+        Text(
+            "COLUMNS", "Columns of a table",
+            "Ours and those of the table: x=X,range_rate=-doppler; a minus turns the sign.",
+        ),
+        Choice("TIME_UNIT", "Unit of the times in a table", choices=("s", "ms", "us", "ns")),
+        Choice(
+            "CLOCK", "Whose clock counts", "auto takes the sensor's where it is right.",
+            choices=("auto", "sensor", "recorder"),
+        ),
+        Output("OUTPUT", "Recording", kinds="Recordings (*.parquet)"),
+    )  # fmt: skip
+
+
+class CompareClocks(WorkerAlgorithm):
+    """An algorithm that finds how far clocks are apart, by the traffic that sensors share."""
+
+    NAME = "clocks"
+    COMMAND = "clocks"
+    TITLE = "Compare clocks"
+    GROUP = TRAFFIC
+    HELP = (
+        "Finds how far the clocks of several radars are apart, by the vehicles that two of them "
+        "see.\n"
+        "Give the result to 'Measure traffic', or to a site: times are then corrected."
+    )
+    KEYWORDS = ("time", "offset", "synchronization")
+    PARAMETERS = (
+        replace(shared.RECORDINGS, about="Of two or more sensors that see the same traffic."),
+        shared.POSES,
+        shared.TILES,
+        Text("REFERENCE", "Whose clock is right", "The name of a sensor."),
+        Output("OUTPUT", "Clocks", kinds="Clocks (*.json)"),
+    )  # fmt: skip
+
+
+class MeasureTraffic(WorkerAlgorithm):
+    """An algorithm that measures hits and vehicles, and adds them to a dataset."""
+
+    NAME = "measure"
+    COMMAND = "measure"
+    TITLE = "Measure traffic"
+    GROUP = TRAFFIC
+    HELP = (
+        "Follows the vehicles that radars see along the lanes, all radars together, and finds "
+        "which tiles they occupied for how long: occupancy. Hits are counted beside it; what "
+        "several radars see at once counts once.\n"
+        "Each recording belongs to a pose file: they are paired by name (R1.parquet and R1.json, "
+        "or the sensor's name in the pose), and where no name fits by their order.\n"
+        "The result is a dataset, a folder by the hour, for 'Heat map' and 'Data quality'. Further "
+        "recordings of the same site are added to it; the hours that they touch are made again.\n"
+        "It holds tracks of single vehicles: a working file. Measures over minutes leave it."
+    )
+    KEYWORDS = ("fusion", "sensors", "hits", "vehicles", "tracks", "occupancy")
+    PARAMETERS = (
+        replace(shared.RECORDINGS, about="Of one or more sensors (Parquet or CSV)."),
+        shared.POSES,
+        shared.TILES,
+        replace(shared.MAP, about="The map that the tiles were made from."),
+        shared.SCANS,
+        File(
+            "SIGHT", "Sight",
+            "What sensors see, from 'What sensors see', in place of the scans.",
+            optional=True, advanced=True, kinds="GeoPackages (*.gpkg)",
+        ),
+        shared.SCAN_CRS,
+        Switch(
+            "HITS_ONLY", "Hits only",
+            "Leaves out the vehicles: the maps then show the hit share, not occupancy.",
+        ),
+        Range(
+            "CLEARANCE", "Height of hits over the road, m",
+            "-0.5 to 4.5 keeps vehicles, without the tree crowns over the kerb. "
+            "The tiles need heights for it.",
+            optional=True, advanced=True,
+        ),
+        Number(
+            "MIN_SPEED", "Least speed of hits, m/s",
+            "Least absolute range rate; without it what stands counts too.",
+        ),
+        Number("MIN_RCS", "Least radar cross section of hits, dBm2"),
+        Number(
+            "ELEVATION_ERROR", "Elevation error of the radars, deg",
+            "One standard deviation, 0.5 without it: widens the heights that count with range.",
+        ),
+        Number("MAX_RANGE", "Range of poses without a view, m"),
+        Number("AZIMUTH", "Azimuth of poses without a view, deg"),
+        Number("ELEVATION", "Elevation of poses without a view, deg"),
+        Text(
+            "CYCLE", "Cycles of slow radars",
+            "Only for radars under 10 Hz: R3=150ms, with a comma between more.",
+        ),
+        Text(
+            "CLOCKS", "Clocks",
+            "Corrects clocks that are off: a file from 'Compare clocks', or the word auto.",
+        ),
+        replace(shared.TIMEZONE, about="The site's, such as Europe/Berlin; UTC without."),
+        Number("JOBS", "Hours at once", "As cores and memory allow, without it."),
+        OutputFolder(
+            "OUTPUT", "Dataset", "A folder; one that holds a dataset of the same tiles is added to."
+        ),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        self.made = [(tr("Show the folder"), Path(given.outputs["OUTPUT"]))]
+        return {}
+
+
+class MakeHeatMap(WorkerAlgorithm):
+    """An algorithm that makes layers of shares of time which compare over places and times."""
+
+    NAME = "heatmap"
+    COMMAND = "heatmap"
+    TITLE = "Heat map"
+    GROUP = TRAFFIC
+    HELP = (
+        "Makes maps of occupancy: the estimated share of time that a vehicle is on a tile, moving "
+        "or waiting. A dataset without vehicles gives maps of the hit share: the share of the "
+        "observed time in which radar hit a tile, which is several times lower. What was never "
+        "observed is left out, not 0; occupancy that is uncertain is hatched.\n"
+        "The result is a GeoPackage (the whole time, and by interval), a GeoTIFF with a band an "
+        "interval, a GeoParquet and a picture. Colours are the same on every map, so that maps "
+        "compare.\n"
+        "The layer 'by interval' is animated by the temporal controller as it is loaded. The data "
+        "are in UTC; the picture and the clock on the map show the local time."
+    )
+    KEYWORDS = ("hits", "occupancy", "raster", "animation")
+    PARAMETERS = (
+        shared.DATASET,
+        Text(
+            "INTERVAL", "Interval",
+            "Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
+            advanced=False, default="15min",
+        ),
+        replace(
+            shared.TIMEZONE,
+            about="Whose hours and days the intervals follow, such as Europe/Berlin; by "
+            "default the dataset's.",
+        ),
+        Text(
+            "BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30.",
+        ),
+        Text("END", "End", "Only before this time."),
+        shared.LANGUAGE,
+        shared.MAP_TITLE,
+        replace(shared.SOURCE, about="Where the data come from, to stand under the picture."),
+        Text(
+            "AT", "One moment only", "The map of one step of 50 ms, in UTC: 2025-06-12T07:30:10Z.",
+        ),
+        Names(
+            "MAP_OF", "Maps of further columns",
+            "Columns of the table 'tile_counts', with a comma between them: hidden_steps maps the "
+            "share of the time in which vehicles hid a tile.",
+        ),
+        Switch(
+            "LOAD", "Load the layers", "Switch it off in a model that continues with the files.",
+            None, default=True,
+        ),
+        OutputFolder("OUTPUT", "Heat map", "A folder."),
+        Result("HEATMAP", "Heat map, whole time", kind=QgsProcessingOutputVectorLayer),
+        Result("INTERVALS", "Heat map by interval", kind=QgsProcessingOutputVectorLayer),
+        Result("RASTER", "Heat map, raster", kind=QgsProcessingOutputRasterLayer),
+        Result("PICTURE", "Picture", kind=QgsProcessingOutputFile),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        folder = Path(given.outputs["OUTPUT"])
+        if given.is_on("LOAD"):
+            further = names_in(given.text("MAP_OF"))
+            load_heatmap(given.context, folder, folder.name, further=further)
+        self.made = [
+            (tr("Open the picture"), folder / "heatmap.png"), (tr("Show the folder"), folder)
+        ]  # fmt: skip
+        return layers_of(folder)
+
+
+def layers_of(folder: Path) -> dict[str, str]:
+    """Return what is in a heat map's folder, by output."""
+    package = folder / "heatmap.gpkg"
+    return {
+        "HEATMAP": f"{package}|layername=heatmap",
+        "INTERVALS": f"{package}|layername={INTERVALS}",
+        "RASTER": str(folder / ("heatmap.tif" if shows_occupancy(folder) else "hits.tif")),
+        "PICTURE": str(folder / "heatmap.png"),
+    }
+
+
+def load_heatmap(
+    context: QgsProcessingContext,
+    folder: Path,
+    group: str,
+    *,
+    sets_time: bool = True,
+    further: Sequence[str] = (),
+) -> None:
+    """Have QGIS load a heat map as a group, the layer by interval on top and switched on.
+
+    The project steps by its intervals, unless `sets_time` is false. Each of the `further` columns
+    has a raster, switched off.
+    """
+    layers, titles = layers_of(folder), heatmap_titles(folder)
+    finish = dress if sets_time else dress_only
+    load(context, layers["INTERVALS"], titles[INTERVALS], group=group, order=3, finish=finish)
+    load(context, layers["HEATMAP"], titles["heatmap"], group=group, order=2, visible=False)
+    rasters = {column: str(folder / f"{column}.tif") for column in further}
+    for name, source in {titles["raster"]: layers["RASTER"], **rasters}.items():
+        load(context, source, name, group=group, order=1, visible=False)
+    # In other words, as Processing loads a source once.
+    source = f"{layers['HEATMAP']}|geometrytype=Polygon"
+    load(context, source, tr("Road, not observed"), group=group, order=0, finish=as_ground)
+
+
+class ShowVehicles(WorkerAlgorithm):
+    """An algorithm that makes a layer of the footprints of vehicles, half second by half second."""
+
+    NAME = "footprints"
+    COMMAND = "footprints"
+    TITLE = "Vehicles that move on the map"
+    GROUP = TRAFFIC
+    HELP = (
+        "Makes a layer of single vehicles as rectangles of their length and width, which the "
+        "temporal controller moves half second by half second: blue are light ones, green heavy "
+        "ones, hollow are those that stand, pale those whose place is inferred.\n"
+        "It shows tracks of single vehicles: a working file for checks, not to be published. "
+        "Measures over minutes leave it."
+    )
+    KEYWORDS = ("tracks", "animation", "temporal")
+    PARAMETERS = (
+        shared.DATASET,
+        OutputLayer("OUTPUT", "Footprints", "GeoPackage, a row a vehicle and half second."),
+    )
+
+
+class ShowDetections(WorkerAlgorithm):
+    """An algorithm that puts the detections of a recording into the map."""
+
+    NAME = "detections"
+    COMMAND = "project"
+    TITLE = "Detections on the map"
+    GROUP = TRAFFIC
+    HELP = (
+        "Puts each detection of a recording into the map, as points with their measures: a "
+        "GeoPackage for QGIS, a point cloud (LAZ) or a table (Parquet) for other programs.\n"
+        "A layer of a long recording is large: an hour has millions of points."
+    )
+    KEYWORDS = ("points", "hits", "projection")
+    PARAMETERS = (
+        shared.RECORDING,
+        shared.POSE,
+        replace(
+            shared.MAP, optional=True,
+            about="Adds the lane of each detection, where on it that lies, and how fast it moves "
+            "along it.",
+        ),
+        shared.ORIGIN,
+        Output(
+            "OUTPUT", "Detections",
+            kinds="GeoPackages (*.gpkg);;Point clouds (*.laz);;Tables (*.parquet)",
+        ),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        if given.outputs["OUTPUT"].lower().endswith(".gpkg"):
+            load(given.context, given.outputs["OUTPUT"], tr("Detections"))
+        return {}
+
+
+class CheckQuality(WorkerAlgorithm):
+    """An algorithm that lists what a dataset rests on, by sensor and hour."""
+
+    NAME = "quality"
+    COMMAND = "quality"
+    TITLE = "Data quality"
+    GROUP = TRAFFIC
+    HELP = (
+        "Lists what a dataset rests on, a row a sensor and hour: frames, detections, "
+        "clocks, poses, and a verdict.\n"
+        "What is odd is said in the log, too."
+    )
+    KEYWORDS = ("health", "gaps", "check")
+    PARAMETERS = (
+        shared.DATASET,
+        replace(
+            shared.TIMEZONE, about="Whose hours the rows are, such as Europe/Berlin; UTC without."
+        ),
+        shared.CSV_LOCALE,
+        Output("OUTPUT", "Data quality", kinds="Tables (*.csv *.parquet)"),
+    )  # fmt: skip
+
+
+class KeepDataset(WorkerAlgorithm):
+    """An algorithm that says what a dataset holds, and changes its recordings."""
+
+    NAME = "dataset"
+    COMMAND = "dataset"
+    TITLE = "What a dataset holds"
+    GROUP = TRAFFIC
+    HELP = (
+        "Shows what a dataset holds: sensors, hours, tracks, passages.\n"
+        "It finds recordings again that were moved, and withdraws one that does not belong there; "
+        "the hours that this touches are made again."
+    )
+    KEYWORDS = ("withdraw", "relink", "check")
+    CHANGES = ("DATASET",)
+    PARAMETERS = (
+        shared.DATASET,
+        Folder(
+            "RELINK", "Folder of moved recordings",
+            "Recordings that are not where they were are looked for in it.", optional=True,
+        ),
+        File(
+            "WITHDRAW", "Recording to withdraw",
+            "The dataset is then as if it had never been measured.", optional=True, advanced=True,
+            kinds="Recordings (*.parquet *.csv)",
+        ),
+        Switch("CHECK", "Check all files", "Whether each file is as it was written."),
+        Result("OUTPUT", "Dataset", kind=QgsProcessingOutputFolder),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        return {"OUTPUT": given.text("DATASET")}
+
+
+class RunSite(WorkerAlgorithm):
+    """An algorithm that makes all results of a site file."""
+
+    NAME = "runsite"
+    COMMAND = "run"
+    TITLE = "Run a site file"
+    GROUP = TRAFFIC
+    HELP = (
+        "Goes the whole way for all sensors of a site, as its site file (TOML) sets out: road, "
+        "tiles, poses, dataset, heat map.\n"
+        "The folder also holds a QGIS project that is ready to present."
+    )
+    KEYWORDS = ("batch", "nightly", "project")
+    PARAMETERS = (
+        File("SITE", "Site file", flag="", kinds="Site files (*.toml)"),
+        Number("JOBS", "Stages at once", "As cores and memory allow, without it."),
+        Switch("FRESH", "Do all again", "Also what an earlier run has done."),
+        Switch("LOAD", "Load the layers", flag=None, default=True),
+        OutputFolder("OUTPUT", "Results"),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        folder = Path(given.outputs["OUTPUT"])
+        if given.is_on("LOAD"):
+            title = site_of(folder).get("title")
+            load_site(given.context, folder, title or Path(given.text("SITE")).stem)
+        projects = sorted(folder.glob("site*.qgz"))
+        for path in projects:
+            given.feedback.pushInfo(f"{tr('Project that is ready to present:')} {path}")
+        self.made = [
+            (tr("Open the report"), folder / "report.html"),
+            *[(tr("Open the project"), path) for path in projects[-1:]],
+            (tr("Make sheets..."), partial(make_sheets, folder)),
+            (tr("Show the folder"), folder),
+        ]
+        return layers_of(folder / "heatmap")
+
+
+def site_of(folder: Path) -> dict[str, Any]:
+    """Return the site of a run as its site file has it, empty where the run does not say."""
+    try:
+        record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        return dict(record["site"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return {}
+
+
+def make_sheets(folder: Path) -> Any:
+    """Open the algorithm that prints sheets, filled in for the site of a run."""
+    site = site_of(folder)
+    sources = [(site.get("map") or {}).get("source"), *(site.get("attribution") or [])]
+    texts = {"TITLE": site.get("title"), "SOURCE": "; ".join(filter(None, sources))}
+    given = {"HEATMAP": str(folder / "heatmap"), "OUTPUT": str(folder / "sheets")}
+    known = {name: text for name, text in texts.items() if text}
+    return open_dialog("exportreport", given | known)
+
+
+def load_site(context: QgsProcessingContext, folder: Path, group: str) -> None:
+    """Have QGIS load what a run left in its folder."""
+    sensors, footprints = folder / "sensors.gpkg", folder / "footprints.gpkg"
+    if sensors.is_file():
+        for order, (layer, name) in enumerate(
+            (("uncertainty", tr("Uncertainty (95 %)")), ("views", tr("Views")),
+             ("sensors", tr("Sensors"))), start=10,
+        ):  # fmt: skip
+            load(context, f"{sensors}|layername={layer}", name, group=group, order=order)
+    if footprints.is_file():
+        source = f"{footprints}|layername=footprints"
+        load(context, source, tr("Vehicles"), group=group, order=5)
+    if (folder / "heatmap" / "heatmap.gpkg").is_file():
+        # Vehicles move in shorter steps than the map.
+        sets_time = not footprints.is_file()
+        load_heatmap(context, folder / "heatmap", group, sets_time=sets_time)
