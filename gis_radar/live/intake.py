@@ -39,6 +39,7 @@ from gis_radar.live.spool import POSE as POSE_RECORD
 from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.measures.hit_counter import FrameCounter
+from gis_radar.measures.placing import PoseNumbers
 from gis_radar.measures.views import ViewBook
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
@@ -79,6 +80,8 @@ class KnownPose:
         Name of what the sensor sees from it.
     road_m : float
         Height of the road near it, metres; NaN where it is not known.
+    numbers : PoseNumbers, optional
+        The same as frames are counted by.
     other_tiles : str
         Fingerprint of the tiles that it speaks of, where they are others.
     """
@@ -86,6 +89,7 @@ class KnownPose:
     pose: Pose | None
     view: str = ""
     road_m: float = float("nan")
+    numbers: PoseNumbers | None = None
     other_tiles: str = ""
 
 
@@ -417,7 +421,8 @@ class Intake:
             mask: Booleans = np.isin(self._book.road.tile_id, self._book.tiles[view])
             self._map.views[view] = mask
         road_m = self._book.road_m[pose.sensor, view]
-        return KnownPose(pose=pose, view=view, road_m=road_m)
+        numbers = PoseNumbers.of(pose, road_m=road_m)
+        return KnownPose(pose=pose, view=view, road_m=road_m, numbers=numbers)
 
     def _forget(self, sensor: SensorState, key: bytes) -> None:
         """Forget a pose; a sensor that names it again sends it again."""
@@ -450,9 +455,9 @@ class Intake:
         self, frames: Sequence[FrameDetections], known: KnownPose
     ) -> Iterator[tuple[int, Seen]]:
         """Yield by frame its step, and the tiles that it hits."""
-        assert known.pose is not None  # noqa: S101 - the caller has looked
+        assert known.numbers is not None  # noqa: S101 - the caller has looked
         rows = rows_of_frames([each.as_rows() for each in frames])
-        for counted in self._counter.count(rows, known.pose, road_m=known.road_m):
+        for counted in self._counter.count(rows, known.numbers):
             yield counted.time_us // STEP_US, Seen(counted.tiles, known.view)
 
 

@@ -40,6 +40,7 @@ CUT_US = MARGIN_STEPS * STEP_US  # after the full hour
 RECORDINGS, PARTS = "recordings", "parts"
 AT_ONCE = 20_000  # frames of a sensor in memory: a quarter of an hour
 ROWS_OF_GROUP = 131_072
+REPEATED = ["time", "z", "range_rate", "rcs", "pose"]  # columns with few values, as sent
 _POSES = b"gis_radar.poses"  # key of the file's metadata
 _SCHEMA = pa.schema(
     [("time", pa.float64()), *((name, pa.float32()) for name in ("x", "y", "z")),
@@ -168,7 +169,7 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
         pq.write_table(
             table.replace_schema_metadata({_POSES: json.dumps(named, sort_keys=True)}),
             unfinished(path), compression="zstd", row_group_size=ROWS_OF_GROUP,
-            use_dictionary=["pose"],
+            use_dictionary=REPEATED, use_byte_stream_split=["x", "y"],
         )  # fmt: skip
         with unfinished(path).open("rb") as file:
             os.fsync(file.fileno())

@@ -204,7 +204,7 @@ class FrameCounter:
         self._counter = HitCounter(tiles, grid, filters=filters, settings=settings)
 
     def count(
-        self, detections: Detections, pose: Pose, *, road_m: float = math.nan
+        self, detections: Detections, pose: Pose | PoseNumbers, *, road_m: float = math.nan
     ) -> list[CountedFrame]:
         """Return frames with the tiles that they hit.
 
@@ -212,10 +212,11 @@ class FrameCounter:
         ----------
         detections : Detections
             One or a few whole frames; a frame without detections is a row of NaN.
-        pose : Pose
-            Where the sensor stands.
+        pose : Pose or PoseNumbers
+            Where the sensor stands; of many frames its numbers are made once.
         road_m : float
             Height of the road near it, for sensors without elevation: as of :meth:`Pose.to_map`.
+            Numbers hold it.
 
         Raises
         ------
@@ -226,7 +227,7 @@ class FrameCounter:
         if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
             raise InputError("times of frames are not finite, or go back")
         rows = rows_of_detections(detections)
-        numbers = PoseNumbers.of(pose, road_m=road_m)
+        numbers = PoseNumbers.of(pose, road_m=road_m) if isinstance(pose, Pose) else pose
         counted = [*self._counter.add(rows, 0, len(time), numbers), self._counter.end()]
         frames = np.concatenate([each.frames for each in counted])
         tiles = np.concatenate([each.tile for each in counted]).astype(np.int64)
