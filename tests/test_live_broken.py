@@ -56,7 +56,9 @@ def frames_in(content):
 
 def frames_on_disk(site):
     """Return the times (us) of frames that fusion holds, read beside whoever writes them."""
-    found = {round(1e6 * each) for each in recorded(site.folder, "R1")["time"]}
+    live, found = site.folder / "live", set()
+    if [*live.glob("parts/*/*.parquet"), *live.glob("recordings/*/*.parquet")]:
+        found = {round(1e6 * each) for each in recorded(site.folder, "R1")["time"]}
     for path in spool_files(site.folder / "live" / "spool"):
         for _, record in SpoolFile(path).records():
             if record.kind == FRAMES:
