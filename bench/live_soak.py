@@ -2,10 +2,11 @@
 
     python bench/live_soak.py [--minutes 15] [--sensors 100] [--processes 4]
 
-Each sensor sends 20 frames a second of the sample's hits, by the program's own outbox, and keeps
-what fusion has not stored. From a frame's time to the map that has it is measured in fusion, for
-each frame; one that comes too late for its window counts as never. Clients have other cores than
-fusion and broker, where there are two or more. Figures go to `out/bench-live-soak.json`.
+Each sensor sends 20 frames a second of the sample's detections, by the program's own outbox, and
+keeps what fusion has not stored. From a frame's time to the map that has it is measured in fusion,
+for each frame; one that comes too late for its window counts as never. Clients have other cores
+than fusion and broker, where there are two or more. With `--vehicles` they are followed, too, and
+quarters and hours are measured meanwhile. Figures go to `out/bench-live-soak.json`.
 """
 
 from __future__ import annotations
@@ -21,29 +22,30 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pyarrow.parquet as pq
 
 import gis_radar as gr
 from gis_radar.arrays import Integers
 from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
 from gis_radar.live.broker_files import write_broker_files
 from gis_radar.live.buffer import DiskBuffer, Waiting
+from gis_radar.live.detections import DetectionSelector, FrameDetections, pack_detections
 from gis_radar.live.fusion import Fusion
-from gis_radar.live.hits_folder.folder import merge_stored_hits, read_stored_hits
 from gis_radar.live.outbox import Outbox
-from gis_radar.live.payload import HITS, POSE, PoseContent, pack_hits
+from gis_radar.live.payload import PoseContent, key_of_pose
 from gis_radar.live.settings import read_live_site
 from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.tile_finder import TileFinder
 from gis_radar.live.windows import Seen
-from gis_radar.measures.hit_counter import CountedFrame
+from gis_radar.measures.views import road_near
 from gis_radar.processes import stopped_by_signals
 from gis_radar.progress import Reporter
-from gis_radar.sight import SightTiles
+from gis_radar.sight import SightTiles, find_sight
 from gis_radar.steps import STEP_US
 
 SAMPLE, OUT = gr.sample_folder(), Path("out/bench-live-soak.json")
@@ -51,7 +53,7 @@ SITE = "soak"
 LOOK_S = 10.0  # between two looks at memory and CPU
 PATIENCE_S = 120.0
 Figures = dict[str, Any]
-FRAMES = 400  # that are sent again and again
+FRAMES = 2000  # that are sent again and again
 MOST_MS = 10_000  # ages of frames are counted up to here
 
 
@@ -59,22 +61,30 @@ class Memory:
     """A buffer like that on disk: the disks of a hundred computers are not measured here."""
 
     def __init__(self, stream: bytes) -> None:
-        self.stream, self.last, self.bytes_used = stream, 0, 0
+        self.stream, self.last, self.stored, self.bytes_used = stream, 0, 0, 0
         self._rows: deque[Waiting] = deque()
+        self._pose = b""
 
     def __len__(self) -> int:
         return len(self._rows)
 
-    def append(self, kind: int, content: bytes) -> int:
+    def append(self, content: bytes) -> int:
         self.last += 1
-        self._rows.append(Waiting(self.last, self.last - 1, kind, content))
+        self._rows.append(Waiting(self.last, self.last == self.stored + 1, content))
         return self.last
+
+    def add_pose(self, message: bytes) -> None:
+        self._pose = message
+
+    def pose_of(self, _number: int) -> bytes:
+        return self._pose
 
     def read_after(self, number: int, most: int) -> Iterator[Waiting]:
         begin = max(number + 1 - self._rows[0].number, 0) if self._rows else 0
         yield from list(islice(self._rows, begin, begin + most))
 
     def acknowledge(self, number: int) -> None:
+        self.stored = number
         while self._rows and self._rows[0].number <= number:
             self._rows.popleft()
 
@@ -88,34 +98,33 @@ class Sensor:
         Its name; the digits say at which part of a step its frames are.
     address : BrokerAddress
         The broker.
-    frames : list of int64 arrays
-        Tiles hit, frame by frame.
+    frames : list of FrameDetections
+        Sent again and again.
     fingerprint : str
         Of the tiles.
     """
 
     def __init__(
-        self, name: str, address: BrokerAddress, frames: list[Integers], fingerprint: str
-    ) -> None:
+        self, name: str, address: BrokerAddress, frames: list[FrameDetections],
+        fingerprint: str,
+    ) -> None:  # fmt: skip
         topics = SensorTopics(SITE, name)
         self.sent = 0
         self.delays: list[float] = []
-        self._frames, self._fingerprint = frames, fingerprint
+        self._frames = frames
         self._buffer = Memory(os.urandom(4))
         self.link = Link(address, name=f"{SITE}-{name}", topics=(topics.of("ack"),))
         self.outbox = Outbox(cast("DiskBuffer", self._buffer), self.link, topics, figures=dict)
         pose = gr.read_pose(SAMPLE / "R1.json").as_dict() | {"sensor": name}
-        content = PoseContent(pose=pose, since_step=0, fingerprint=fingerprint)
-        self._pose = self.outbox.put(POSE, content.pack())
+        content = PoseContent(pose=pose, fingerprint=fingerprint).pack()
+        self.outbox.put_pose(content)
+        self._pose = key_of_pose(content)
         self.link.open()
 
     def frame(self, time_us: int) -> None:
-        tiles = self._frames[(self.sent * 7) % len(self._frames)]
-        counted = CountedFrame(
-            time_us=time_us, detections=60, moving=20, wild=0, checksum=self.sent, tiles=tiles
-        )
+        frame = replace(self._frames[self.sent % len(self._frames)], time_us=time_us)
         self.delays.append(time.time() - time_us / 1e6)
-        self.outbox.put(HITS, pack_hits([counted], pose=self._pose, fingerprint=self._fingerprint))
+        self.outbox.put(pack_detections([frame], pose=self._pose))
         self.sent += 1
 
 
@@ -129,11 +138,10 @@ def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
     site = read_live_site(folder / "SITE.toml")
     tiles = gr.read_tiles(site.live.tiles)
     road = SightTiles.of(tiles)
-    finder = TileFinder(
-        road, gr.TileGrid(road.quads), gr.Filters(), gr.read_pose(SAMPLE / "R1.json")
-    )
+    pose, selector = gr.read_pose(SAMPLE / "R1.json"), DetectionSelector(road)
+    height = road_near(find_sight(pose, road), road)
     recorded = islice(frames_of_recording(SAMPLE / "R1.parquet"), FRAMES)
-    frames = [finder.find(each).tiles for each in recorded]
+    frames = [selector.find(each, pose, road_m=height) for each in recorded]
     made = []
     for name in names:
         secret = (folder / "broker" / f"password_of_{name}").read_text().strip()
@@ -184,6 +192,7 @@ class TimedFusion(Fusion):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.finish_s, self.finishing = 0.0, threading.Event()
+        self.shown: dict[str, float] = {}
         self.ages = np.zeros(MOST_MS + 1, np.int64)  # by milliseconds
         super().__init__(*args, **options)
         self.phases = {name: phase_us(name, len(self.sensors)) for name in self.sensors}
@@ -191,6 +200,7 @@ class TimedFusion(Fusion):
     def _finish(self) -> None:
         begin = time.monotonic()
         self.finishing.set()
+        self.shown = self._jobs.figures() | (self.vehicles.figures() if self.vehicles else {})
         super()._finish()
         self.finish_s = time.monotonic() - begin
 
@@ -237,7 +247,7 @@ def fuse(folder: Path) -> None:
     ages[MOST_MS] += counts.get("late_frames", 0)
     figures = {
         "counts": counts, "rows": rows, "start_s": start_s, "finish_s": fusion.finish_s,
-        "told": told.lines[:20],
+        "told": told.lines[:20], "figures": fusion.shown,
         "p50_ms": percentile(ages, 0.5), "p99_ms": percentile(ages, 0.99),
         "in_150_ms": float(ages[:151].sum() / ages.sum()),
     }  # fmt: skip
@@ -262,7 +272,7 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def write_site(folder: Path, names: list[str], port: int) -> None:
+def write_site(folder: Path, names: list[str], port: int, *, vehicles: bool) -> None:
     """Write tiles, and files of site and broker."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -277,7 +287,7 @@ file = "{(SAMPLE / "junction.osm").resolve()}"
 site = "{SITE}"
 tiles = "tiles.gpkg"
 lateness = "50ms"
-vehicles = false
+vehicles = {str(vehicles).lower()}
 [live.broker]
 address = "mqtt://127.0.0.1:{port}"
 """
@@ -307,10 +317,12 @@ def started(words: list[str], cores: list[int], **options: Any) -> subprocess.Po
     return program
 
 
-def soak(folder: Path, *, sensors: int, processes: int, seconds: float, port: int) -> Figures:
+def soak(
+    folder: Path, *, sensors: int, processes: int, seconds: float, port: int, vehicles: bool
+) -> Figures:
     """Run all programs, and return the figures."""
     names = [f"S{k:04d}" for k in range(sensors)]
-    write_site(folder, names, port)
+    write_site(folder, names, port, vehicles=vehicles)
     mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if mosquitto is None:
         sys.exit("Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
@@ -367,10 +379,9 @@ def gathered(
     """Return all figures in one table."""
     sent = [json.loads((folder / f"sent-{share[0]}.json").read_text()) for share in shares]
     fused = json.loads((folder / "fused.json").read_text())
-    hours = merge_stored_hits(
-        [read_stored_hits(each) for each in sorted((folder / "live" / "hits").iterdir())]
-    )
-    stored = sum(len(each[0]) for each in hours.frame_log(hours.sensors))
+    recorded = [*folder.glob("live/parts/*/*.parquet"), *folder.glob("live/recordings/*/*.parquet")]
+    times = [pq.read_table(each, columns=["time"])["time"].to_numpy() for each in recorded]
+    stored = sum(len(np.unique(each)) for each in times)
     rows = [row for row in fused["rows"] if "memory_mb" in row]
     size = sum(each.stat().st_size for each in folder.rglob("*.parquet"))
     return {
@@ -393,6 +404,7 @@ def gathered(
         "written_bytes": size,
         "finish_s": fused["finish_s"],
         "start_s": fused["start_s"],
+        "figures": fused["figures"],
         "told": fused["told"],
         "load_before": load,
         "cores": os.cpu_count(),
@@ -411,6 +423,7 @@ def main() -> None:
     words.add_argument("--minutes", type=float, default=15.0)
     words.add_argument("--sensors", type=int, default=100)
     words.add_argument("--processes", type=int, default=4)
+    words.add_argument("--vehicles", action="store_true")
     words.add_argument("--folder", type=Path, default=Path("out/soak"))
     words.add_argument("--out", type=Path, default=OUT)
     for name in ("--send", "--fuse"):
@@ -426,6 +439,7 @@ def main() -> None:
         found = soak(
             given.folder, sensors=given.sensors, processes=given.processes,
             seconds=given.seconds or 60.0 * given.minutes, port=free_port(),
+            vehicles=given.vehicles,
         )  # fmt: skip
         given.out.parent.mkdir(exist_ok=True)
         given.out.write_text(json.dumps(found, indent=1))

@@ -1,6 +1,7 @@
 """Programs of the live system as processes of their own, a link that can be cut, and the batch."""
 
 import contextlib
+import hashlib
 import math
 import os
 import select
@@ -13,16 +14,17 @@ import threading
 import time
 
 import numpy as np
+import pandas as pd
 import pytest
 from live_site import LONGEST_S, SAMPLE, free_port
 
 import gis_radar as gr
-from gis_radar.dataset.tables import FRAMES, HITS, OBSERVED
+from gis_radar.live.detections import DetectionSelector
 from gis_radar.live.edge import Edge
-from gis_radar.live.hits_folder.folder import merge_stored_hits, read_stored_hits
-from gis_radar.live.hits_folder.tables import LOG_COLUMNS
-from gis_radar.measures.validity import valid_steps
+from gis_radar.live.sources import frames_of_recording
+from gis_radar.measures.views import road_near
 from gis_radar.progress import Reporter
+from gis_radar.sight import SightTiles, find_sight
 
 LONG = os.environ.get("GIS_RADAR_LIVE") == "all"
 takes_long = pytest.mark.skipif(not LONG, reason="takes long: make live-test")
@@ -169,12 +171,24 @@ def with_shutdown(one):
 class FullDisk:
     """A disk of its own in memory, a few megabytes large, that can be made larger."""
 
-    def __init__(self, folder, size):
-        self.folder = folder
+    def __init__(self, folder, size, *, files=0):
+        self.folder, self.filling = folder, folder / "filling"
         folder.mkdir(exist_ok=True)
-        words = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+        options = f"size={size},nr_inodes={files}"  # 0: no limit
+        words = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
         if shutil.which("mount") is None or subprocess.run(words, check=False).returncode:
             pytest.skip("no disk in memory can be mounted here: that needs root")
+
+    def fill(self):
+        """Take all inodes."""
+        self.filling.mkdir()
+        with contextlib.suppress(OSError):
+            for number in range(10_000):
+                (self.filling / str(number)).touch()
+
+    def free(self):
+        """Give them back."""
+        shutil.rmtree(self.filling)
 
     def grow(self, size):
         words = ["mount", "-o", f"remount,size={size}", str(self.folder)]
@@ -184,96 +198,78 @@ class FullDisk:
         subprocess.run(["umount", "-l", str(self.folder)], check=True)
 
 
-def columns(stream):
-    """Return the columns of a stream of rows, put together."""
-    return [np.concatenate(each) for each in zip(*stream, strict=True)]
+def assert_equal_to_batch(site, names, *, hits_only=True, **given):
+    """Compare the bytes of what fusion measured with those that `gis-radar measure` makes.
+
+    The batch has the recordings that fusion wrote, and the poses beside them.
+    """
+    recordings = [path for name in names for path in recordings_of(site.folder, name)]
+    poses = [gr.read_track(pose_beside(path)) for path in recordings]
+    folder = site.folder / f"batch-{time.monotonic_ns()}"
+    tiles = gr.read_tiles(site.tiles)
+    gr.measure(recordings, poses, tiles, site.map_file, folder, hits_only=hits_only, **given)
+    mine, theirs = (parts_of(each) for each in (site.folder / "live" / "dataset", folder))
+    assert mine
+    assert mine == theirs
 
 
-def assert_same_tables(live, batch):
-    """Compare what fusion stored with a dataset of the same frames, row by row."""
-    assert live.fingerprint == batch.manifest.fingerprint
-    assert live.sensors == batch.sensors
-    tile, step = valid_pairs(live, columns(live.hits_by_sensor(live.sensors)))
-    hits = rows_of(batch, HITS, ("tile_id", "step"))
-    assert len(tile)
-    assert np.array_equal([tile, step], hits)
-    log = dict(zip(LOG_COLUMNS, columns(live.frame_log(live.sensors)), strict=True))
-    order = np.lexsort((log["time_us"], log["sensor"]))
-    names = [name for name in LOG_COLUMNS if name != "sensor"]
-    for name, theirs in zip(names, rows_of(batch, FRAMES, names), strict=True):
-        assert np.array_equal(log[name][order], theirs), name
-    assert np.array_equal(observed_steps(live), steps_of_runs(batch))
+def parts_of(dataset):
+    """Return the digests of the bytes of all parts of a dataset."""
+    return {
+        str(path.relative_to(dataset)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in dataset.glob("*/date=*/*.parquet")
+    }
+
+
+def recordings_of(folder, name):
+    """Return the recordings that fusion wrote of a sensor."""
+    return sorted((folder / "live" / "recordings" / name).glob("*.parquet"))
+
+
+def pose_beside(path):
+    """Return the file with the poses of a recording."""
+    alone = path.with_suffix(".json")
+    return alone if alone.exists() else path.with_suffix(".csv")
+
+
+def recorded(folder, name):
+    """Return the rows that fusion has recorded of a sensor, also those of an hour still open."""
+    paths = recordings_of(folder, name) + sorted(
+        (folder / "live" / "parts" / name).glob("*.parquet")
+    )
+    tables = [pd.read_parquet(path) for path in paths]
+    return pd.concat(tables, ignore_index=True).sort_values("time", kind="stable")
+
+
+def selected(name, *, path=None):
+    """Return the rows that a sensor sends of its sample, as its recording should hold them."""
+    road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
+    pose = gr.read_pose(SAMPLE / f"{name}.json")
+    selector, height = DetectionSelector(road), road_near(find_sight(pose, road), road)
+    rows = [
+        selector.find(frame, pose, road_m=height).as_rows()
+        for frame in frames_of_recording(path or SAMPLE / f"{name}.parquet")
+    ]
+    points = np.concatenate([each.points for each in rows])
+    table = {"time": np.concatenate([each.time for each in rows])}
+    table |= {axis: points[:, k] for k, axis in enumerate("xyz")}
+    table |= {
+        column: np.concatenate([getattr(each, column) for each in rows])
+        for column in ("range_rate", "rcs")
+    }
+    return pd.DataFrame(table)
+
+
+def assert_all_recorded(folder, names):
+    """Compare what fusion has recorded with what the sensors select: each row, once."""
+    for name in names:
+        mine, theirs = recorded(folder, name), selected(name)
+        assert len(mine) == len(theirs), name
+        for column in theirs:
+            np.testing.assert_array_equal(mine[column], theirs[column], err_msg=column)
 
 
 def rows_of(dataset, table, names):
     """Return columns of a table of a dataset."""
     parts = [part.select(names) for part in dataset.batches(table, columns=names)]
     return [np.concatenate([part[name].to_numpy() for part in parts]) for name in names]
-
-
-def valid_pairs(live, rows):
-    """Return (tile, step) of hits in all steps that their frames are valid, each once, ascending.
-
-    A frame is valid in its own step and those up to its sensor's next frame, but a tenth of a
-    second at most.
-    """
-    found = []
-    for number, sensor in enumerate(live.sensors):
-        step, tile = (column[rows[2] == number] for column in rows[:2])
-        for k in range(valid_steps(live.validity_s[sensor]) + 1):
-            held = k < steps_to_next(live, sensor, step)
-            found.append(np.stack([tile[held], step[held] + k]))
-    return np.unique(np.concatenate(found, axis=1), axis=1)
-
-
-def steps_to_next(live, sensor, step):
-    """Return how many steps after each of some frames of a sensor its next frame comes."""
-    runs = live.frames[live.frames["sensor"] == sensor]
-    spans = zip(runs["first_step"], runs["last_step"] + 1, strict=True)
-    frames = np.unique(np.concatenate([np.arange(*span) for span in spans]))
-    after = np.append(frames, np.iinfo(np.int64).max)[np.searchsorted(frames, step, "right")]
-    return after - step
-
-
-def observed_steps(live):
-    """Return how many steps each tile is in sight of a valid frame, tiles ascending."""
-    seen = {view: set(rows["tile_id"]) for view, rows in live.views.groupby("view")}
-    by_tile = {}
-    for (sensor, view), runs in live.frames.groupby(["sensor", "view"]):
-        spans = zip(runs["first_step"], runs["last_step"] + 1, strict=True)
-        step = np.concatenate([np.arange(*span) for span in spans])
-        last = np.minimum(
-            valid_steps(live.validity_s[sensor]), steps_to_next(live, sensor, step) - 1
-        )
-        steps = np.concatenate([step[last >= k] + k for k in range(int(last.max()) + 1)])
-        for tile in seen.get(view, ()):
-            by_tile.setdefault(tile, []).append(steps)
-    sums = {tile: len(np.unique(np.concatenate(by_tile[tile]))) for tile in sorted(by_tile)}
-    return np.array([[*sums], [*sums.values()]])
-
-
-def steps_of_runs(dataset):
-    """Return the same of a dataset."""
-    tile, first, last = rows_of(dataset, OBSERVED, ("tile_id", "first_step", "last_step"))
-    ids, number = np.unique(tile, return_inverse=True)
-    return np.array([ids, np.bincount(number, last - first + 1).astype(np.int64)])
-
-
-def stored(folder):
-    """Return all hours that fusion wrote, as one."""
-    hours = sorted((folder / "live" / "hits").iterdir())
-    return merge_stored_hits([read_stored_hits(each) for each in hours])
-
-
-def measured(names):
-    """Return what makes the dataset of the hits of the sample's recordings, for `once`."""
-
-    def make(folder):
-        roads = SAMPLE / "junction.osm"
-        poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in names]
-        recordings = [SAMPLE / f"{name}.parquet" for name in names]
-        tiles = gr.make_tiles(gr.read_map(roads))
-        gr.measure(recordings, poses, tiles, roads, folder / "dataset", hits_only=True)
-        return folder / "dataset"
-
-    return make

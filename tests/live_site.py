@@ -18,6 +18,7 @@ from gis_radar.live.broker_files import password_lines, write_broker_files
 SAMPLE = gr.sample_folder()
 # For what hangs: whatever else is waited for comes sooner, also on a machine that is busy.
 LONGEST_S = 300.0
+OF_THE_SAMPLE = 'oldest = "36500d"\nkeep = "36500d"'  # it is of 2025
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("/usr/sbin/mosquitto")
 
 
@@ -105,7 +106,7 @@ class LiveSite:
     scheme, host, authority = "mqtt", "127.0.0.1", ""
     vehicles = "false"  # else a process begins with each fusion
     of_site = ""  # more of SITE.toml, and of its table [live]
-    of_live = ""
+    of_live = OF_THE_SAMPLE
 
     def __init__(self, folder, once, **given):
         vars(self).update(given)
@@ -163,7 +164,6 @@ vehicles = {self.vehicles}
             source = f'recording = "{self.recordings / name}.parquet"\n{source}'
         keys = {
             "pose": f'"{SAMPLE / name}.json"', "tiles": f'"{self.tiles}"', "follow": "false",
-            "detections": "false",
         } | keys  # fmt: skip
         keys = {key: value for key, value in keys.items() if value is not None}
         address = f"{self.scheme}://{self.host}:{port or self.port}"

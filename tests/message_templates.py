@@ -27,7 +27,11 @@ TELLING = re.compile(
     r"report_contradictions|words|faults_of)"
 )
 TOLD = {"log": 0, "remark": 0}  # methods, and which argument is told
-ALARMED = {"alarm": 1, "_refuse": 1, "_skip": 2}  # of the live system: details that its page shows
+ALARMED = {
+    "alarm": 1,
+    "_refuse": 1,
+    "_pass_over": 5,
+}  # of the live system: details that its page shows
 NO_REPORTERS = {"np", "math", "logging", "_LOGGER", "pc"}
 # Single words of a sentence; other single words are names, as of fields and options.
 WORDS = {
@@ -337,8 +341,10 @@ def alarmed(path: Path) -> Iterator[ast.AST]:
             name = name_of(node.func)
             if name in ALARMED:
                 yield from node.args[ALARMED[name] : ALARMED[name] + 1]
-            elif path.stem in {"payload", "returns", "tile_sets"} and name in exceptions():
+            elif path.stem in {"payload", "detections", "intake"} and name in exceptions():
                 yield from node.args[:1]
+        elif isinstance(node, ast.FunctionDef) and node.name == "_reason_against":
+            yield from told_lines(node)
 
 
 def told_lines(function: ast.FunctionDef) -> Iterator[ast.AST]:

@@ -101,12 +101,6 @@ def test_imports_go_one_way():
     assert against_the_order(known, ORDER) == []
 
 
-def test_folders_of_live_hours_are_for_live_alone():
-    own = ("live.hits_folder", "live.vehicles")
-    others = {m: found for m, found in read_imports(PACKAGE).items() if top(m) != "live"}
-    assert not [m for m, found in others.items() for t in found if t.startswith(own)]
-
-
 def test_no_cycle_between_files():
     imports = read_imports(PACKAGE)
     try:

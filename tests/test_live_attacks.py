@@ -18,12 +18,13 @@ from gis_radar.live import web_server
 from gis_radar.live.broker import Received
 from gis_radar.live.health import SensorHealth, prometheus_text, serve_metrics
 from gis_radar.live.intake import Intake
-from gis_radar.live.journal import Journal
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.page import MOST_READERS, make_app
-from gis_radar.live.payload import POSE, Envelope, PoseContent, pack_message
+from gis_radar.live.payload import PoseContent
+from gis_radar.live.spool import Spool
 from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S, WebServer
 from gis_radar.live.windows import Windows
+from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.measures.views import ViewBook
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.progress import Reporter
@@ -216,35 +217,32 @@ class Lines(Reporter):
 @pytest.fixture
 def intake(live, tmp_path):
     road = SightTiles.of(live.place.tiles)
-    with Journal(tmp_path / "journal", fingerprint=road.fingerprint) as journal:
-        yield Intake(
-            ["R1"], site="s", book=ViewBook(road=road), journal=journal, windows=Windows(0.2),
-            current=MapOfNow(len(road.tile_id), interval=18_000), reporter=Lines(),
-        )  # fmt: skip
+    return Intake(
+        ["R1"], site="s", spool=Spool(tmp_path / "spool"), book=ViewBook(road=road),
+        counter=FrameCounter(road), windows=Windows(0.2),
+        current=MapOfNow(len(road.tile_id), interval=18_000), oldest_s=1e6, reporter=Lines(),
+    )  # fmt: skip
 
 
 def test_fusion_goes_past_a_pose_that_is_nowhere(intake, live):
     pose = live.poses["R1"].as_dict() | {"easting": 1e300}
-    fingerprint = live.place.fingerprint
-    content = PoseContent(pose=pose, since_step=0, fingerprint=fingerprint).pack()
-    envelope = Envelope(kind=POSE, stream=b"abcd", number=1)
-    message = pack_message(envelope, content)
+    message = PoseContent(pose=pose, fingerprint=live.place.fingerprint).pack()
     intake.handle(Received("v1/s/R1/pose", message, 1.0, retained=False))
     sensor = intake.sensors["R1"]
-    assert (sensor.pose, sensor.received) == (None, 1)
+    assert sensor.pose is None
     assert "easting" in sensor.health.alarms["damaged"]
 
 
 @pytest.mark.parametrize(
     "status",
-    ['{"version": 1, "state": "online", "stream": "00\\nerror: forged"}',
-     '{"version": 1, "state": "online", "stream": "' + 60_000 * "a" + '"}',
-     '{"version": 1, "state": "online", "lost": ' + 4_000 * "9" + "}",
-     '{"version": 1, "state": "online", "lost": ' + 60_000 * "9" + "}",
+    ['{"version": 2, "state": "online", "stream": "00\\nerror: forged"}',
+     '{"version": 2, "state": "online", "stream": "' + 60_000 * "a" + '"}',
+     '{"version": 2, "state": "online", "lost": ' + 4_000 * "9" + "}",
+     '{"version": 2, "state": "online", "lost": ' + 60_000 * "9" + "}",
      '{"version": "' + 60_000 * "a" + '"}'],
 )  # fmt: skip
 def test_a_status_writes_no_line_of_its_own_and_no_long_one(intake, status):
-    for text in (status, '{"version": 1, "state": "online", "stream": "0011aabb"}', status):
+    for text in (status, '{"version": 2, "state": "online", "stream": "0011aabb"}', status):
         intake.handle(Received("v1/s/R1/status", text.encode(), 1.0, retained=False))
     health = intake.sensors["R1"].health
     for text in (*intake._reporter.lines, *health.alarms.values(), str(health.lost)):

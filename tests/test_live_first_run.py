@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from live_programs import Program, takes_long
@@ -11,14 +10,13 @@ from live_site import LiveSite, wait_for
 
 from gis_radar.live.first_run import COMPILING
 
-OF_SENSOR = """
+BEGIN = """
 import gis_radar as gr
 from gis_radar.arrays import _Compiled
 from gis_radar.live import first_run
-from gis_radar.live.detections import DetectionSelector, pack_detections
-from gis_radar.live.payload import pack_hits, unpack_hits
+from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
 from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.tile_finder import TileFinder
+from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.sight import SightTiles
 import gc
 
@@ -28,40 +26,42 @@ def compiled():
         for each in gc.get_objects() if isinstance(each, _Compiled) and each._is_begun
     }
 
+sample = gr.sample_folder()
+road = SightTiles.of(gr.make_tiles(gr.read_map(sample / "junction.osm")))
+pose, selector = gr.read_pose(sample / "R2.json"), DetectionSelector(road)
+"""
+OF_SENSOR = (
+    BEGIN
+    + """
 first_run.run_sensor_once()
 first_run.run_fusion_once()
 before = compiled()
-sample = gr.sample_folder()
-road = SightTiles.of(gr.make_tiles(gr.read_map(sample / "junction.osm")))
 for filters in (gr.Filters(), gr.Filters(min_speed=1.0, min_rcs=-10.0)):
-    finder = TileFinder(road, gr.TileGrid(road.quads), filters, gr.read_pose(sample / "R2.json"))
-    selector = DetectionSelector(road)
+    counter = FrameCounter(road, filters=filters)
     for k, frame in zip(range(20), frames_of_recording(sample / "R2.parquet")):
-        content = pack_hits([finder.find(frame)], pose=1, fingerprint=road.fingerprint)
-        unpack_hits(content, tiles=len(road.tile_id))
-        pack_detections([finder.detections(frame, selector)], pose=1)
+        content = pack_detections([selector.find(frame, pose, road_m=0.0)], pose=b"pose")
+        counter.count(unpack_detections(content)[1][0].as_rows(), pose, road_m=0.0)
 print({name: count for name, count in compiled().items() if before.get(name) != count})
 print(sorted(before))
 """
-OF_VEHICLES = """
-import sys; sys.path.insert(0, {tests!r})
-from pathlib import Path
-from test_live_first_run import OF_SENSOR
-exec(OF_SENSOR.split("first_run.run_sensor_once")[0])
-from gis_radar.live.vehicles.first_run import run_vehicles_once
+)
+OF_VEHICLES = (
+    BEGIN
+    + """
+from gis_radar.lanelets.graph import lane_graph
+from gis_radar.live.vehicles_now import _Following, run_vehicles_once
 run_vehicles_once()
+following = _Following(lane_graph(gr.read_map(sample / "junction.osm").lanelets))
 before = compiled()
-from live_vehicles import Sent
-sample = gr.sample_folder()
-sent = Sent(sample / "junction.osm", [sample / "R2.parquet"], [gr.read_pose(sample / "R2.json")],
-            Path({folder!r}))
-counted = compiled()
-follower = sent.follower()
-blocks = [*sent.feed(follower, sent.messages[:600]), *sent.end(follower)]
-follower.write_hour(blocks[0].first_step // 72_000)
-print({{name: count for name, count in compiled().items() if counted.get(name) != count}})
+placed = {("R2", b"pose"): (1, pose, 0.0)}
+for k, frame in zip(range(600), frames_of_recording(sample / "R2.parquet")):
+    content = pack_detections([selector.find(frame, pose, road_m=0.0)], pose=b"pose")
+    following.go_on(placed, (), [("R2", content)])
+assert len(following.go_on(placed, (), []))
+print({name: count for name, count in compiled().items() if before.get(name) != count})
 print(sorted(before))
 """
+)
 
 
 def said_by(code):
@@ -73,14 +73,12 @@ def test_no_frame_of_a_sensor_waits_for_the_compiler():
     more, loops = said_by(OF_SENSOR)
     assert more == "{}"
     assert "count_rows" in loops
-    assert "_decode" in loops
+    assert "_unpack_column" in loops
 
 
 @takes_long
-def test_no_vehicle_waits_for_the_compiler(tmp_path):
-    more, loops = said_by(
-        OF_VEHICLES.format(tests=str(Path(__file__).parent), folder=str(tmp_path))
-    )
+def test_no_vehicle_waits_for_the_compiler():
+    more, loops = said_by(OF_VEHICLES)
     assert more == "{}"
     assert "_follow" in loops
 

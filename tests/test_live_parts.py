@@ -5,94 +5,62 @@ import time
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
-from operator import itemgetter
+from itertools import islice
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_programs import rows_of
 from live_site import SAMPLE
 from pydantic import ValidationError
 
 import gis_radar as gr
-from gis_radar.dataset.tables import HITS as HIT_ROWS
-from gis_radar.dataset.tables import OBSERVED
 from gis_radar.errors import GisRadarError, InputError
 from gis_radar.languages import catalogue
 from gis_radar.live.broker import BrokerAddress, parts_of
-from gis_radar.live.buffer import BLOCK, ROW_BYTES, DiskBuffer, FullError
+from gis_radar.live.buffer import ROW_BYTES, DiskBuffer, FullError
 from gis_radar.live.detections import (
     FARTHEST,
+    UNKNOWN_Z,
     DetectionSelector,
     FrameDetections,
-    head_of,
     pack_detections,
     unpack_detections,
 )
 from gis_radar.live.health import ALARMS, SensorHealth, prometheus_text
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.payload import (
-    DETECTIONS,
-    HITS,
     Acknowledgement,
     Envelope,
     PoseContent,
     VersionError,
-    pack_hits,
     pack_message,
-    unpack_hits,
     unpack_message,
 )
 from gis_radar.live.recent import RecentCounts
 from gis_radar.live.server import read_token
+from gis_radar.live.settings import BufferTable
 from gis_radar.live.sources import Replay, frames_of_recording
-from gis_radar.live.tile_finder import TileFinder
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.measures.frames import NO_FURTHER
-from gis_radar.measures.hit_counter import CountedFrame
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.sight import SightTiles
-from gis_radar.sight.sight import IN_SIGHT, find_sight
 from gis_radar.site.live_table import PageTable
-from gis_radar.steps import STEP_US
 
 PRINT = "00112233445566778899aabbccddeeff"
-COUNT = st.integers(0, 10_000)
-TILES = st.sets(st.integers(0, 11_778), max_size=60).map(sorted)
+KEY = b"pose"
 NUMBERS = st.integers(1, 2**60)
 
 
 @settings(deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.integers(1, 10**7), COUNT, COUNT, COUNT, COUNT, TILES), min_size=1, max_size=8
-    ),
-    NUMBERS, NUMBERS, st.binary(min_size=4, max_size=4), st.booleans(),
-)  # fmt: skip
-def test_frames_come_out_of_a_message_as_they_went_in(rows, number, pose, stream, live):
-    frames, time_us = [], 1_763_882_923_000_000
-    for gap, detections, moving, wild, checksum, tiles in rows:
-        time_us += gap
-        frames.append(
-            CountedFrame(time_us=time_us, detections=detections, moving=moving, wild=wild,
-                          checksum=checksum, tiles=np.array(tiles, np.int64))
-        )  # fmt: skip
-    envelope = Envelope(
-        kind=HITS, stream=stream, number=number, previous=max(number - 7, 0), live=live
-    )
-    data = pack_message(envelope, pack_hits(frames, pose=pose, fingerprint=PRINT))
-    back, content = unpack_message(data)
-    assert back == envelope
-    found = unpack_hits(content, tiles=11_779)
-    assert (found.pose, found.tiles_begin) == (pose, PRINT[:8])
-    for one, other in zip(frames, found.frames, strict=True):
-        assert [*one.tiles] == [*other.tiles]
-        names = ("time_us", "detections", "moving", "wild", "checksum")
-        assert [getattr(one, n) for n in names] == [getattr(other, n) for n in names]
+@given(NUMBERS, st.binary(min_size=4, max_size=4), st.booleans(), st.booleans(), st.binary())
+def test_envelopes_come_out_as_they_went_in(number, stream, first, live, content):
+    envelope = Envelope(stream=stream, number=number, first=first, live=live)
+    assert unpack_message(pack_message(envelope, content)) == (envelope, content)
 
 
+@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(*[st.integers(-FARTHEST, FARTHEST)] * 3, st.integers(-45_000, 45_000),
@@ -102,13 +70,13 @@ def test_frames_come_out_of_a_message_as_they_went_in(rows, number, pose, stream
 )  # fmt: skip
 def test_detections_come_out_as_they_went_in(rows):
     values = np.array(rows, np.int64).reshape(-1, 5)
+    values[values[:, 2] == UNKNOWN_Z, 2] += 1
     frame = FrameDetections(
         time_us=1, points=values[:, :3], rates=values[:, 3], rcs_db=values[:, 4]
     )
-    content = pack_detections([frame, replace(frame, time_us=50_001)], pose=9)
-    assert head_of(content) == (9, 2)
+    content = pack_detections([frame, replace(frame, time_us=50_001)], pose=KEY)
     pose, found = unpack_detections(content)
-    assert (pose, [each.time_us for each in found]) == (9, [1, 50_001])
+    assert (pose, [each.time_us for each in found]) == (KEY, [1, 50_001])
     for back in found:
         assert np.array_equal(np.column_stack([back.points, back.rates, back.rcs_db]), values)
 
@@ -117,7 +85,7 @@ def test_what_is_not_measured_is_not_known_again():
     time, none = np.full(3, 5.0), np.full(3, np.nan)
     points = np.column_stack([[10.0, 20.0, 30.0], [1.0, -2.0, 3.0], none])
     frame = Detections(
-        time=time, points=points, range_rate=np.array([0.149, -0.151, 8.0049]), rcs=none,
+        time=time, points=points, range_rate=np.array([0.149, -0.151, np.nan]), rcs=none,
         further=NO_FURTHER,
     )  # fmt: skip
     quads = np.array([[[0.0, -5.0], [50.0, -5.0], [50.0, 5.0], [0.0, 5.0]]])
@@ -126,22 +94,36 @@ def test_what_is_not_measured_is_not_known_again():
     pose = gr.Pose(sensor="R1", crs="EPSG:25832", easting=0.0, northing=0.0, height=5.0, yaw=0.0,
                    pitch=0.0, roll=0.0)  # fmt: skip
     found = DetectionSelector(road).find(frame, pose, road_m=0.0)
-    _, (back,) = unpack_detections(pack_detections([found], pose=1))
+    _, (back,) = unpack_detections(pack_detections([found], pose=KEY))
     read = back.as_rows()
     assert np.isnan(read.points[:, 2]).all()
     assert np.isnan(read.rcs).all()
     assert read.range_rate[0] == 0.0  # stands; the next one just does not
-    assert read.range_rate[1:] == pytest.approx([-0.151, 8.005], abs=0.001)
+    assert read.range_rate[1] == pytest.approx(-0.151, abs=0.001)
     assert abs(read.range_rate[1]) >= 0.15
+    assert np.isnan(read.range_rate[2])
+
+
+def test_a_frame_without_detections_is_a_row_and_one_of_two_kinds_is_refused():
+    none = np.empty((0, 3), np.int64)
+    empty = FrameDetections(time_us=7, points=none, rates=none[:, 0], rcs_db=none[:, 0])
+    _, (back,) = unpack_detections(pack_detections([empty], pose=KEY))
+    rows = back.as_rows()
+    assert (len(rows), rows.present.any(), rows.time.tolist()) == (1, False, [7e-6])
+    mixed = FrameDetections(
+        time_us=7, points=np.array([[1, 2, 3], [1, 2, UNKNOWN_Z]]), rates=np.zeros(2, np.int64),
+        rcs_db=np.zeros(2, np.int64),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="some detections have a height"):
+        unpack_detections(pack_detections([mixed], pose=KEY))
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=80), st.integers(0, 3))
 def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
-    good = pack_message(Envelope(kind=HITS, stream=b"abcd", number=5), b"")
+    good = pack_message(Envelope(stream=b"abcd", number=5), b"")
     data = good[: [0, 2, 6, len(good)][start]] + noise
-    for read in (unpack_message, Acknowledgement.unpack, PoseContent.unpack, unpack_detections,
-                 head_of, lambda each: unpack_hits(each, tiles=10)):  # fmt: skip
+    for read in (unpack_message, Acknowledgement.unpack, PoseContent.unpack, unpack_detections):
         with suppress(InputError):
             read(data)
 
@@ -149,13 +131,11 @@ def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
 @pytest.mark.parametrize(
     ("data", "says"),
     [
-        (b"\x02\x01abcd\x01\x00", "version 2, expected 1"),
-        (b"\x01\x83abcd\x00\x00", "version 1, expected 2"),  # detections of an earlier sensor
+        (b"\x01\x83abcd\x00\x00", "version 1, expected 2"),
         (b"", "version none"),
-        (b"\x01\x07abcd\x01\x00", "of kind 7"),
-        (b"\x01\x01ab", "4 bytes"),
-        (b"\x01\x01abcd\x80", "within a number"),
-        (b"\x01" * 70_000, "70,000 bytes"),
+        (b"\x02\x01ab", "4 bytes"),
+        (b"\x02\x01abcd\x80", "within a number"),
+        (b"\x02" * 70_000, "70,000 bytes"),
     ],
 )
 def test_odd_envelopes_are_named(data, says):
@@ -164,91 +144,73 @@ def test_odd_envelopes_are_named(data, says):
     assert issubclass(VersionError, InputError)
 
 
-def test_a_tile_that_is_not_there_and_bytes_too_many_are_refused():
-    frame = CountedFrame(
-        time_us=1, detections=1, moving=0, wild=0, checksum=0, tiles=np.array([3, 12])
-    )
-    content = pack_hits([frame], pose=1, fingerprint=PRINT)
-    assert unpack_hits(content, tiles=13).frames[0].tiles.tolist() == [3, 12]
-    with pytest.raises(InputError, match="names tile 12 of 12"):
-        unpack_hits(content, tiles=12)
-    with pytest.raises(InputError, match="1 bytes too many"):
-        unpack_hits(content + b"\0", tiles=13)
-
-
-@pytest.fixture(scope="module")
-def finder():
-    tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
-    road = SightTiles.of(tiles)
-    pose = gr.read_pose(SAMPLE / "R1.json")
-    return TileFinder(road, gr.TileGrid(road.quads), gr.Filters(), pose)
-
-
-def test_messages_are_as_small_as_stated(finder):
+def sent_frames(name, count):
+    """Return frames of the sample as its sensor sends them."""
     road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
-    frames = list(frames_of_recording(SAMPLE / "R1.parquet"))[:600]
-    number = 20 * 86_400 * 365  # of a year
-    envelope = Envelope(kind=HITS, stream=b"abcd", number=number, previous=number - 1)
-    hits = [
-        len(pack_message(envelope, pack_hits([finder.find(f)], pose=number, fingerprint=PRINT)))
-        for f in frames
-    ]
-    envelope, returned = replace(envelope, kind=DETECTIONS), DetectionSelector(road)
-    detections = [
-        len(pack_message(envelope, pack_detections([finder.detections(f, returned)], pose=number)))
-        for f in frames
-    ]
-    assert np.percentile(hits, 99) < 150
-    assert np.percentile(detections, 99) < 600
+    pose, selector = gr.read_pose(SAMPLE / f"{name}.json"), DetectionSelector(road)
+    frames = islice(frames_of_recording(SAMPLE / f"{name}.parquet"), count)
+    return road, pose, [selector.find(each, pose, road_m=np.nan) for each in frames]
+
+
+def test_messages_are_as_small_as_stated():
+    envelope = Envelope(stream=b"abcd", number=20 * 86_400 * 365)  # of a year
+    _, _, frames = sent_frames("R1", None)
+    sizes = [len(pack_message(envelope, pack_detections([each], pose=KEY))) for each in frames]
+    assert np.percentile(sizes, 99) < 600
+    assert np.mean(sizes) * 20 * 8 < 60_000  # bits a second
 
 
 def test_a_day_fits_in_the_default_buffer(tmp_path):
-    content = bytes(range(140))
+    content = bytes(range(256)) + bytes(100)
     with DiskBuffer(tmp_path / "b", most_bytes=10**8, fingerprint=PRINT) as buffer:
         before = buffer.bytes_used
         for _ in range(3_000):
-            buffer.append(HITS, content)
+            buffer.append(content)
         each = (buffer.bytes_used - before) / 3_000
     assert each - len(content) < ROW_BYTES
-    hours = 400_000_000 / ((150 + ROW_BYTES) * 20 * 3600.0)  # of the 99th percentile throughout
-    assert hours > 24
+    assert BufferTable().megabytes * 1e6 / (each * 20 * 3600.0) > 24
 
 
 def test_only_what_is_acknowledged_leaves_the_buffer(tmp_path):
     path = tmp_path / "R1.buffer"
     with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
         stream = buffer.stream
-        assert [buffer.append(HITS, bytes([k])) for k in range(5)] == [1, 2, 3, 4, 5]
+        buffer.add_pose(b"one")
+        assert [buffer.append(bytes([k])) for k in range(3)] == [1, 2, 3]
+        buffer.add_pose(b"two")
+        assert [buffer.append(bytes([k])) for k in range(2)] == [4, 5]
+        assert [buffer.pose_of(number) for number in (1, 3, 4, 5)] == [b"one"] * 2 + [b"two"] * 2
         buffer.acknowledge(2)
-        assert [each[:2] for each in buffer.read_after(0, 9)] == [(3, 0), (4, 3), (5, 4)]
+        kept = [(3, True), (4, False), (5, False)]
+        assert [each[:2] for each in buffer.read_after(0, 9)] == kept
     with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
-        assert buffer.stream == stream
-        # a power loss may have taken the last rows: numbers that may have been sent come not again
-        assert buffer.append(HITS, b"new") == BLOCK + 1
-        assert [each.previous for each in buffer.read_after(0, 9)] == [0, 3, 4, 5]
+        assert buffer.stream != stream  # an older copy of the file uses no number twice
+        assert buffer.append(b"new") == 6
+        assert [each[:2] for each in buffer.read_after(0, 9)] == [*kept, (6, False)]
         assert [each.content for each in buffer.read_after(5, 9)] == [b"new"]
+        assert buffer.pose_of(3) == b"one"
 
 
 def test_a_full_buffer_takes_nothing_and_drops_nothing(tmp_path):
     with DiskBuffer(tmp_path / "b", most_bytes=100_000, fingerprint=PRINT) as buffer:
         with pytest.raises(FullError, match="full"):
             for _ in range(10_000):
-                buffer.append(HITS, bytes(100))
+                buffer.append(bytes(100))
         kept = len(buffer)
         assert kept > 500
         assert next(buffer.read_after(0, 1)).number == 1
         with pytest.raises(FullError):
-            buffer.append(HITS, bytes(100))
+            buffer.append(bytes(100))
         assert len(buffer) == kept
         buffer.acknowledge(kept)
-        buffer.append(HITS, b"again")
+        buffer.append(b"again")
         assert len(buffer) == 1
 
 
 def test_a_buffer_of_other_tiles_is_put_aside_and_one_in_use_refused(tmp_path):
     path = tmp_path / "b"
     with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
-        buffer.append(HITS, b"old")
+        buffer.append(b"old")
         with pytest.raises(GisRadarError, match="another edge"):
             try:
                 DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT)
@@ -283,42 +245,6 @@ def test_windows_close_in_order_at_their_lateness():
     assert (windows.late, windows.early) == (1, 0)
     assert not windows.add("R1", 10**9, seen(1))
     assert windows.early == 1
-
-
-def test_the_map_of_now_counts_as_the_batch_does(tmp_path):
-    """Every window of both sensors: the same steps as of the dataset, tile by tile."""
-    tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
-    names = ("R1", "R2")
-    poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in names]
-    recordings = [SAMPLE / f"{name}.parquet" for name in names]
-    batch = gr.measure(
-        recordings, poses, tiles, SAMPLE / "junction.osm", tmp_path / "o", hits_only=True
-    )
-    road = SightTiles.of(tiles)
-    windows, current = Windows(0.2), MapOfNow(len(tiles), interval=1 << 40)
-    frames = []
-    for name, pose, recording in zip(names, poses, recordings, strict=True):
-        finder = TileFinder(road, gr.TileGrid(road.quads), gr.Filters(), pose)
-        current.holds_s[name], current.views[name] = 0.1, find_sight(pose, road).state == IN_SIGHT
-        counted = map(finder.find, frames_of_recording(recording))
-        frames += [(each.time_us // STEP_US, name, each.tiles) for each in counted]
-    last = max(step for step, _, _ in frames)
-    for step, name, place in sorted(frames, key=itemgetter(0, 1)):
-        assert windows.add(name, step, Seen(place, name))
-        for closed in windows.close(step * 50_000):
-            current.take(*closed)
-    for closed in windows.close((last + 1) * 50_000 + 200_000):
-        current.take(*closed)
-    state = current.state()
-    assert state.step == last
-    hit_tile, step = rows_of(batch, HIT_ROWS, ("tile_id", "step"))
-    tile, first, until = rows_of(batch, OBSERVED, ("tile_id", "first_step", "last_step"))
-    count = np.minimum(until, last) - first + 1
-    counted = (step <= last) & np.isin(hit_tile, tile)  # hits of tiles that are observed
-    both = [np.searchsorted(road.tile_id, each) for each in (hit_tile[counted], tile)]
-    assert np.array_equal(state.hit_steps, np.bincount(both[0], minlength=len(tiles)))
-    assert np.array_equal(state.observed_steps, np.bincount(both[1], count, len(tiles)))
-    assert state.hit_steps.max() > 100
 
 
 def test_a_clock_that_is_set_back_begins_the_map_anew():
@@ -432,8 +358,8 @@ def test_a_user_in_the_address_of_a_broker_is_refused_and_the_password_not_repea
 
 
 def test_topics():
-    assert parts_of("v1/junction/R1/hits") == ("R1", "hits")
-    assert parts_of("v2/junction/R1/hits") == parts_of("$SYS/broker") == ("", "")
+    assert parts_of("v1/junction/R1/status") == ("R1", "status")
+    assert parts_of("v2/junction/R1/status") == parts_of("$SYS/broker") == ("", "")
 
 
 def test_a_state_that_was_given_does_not_change():

@@ -13,7 +13,7 @@ from gis_radar.errors import NoAnswerError
 from gis_radar.live import edge as edge_module
 from gis_radar.live.edge import Edge
 from gis_radar.live.own_pose import Followed
-from gis_radar.live.payload import POSE, PoseContent
+from gis_radar.live.payload import PoseContent
 from gis_radar.live.settings import read_edge_file
 from gis_radar.live.sources import frames_of_recording
 
@@ -23,17 +23,21 @@ LANES = f'[map]\nfile = "{SAMPLE / "junction.osm"}"\n'
 
 
 class Outbox:
-    """Keeps the poses that are sent."""
+    """Keeps the poses that are sent, and counts the messages by each."""
 
-    behind, lost = True, 0
+    lost = 0
 
     def __init__(self):
-        self.poses = []
+        self.poses, self.sent = [], []
 
-    def put(self, kind, content):
-        if kind == POSE:
-            self.poses.append(PoseContent.unpack(content))
-        return len(self.poses)
+    def put_pose(self, message):
+        self.poses.append(PoseContent.unpack(message).pose["easting"])
+        self.sent.append(0)
+        return True
+
+    def put(self, _content):
+        self.sent[-1] += 1
+        return True
 
 
 class Script:
@@ -78,7 +82,7 @@ def run(tmp_path, once, monkeypatch):
             frame = frames[k % len(frames)]
             frame = replace(frame, time=np.full(len(frame), 1_750_000_000.0 + 0.05 * k))
             for ready in edge._with_pose(frame):
-                edge._count(ready)
+                edge._select(ready)
         return edge, said.lines
 
     return take
@@ -96,12 +100,13 @@ def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run, monkeypatch)
     monkeypatch.setattr(edge_module, "find_own_pose", find)
     guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
     edge, said = run(2000 + 100 + 2000 + 500 + 50, pose=None, guess=guess)
-    sent = [(each.pose["easting"], each.trusted) for each in edge._outbox.poses]
     wrong, right = WRONG.easting, RIGHT.easting
-    assert sent == [(wrong, True), (wrong, False), (right, True)]
+    assert edge._outbox.poses == [wrong, wrong, right]
+    assert edge._outbox.sent[1] == 0  # nothing is sent by a pose that is doubted
+    assert edge.not_sent == 4650 - sum(edge._outbox.sent) > 2400
     assert Script.made == ((wrong, False), (right, False))
     assert sum("not confirmed: traffic lies elsewhere" in line for line in said) == 1
-    assert edge.frames == 4650  # those of the doubted pose are sent, too
+    assert edge.frames == 4650
 
 
 def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_confirms_it(
@@ -109,7 +114,7 @@ def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_co
 ):
     gr.write_pose(WRONG, tmp_path / "R1.pose.json")
     edge, said = run(2000, pose='"R1.pose.json"')
-    assert [each.trusted for each in edge._outbox.poses] == [True, False]
+    assert (len(edge._outbox.poses), edge._outbox.sent[1]) == (2, 0)
     assert len(Script.made) > 2
     assert [doubted for _, doubted in Script.made] == [False, *[True] * (len(Script.made) - 1)]
     assert sum("not confirmed" in line for line in said) == 1
@@ -128,7 +133,8 @@ def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_co
     monkeypatch.setattr(edge_module, "PoseFollower", Later)
     Script.made = ()
     edge, _ = run(700, pose='"R1.pose.json"')
-    assert [each.trusted for each in edge._outbox.poses] == [True, False, True]
+    assert len(edge._outbox.poses) == 3
+    assert [bool(count) for count in edge._outbox.sent] == [True, False, True]
     assert confirmed == [True]
 
 

@@ -306,12 +306,15 @@ def test_log_ins_are_sent(server, tmp_path, keys, header):
 
 def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server):
     site = LiveSite(tmp_path, once)
-    assert Fusion(read_live_site(site.file))._push is None
+    plain = Fusion(read_live_site(site.file))
+    assert plain._push is None
+    plain.close()
     (tmp_path / "two").mkdir()
     more = f'[live.sensorthings]\naddress = "{server.address}"\ninterval = "5min"'
     other = LiveSite(tmp_path / "two", once, of_live=more)
     fusion = Fusion(read_live_site(other.file))
     assert fusion._push is not None
+    fusion.close()
     bad = other.file.read_text().replace(server.address, "ftp://x")
     other.file.write_text(bad)
     with pytest.raises(InputError, match="expected an http or https address"):

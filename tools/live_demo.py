@@ -2,8 +2,8 @@
 
     python tools/live_demo.py out/live-demo
 
-Ctrl-C or SIGTERM ends it; the folders of the hours and `now.gpkg`, for QGIS, are then in `live`
-there.
+Ctrl-C or SIGTERM ends it; recordings, the dataset of hours that are over, and `now.gpkg`, for
+QGIS, are then in `live` there.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import gis_radar as gr
 from gis_radar.live.broker_files import write_broker_files
 from gis_radar.processes import stopped_by_signals
 
-PATIENCE_S = 180.0  # for the last vehicles and the hour
+PATIENCE_S = 180.0  # for an hour that is over
 STATUS_S = 10.0
 SENSORS = ("R1", "R2")
 SITE = """\
@@ -85,7 +85,9 @@ def main(folder: Path) -> None:
                  f"health: {health}")  # fmt: skip
             while all(each.poll() is None for each in programs) and not stop.wait(STATUS_S):
                 _show(health)
-            _say("stopping; the hour is being written" if stop.is_set() else "a program has ended")
+            _say(
+                "stopping; what came is being recorded" if stop.is_set() else "a program has ended"
+            )
         finally:
             _end(programs)
 

@@ -29,7 +29,7 @@ def _print_template(context: click.Context, _option: click.Parameter, wanted: ob
     help="Print a sensor's file to fill in, and do nothing else.",
 )  # fmt: skip
 def edge(*, sensor: Path, reporter: Reporter) -> Result:
-    """Run a sensor's side of the live system: frames become tiles, which go to fusion.
+    """Run a sensor's side of the live system: detections near the road go to fusion.
 
     It ends with Ctrl-C, or when a recording is over and fusion has stored all of it.
     """
@@ -45,9 +45,9 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
     help="Write files for Mosquitto, systemd units and a compose file, and do no more.",
 )  # fmt: skip
 def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result:
-    """Run the live system's middle: the map of now, and a folder of hits an hour.
+    """Run the live system's middle: the map of now, recordings, and a dataset by hours.
 
-    It ends with Ctrl-C; what was stored is then written.
+    It ends with Ctrl-C; hours that are over are then measured.
     """
     if broker_files is not None:
         from gis_radar.live.broker_files import write_broker_files  # noqa: PLC0415 - a command's

@@ -65,6 +65,7 @@ def change(
     after: Registry,
     *,
     known: Iterable[RecordingEntry] = (),
+    before_hour: int | None = None,
     processes: int = 1,
     reporter: Reporter,
 ) -> list[MadeHour]:
@@ -78,6 +79,8 @@ def change(
         As it is, and as it shall be; in the latter the hours are missing that are to be made again.
     known : iterable of RecordingEntry
         Recordings that were looked at just now.
+    before_hour : int, optional
+        Only hours before this one (since 1970) are made: for others recordings are still to come.
     processes : int
         How many hours are made side by side.
     reporter : Reporter
@@ -97,6 +100,7 @@ def change(
     records = read_hours(site.folder)
     broken = {hour for hour, record in records.items() if not _is_whole(site.folder, record)}
     missing = sorted({*after.missing_hours(margin), *(set(after.hours) - (set(records) - broken))})
+    missing = [hour for hour in missing if before_hour is None or hour < before_hour]
     _refuse_dropped(site.folder, [records[hour] for hour in missing if hour in records])
     _require_recordings(after, missing, margin, {each.path for each in known})
     reaching = after.by_hour(margin)

@@ -79,6 +79,7 @@ def measure(
     only: bool = False,
     timezone: str = "UTC",
     settings: MeasureSettings | None = None,
+    before_hour: int | None = None,
     processes: int = 1,
     reporter: Reporter = QUIET,
 ) -> Dataset:
@@ -125,6 +126,9 @@ def measure(
         Of the site, for a new dataset.
     settings : MeasureSettings, optional
         Constants of the algorithms, in place of `filters` and `hits_only`.
+    before_hour : int, optional
+        Make only hours before this one (since 1970): for others recordings are still to come, and
+        a later call makes them.
     processes : int
         How many hours are made side by side.
     reporter : Reporter
@@ -176,7 +180,7 @@ def measure(
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
     folder = Path(folder)
     with writing(folder, reporter):
-        made = _add(given, folder, processes, reporter, only=only)
+        made = _add(given, folder, processes, reporter, only=only, before_hour=before_hour)
     if made:
         _report(given, made, reporter)
     return open_dataset(folder, reporter=reporter)
@@ -279,8 +283,9 @@ def _lanes(
 
 
 def _add(
-    given: _Given, folder: Path, processes: int, reporter: Reporter, *, only: bool
-) -> list[MadeHour]:
+    given: _Given, folder: Path, processes: int, reporter: Reporter, *, only: bool,
+    before_hour: int | None,
+) -> list[MadeHour]:  # fmt: skip
     """Add recordings to a dataset that nobody else writes."""
     if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:
         remove_dataset(folder)
@@ -308,8 +313,9 @@ def _add(
             raise
     try:
         return change(
-            site, before, registry, known=given.entries, processes=processes, reporter=reporter
-        )
+            site, before, registry, known=given.entries, before_hour=before_hour,
+            processes=processes, reporter=reporter,
+        )  # fmt: skip
     except InputError:
         if is_new:  # nothing was there: nothing stays
             shutil.rmtree(folder, ignore_errors=True)

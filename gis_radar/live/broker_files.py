@@ -90,7 +90,7 @@ tls_version tlsv1.2
 def broker_config(site: LiveSite, folder: Path) -> str:
     """Return Mosquitto's configuration: log-in required, messages and queues bounded."""
     address = BrokerAddress.of(site.live.broker.address)
-    # Messages of hits and detections that all sensors may have sent unacknowledged.
+    # Messages that all sensors may have sent unacknowledged, twice.
     queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
     return _CONFIG.format(
         port=address.port, passwords=folder / PASSWORDS, access=folder / ACCESS,
@@ -101,7 +101,7 @@ def broker_config(site: LiveSite, folder: Path) -> str:
 
 def broker_access(site: str) -> str:
     """Return the access list: a sensor publishes its own topics, fusion reads those of all."""
-    root, kinds = f"{TOPICS}/{site}", ("hits", "detections", "status", "pose")
+    root, kinds = f"{TOPICS}/{site}", ("detections", "status", "pose")
     lines = [
         f"user {FUSION}", *(f"topic read {root}/+/{kind}" for kind in kinds),
         f"topic write {root}/+/ack", f"topic write {root}/{FUSION}/#", "",

@@ -1,12 +1,11 @@
 """The disk buffer of a sensor: what was measured waits here until fusion has stored it.
 
-One SQLite file with a write-ahead log. A killed process loses nothing. Numbers are reserved in
-blocks that are on disk before they are used, so that a loss of power gives none of them twice.
+One SQLite file with a write-ahead log. A killed process loses nothing. Each opening begins a new
+stream, so that a file that was restored from an older copy uses no number twice.
 """
 
 from __future__ import annotations
 
-import re
 import secrets
 import sqlite3
 from collections.abc import Iterator
@@ -15,25 +14,22 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from gis_radar.errors import GisRadarError, InputError, OutputError
-from gis_radar.live.database import LAST_NUMBER, damage_of, is_damage, is_foreign
-from gis_radar.live.payload import KINDS, STREAM_BYTES, VERSION
+from gis_radar.live.payload import STREAM_BYTES, VERSION
 
-FORMAT = 1
 LOCK_S = 1.0  # for another program to let go of the file
-BLOCK = 4_096  # numbers that are reserved at once: 3 min of frames
 ROW_BYTES = 24  # that SQLite takes beside the content of a message; measured
+LAST_NUMBER = 1 << 62  # there is room for the next ones in 64 bits
 CHECK_EVERY = 64  # messages between two looks at the size
+_COLUMNS = {
+    "notes": ["name", "value"], "messages": ["number", "content"], "poses": ["number", "message"],
+}  # fmt: skip
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS messages (number INTEGER PRIMARY KEY, kind INTEGER NOT NULL,
-    content BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS messages (number INTEGER PRIMARY KEY, content BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS poses (number INTEGER PRIMARY KEY, message BLOB NOT NULL);
 """
-_COLUMNS = {"notes": ("name", "value"), "messages": ("number", "kind", "content")}
-_SOUND = {
-    "notes": "typeof(value) = 'text'",
-    "messages": f"number BETWEEN 1 AND {LAST_NUMBER} AND typeof(content) = 'blob' "
-    f"AND typeof(kind) = 'integer' AND kind IN ({', '.join(map(str, KINDS))})",
-}
+# What SQLite says where nothing is wrong with the file: it is in use, or the disk is full or away.
+_OF_THE_PLACE = ("BUSY", "LOCKED", "FULL", "IOERR", "READONLY", "CANTOPEN", "NOMEM", "PERM", "AUTH")
 _BEGINS = (b"", b"SQLite format 3\0", bytes(16))  # a power loss may leave zeros
 OTHER_TILES, DAMAGED = "what waited speaks of other tiles", "it is damaged"
 
@@ -43,17 +39,16 @@ class Waiting(NamedTuple):
 
     Parameters
     ----------
-    number, previous : int
-        Its number, and that of the one before it; 0 where none before it is kept.
-    kind : int
-        Of its content.
+    number : int
+        Its number.
+    first : bool
+        Whether the one before it is not kept.
     content : bytes
         What it holds.
     """
 
     number: int
-    previous: int
-    kind: int
+    first: bool
     content: bytes
 
 
@@ -77,7 +72,9 @@ class DiskBuffer:
     Attributes
     ----------
     stream : bytes
-        Random, for as long as the file lives.
+        Random, for as long as the file is open.
+    last, stored : int
+        The number that was given last, and up to which messages were dropped.
     put_aside : Path or None
         Where a file of other tiles, or of another version, or a damaged one went.
     why : str
@@ -95,22 +92,22 @@ class DiskBuffer:
         self.path, self._most_bytes = path, most_bytes
         self.put_aside: Path | None = None
         self.why = ""
+        kept = f"{VERSION} {fingerprint}"
         with _errors(path):
             self._refuse_foreign()
-            if self._open() or self._damage():
+            if self._is_damaged():
                 self._put_aside(DAMAGED)
-            kept = (f"{FORMAT}.{VERSION}", fingerprint)
-            if (self.note("format"), self.note("fingerprint")) not in {kept, ("", "")}:
+            if self._note() not in {kept, ""}:
                 self._put_aside(OTHER_TILES)
-            if not self.note("stream"):
-                self.set_note("stream", secrets.token_hex(STREAM_BYTES))
-                self.set_note("format", kept[0])
-                self.set_note("fingerprint", fingerprint)
-        self.stream = bytes.fromhex(self.note("stream"))
-        (last,) = self._one("SELECT coalesce(max(number), 0) FROM messages")
-        self._last = max(last, int(self.note("reserved") or 0))
-        self._reserved = self._last
-        self._appended = 0
+            self._database.execute("INSERT OR REPLACE INTO notes VALUES ('of', ?)", (kept,))
+        first, self.last = self._one("SELECT coalesce(min(number), 1), coalesce(max(number), 0) "
+                                     "FROM messages")  # fmt: skip
+        self.stored, self._appended = first - 1, 0
+        self.renew()
+
+    def renew(self) -> None:
+        """Begin a new stream: what waits is of it, too."""
+        self.stream = secrets.token_bytes(STREAM_BYTES)
 
     def _refuse_foreign(self) -> None:
         """Leave a file alone that is no buffer."""
@@ -119,47 +116,44 @@ class DiskBuffer:
             with self.path.open("rb") as file:
                 foreign = file.read(16) not in _BEGINS
         if not foreign and self.path.exists() and self.path.stat().st_size:
+            query = "SELECT name FROM sqlite_master WHERE type = 'table'"
             with (
                 suppress(UnicodeDecodeError),
                 closing(sqlite3.connect(self.path, timeout=LOCK_S)) as database,
             ):
                 try:
-                    foreign = is_foreign(database, tuple(_COLUMNS))
+                    foreign = bool({name for (name,) in database.execute(query)} - {*_COLUMNS})
                 except sqlite3.Error as error:
-                    if not is_damage(error):
-                        raise
+                    _raise_of_the_place(error)
         if foreign:
             raise InputError(
                 f"{self.path}: is no disk buffer of a sensor",
                 hint="name another file, or move this one away",
             )
 
-    def _open(self) -> bool:
-        """Open the file; return whether it is damaged."""
+    def _is_damaged(self) -> bool:
+        """Open the file; return whether what it holds cannot be read."""
         self._database = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_S)
         try:
             self._database.executescript(
                 "PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;"
                 "PRAGMA locking_mode = EXCLUSIVE; PRAGMA wal_autocheckpoint = 400;" + _SCHEMA
             )
+            (found,) = self._database.execute("PRAGMA quick_check(1)").fetchone()
+            query = "SELECT name FROM pragma_table_info(?)"
+            self._note()
+            if found != "ok" or any(
+                [name for (name,) in self._database.execute(query, (table,))] != names
+                for table, names in _COLUMNS.items()
+            ):
+                return True
+            odd = "SELECT 1 FROM messages WHERE number NOT BETWEEN 1 AND ?"
+            return self._database.execute(odd, (LAST_NUMBER,)).fetchone() is not None
         except UnicodeDecodeError:
             return True
         except sqlite3.Error as error:
-            if not is_damage(error):
-                raise
+            _raise_of_the_place(error)
             return True
-        return False
-
-    def _damage(self) -> bool:
-        if damage_of(self._database, _COLUMNS, _SOUND):
-            return True
-        stream, reserved = self.note("stream"), self.note("reserved")
-        begun = bool(re.fullmatch(f"[0-9a-f]{{{2 * STREAM_BYTES}}}", stream))
-        empty = not stream and len(self) == 0  # killed before the first note
-        counts = not reserved or (
-            re.fullmatch("[0-9]{1,19}", reserved, re.ASCII) and int(reserved) <= LAST_NUMBER
-        )
-        return not ((begun or empty) and counts)
 
     def _put_aside(self, why: str) -> None:
         """Keep the file under another name, with its log, and begin a new one."""
@@ -171,7 +165,7 @@ class DiskBuffer:
         if log.exists():  # it would be read into the new file
             log.rename(self.put_aside.with_name(f"{self.put_aside.name}-wal"))
         self.path.with_name(f"{self.path.name}-shm").unlink(missing_ok=True)
-        self._open()
+        self._is_damaged()
 
     def __enter__(self) -> Self:
         return self
@@ -180,13 +174,7 @@ class DiskBuffer:
         self._database.close()
 
     def __len__(self) -> int:
-        (count,) = self._one("SELECT count(*) FROM messages")
-        return int(count)
-
-    @property
-    def last(self) -> int:
-        """The number that was given last."""
-        return self._last
+        return self.last - self.stored
 
     @property
     def bytes_used(self) -> int:
@@ -196,7 +184,7 @@ class DiskBuffer:
         (size,) = self._one("PRAGMA page_size")
         return int((pages - free) * size)
 
-    def append(self, kind: int, content: bytes) -> int:
+    def append(self, content: bytes) -> int:
         """Add a message and return its number.
 
         Raises
@@ -210,56 +198,70 @@ class DiskBuffer:
                 hint="fusion has not acknowledged; what comes now is lost",
             )
         with _errors(self.path):
-            if self._last >= self._reserved:
-                self._reserve()
-            row = (self._last + 1, kind, content)
-            self._database.execute("INSERT INTO messages VALUES (?, ?, ?)", row)
-        self._last += 1
+            row = (self.last + 1, content)
+            self._database.execute("INSERT INTO messages VALUES (?, ?)", row)
+        self.last += 1
         self._appended += 1
-        return self._last
+        return self.last
 
-    def _reserve(self) -> None:
-        """Reserve numbers, on disk before any of them is used."""
-        self._database.execute("PRAGMA synchronous = FULL")
-        try:
-            self.set_note("reserved", str(self._last + BLOCK))
-        finally:
-            self._database.execute("PRAGMA synchronous = NORMAL")
-        self._reserved = self._last + BLOCK
+    def add_pose(self, message: bytes) -> None:
+        """Keep the pose that the next messages are found by.
+
+        Raises
+        ------
+        FullError
+            If the disk is full: the pose is not taken.
+        """
+        with _errors(self.path):
+            row = (self.last + 1, message)
+            self._database.execute("INSERT OR REPLACE INTO poses VALUES (?, ?)", row)
+
+    def pose_of(self, number: int) -> bytes:
+        """Return the pose that a message was found by."""
+        query = "SELECT cast(message AS BLOB) FROM poses WHERE number <= ? ORDER BY number DESC"
+        with _errors(self.path):
+            found = self._database.execute(f"{query} LIMIT 1", (number,)).fetchone()
+        return found[0] if found else b""
 
     def read_after(self, number: int, most: int) -> Iterator[Waiting]:
         """Read messages that wait, from after a number on."""
-        (previous,) = self._one(
-            "SELECT coalesce(max(number), 0) FROM messages WHERE number <= ?", number
-        )
         with _errors(self.path):
             rows = self._database.execute(
-                "SELECT number, kind, content FROM messages WHERE number > ? ORDER BY number "
-                "LIMIT ?", (number, most),
+                "SELECT number, cast(content AS BLOB) FROM messages WHERE number > ? "
+                "ORDER BY number LIMIT ?", (number, most),
             ).fetchall()  # fmt: skip
+        before = max(number, self.stored)
         for row in rows:
-            yield Waiting(row[0], previous, row[1], row[2])
-            previous = row[0]
+            yield Waiting(row[0], row[0] == self.stored + 1 or row[0] != before + 1, row[1])
+            before = row[0]
 
     def acknowledge(self, number: int) -> None:
         """Drop all messages up to a number: fusion has stored them."""
+        number = min(number, self.last)
         with _errors(self.path):
             self._database.execute("DELETE FROM messages WHERE number <= ?", (number,))
-            self._appended = 0
+            self._database.execute(
+                "DELETE FROM poses WHERE number < "
+                "(SELECT max(number) FROM poses WHERE number <= ?)", (number + 1,),
+            )  # fmt: skip
+        self.stored, self._appended = max(self.stored, number), 0
 
-    def note(self, name: str) -> str:
-        """Return a text that is kept beside the messages; empty where there is none."""
-        found = self._database.execute("SELECT value FROM notes WHERE name = ?", (name,)).fetchone()
+    def _note(self) -> str:
+        """Return of which version and tiles the messages are."""
+        found = self._database.execute("SELECT value FROM notes WHERE name = 'of'").fetchone()
         return str(found[0]) if found else ""
 
-    def set_note(self, name: str, value: str) -> None:
-        """Keep a text beside the messages."""
-        self._database.execute("INSERT OR REPLACE INTO notes VALUES (?, ?)", (name, value))
-
-    def _one(self, query: str, *values: int) -> tuple[int, ...]:
+    def _one(self, query: str) -> tuple[int, ...]:
         with _errors(self.path):
-            found = self._database.execute(query, values).fetchone()
+            found = self._database.execute(query).fetchone()
         return tuple(found)
+
+
+def _raise_of_the_place(error: sqlite3.Error) -> None:
+    """Raise an error of SQLite that is not about what the file holds."""
+    name = getattr(error, "sqlite_errorname", "SQLITE_ERROR").removeprefix("SQLITE_")
+    if name.startswith(_OF_THE_PLACE):
+        raise error
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Detections for tracking: which detections a sensor sends for following them, and as what bytes.
+"""Detections near the road: which ones a sensor sends, and as what bytes.
 
 Those that the tracker takes: within a metre of a tile, at heights that vehicles have, in the order
 in which the radar gave them. Positions in units of 4 mm, range rates of 2 mm/s, cut towards zero so
@@ -12,13 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.errors import InputError
 from gis_radar.lanelets.graph import MARGIN_M
-from gis_radar.live.payload import MOST_FRAMES, Numbers, folded, unfolded, varint
+from gis_radar.live.payload import MOST_FRAMES, POSE_BYTES, Numbers, varint
 from gis_radar.measures.frames import NO_FURTHER
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections
@@ -29,10 +31,13 @@ from gis_radar.tracking.settings import DEFAULTS, DetectionSettings
 
 UNITS, RATES = 250, 500  # in a metre, and in a metre a second
 UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
+UNKNOWN_RATE = -2_500_000
 FARTHEST = 25_000_000  # 100 km
 MOST_DETECTIONS = 20_000  # of a frame: a radar sends hundreds
 _COLUMNS = 5
 _MOST_LOW = 40  # bits of a rest
+_LAST_SHIFT = 56  # of a varint under 2**63
+Bytes: TypeAlias = NDArray[np.uint8]
 _AGAIN_S = 1.0  # the noise is found anew so often, for as long as it is learned
 
 
@@ -47,7 +52,8 @@ class FrameDetections:
     points : (n, 3) int64 array
         Sensor frame, 4 mm: x forward, y left, z up; `UNKNOWN_Z` for a z that is not measured.
     rates : (n,) int64 array
-        Range rate, 2 mm/s, positive when receding, cut towards zero; 0 of what stands.
+        Range rate, 2 mm/s, positive when receding, cut towards zero; 0 of what stands,
+        `UNKNOWN_RATE` where it is not known.
     rcs_db : (n,) int64 array
         Cross section, dBm2; `UNKNOWN_DB` where it is not known.
     """
@@ -58,14 +64,29 @@ class FrameDetections:
     rcs_db: Integers
 
     def as_rows(self) -> Detections:
-        """Return them as rows of a recording: none where there are none."""
+        """Return them as rows of a recording: one of NaN where there are none."""
+        if len(self.points) == 0:
+            gap = np.full(1, np.nan)
+            return Detections(
+                time=np.full(1, self.time_us / 1e6), points=np.full((1, 3), np.nan),
+                range_rate=gap, rcs=gap, further=NO_FURTHER,
+            )  # fmt: skip
         points = self.points / UNITS
         points[self.points[:, 2] == UNKNOWN_Z, 2] = np.nan
         rcs = np.where(self.rcs_db == UNKNOWN_DB, np.nan, self.rcs_db.astype(np.float64))
         # the middle of what was cut to the same number
         rates = (self.rates + 0.5 * np.sign(self.rates)) / RATES
+        rates[self.rates == UNKNOWN_RATE] = np.nan
         time = np.full(len(points), self.time_us / 1e6)
-        return Detections(time=time, points=points, range_rate=rates, rcs=rcs, further=NO_FURTHER)
+        return Detections(
+            time=time, points=_stored(points), range_rate=_stored(rates), rcs=rcs,
+            further=NO_FURTHER,
+        )  # fmt: skip
+
+
+def _stored(values: Floats) -> Floats:
+    """Round as a recording stores it, so that the map of now counts what a dataset counts."""
+    return values.astype(np.float32).astype(np.float64)
 
 
 class DetectionSelector:
@@ -108,13 +129,12 @@ class DetectionSelector:
         fits = (over >= self._settings.low_m - more) & (over <= self._settings.high_m + more)
         keep = np.zeros(len(frame), np.bool_)
         keep[point[fits | np.isnan(over)]] = True
-        keep &= np.isfinite(frame.range_rate)
         points, rate, rcs = frame.points[keep], frame.range_rate[keep], frame.rcs[keep]
         still = np.abs(rate) < self.still_mps
         return FrameDetections(
             time_us=int(np.rint(time * 1e6)),
             points=_whole(UNITS * points, UNKNOWN_Z),
-            rates=np.where(still, 0.0, np.trunc(np.round(RATES * rate, 3))).astype(np.int64),
+            rates=_whole(np.where(still, 0.0, np.trunc(np.round(RATES * rate, 3))), UNKNOWN_RATE),
             rcs_db=_whole(rcs, UNKNOWN_DB),
         )
 
@@ -125,7 +145,7 @@ class DetectionSelector:
         elif not self._rates:
             return
         if time < self._begun + self._settings.noise_s:
-            self._rates.append(frame.range_rate[frame.present])
+            self._rates.append(frame.range_rate[np.isfinite(frame.range_rate)])
         done = time >= self._begun + self._settings.noise_s
         if done or time >= self._learned + _AGAIN_S:
             self._learned = time
@@ -147,17 +167,17 @@ def _whole(values: Floats, unknown: int) -> Integers:
     return np.where(np.isnan(values), unknown, np.rint(values)).astype(np.int64)
 
 
-def pack_detections(frames: Sequence[FrameDetections], *, pose: int) -> bytes:
+def pack_detections(frames: Sequence[FrameDetections], *, pose: bytes) -> bytes:
     """Return the detections of frames as the content of a message.
 
     Parameters
     ----------
     frames : sequence of FrameDetections
         In order of time.
-    pose : int
-        Number of the message with the pose that they were found by.
+    pose : bytes
+        Key of the pose that they were found by.
     """
-    parts, before = [varint(pose), varint(len(frames))], 0
+    parts, before = [pose, varint(len(frames))], 0
     for frame in frames:
         parts += [varint(frame.time_us - before), varint(len(frame.points))]
         before = frame.time_us
@@ -166,8 +186,8 @@ def pack_detections(frames: Sequence[FrameDetections], *, pose: int) -> bytes:
     return b"".join(parts)
 
 
-def unpack_detections(content: bytes) -> tuple[int, tuple[FrameDetections, ...]]:
-    """Return the number of the pose, and the detections of the frames of a message.
+def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...]]:
+    """Return the key of the pose, and the detections of the frames of a message.
 
     Raises
     ------
@@ -175,29 +195,47 @@ def unpack_detections(content: bytes) -> tuple[int, tuple[FrameDetections, ...]]
         If the bytes are no such content.
     """
     read = Numbers(content, 0)
-    pose, count = _head(read)
-    frames, time_us = [], 0
+    pose, count = read.bytes(POSE_BYTES), read.take()
+    if not 0 < count <= MOST_FRAMES:
+        raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
+    data, frames, time_us = np.frombuffer(content, np.uint8), [], 0
     for _ in range(count):
         time_us += read.take()
         size = read.take()
         if size > min(MOST_DETECTIONS, 8 * (len(content) - read.at)):
             raise InputError(f"a frame of {size} detections in {len(content)} bytes")
-        columns = [_unpack_column(read, size) if size else np.empty(0, np.int64)
-                   for _ in range(_COLUMNS)]  # fmt: skip
-        points = np.column_stack(columns[:3])
-        if size and max(np.abs(each).max() for each in (points, *columns[3:])) > FARTHEST:
-            raise InputError(f"a frame with a detection beyond {FARTHEST / (1000 * UNITS):g} km")
-        frames.append(
-            FrameDetections(time_us=time_us, points=points, rates=columns[3], rcs_db=columns[4])
-        )
+        columns = np.empty((_COLUMNS, size), np.int64)
+        for column in columns if size else ():
+            read.at = _unpack_column(data, read.at, column)
+            if read.at < 0:
+                raise InputError("a message ends within its detections")
+        frames.append(_frame_of(time_us, columns))
     read.end()
     return pose, tuple(frames)
+
+
+def first_time_us(content: bytes) -> int:
+    """Return the time of the first frame of a message, without unpacking it."""
+    read = Numbers(content, POSE_BYTES)
+    read.take()
+    return read.take()
+
+
+def _frame_of(time_us: int, columns: Integers) -> FrameDetections:
+    """Return a frame of its columns; refuse what no radar measures."""
+    if columns.size and (columns.min() < -FARTHEST or columns.max() > FARTHEST):
+        raise InputError(f"a frame with a detection beyond {FARTHEST / (1000 * UNITS):g} km")
+    level = columns[2] == UNKNOWN_Z
+    if level.any() and not level.all():
+        raise InputError("a frame in which some detections have a height and others none")
+    points = np.ascontiguousarray(columns[:3].T)
+    return FrameDetections(time_us=time_us, points=points, rates=columns[3], rcs_db=columns[4])
 
 
 def _pack_column(values: Integers) -> bytes:
     """Return numbers as bytes: k, their median, then quotients and rests by bits."""
     middle = int(np.sort(values)[len(values) // 2])
-    off = folded(values - middle)
+    off = _folded(values - middle)
     mean = int(off.mean())
     most = range(max(mean.bit_length() - 2, 0), min(mean.bit_length() + 2, _MOST_LOW) + 1)
     low = min(most, key=lambda k: k * len(off) + int((off >> k).sum()))
@@ -207,39 +245,43 @@ def _pack_column(values: Integers) -> bytes:
     ones[ends] = 0
     rest = (off[:, None] >> np.arange(low - 1, -1, -1)) & 1
     bits = np.concatenate([ones, rest.ravel().astype(np.uint8)])
-    return bytes([low]) + varint(int(folded(np.array(middle)))) + np.packbits(bits).tobytes()
+    return bytes([low]) + varint(int(_folded(np.array(middle)))) + np.packbits(bits).tobytes()
 
 
-def _unpack_column(read: Numbers, size: int) -> Integers:
-    """Take numbers as :func:`_pack_column` writes them."""
-    (low,) = read.bytes(1)
-    middle = unfolded(np.array(read.take()))
-    bits = np.unpackbits(np.frombuffer(read.rest(), np.uint8))
-    ends = np.flatnonzero(bits == 0)[:size]
-    if low > _MOST_LOW or len(ends) < size or ends[-1] + 1 + size * low > len(bits):
-        raise InputError("a message ends within its detections")
-    quotient = np.diff(ends, prepend=-1) - 1
-    begin = int(ends[-1]) + 1
-    rest = bits[begin : begin + size * low].reshape(size, low).astype(np.int64)
-    read.bytes((begin + size * low + 7) // 8)
-    return np.asarray(
-        unfolded((quotient << low) + (rest << np.arange(low - 1, -1, -1)).sum(axis=1)) + middle
-    )
+def _folded(values: Integers) -> Integers:
+    """Return signed numbers as numbers from 0: 0, -1, 1, -2, ... become 0, 1, 2, 3, ..."""
+    return np.asarray((values << 1) ^ (values >> 63))
 
 
-def head_of(content: bytes) -> tuple[int, int]:
-    """Return the number of the pose, and of how many frames a message tells.
-
-    Raises
-    ------
-    InputError
-        If the bytes begin as no such content.
-    """
-    return _head(Numbers(content, 0))
-
-
-def _head(read: Numbers) -> tuple[int, int]:
-    pose, count = read.take(), read.take()
-    if not 0 < count <= MOST_FRAMES:
-        raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
-    return pose, count
+@compiled
+def _unpack_column(  # pragma: no cover - compiled
+    data: Bytes, at: int, out: Integers
+) -> int:
+    """Fill in a column as :func:`_pack_column` writes it; return where it ends, -1 for beyond."""
+    if at >= len(data) or data[at] > _MOST_LOW:
+        return -1
+    low, middle, shift, more = int(data[at]), 0, 0, True
+    while more:
+        at += 1
+        if at >= len(data) or shift > _LAST_SHIFT:
+            return -1
+        middle |= (int(data[at]) & 0x7F) << shift
+        more = data[at] >= 0x80
+        shift += 7
+    middle = (middle >> 1) ^ -(middle & 1)
+    bit, end = 8 * (at + 1), 8 * len(data)
+    for k in range(len(out)):
+        out[k] = 0
+        while bit < end and data[bit >> 3] & (0x80 >> (bit & 7)):
+            out[k] += 1
+            bit += 1
+        bit += 1
+    if bit + len(out) * low > end:
+        return -1
+    for k in range(len(out)):
+        value = out[k]
+        for _ in range(low):
+            value = (value << 1) | ((data[bit >> 3] >> (7 - (bit & 7))) & 1)
+            bit += 1
+        out[k] = ((value >> 1) ^ -(value & 1)) + middle
+    return (bit + 7) >> 3

@@ -1,10 +1,10 @@
-"""The edge: a sensor's frames become tiles, which wait on disk and go to fusion."""
+"""The edge: a sensor's detections near the road wait on disk and go to fusion."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -15,7 +15,7 @@ import numpy as np
 
 from gis_radar.calibration import LOCALIZATION
 from gis_radar.crs import require_same
-from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.errors import NoAnswerError
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.detections import DetectionSelector, FrameDetections, pack_detections
@@ -29,30 +29,17 @@ from gis_radar.live.own_pose import (
     rounded,
     view_of,
 )
-from gis_radar.live.payload import (
-    DETECTIONS,
-    HITS,
-    MOST_CONTENT,
-    POSE,
-    Envelope,
-    PoseContent,
-    in_parts,
-    pack_hits,
-    pack_message,
-)
+from gis_radar.live.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
-from gis_radar.live.tile_finder import TileFinder
-from gis_radar.measures.hit_counter import CountedFrame
-from gis_radar.measures.settings import DEFAULTS as HITS_FOLDER
-from gis_radar.measures.validity import validity_of
+from gis_radar.measures.views import road_near
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections
-from gis_radar.sight import SightTiles
+from gis_radar.sight import SightTiles, find_sight
 from gis_radar.steps import STEP_US
-from gis_radar.tiles import TileGrid, read_tiles
+from gis_radar.tiles import read_tiles
 
 
 class Edge:
@@ -76,26 +63,18 @@ class Edge:
     def __init__(
         self, file: EdgeFile, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
     ) -> None:
-        self.frames = self.hits = 0
+        self.frames = self.not_sent = 0
         self._file, self._settings, self._reporter = file, settings, reporter
         tiles = read_tiles(file.tiles)
-        self._road, self._filters = SightTiles.of(tiles), file.filters()
-        if self._filters.clearance is not None and np.isnan(self._road.height).all():
-            raise InputError(
-                f"{file.tiles}: the tiles have no road heights, which clearance needs",
-                hint="make them with --road, or from a map with ele",
-            )
-        self._grid = TileGrid(self._road.quads)
+        self._road = SightTiles.of(tiles)
         self._given = self._read_pose(tiles)
-        cycles = None if file.cycle is None else {file.sensor: file.cycle}
-        self._validity_s = validity_of(cycles, [file.sensor])[file.sensor]
-        self._finder: TileFinder | None = None
-        self._pose_number, self._last_step, self._trusted = 0, -1, True
+        self._pose: Pose | None = None
+        self._pose_key, self._road_m = b"", np.nan
+        self._last_step, self._trusted = -1, True
         self._last_time, self._doubted = -np.inf, False
         self._next: Followed | None = None
         self._follower: PoseFollower | None = None
-        self._waiting: list[CountedFrame] = []
-        self._detections: list[FrameDetections] = []
+        self._waiting: list[FrameDetections] = []
         self._selector = DetectionSelector(self._road)
         self._gathered: deque[Detections] = deque(maxlen=LOCALIZATION.traces.frames)
         self._try_at = LOCALIZATION.traces.frames
@@ -107,6 +86,7 @@ class Edge:
         what = f"the pose of {pose.sensor}"
         require_same(pose.crs, tiles.crs, what=what, other_what="the tiles")
         view = view_of(self._file)
+        pose = replace(pose, sensor=self._file.sensor)
         return rounded(pose if view is None else pose.with_view(view))
 
     def run(self, stop: Event) -> None:
@@ -140,7 +120,6 @@ class Edge:
                 buffer, link, topics, figures=lambda: self._figures(buffer),
                 settings=self._settings, reporter=self._reporter,
             )  # fmt: skip
-            self._link, self._topics, self._stream = link, topics, buffer.stream
             link.open()
             try:
                 self._work(stop)
@@ -151,7 +130,7 @@ class Edge:
 
     def figures(self) -> dict[str, object]:
         """Return what it did, by name."""
-        return {"frames": self.frames, "hits": self.hits, "lost": self._outbox.lost}
+        return {"frames": self.frames, "not_sent": self.not_sent, "lost": self._outbox.lost}
 
     def _figures(self, buffer: DiskBuffer) -> dict[str, object]:
         return {
@@ -159,7 +138,7 @@ class Edge:
             "frames": self.frames,
             "lost": self._outbox.lost,
             "waiting_bytes": buffer.bytes_used,
-            "pose": "found" if self._finder else "searched",
+            "pose": "found" if self._pose else "searched",
             "trusted": self._trusted,
         }
 
@@ -177,7 +156,7 @@ class Edge:
             if frame is not None:
                 self._look_at_clock(frame)
                 for ready in self._with_pose(frame):
-                    self._count(ready)
+                    self._select(ready)
             self._outbox.pump()
         self._end_of_source(stop)
         self._flush()
@@ -187,9 +166,9 @@ class Edge:
 
     def _end_of_source(self, stop: Event) -> None:
         """Find the pose of a short recording from what there is of it."""
-        if self._finder is None and self._gathered and not stop.is_set() and self._try_to_find():
+        if self._pose is None and self._gathered and not stop.is_set() and self._try_to_find():
             for ready in self._begin_with_gathered():
-                self._count(ready)
+                self._select(ready)
                 self._outbox.pump()
 
     def _look_at_clock(self, frame: Detections) -> None:
@@ -205,15 +184,15 @@ class Edge:
         self._last_time = time
 
     def _with_pose(self, frame: Detections) -> Iterator[Detections]:
-        """Yield the frames whose pose is known by now, with the finder set."""
-        if self._finder is None and self._given is None:
+        """Yield the frames whose pose is known by now, with that pose in force."""
+        if self._pose is None and self._given is None:
             self._gathered.append(frame)
             self._try_at -= 1
             if self._try_at <= 0 and self._try_to_find():
                 yield from self._begin_with_gathered()
             return
-        if self._finder is None:
-            self._take_over(Followed(pose=self._given), frame)  # type: ignore[arg-type]
+        if self._pose is None:
+            self._take_over(Followed(pose=self._given))  # type: ignore[arg-type]
             self._follow(frame)
         if self._follower is not None:
             self._follower.push(frame)
@@ -224,7 +203,7 @@ class Edge:
             self._try_again(frame)
         step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
         if self._next is not None and step > self._last_step:
-            self._take_over(self._next, frame)
+            self._take_over(self._next)
             self._next = None
         yield frame
 
@@ -233,7 +212,7 @@ class Edge:
         gathered = list(self._gathered)
         self._gathered.clear()
         if self._next is not None:
-            self._take_over(self._next, gathered[0])
+            self._take_over(self._next)
             self._next = None
         yield from gathered
         self._follow(gathered[-1])
@@ -272,62 +251,48 @@ class Edge:
 
     def _follow(self, frame: Detections) -> None:
         file = self._file
-        if file.follow and file.map is not None and file.road is not None and self._finder:
+        if file.follow and file.map is not None and file.road is not None and self._pose:
             begin = float(frame.time[0])
-            start = self._next.pose if self._next is not None else self._finder.pose
+            start = self._next.pose if self._next is not None else self._pose
             self._follower = PoseFollower(
                 file, start, begin, doubted=self._doubted, reporter=self._reporter
             )
 
-    def _take_over(self, found: Followed, frame: Detections) -> None:
-        """Count by a pose from a frame on, and say so to fusion."""
+    def _take_over(self, found: Followed) -> None:
+        """Select by a pose from now on, and tell fusion of it."""
         if found.refused and self._trusted:
             self._reporter.log(f"the pose is not confirmed: {found.refused}", "warning")
-        same = self._finder is not None and _is_same(self._finder.pose, found.pose)
+        same = self._pose is not None and _is_same(self._pose, found.pose)
         if same and found.trusted == self._trusted:
             return
         self._flush()
-        step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
-        content = PoseContent(
-            pose=found.pose.as_dict(), since_step=step, fingerprint=self._road.fingerprint,
-            filters=asdict(self._filters), settings=asdict(HITS_FOLDER),
-            validity_s=self._validity_s, trusted=found.trusted,
-        )  # fmt: skip
-        number = self._outbox.put(POSE, content.pack())
-        if number:  # else the buffer is full: by the earlier pose, as that is the one that is known
-            self._finder = TileFinder(self._road, self._grid, self._filters, found.pose)
-            self._pose_number, self._trusted = number, found.trusted
+        content = PoseContent(pose=found.pose.as_dict(), fingerprint=self._road.fingerprint).pack()
+        if self._outbox.put_pose(content):  # else by the earlier pose, as that one is known
+            self._pose, self._pose_key = found.pose, key_of_pose(content)
+            self._road_m = road_near(find_sight(found.pose, self._road), self._road)
+            self._trusted = found.trusted
             self._doubted = self._doubted and not found.trusted
 
-    def _count(self, frame: Detections) -> None:
-        if self._finder is None:
+    def _select(self, frame: Detections) -> None:
+        """Keep the detections near the road for fusion, where the pose is known."""
+        if self._pose is None:
             return
-        found = self._finder.find(frame)
+        found = self._selector.find(frame, self._pose, road_m=self._road_m)
         self.frames += 1
-        self.hits += len(found.tiles)
         self._last_step = found.time_us // STEP_US
+        if not self._trusted:
+            self.not_sent += 1
+            return
         self._waiting.append(found)
-        if self._file.detections:
-            self._detections.append(self._finder.detections(frame, self._selector))
         if len(self._waiting) >= self._file.frames_a_message:
             self._flush()
 
     def _flush(self) -> None:
         """Put the frames that wait for each other on disk, as one message where they fit."""
-        if not self._waiting:
-            return
-        pose, fingerprint = self._pose_number, self._road.fingerprint
-        pack = partial(pack_hits, pose=pose, fingerprint=fingerprint)
-        for content in in_parts(self._waiting, pack):
-            self._outbox.put(HITS, content)
-        if self._detections and not self._outbox.behind:
-            envelope = Envelope(kind=DETECTIONS, stream=self._stream)
-            for detections in in_parts(self._detections, partial(pack_detections, pose=pose)):
-                if len(detections) <= MOST_CONTENT:
-                    self._link.publish(
-                        self._topics.of("detections"), pack_message(envelope, detections)
-                    )
-        self._waiting, self._detections = [], []
+        waiting, self._waiting = self._waiting, []
+        if waiting:
+            for content in in_parts(waiting, partial(pack_detections, pose=self._pose_key)):
+                self._outbox.put(content)
 
 
 def _is_same(one: Pose, other: Pose) -> bool:

@@ -16,12 +16,10 @@ import numpy as np
 
 from gis_radar.errors import GisRadarError
 from gis_radar.lanelets import read_map
-from gis_radar.live.detections import DetectionSelector, pack_detections
-from gis_radar.live.payload import pack_hits, unpack_hits
+from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
+from gis_radar.live.payload import POSE_BYTES
 from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.tile_finder import TileFinder
-from gis_radar.measures import Filters
-from gis_radar.measures.hit_counter import CountedFrame
+from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import Pose
 from gis_radar.processes import run_unless_stopped
@@ -29,7 +27,7 @@ from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.sample import sample_folder
 from gis_radar.sight import SightTiles
-from gis_radar.tiles import TileGrid, make_tiles
+from gis_radar.tiles import make_tiles
 
 COMPILING = "compiling what runs often: up to minutes at the first start, seconds at later ones"
 NOT_COMPILED = "what runs often is compiled only when it is needed: {}"
@@ -71,21 +69,21 @@ class SampleSensor:
         return islice(frames_of_recording(self._recording), count)
 
 
+def _first_message(sample: SampleSensor) -> bytes:
+    (frame,) = sample.frames(1)
+    found = DetectionSelector(sample.road).find(frame, sample.pose, road_m=np.nan)
+    return pack_detections([found], pose=bytes(POSE_BYTES))
+
+
 @cache
 def run_sensor_once() -> None:
     """Do with a frame what a sensor's program does with each."""
-    sample = SampleSensor()
-    finder = TileFinder(sample.road, TileGrid(sample.road.quads), Filters(), sample.pose)
-    selector = DetectionSelector(sample.road)
-    for frame in sample.frames(1):
-        pack_hits([finder.find(frame)], pose=1, fingerprint=sample.road.fingerprint)
-        pack_detections([finder.detections(frame, selector)], pose=1)
+    _first_message(SampleSensor())
 
 
 @cache
 def run_fusion_once() -> None:
-    """Read a message of hits as fusion reads each."""
-    frame = CountedFrame(
-        time_us=0, detections=1, moving=0, wild=0, checksum=0, tiles=np.array([1, 3])
-    )
-    unpack_hits(pack_hits([frame], pose=1, fingerprint="0" * 16), tiles=4)
+    """Do with a message what fusion does with each."""
+    sample = SampleSensor()
+    _, (frame,) = unpack_detections(_first_message(sample))
+    FrameCounter(sample.road).count(frame.as_rows(), sample.pose)

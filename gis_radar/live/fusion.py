@@ -1,52 +1,59 @@
-"""Fusion: what all sensors of a site send becomes the map of now, and a folder of hits an hour."""
+"""Fusion: what all sensors of a site send becomes the map of now, recordings, and a dataset."""
 
 from __future__ import annotations
 
 import gc
+import json
 import secrets
 import time
 from collections.abc import Iterable
-from functools import partial
-from pathlib import Path
+from contextlib import ExitStack
 from threading import Event
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gis_radar.errors import GisRadarError, OutputError
-from gis_radar.files import atomic_write
+from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
+from gis_radar.files import atomic_write, only_writer, output_errors
+from gis_radar.lanelets.graph import lane_graph
 from gis_radar.live.background import BackgroundTask
 from gis_radar.live.broker import FUSION, Link, SensorTopics
-from gis_radar.live.first_run import compile_first, run_fusion_once
+from gis_radar.live.first_run import NOT_COMPILED, compile_first, run_fusion_once
 from gis_radar.live.health import prometheus_text, serve_metrics
-from gis_radar.live.hour_copy import write_copied
-from gis_radar.live.hours import HOUR_US
-from gis_radar.live.intake import Intake, SensorState
-from gis_radar.live.journal import Journal
+from gis_radar.live.hour_work import MeasuredSite, refuse_other_tiles
+from gis_radar.live.intake import Intake, Mark, SensorState
+from gis_radar.live.jobs import HourJobs
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.map_of_now import MapOfNow, MapState
-from gis_radar.live.payload import Acknowledgement
+from gis_radar.live.payload import DETECTIONS, POSE, VERSION, Acknowledgement
+from gis_radar.live.quarters import Quarters
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
 from gis_radar.live.snapshot import place_of
-from gis_radar.live.store import Store
-from gis_radar.live.vehicles.in_fusion import LiveVehicles
+from gis_radar.live.spool import Spool, SpoolFile, spool_files
+from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.windows import Seen, Windows
+from gis_radar.measures.hit_counter import FrameCounter
+from gis_radar.measures.validity import validity_of
 from gis_radar.measures.views import ViewBook
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.sight import SightTiles, describe_sight, open_sight
-from gis_radar.steps import STEP_US, interval_steps
+from gis_radar.sight import SightTiles, open_sight
+from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, interval_steps
 from gis_radar.tiles import read_tiles
+from gis_radar.tracking.map_check import map_of_tiles
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import geopandas as gpd
 
     from gis_radar.live.server import Page
 
 TAKEN_AT_ONCE = 500  # messages between two looks at the clock
 WAIT_S = 0.01
+READY_S = 0.1
 SAID_S = 600.0  # until the same error is logged again: a disk stays full for hours
-HITS_FOLDER_NAME, JOURNAL_FILE, NOW_FILE = "hits", "journal.sqlite", "now.gpkg"
-PUSH_FILE = "sensorthings.json"
+SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
+HOUR_STEPS = 3600 * STEPS_PER_SECOND  # that the map takes up again at most
 
 
 class Fusion:
@@ -76,54 +83,64 @@ class Fusion:
         self._said: dict[str, float] = {}  # errors, and when they were logged
         self.tiles = read_tiles(site.live.tiles)
         road = SightTiles.of(self.tiles)
+        filters = site.filters()
+        if filters.clearance is not None and np.isnan(road.height).all():
+            raise InputError(
+                f"{site.live.tiles}: the tiles have no road heights, which clearance needs",
+                hint="make them with --road, or from a map with ele",
+            )
         scans = site.scan.files if site.scan is not None else ()
-        scan = open_sight(
-            road, scans=scans, scan_crs=site.scan.crs if site.scan else None, sight=None,
-            reporter=reporter,
-        )  # fmt: skip
-        self._book = ViewBook(road=road, scan=scan)
-        folder = site.folder
-        try:
+        scan_crs = site.scan.crs if site.scan is not None else None
+        scan = open_sight(road, scans=scans, scan_crs=scan_crs, sight=None, reporter=reporter)
+        folder, names = site.folder, [each.name for each in site.sensor]
+        with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
-        self._journal = Journal(folder / JOURNAL_FILE, fingerprint=road.fingerprint)
-        self._store = Store(
-            folder=folder / HITS_FOLDER_NAME, fingerprint=road.fingerprint, tile_id=road.tile_id,
-            sight=describe_sight(scan),
+        self._held = ExitStack()
+        self._held.enter_context(only_writer(folder / SPOOL, reporter=reporter))
+        measured = MeasuredSite(
+            folder=folder, map=site.map.file, tiles=site.live.tiles, sensors=sorted(names),
+            scans=scans, scan_crs=scan_crs, filters=filters, cycles=site.cycles(),
+            timezone=site.timezone, vehicles=site.live.vehicles, keep_s=site.live.keep,
+            most_bytes=1e9 * site.live.gigabytes,
         )  # fmt: skip
+        refuse_other_tiles(measured.dataset, road.fingerprint)
+        self._dataset = measured.dataset
+        self.vehicles = _vehicles(site, self.tiles, names, reporter)
+        self.quarters = Quarters()
+        self._jobs = HourJobs(measured, self.quarters, settings=settings, reporter=reporter)
         self._windows = Windows(site.live.lateness)
         self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
-        self.vehicles: LiveVehicles | None = (
-            LiveVehicles(site, self.tiles, self._book, reporter=reporter)
-            if site.live.vehicles else None
+        self._map.holds_s = dict(validity_of(site.cycles(), names))
+        self._spool = Spool(folder / SPOOL)
+        self.intake = Intake(
+            names, site=site.live.site, spool=self._spool, book=ViewBook(road=road, scan=scan),
+            counter=FrameCounter(road, filters=filters), windows=self._windows,
+            current=self._map, oldest_s=site.live.oldest, vehicles=self.vehicles,
+            settings=settings, reporter=reporter,
         )  # fmt: skip
-        self._page = _page(self, site)
-        self._push = _push(site, self.tiles, reporter)
-        self._written: dict[Path, None] = {}
-        self._writer, self._exporter = (
-            BackgroundTask[Path | None]("hour"),
-            BackgroundTask[None]("export"),
-        )
-        self._hour = (0, 0.0)  # that is being written, and when a frame of it came last
-        self._committer = BackgroundTask[None]("commit")
-        self._committing: list[tuple[SensorState, str, int]] = []  # up to which number of a stream
+        self.sensors = self.intake.sensors
+        self._page, self._push = _page(self, site), _push(site, self.tiles, reporter)
+        self._exporter, self._disk = BackgroundTask[None]("export"), BackgroundTask[None]("disk")
+        self._committing: list[tuple[Mark, int, int]] = []  # up to which messages of streams
+        self._rotating = False
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
-        self.intake = Intake(
-            [each.name for each in site.sensor], site=site.live.site, book=self._book,
-            journal=self._journal, windows=self._windows, current=self._map, settings=settings,
-            reporter=reporter,
-        )  # fmt: skip
-        self.sensors, self.intake.vehicles = self.intake.sensors, self.vehicles
+        self._resume()
+
+    def _resume(self) -> None:
+        """Take up what the spool holds, and go on in a new file of it."""
         now_us = int(time.time() * 1e6)
-        self._advance(self.intake.resume(_counted_since(site, now_us), now_us))
+        begin_us = max(_counted_since(self._site, now_us), now_us - HOUR_STEPS * STEP_US)
+        files = [SpoolFile(path) for path in spool_files(self._site.folder / SPOOL)]
+        self.intake.resume(files, begin_us)
+        self._advance(self._windows.close(now_us, most=HOUR_STEPS))
+        self._spool.rotate(self.intake.marks)
 
     @property
     def outputs(self) -> list[Path]:
-        """The folders of the hours that were written, and the files for QGIS."""
-        followed = self.vehicles.written if self.vehicles is not None else {}
-        return [*self._written, *followed, self._site.folder / NOW_FILE]
+        """The dataset, where there is one, and the file for QGIS."""
+        there = [self._dataset] if self._dataset.exists() else []
+        return [*there, self._site.folder / NOW_FILE]
 
     def figures(self) -> dict[str, object]:
         """Return what came of each sensor, by name."""
@@ -135,22 +152,22 @@ class Fusion:
 
     def metrics(self) -> str:
         """Return health as text for Prometheus."""
-        open_frames = float(self._journal.waiting)
         figures = {
-            "unwritten_frames": open_frames,
-            "unwritten_hours": float(len(self.intake.touched)),
+            "unwritten_messages": float(self._spool.waiting),
             "map_step": float(self._map.step),
             "unknown_sensors": float(len(self.intake.unknown)),
             "broker_connections": float(self._link.connections) if self._link else 0.0,
+            **self._jobs.figures(),
         }
         if self.vehicles is not None:
             figures |= self.vehicles.figures()
         return prometheus_text([each.health for each in self.sensors.values()], figures)
 
     _link: Link | None = None
+    _rotate_at = 0.0
 
     def run(self, stop: Event) -> None:
-        """Work until it is stopped; then all that is stored is written as folders.
+        """Work until it is stopped; then what is over is measured.
 
         Parameters
         ----------
@@ -159,14 +176,14 @@ class Fusion:
         """
         live = self._site.live
         compile_first(run_fusion_once, stop, self._reporter)
-        if self.vehicles is not None:
-            self.vehicles.make_ready(stop)
+        self._jobs.take_up(self._spool.closed)
+        self._make_vehicles_ready(stop)
         topics = SensorTopics(live.site, "+")
         own = SensorTopics(live.site, FUSION).of("status")
         link = Link(
             self._site.address(), name=f"{live.site}-fusion",
-            topics=tuple(topics.of(kind) for kind in ("pose", "status", "hits", "detections")),
-            will=(own, b'{"version": 1, "state": "offline"}'), reporter=self._reporter,
+            topics=tuple(topics.of(kind) for kind in (POSE, "status", DETECTIONS)),
+            will=(own, _state("offline")), reporter=self._reporter,
         )  # fmt: skip
         self._link = link
         server = serve_metrics(live.health, self.metrics) if live.health else None
@@ -175,13 +192,15 @@ class Fusion:
         self._export(self.state())  # the first takes long, before frames come
         gc.collect()
         gc.freeze()  # what is there now stays: to look through it holds frames up for 0.3 s
+        for each in self.sensors.values():  # what comes before was not listened for
+            each.health.heard_s = time.time()
         link.open()
         connections = 0
         try:
             while not stop.is_set():
                 if link.connections != connections and link.connected:
                     connections = link.connections
-                    link.publish(own, b'{"version": 1, "state": "online"}', retain=True)
+                    link.publish(own, _state("online"), retain=True)
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
                 self._take(link)
@@ -190,12 +209,30 @@ class Fusion:
             self._finish()
         finally:
             gc.unfreeze()
-            link.close(own, b'{"version": 1, "state": "offline"}')
+            link.close(own, _state("offline"))
             if server is not None:
                 server.close()
             if self._page is not None:
                 self._page.close()
-            self._journal.__exit__()
+            self.close()
+
+    def close(self) -> None:
+        """Let go of the files and end the processes."""
+        if self.vehicles is not None:
+            self.vehicles.close()
+        self._jobs.stop()
+        self._spool.close()
+        self._held.close()
+
+    def _make_vehicles_ready(self, stop: Event) -> None:
+        """Start the process that follows the vehicles of now, and wait until it can."""
+        if self.vehicles is None or stop.is_set():
+            return
+        ready = self.vehicles.make_ready()
+        while not (ready.done() or stop.wait(READY_S)):
+            pass
+        if ready.done() and (error := ready.exception()) is not None:
+            self._reporter.log(NOT_COMPILED.format(error), "warning")
 
     def _take(self, link: Link) -> None:
         message = link.take(WAIT_S)
@@ -203,9 +240,8 @@ class Fusion:
             if message is None:
                 return
             self.intake.handle(message)
-            # of each stream: a replay does not wait for the clock, many radars do
-            most = self._settings.commit_frames * max(self._journal.streams_waiting, 1)
-            if self._journal.waiting >= most:
+            # of each sensor: a replay does not wait for the clock, many radars do
+            if self._spool.waiting >= self._settings.commit_frames * len(self.sensors):
                 self._commit()
             message = link.take(0.0)
 
@@ -220,14 +256,14 @@ class Fusion:
                 self._push.take(step, state.hit, state.observed)
 
     def _regular(self) -> None:
-        """Do what the clock asks for: commit, acknowledge, write hours and files."""
+        """Do what the clock asks for: commit, acknowledge, measure, write files."""
         now = time.monotonic()
-        self._take_committed()
+        self._take_written()
         if now - self._committed >= self._settings.commit_s:
             self._commit()
             for each in self.sensors.values():
                 each.health.look(time.time())
-            self._write_what_is_over(now)
+        self._measure()
         if now - self._exported >= self._site.live.every and not self._exporter.busy:
             self._exported = now
             state = self.state()
@@ -242,102 +278,86 @@ class Fusion:
             self.vehicles.turn()
 
     def _commit(self, *, wait: bool = False) -> None:
-        """Begin to bring frames to the disk, on another thread: the map goes on meanwhile."""
-        self._take_committed(wait=wait)
-        if self._committer.busy:
+        """Begin to bring messages to the disk, on another thread: the map goes on meanwhile."""
+        self._take_written(wait=wait)
+        if self._disk.busy:
             return
         self._committed = time.monotonic()
-        if self._journal.collect():
-            self._committing = [
-                (each, each.stream, each.received) for each in self.sensors.values()
-            ]
-            self._committer.begin(self._journal.write)
-            self._take_committed(wait=wait)
+        if self._spool.collect():
+            marks = [mark for each in self.sensors.values() for mark in each.marks.values()]
+            self._committing = [(each, each.received, each.check) for each in marks]
+            self._disk.begin(self._spool.write)
+            self._take_written(wait=wait)
 
-    def _take_committed(self, *, wait: bool = False) -> None:
+    def _rotate(self, *, wait: bool = False) -> None:
+        """Begin to go on in another file of the spool, which closes the one so far."""
+        marks = self.intake.marks
+        self._committing, self._rotating = [], True
+        self._disk.begin(lambda: self._spool.rotate(marks))
+        self._take_written(wait=wait)
+
+    def _take_written(self, *, wait: bool = False) -> None:
         """Acknowledge what has come to the disk; nothing else ever is."""
-        if not self._committer.busy:
+        if not self._disk.busy:
             return
         try:
-            self._committer.take(wait=wait)
-        except OutputError as error:
+            self._disk.take(wait=wait)
+        except OutputError as error:  # tried again; what waits is kept
+            self._rotating = False
             self._say(error)
             return
-        if self._committer.busy:
+        if self._disk.busy:
             return
-        for sensor, stream, number in self._committing:
-            if sensor.stream == stream and sensor.stored < number:
-                sensor.stored, sensor.due = number, True
-                self._acknowledge(sensor)
-        self._forget()
+        for mark, number, check in self._committing:
+            mark.stored, mark.stored_check = number, check
+        for each in self.sensors.values():
+            if self._committing and each.mark.stored != each.told:
+                self._acknowledge(each)
+        self._committing = []
+        if self._rotating:
+            self._rotating = False
+            self._jobs.begin(self._spool.closed)
 
-    def _forget(self) -> None:
-        try:
-            self.intake.forget()
-        except OutputError as error:
-            self._say(error)
+    def _measure(self) -> None:
+        """Have measured what is over, once the spool is closed up to here."""
+        self._jobs.touch(self.intake.touched)
+        self.intake.touched = set()
+        newest = {name: each.health.newest_s for name, each in self.sensors.items()}
+        full = self._spool.size > self._settings.spool_bytes
+        self._jobs.turn(time.time(), newest, full=full)
+        if self._jobs.wanted and not self._disk.busy and time.monotonic() >= self._rotate_at:
+            self._rotate_at = time.monotonic() + self._settings.commit_s
+            self._rotate()
 
     def _acknowledge(self, sensor: SensorState) -> None:
         if self._link is None or not self._link.connected:
             return
-        sensor.due = False
+        sensor.due, mark = False, sensor.mark
         found = Acknowledgement(
-            stream=sensor.stream, stored=sensor.stored, session=self._session,
-            resend=sensor.resend, refused=sensor.refused,
+            stream=sensor.stream, stored=mark.stored, check=mark.stored_check,
+            session=self._session, resend=sensor.resend, refused=sensor.refused,
         )  # fmt: skip
         self._link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
-
-    def _write_what_is_over(self, now: float) -> None:
-        """Begin to write an hour that is over, once the one before it is written."""
-        self._take_written()
-        over = int((time.time() - self._settings.settle_s) * 1e6) // HOUR_US
-        for hour, touched in self.intake.touched.items():
-            quiet = now - touched >= self._settings.settle_s
-            if hour < over and quiet and not self._writer.busy:
-                self._begin_hour(hour)
-
-    def _begin_hour(self, hour: int, *, here: bool = False) -> None:
-        """Begin to write an hour: in another process, or here where the map has ended."""
-        self._hour = (hour, self.intake.touched[hour])
-        self._journal.watch(hour)
-        poses, tiles, sensors = dict(self.intake.poses), dict(self._book.tiles), list(self.sensors)
-        write = partial(self._store.write_hour) if here else partial(write_copied, self._store)
-        self._writer.begin(lambda: write(hour, self._journal, poses, tiles, sensors))
-
-    def _take_written(self, *, wait: bool = False) -> None:
-        """Take note of an hour that was written meanwhile."""
-        if not self._writer.busy:
-            return
-        hour, touched = self._hour
-        try:
-            path = self._writer.take(wait=wait)
-            if self._writer.busy:
-                return
-            self._journal.unwatch()
-        except GisRadarError as error:
-            self.intake.touched[hour] = time.monotonic()  # tried again later; the journal keeps it
-            self._say(error)
-            return
-        if self.intake.touched.get(hour) == touched:  # else frames came meanwhile: once more
-            self.intake.touched.pop(hour, None)
-        if path is not None:
-            self._written[path] = None
+        sensor.told = mark.stored
 
     def _finish(self) -> None:
         self._commit(wait=True)
-        self._take_written(wait=True)
-        for hour in list(self.intake.touched):
-            self._begin_hour(hour, here=True)
-            self._take_written(wait=True)
         if self.vehicles is not None:
-            self.vehicles.finish()
+            self.vehicles.close()
+        self._jobs.touch(self.intake.touched)
+        self._jobs.stop()
+        try:
+            self._spool.rotate(self.intake.marks)
+        except OutputError as error:
+            self._say(error)
+        self._jobs.finish(self._spool.closed)
         self._exporter.take(wait=True)
         self._export(self.state())
 
     def _export(self, state: MapState) -> None:
         """Replace the files for QGIS."""
-        observed_s = state.observed_steps * (STEP_US / 1e6)
-        hit_s = state.hit_steps * (STEP_US / 1e6)
+        observed_s = state.observed_steps * STEP_S
+        hit_s = state.hit_steps * STEP_S
         share = np.divide(
             hit_s, observed_s, out=np.full(len(observed_s), np.nan), where=observed_s > 0
         )
@@ -346,10 +366,14 @@ class Fusion:
             observed=state.observed.astype(np.int8), hit_s=hit_s,
             observed_s=observed_s, hit_share=share,
         )  # fmt: skip
-        if self.vehicles is not None:
-            table = table.assign(**self.vehicles.columns())
+        if (lately := self.quarters.lately()) is not None:
+            table = table.assign(
+                occupied_s=lately.tiles.occupied * STEP_S,
+                visible_s=lately.tiles.visible * STEP_S, occupancy=lately.tiles.share(),
+            )  # fmt: skip
+        path = self._site.folder / NOW_FILE
         try:
-            with atomic_write(self._site.folder / NOW_FILE) as part:
+            with output_errors(path), atomic_write(path) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
                 if self.vehicles is not None:
                     layer = self.vehicles.layer()
@@ -363,6 +387,26 @@ class Fusion:
             self._said[error.message] = now
             hint = f" ({error.hint})" if error.hint else ""
             self._reporter.log(error.message + hint, "warning")
+
+
+def _state(word: str) -> bytes:
+    """Return a message with the state of fusion."""
+    return json.dumps({"version": VERSION, "state": word}).encode()
+
+
+def _vehicles(
+    site: LiveSite, tiles: gpd.GeoDataFrame, names: list[str], reporter: Reporter
+) -> LiveVehicles | None:
+    """Return what follows vehicles, where the site's file and its map allow it."""
+    if not site.live.vehicles:
+        return None
+    roads, _ = map_of_tiles(site.map.file, tiles)
+    try:
+        graph = lane_graph(roads.lanelets)
+    except NoAnswerError as error:
+        reporter.log(f"vehicles are not followed: {error.message}", "warning")
+        return None
+    return LiveVehicles(graph, names, tiles.crs, reporter=reporter)
 
 
 def _page(fusion: Fusion, site: LiveSite) -> Page | None:

@@ -27,10 +27,8 @@ COUNTS = {
     "duplicates": "messages that had come before",
     "gaps": "times that messages were missing, and asked for again",
     "damaged": "messages that could not be read",
-    "refused": "messages that were not taken: other tiles, version or pose",
-    "not_counted": "frames of a moved sensor, whose tiles count as not observed",
-    "detections": "frames of detections, by which vehicles are followed",
-    "left_out": "frames of detections of an unknown pose: vehicles are not followed by them",
+    "refused": "messages that were not taken: other tiles or version",
+    "off_time": "frames of a time that is too far from now, left out",
 }
 GAUGES = {  # meaning, attribute of SensorHealth
     "clock_offset_seconds": ("least delay of the last live frames", "clock_offset_s"),
@@ -46,7 +44,7 @@ ALARMS = {
     "damaged": "messages cannot be read",
     "twins": "two sensors have its name",
     "lost": "its buffer is full: frames are lost",
-    "detections": "its vehicles are not followed",
+    "off_time": "its frames are of another time and left out",
 }
 
 
@@ -119,7 +117,7 @@ class SensorHealth:
     def look(self, now_s: float) -> None:
         """Raise the alarm of a silent sensor; end alarms of single messages after a while."""
         quiet_s = now_s - self.heard_s
-        for kind in ("damaged", "twins"):  # of single messages
+        for kind in ("damaged", "off_time", "twins"):  # of single messages
             if now_s - self.raised_s.get(kind, now_s) > self.settings.over_s:
                 self.alarm(kind, None)
         silent = quiet_s > self.settings.silent_s

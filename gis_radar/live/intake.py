@@ -1,58 +1,92 @@
-"""The intake of fusion: what sensors send is checked, counted, and put in journal and windows."""
+"""The intake of fusion: what sensors send is checked, counted, and put in spool and windows."""
 
 from __future__ import annotations
 
+import json
 import re
 import time
-from collections.abc import Iterable, Iterator
-from copy import copy
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, cycle
-from typing import TYPE_CHECKING
+from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Booleans
+from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import require_same
-from gis_radar.errors import InputError, OutputError, placed
+from gis_radar.errors import InputError
 from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
+from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
-from gis_radar.live.hits_folder.tile_sets import unpack_tiles
-from gis_radar.live.hours import HOUR_STEPS, HOUR_US
-from gis_radar.live.journal import FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.old_poses import PosesOfSensor, drop_old_poses
 from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
     DETECTIONS,
-    FINGERPRINT_BYTES,
-    KINDS,
     POSE,
     STREAM_BYTES,
     VERSION,
     Envelope,
     PoseContent,
     VersionError,
+    check_of,
+    key_of_pose,
     read_record,
-    unpack_hits,
     unpack_message,
 )
+from gis_radar.live.recordings import HOUR_US, hour_of_time
 from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.live.store import KnownPose
+from gis_radar.live.spool import FRAMES, HEAD, PASSED, Marks, Spool, SpooledFrames, SpoolFile
+from gis_radar.live.spool import POSE as POSE_RECORD
+from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.windows import Seen, Windows
-from gis_radar.measures.hit_counter import CountedFrame
-from gis_radar.measures.views import SharedViews, ViewBook
+from gis_radar.measures.hit_counter import FrameCounter
+from gis_radar.measures.views import ViewBook
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_US
-
-if TYPE_CHECKING:
-    from gis_radar.live.vehicles.in_fusion import LiveVehicles
+from gis_radar.recordings.recording import Detections
+from gis_radar.steps import STEP_US, iso_from_step
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns
 MOST_LOST = 2**63  # of messages, as of their numbers
 STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
+AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
+LONGEST_MESSAGE_US = HOUR_US  # from its first frame to its last
+MOST_NUMBER = 1 << 40  # that a stream may begin with
+MOST_AHEAD = 1 << 24  # numbers that may be missing where the sensor no longer has them: ten days
+STREAMS_KEPT, POSES_KEPT = 8, 64  # of a sensor
+FARTHEST_M = 20_000.0  # of a sensor from the tiles
+
+
+@dataclass(slots=True)
+class Mark:
+    """Up to which number a stream is received and stored, with check sums of these messages."""
+
+    received: int = 0
+    check: int = 0
+    stored: int = 0
+    stored_check: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownPose:
+    """A pose of a sensor as fusion knows it.
+
+    Parameters
+    ----------
+    pose : Pose, optional
+        It; None for one that is refused.
+    view : str
+        Name of what the sensor sees from it.
+    road_m : float
+        Height of the road near it, metres; NaN where it is not known.
+    other_tiles : str
+        Fingerprint of the tiles that it speaks of, where they are others.
+    """
+
+    pose: Pose | None
+    view: str = ""
+    road_m: float = float("nan")
+    other_tiles: str = ""
 
 
 @dataclass(kw_only=True)
@@ -67,12 +101,12 @@ class SensorState:
         Its own.
     stream : str
         Which is received, in hexadecimal digits.
-    received, stored : int
-        The number up to which all is received, and on disk.
+    marks : dict
+        By stream, the latest last.
     poses : dict
-        By stream and number, the id of the row in the journal.
-    standing : SharedViews
-        Which of its poses share a view.
+        By key, the latest last.
+    told : int
+        The number that was acknowledged last.
     pose : Pose, optional
         The newest.
     """
@@ -80,17 +114,21 @@ class SensorState:
     health: SensorHealth
     topics: SensorTopics
     stream: str = ""
-    received: int = 0
-    stored: int = 0
     resend: int = 0
     refused: str = ""
     due: bool = False
+    told: int = 0
     asked_s: float = -1e9
     missed_s: float = -1e9
     other: tuple[str, float] = ("", -1e9)
-    poses: dict[tuple[str, int], int] = field(default_factory=dict)
-    standing: SharedViews = field(default_factory=SharedViews)
+    marks: dict[str, Mark] = field(default_factory=dict)
+    poses: dict[bytes, KnownPose] = field(default_factory=dict)
     pose: Pose | None = None
+
+    @property
+    def mark(self) -> Mark:
+        """That of the stream that is received."""
+        return self.marks.get(self.stream, Mark())
 
 
 class Intake:
@@ -102,14 +140,18 @@ class Intake:
         The sensors.
     site : str
         The site's name in topics.
+    spool : Spool
+        Where frames go.
     book : ViewBook
         All tiles, and the views met so far.
-    journal : Journal
-        Where frames go.
+    counter : FrameCounter
+        Finds the tiles that frames hit.
     windows : Windows
-        Where they go, too, for the map of now.
+        Where frames go for the map of now.
     current : MapOfNow
         The map, which is told what views see.
+    oldest_s : float
+        How old a frame may be.
     settings : LiveSettings
         Of the alarms.
     reporter : Reporter
@@ -119,101 +161,77 @@ class Intake:
     ----------
     sensors : dict
         By name.
-    poses : dict
-        By the id of their rows in the journal.
-    touched : dict
-        By hour, when a frame of it came last (monotonic seconds).
+    touched : set of int
+        Hours of recordings of which frames came; whoever takes note of them clears it.
     unknown : set of str
         Sensors that send and are not of the site.
     vehicles : LiveVehicles, optional
-        Takes what vehicles are followed by.
+        Takes what vehicles of now are followed by.
     """
 
-    vehicles: LiveVehicles | None = None
-
     def __init__(
-        self,
-        names: Iterable[str],
-        *,
-        site: str,
-        book: ViewBook,
-        journal: Journal,
-        windows: Windows,
-        current: MapOfNow,
-        settings: LiveSettings = DEFAULTS,
+        self, names: Iterable[str], *, site: str, spool: Spool, book: ViewBook,
+        counter: FrameCounter, windows: Windows, current: MapOfNow, oldest_s: float,
+        vehicles: LiveVehicles | None = None, settings: LiveSettings = DEFAULTS,
         reporter: Reporter = QUIET,
-    ) -> None:
-        self.poses: dict[int, KnownPose] = {}
+    ) -> None:  # fmt: skip
         self.unknown: set[str] = set()
-        self._unwritten = ""
-        self.touched: dict[int, float] = dict.fromkeys(journal.hours(), -1e9)
-        self._site, self._book, self._journal = site, book, journal
-        self._windows, self._map = windows, current
-        self._settings, self._reporter = settings, reporter
-        with placed(str(journal.path)):
-            self.sensors = {name: self._sensor(name) for name in names}
-        self._turns = cycle(self.sensors)
-        for name in journal.sensors():
-            if name not in self.sensors:
-                reporter.log(
-                    f"{journal.path}: holds frames of {name}, which the site no longer names: they "
-                    "are written once it does again",
-                    "warning",
-                )
+        self.touched: set[int] = set()
+        self.vehicles, self._spool = vehicles, spool
+        self._book, self._counter, self._windows, self._map = book, counter, windows, current
+        self._oldest_s, self._reporter = oldest_s, reporter
+        self.sensors = {
+            name: SensorState(
+                health=SensorHealth(name=name, settings=settings, reporter=reporter),
+                topics=SensorTopics(site, name),
+            )
+            for name in names
+        }
 
-    def _sensor(self, name: str) -> SensorState:
-        """Return what the journal holds of a sensor."""
-        health = SensorHealth(name=name, settings=self._settings, reporter=self._reporter)
-        state = SensorState(health=health, topics=SensorTopics(self._site, name))
-        heads: dict[int, PoseRow] = {}
-        rows = self._journal.poses(name)
-        by_id = {row.id: row for row in rows}
-        views: dict[int, str] = {}  # of the scan of now: that of the journal may be another
-        for row in rows:
-            content = PoseContent.unpack(row.content)
-            if row.standing not in views:
-                seen = PoseContent.unpack(by_id[row.standing].content)
-                views[row.standing] = self._see(seen, name)
-            self.poses[row.id] = KnownPose(content=content, view=views[row.standing])
-            state.poses[row.stream, row.number] = row.id
-            if content.pose.get("event") == "moved":
-                heads = {}
-            heads.pop(row.standing, None)  # the one in force comes last
-            heads[row.standing] = by_id[row.standing]
-            self._map.holds_s[name] = content.validity_s
-        known = [
-            (number, pose_from_dict(PoseContent.unpack(row.content).pose, what=name))
-            for number, row in heads.items()
-        ]
-        state.standing = SharedViews(self._book.settings, known)
-        state.pose = known[-1][1] if known else None
-        for (sensor, stream), stored in self._journal.marks().items():
-            if sensor == name:
-                state.stream, state.received, state.stored = stream, stored, stored
-        return state
+    @property
+    def marks(self) -> Marks:
+        """What is on disk of all streams."""
+        return {
+            name: {s: (m.stored, m.stored_check) for s, m in each.marks.items() if m.stored}
+            for name, each in self.sensors.items()
+        }
 
-    def _see(self, content: PoseContent, sensor: str) -> str:
-        """Return the name of what a pose sees, and keep it for the map."""
-        view = self._book.see(pose_from_dict(content.pose, what=f"the pose of {sensor}"))
-        if view not in self._map.views:
-            mask: Booleans = np.isin(self._book.road.tile_id, self._book.tiles[view])
-            self._map.views[view] = mask
-        return view
+    def resume(self, files: Sequence[SpoolFile], begin_us: int) -> None:
+        """Take up marks, and the frames from a time on, from what the spool holds."""
+        for file in files:
+            for _, record in file.records():
+                if record.kind == HEAD:
+                    self._take_up(json.loads(record.payload))
+                sensor = self.sensors.get(record.sensor)
+                if sensor is None:
+                    continue
+                if record.kind == POSE_RECORD:
+                    self._take_pose(sensor, record.payload)
+                elif record.kind in {FRAMES, PASSED}:
+                    envelope, content = unpack_message(record.payload)
+                    mark = sensor.marks.setdefault(envelope.stream.hex(), Mark())
+                    mark.received = mark.stored = envelope.number
+                    mark.check = mark.stored_check = check_of(content)
+                    sensor.stream = envelope.stream.hex()
+                    if record.kind == FRAMES:
+                        self._take_again(sensor, content, begin_us)
 
-    def resume(self, begin_us: int, now_us: int) -> Iterator[tuple[int, dict[str, Seen]]]:
-        """Yield the closed steps of a time again, of an hour at most, from what the journal holds.
+    def _take_up(self, marks: Mapping[str, Mapping[str, Sequence[int]]]) -> None:
+        for name, streams in marks.items():
+            if name in self.sensors:
+                known = {stream: Mark(n, c, n, c) for stream, (n, c) in streams.items()}
+                self.sensors[name].marks = known
+                self.sensors[name].stream = next(reversed(known), "")
 
-        So a new start after a kill goes on counting; once stopped, all is written and counts begin
-        anew.
-        """
-        begin_us, count = max(begin_us, now_us - HOUR_US), len(self._book.road.tile_id)
-        with placed(str(self._journal.path)):
-            for name in self.sensors:
-                for row in chain.from_iterable(self._journal.frames(name, begin_us, now_us)):
-                    tiles = unpack_tiles(row.tiles, below=count, what="tiles of a frame")
-                    seen = Seen(tiles, self.poses[row.pose].view)
-                    self._windows.add(name, row.time_us // STEP_US, seen)
-        yield from self._windows.close(now_us, most=HOUR_STEPS)
+    def _take_again(self, sensor: SensorState, content: bytes, begin_us: int) -> None:
+        """Count frames for the map once more, after a new start."""
+        if first_time_us(content) < begin_us:
+            return
+        key, frames = unpack_detections(content)
+        known = sensor.poses.get(key)
+        if known is not None and known.pose is not None:
+            for step, seen in self._seen(frames, known):
+                self._windows.add(sensor.health.name, step, seen)
 
     def handle(self, message: Received) -> None:
         """Take a message: count it, store it, or say why not."""
@@ -230,21 +248,15 @@ class Intake:
         try:
             if kind == "status":
                 self._handle_status(sensor, message)
-            else:
+            elif kind == POSE:
+                self._take_pose(sensor, message.payload)
+            elif kind == DETECTIONS:
                 self._handle_numbered(sensor, message)
         except VersionError as error:
-            if kind == KINDS[DETECTIONS]:
-                sensor.health.alarm("detections", error.message)
-            else:
-                self._refuse(sensor, error.message)
+            self._refuse(sensor, error.message)
         except InputError as error:
             sensor.health.counts["damaged"] += 1
             sensor.health.alarm("damaged", error.message)
-        except OutputError as error:  # it comes again, as it is not acknowledged
-            if error.message != self._unwritten:
-                self._unwritten = error.message
-                hint = f" ({error.hint})" if error.hint else ""
-                self._reporter.log(error.message + hint, "warning")
 
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
         record = read_record(message.payload, what="a status", version=VERSION)
@@ -254,8 +266,10 @@ class Intake:
         if isinstance(lost, int) and 0 <= lost < MOST_LOST:
             sensor.health.lost = lost
             sensor.health.alarm("lost", f"{lost} messages" if lost > 0 else None)
+        trusted = record.get("trusted") is not False
+        sensor.health.alarm("moved", None if trusted else "its pose is not known")
         stream = record.get("stream")
-        if online and isinstance(stream, str) and STREAM.fullmatch(stream):
+        if online and not message.retained and isinstance(stream, str) and STREAM.fullmatch(stream):
             self._use_stream(sensor, stream)
 
     def _use_stream(self, sensor: SensorState, stream: str) -> None:
@@ -266,36 +280,69 @@ class Intake:
             sensor.health.alarm("twins", f"streams {sensor.stream} and {stream} take turns")
         sensor.other = (sensor.stream, now)
         sensor.stream, sensor.refused, sensor.due = stream, "", True
-        sensor.received, sensor.stored = self._journal.mark(sensor.health.name, stream)
+        sensor.marks[stream] = sensor.marks.pop(stream, Mark())
+        if len(sensor.marks) > STREAMS_KEPT:
+            del sensor.marks[next(iter(sensor.marks))]
 
     def _handle_numbered(self, sensor: SensorState, message: Received) -> None:
         envelope, content = unpack_message(message.payload)
-        if envelope.kind == DETECTIONS:
-            if self.vehicles is not None:
-                self.vehicles.take(
-                    sensor.health, envelope.stream.hex(), content, sensor.poses, self.poses
-                )
-                sensor.health.alarm("detections", None)
+        self._use_stream(sensor, envelope.stream.hex())
+        if not self._follows(sensor, envelope):
             return
-        if not (message.retained and sensor.stream):
-            self._use_stream(sensor, envelope.stream.hex())
-        if envelope.stream.hex() != sensor.stream:
-            return  # kept by the broker from an earlier buffer
-        if message.retained:
-            self._take_kept(sensor, envelope, content)
+        try:
+            key, frames = unpack_detections(content)
+            reason = self._reason_against(frames, message.time)
+        except InputError as error:
+            self._pass_over(sensor, message, envelope, content, "damaged", error.message)
             return
-        if envelope.number <= sensor.received:
+        if reason:
+            sensor.health.counts["off_time"] += len(frames)
+            self._pass_over(sensor, message, envelope, content, "off_time", reason)
+            return
+        known = sensor.poses.get(key)
+        if known is None:  # the sensor sends it again, too
+            sensor.health.counts["gaps"] += self._ask(sensor, again=True)
+        elif known.other_tiles:
+            expected = self._book.road.fingerprint
+            self._refuse(sensor, f"tiles {known.other_tiles}, expected {expected}")
+        elif known.pose is None:
+            self._pass_over(sensor, message, envelope, content, "damaged", "its pose is damaged")
+        else:
+            self._take_frames(sensor, message, envelope, content, key, frames)
+
+    def _follows(self, sensor: SensorState, envelope: Envelope) -> bool:
+        """Return whether a message is the next one; ask for those that are missing."""
+        mark, number = sensor.mark, envelope.number
+        if number <= mark.received:
             sensor.health.counts["duplicates"] += 1
             self._ask(sensor)
-            return
-        if envelope.previous > sensor.received:
+            return False
+        if number == mark.received + 1:
+            return True
+        most = mark.received + MOST_AHEAD if mark.received else MOST_NUMBER
+        if number > most:
+            raise InputError(f"a message of number {number:,} after {mark.received:,}")
+        if not envelope.first:
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
-            return
-        if envelope.kind == POSE:
-            if self._take_pose(sensor, envelope, content):
-                self._received(sensor, envelope, [])
-        else:
-            self._take_hits(sensor, envelope, content, message)
+            return False
+        if mark.received:  # of a disk of fusion that is older than what it acknowledged
+            lost = f"{number - 1 - mark.received:,} messages that the sensor no longer has"
+            sensor.health.alarm("lost", lost)
+        return True
+
+    def _reason_against(self, frames: Sequence[FrameDetections], now_s: float) -> str:
+        """Return why frames cannot be of now, or of an outage lately."""
+        times = [each.time_us for each in frames]
+        if any(one >= other for one, other in pairwise(times)):
+            raise InputError("a message whose frames do not ascend in time")
+        if times[-1] - times[0] > LONGEST_MESSAGE_US:
+            return f"a message over {(times[-1] - times[0]) / HOUR_US:.0f} h"
+        for each in (times[0], times[-1]):
+            if not (now_s - self._oldest_s) * 1e6 <= each <= (now_s + AHEAD_S) * 1e6:
+                known = each < 1 << 62 and each // STEP_US < _LAST_STEP
+                when = iso_from_step(each // STEP_US) if known else f"{each} us"
+                return f"frames of {when}, {abs(each / 1e6 - now_s):,.0f} s from now"
+        return ""
 
     def _ask(self, sensor: SensorState, *, again: bool = False) -> bool:
         """Acknowledge anew, at most each second: the sensor does not know what is stored."""
@@ -314,112 +361,111 @@ class Intake:
         sensor.due = sensor.due or sensor.refused != reason
         sensor.refused = reason
 
-    def forget(self) -> None:
-        """Drop what is old of one sensor, in turn: poses that nothing names, and their views.
+    def _pass_over(
+        self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
+        kind: str, reason: str,
+    ) -> None:  # fmt: skip
+        """Go past a message that cannot be taken: it would come again for ever."""
+        sensor.health.counts["damaged"] += kind == "damaged"
+        sensor.health.alarm(kind, f"number {envelope.number}: {reason}")
+        self._received(sensor, SpooledFrames(sensor.health.name, b"", message.payload),
+                       envelope, content)  # fmt: skip
 
-        Raises
-        ------
-        OutputError
-            If the journal cannot be written.
-        """
-        name = next(self._turns)
-        sensor = self.sensors[name]
-        mine = PosesOfSensor(name, sensor.standing.heads, sensor.poses)
-        if drop_old_poses(mine, self.poses, self._journal):
-            views = {(s, self.poses[i].view) for s, e in self.sensors.items()
-                     for i in e.poses.values()}  # fmt: skip
-            self._book.keep(views)
-            self._map.views = {view: self._map.views[view] for _, view in views}
-
-    def _take_kept(self, sensor: SensorState, envelope: Envelope, content: bytes) -> None:
-        """Take the pose that the broker kept: frames may speak of it where a journal was lost."""
-        if envelope.kind == POSE and envelope.number > sensor.received:  # else it is an old one
-            self._take_pose(sensor, envelope, content)
-
-    def _take_pose(self, sensor: SensorState, envelope: Envelope, content: bytes) -> bool:
-        """Add a pose to those that are known; return whether it is one of them then."""
-        name = sensor.health.name
-        if (sensor.stream, envelope.number) in sensor.poses:
-            return True
-        try:
-            found = PoseContent.unpack(content)
-            what = f"the pose of {name}"
-            pose = pose_from_dict(found.pose, what=what)
-            require_same(pose.crs, self._book.road.crs, what=what, other_what="the tiles")
-        except InputError as error:
-            self._skip(sensor, envelope, error.message)
-            return False
-        if found.fingerprint != self._book.road.fingerprint:
-            self._refuse(
-                sensor, f"tiles {found.fingerprint}, expected {self._book.road.fingerprint}"
-            )
-            return False
-        row_id = self._journal.next_pose()
-        standings = copy(sensor.standing)  # kept only once the pose is on disk
-        standing = standings.add(pose, row_id)
-        view = self._see(found, name) if standing == row_id else self.poses[standing].view
-        self._journal.add_pose(
-            PoseRow(row_id, name, sensor.stream, envelope.number, content, standing, view)
-        )
-        self._unwritten, sensor.standing = "", standings
-        self.poses[row_id] = KnownPose(content=found, view=view)
-        sensor.poses[sensor.stream, envelope.number] = row_id
-        sensor.pose = pose
-        self._map.holds_s[name] = found.validity_s
-        sensor.health.alarm("moved", None if found.trusted else "its pose is not known")
-        return True
-
-    def _skip(self, sensor: SensorState, envelope: Envelope, reason: str) -> None:
-        """Go past a message that is damaged where it was made: it would come again for ever."""
-        sensor.health.counts["damaged"] += 1
-        sensor.health.alarm("damaged", f"number {envelope.number}: {reason}")
-        self._received(sensor, envelope, [])
-
-    def _received(self, sensor: SensorState, envelope: Envelope, rows: list[FrameRow]) -> None:
-        self._journal.add(rows, sensor.health.name, sensor.stream, envelope.number)
-        sensor.received = envelope.number
+    def _received(
+        self, sensor: SensorState, spooled: SpooledFrames, envelope: Envelope, content: bytes
+    ) -> None:
+        self._spool.add(spooled)
+        sensor.mark.received, sensor.mark.check = envelope.number, check_of(content)
         if sensor.refused:
             sensor.refused = ""
             sensor.health.alarm("refused", None)
 
-    def _take_hits(
-        self, sensor: SensorState, envelope: Envelope, content: bytes, message: Received
-    ) -> None:
-        fingerprint = self._book.road.fingerprint
-        if content[:FINGERPRINT_BYTES] != bytes.fromhex(fingerprint)[:FINGERPRINT_BYTES]:
-            begin = content[:FINGERPRINT_BYTES].hex()
-            self._refuse(sensor, f"tiles {begin}..., expected {fingerprint}")
+    def _take_pose(self, sensor: SensorState, message: bytes) -> None:
+        """Add a pose to those that frames may name."""
+        key, name = key_of_pose(message), sensor.health.name
+        if key in sensor.poses:
             return
-        try:
-            found = unpack_hits(content, tiles=len(self._book.road.tile_id))
-        except InputError as error:
-            self._skip(sensor, envelope, error.message)
-            return
-        pose = sensor.poses.get((sensor.stream, found.pose))
-        if pose is None:
-            self._skip(sensor, envelope, f"its pose, number {found.pose}, is not known")
-            return
-        known, health = self.poses[pose], sensor.health
-        newest_s = found.frames[-1].time_us / 1e6
-        health.heard(message.time, newest_s, live=envelope.live)
-        if not known.content.trusted:
-            health.counts["not_counted"] += len(found.frames)
-            self._received(sensor, envelope, [])
-            return
-        pairs = zip(found.frames, found.sets, strict=True)
-        rows = [_row_of(frame, health.name, pose, tiles) for frame, tiles in pairs]
-        for frame in found.frames:
-            health.counts["hits"] += len(frame.tiles)
-            seen = Seen(frame.tiles, known.view)
-            if not self._windows.add(health.name, frame.time_us // STEP_US, seen):
+        found = PoseContent.unpack(message)
+        if found.fingerprint != self._book.road.fingerprint:
+            known = KnownPose(pose=None, other_tiles=found.fingerprint)
+        else:
+            try:
+                known = self._known(name, found)
+                sensor.pose = known.pose
+            except InputError as error:
+                sensor.health.counts["damaged"] += 1
+                sensor.health.alarm("damaged", error.message)
+                known = KnownPose(pose=None)
+        sensor.poses[key] = known
+        self._spool.poses[name, key] = message
+        if self.vehicles is not None and known.pose is not None:
+            self.vehicles.place(name, key, known.pose, known.road_m)
+        if len(sensor.poses) > POSES_KEPT:
+            self._forget(sensor, next(iter(sensor.poses)))
+
+    def _known(self, name: str, found: PoseContent) -> KnownPose:
+        what = f"the pose of {name}"
+        pose = pose_from_dict(found.pose, what=what)
+        if pose.sensor != name:
+            raise InputError(f"{what}: it is that of {pose.sensor:.40}")
+        require_same(pose.crs, self._book.road.crs, what=what, other_what="the tiles")
+        apart: Floats = self._book.road.centres[:, :2] - pose.position[:2]
+        if not np.hypot(*apart.T).min() <= FARTHEST_M:
+            raise InputError(f"{what}: it is over {FARTHEST_M / 1000:g} km from the tiles")
+        view = self._book.see(pose)
+        if view not in self._map.views:
+            mask: Booleans = np.isin(self._book.road.tile_id, self._book.tiles[view])
+            self._map.views[view] = mask
+        road_m = self._book.road_m[pose.sensor, view]
+        return KnownPose(pose=pose, view=view, road_m=road_m)
+
+    def _forget(self, sensor: SensorState, key: bytes) -> None:
+        """Forget a pose; a sensor that names it again sends it again."""
+        del sensor.poses[key]
+        self._spool.poses.pop((sensor.health.name, key), None)
+        if self.vehicles is not None:
+            self.vehicles.forget(sensor.health.name, key)
+        known = {(each.pose.sensor, each.view) for state in self.sensors.values()
+                 for each in state.poses.values() if each.pose is not None}  # fmt: skip
+        self._book.keep(known)
+        self._map.views = {view: self._map.views[view] for _, view in known}
+
+    def _take_frames(
+        self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
+        key: bytes, frames: Sequence[FrameDetections],
+    ) -> None:  # fmt: skip
+        health = sensor.health
+        health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
+        self._received(sensor, SpooledFrames(health.name, key, message.payload), envelope, content)
+        self.touched |= {hour_of_time(each.time_us) for each in frames}
+        for step, seen in self._seen(frames, sensor.poses[key]):
+            health.counts["hits"] += len(seen.tiles)
+            if not self._windows.add(health.name, step, seen):
                 health.counts["late_frames"] += 1
-            self.touched[frame.time_us // HOUR_US] = time.monotonic()
-        health.counts["frames"] += len(rows)
-        self._received(sensor, envelope, rows)
+        health.counts["frames"] += len(frames)
+        if self.vehicles is not None:
+            self.vehicles.take(health.name, content)
+
+    def _seen(
+        self, frames: Sequence[FrameDetections], known: KnownPose
+    ) -> Iterator[tuple[int, Seen]]:
+        """Yield by frame its step, and the tiles that it hits."""
+        assert known.pose is not None  # noqa: S101 - the caller has looked
+        rows = rows_of_frames([each.as_rows() for each in frames])
+        for counted in self._counter.count(rows, known.pose, road_m=known.road_m):
+            yield counted.time_us // STEP_US, Seen(counted.tiles, known.view)
 
 
-def _row_of(frame: CountedFrame, sensor: str, pose: int, tiles: bytes) -> FrameRow:
-    return FrameRow(
-        sensor, frame.time_us, pose, frame.detections, frame.moving, frame.wild, frame.checksum,
-        tiles,
+_LAST_STEP = 5_000_000_000 * 20  # within the years that ISO 8601 writes
+
+
+def rows_of_frames(parts: Sequence[Detections]) -> Detections:
+    """Return the rows of several frames as one table."""
+    if len(parts) == 1:
+        return parts[0]
+    return Detections(
+        time=np.concatenate([each.time for each in parts]),
+        points=np.concatenate([each.points for each in parts]),
+        range_rate=np.concatenate([each.range_rate for each in parts]),
+        rcs=np.concatenate([each.rcs for each in parts]), further=parts[0].further,
     )  # fmt: skip

@@ -9,14 +9,16 @@ from collections.abc import Callable
 
 from gis_radar.errors import InputError, OutputError
 from gis_radar.live.broker import Link, SensorTopics
-from gis_radar.live.buffer import DiskBuffer
+from gis_radar.live.buffer import DiskBuffer, Waiting
 from gis_radar.live.payload import (
-    KINDS,
+    DETECTIONS,
     MOST_CONTENT,
     POSE,
+    POSE_BYTES,
     VERSION,
     Acknowledgement,
     Envelope,
+    check_of,
     pack_message,
 )
 from gis_radar.live.settings import DEFAULTS, LiveSettings
@@ -63,46 +65,49 @@ class Outbox:
         figures: Callable[[], dict[str, object]], settings: LiveSettings = DEFAULTS,
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
-        self.lost = self.stored = 0
+        self.lost, self.stored = 0, buffer.stored
         self._buffer, self._link, self._topics = buffer, link, topics
         self._figures, self._settings, self._reporter = figures, settings, reporter
         self._on_way: deque[int] = deque()
-        self._sent = self._connections = 0
+        self._sent, self._connections, self._pose_sent = self.stored, 0, b""
         self._session, self._resend, self._refused = "", 0, ""
         self._progress = self._reported = time.monotonic()
         self._patience_s = settings.resend_s
-        self._empty = len(buffer) == 0
-        self._dropped, self._undropped = 0, ""
+        self._dropped, self._undropped = self.stored, ""
         self._full = self._too_long = False
 
-    def put(self, kind: int, content: bytes) -> int:
-        """Add a message; return its number, or 0 where it is lost: too long, or the buffer full."""
+    def put(self, content: bytes) -> bool:
+        """Add a message; return whether it is not lost: too long, or the buffer full."""
         if len(content) > MOST_CONTENT:  # the broker would cut the link, again and again
             if not self._too_long:
                 self._reporter.log(f"a message of {len(content):,} bytes is too long", "warning")
             self._too_long = True
             self.lost += 1
-            return 0
+            return False
+        taken = self._kept(lambda: self._buffer.append(content))
+        self.lost += not taken
+        return taken
+
+    def put_pose(self, message: bytes) -> bool:
+        """Add the pose that the next messages are found by; return whether it is kept."""
+        return self._kept(lambda: self._buffer.add_pose(message))
+
+    def _kept(self, write: Callable[[], object]) -> bool:
+        """Write to the buffer; where it is full, report it once."""
         try:
-            number = self._buffer.append(kind, content)
+            write()
         except OutputError as error:
             if not self._full:
                 self._reporter.log(f"{error.message}: {error.hint}", "warning")
             self._full = True
-            self.lost += 1
-            return 0
-        self._empty = self._full = False
-        return number
+            return False
+        self._full = False
+        return True
 
     @property
     def empty(self) -> bool:
         """Whether fusion has stored all."""
-        return self._empty
-
-    @property
-    def behind(self) -> bool:
-        """Whether so much is on its way that what is of the moment only would be in the way."""
-        return len(self._on_way) >= self._settings.unacknowledged // 2
+        return self.stored >= self._buffer.last
 
     def pump(self) -> None:
         """Process acknowledgements of fusion, and send what is due."""
@@ -126,28 +131,36 @@ class Outbox:
         self._send()
 
     def _send(self) -> None:
-        while not self._empty and (room := self._settings.unacknowledged - len(self._on_way)) > 0:
+        while not self.empty and (room := self._settings.unacknowledged - len(self._on_way)) > 0:
             waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
             if not waiting:
                 return
             if not self._on_way:
                 self._progress = time.monotonic()
             for each in waiting:
+                self._send_pose(each)
                 envelope = Envelope(
-                    kind=each.kind, stream=self._buffer.stream, number=each.number,
-                    previous=each.previous, live=each.number == self._buffer.last,
+                    stream=self._buffer.stream, number=each.number, first=each.first,
+                    live=each.number == self._buffer.last,
                 )  # fmt: skip
                 self._link.publish(
-                    self._topics.of(KINDS[each.kind]), pack_message(envelope, each.content),
-                    retain=each.kind == POSE,
-                )  # fmt: skip
+                    self._topics.of(DETECTIONS), pack_message(envelope, each.content)
+                )
                 self._sent = each.number
                 self._on_way.append(each.number)
+
+    def _send_pose(self, waiting: Waiting) -> None:
+        """Send the pose that a message was found by, where it is not that of the one before."""
+        key = waiting.content[:POSE_BYTES]
+        if key != self._pose_sent:
+            pose = self._buffer.pose_of(waiting.number)
+            self._link.publish(self._topics.of(POSE), pose, retain=True)
+            self._pose_sent = key
 
     def _rewind(self) -> None:
         """Send again all that fusion has not stored."""
         self._on_way.clear()
-        self._sent, self._progress = self.stored, time.monotonic()
+        self._sent, self._progress, self._pose_sent = self.stored, time.monotonic(), b""
 
     def _drop(self) -> None:
         """Drop what fusion has stored; where the disk is full, again with the next status."""
@@ -174,13 +187,32 @@ class Outbox:
             self._reporter.log(f"fusion refuses what is sent: {found.refused}", "warning")
         self._refused = found.refused
         if found.stored > self.stored:
-            self.stored = min(found.stored, self._buffer.last)
+            if not self._is_ours(found):
+                self._begin_anew()
+                return
+            self.stored = found.stored
             self._drop()
             self._progress, self._patience_s = time.monotonic(), self._settings.resend_s
             while self._on_way and self._on_way[0] <= self.stored:
                 self._on_way.popleft()
             self._sent = max(self._sent, self.stored)
-            self._empty = self.stored >= self._buffer.last or len(self._buffer) == 0
         if (found.session, found.resend) != (self._session, self._resend):
             self._session, self._resend = found.session, found.resend
             self._rewind()
+
+    def _is_ours(self, found: Acknowledgement) -> bool:
+        """Return whether the message that fusion stored last is the one of that number here."""
+        here = list(self._buffer.read_after(found.stored - 1, 1))
+        return any(
+            each.number == found.stored and check_of(each.content) == found.check for each in here
+        )
+
+    def _begin_anew(self) -> None:
+        """Send all that waits as a new stream: another program, or an older copy, used this one."""
+        self._reporter.log(
+            "fusion has stored other messages of this stream: all that waits is sent as a new one",
+            "warning",
+        )
+        self._buffer.renew()
+        self._reported = 0.0
+        self._rewind()

@@ -1,39 +1,33 @@
 """Messages between sensors and fusion: their bytes.
 
-What must not be lost is a stream of numbered messages: frames with the tiles that they hit, and the
-poses that these were found by. Detections, for tracking, are of the moment and have no
-number. Numbers are varints (LEB128); `docs/live.md` has the layout. Status and acknowledgement are
-JSON.
+What must not be lost is a stream of numbered messages: frames with their detections near the road.
+They name the pose that these were found by with a key that follows from its content, so that a pose
+may come at any time, and again. Numbers are varints (LEB128); `docs/live.md` has the layout. Pose,
+status and acknowledgement are JSON.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
+import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import numpy as np
-
-from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
 from gis_radar.json_documents import parsed_json
-from gis_radar.live.hits_folder.tile_sets import pack_tiles, unpack_tiles
-from gis_radar.measures.hit_counter import CountedFrame
-from gis_radar.steps import FIRST_YEAR, LAST_YEAR, LONGEST_CYCLE_S, in_known_years
 
-VERSION, DETECTIONS_VERSION = 1, 2
-HITS, POSE, DETECTIONS = 1, 2, 3
-KINDS = {HITS: "hits", POSE: "pose", DETECTIONS: "detections"}
-_LIVE = 0x80  # of the byte with the kind: sent as soon as it was made
+VERSION = 2
+DETECTIONS, POSE = "detections", "pose"  # topics
+_LIVE, _FIRST = 0x80, 0x40  # flags: sent as soon as it was made; none before it is kept
 _HEAD = struct.Struct(">BB4s")
-STREAM_BYTES, FINGERPRINT_BYTES = 4, 4
-MOST_BYTES = 65_536  # of a message; a frame takes 100
-MOST_FRAMES = 1_000  # in a message
-MOST_VALIDITY_S = 1.5 * LONGEST_CYCLE_S  # of a frame: up to the next one, with some delay
+STREAM_BYTES, POSE_BYTES = 4, 4
+MOST_BYTES = 65_536  # of a message; a frame takes 350
+MOST_FRAMES = 100  # in a message
 _MOST_VARINT = 9  # bytes of a number under 2**63
-MOST_CONTENT = MOST_BYTES - _HEAD.size - 2 * _MOST_VARINT  # of a message, without its envelope
+MOST_CONTENT = MOST_BYTES - _HEAD.size - _MOST_VARINT  # of a message, without its envelope
 T = TypeVar("T")
 
 
@@ -43,36 +37,26 @@ class Envelope:
 
     Parameters
     ----------
-    kind : int
-        `HITS`, `POSE` or `DETECTIONS`.
     stream : bytes
-        Which buffer it is from: 4 random bytes.
+        Which run of a sensor's program it is from: 4 random bytes.
     number : int
-        Its number in the stream, ascending; 0 where it has none.
-    previous : int
-        The number of the message before it, 0 where none before it is kept.
+        Its number in the stream, one more than that of the message before it.
+    first : bool
+        Whether the sensor keeps no message before it.
     live : bool
         Whether it was sent as soon as it was made.
     """
 
-    kind: int
     stream: bytes
-    number: int = 0
-    previous: int = 0
+    number: int
+    first: bool = False
     live: bool = True
 
 
 def pack_message(envelope: Envelope, content: bytes) -> bytes:
     """Return the bytes of a message."""
-    kind = envelope.kind | (_LIVE if envelope.live else 0)
-    gap = envelope.number - envelope.previous if envelope.previous else 0
-    numbers = varint(envelope.number) + varint(gap)
-    return _HEAD.pack(version_of(envelope.kind), kind, envelope.stream) + numbers + content
-
-
-def version_of(kind: int) -> int:
-    """Return the version of messages of a kind."""
-    return DETECTIONS_VERSION if kind == DETECTIONS else VERSION
+    flags = _LIVE * envelope.live + _FIRST * envelope.first
+    return _HEAD.pack(VERSION, flags, envelope.stream) + varint(envelope.number) + content
 
 
 def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
@@ -81,27 +65,22 @@ def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
     Raises
     ------
     InputError
-        If it is too long or too short, of another version, or of a kind that is not known.
+        If it is too long or too short, or of another version.
     """
     if len(data) > MOST_BYTES:
         raise InputError(f"a message of {len(data):,} bytes, expected {MOST_BYTES:,} at most")
-    version = version_of(data[1] & ~_LIVE) if len(data) > 1 else VERSION
-    if not data or data[0] != version:
+    if not data or data[0] != VERSION:
         raise VersionError(
-            f"a message of version {data[0] if data else 'none'}, expected {version}",
+            f"a message of version {data[0] if data else 'none'}, expected {VERSION}",
             hint="sensor and fusion need the same version of gis_radar",
         )
     if len(data) < _HEAD.size:
         raise InputError(f"a message of {len(data)} bytes")
-    _, kind, stream = _HEAD.unpack_from(data)
+    _, flags, stream = _HEAD.unpack_from(data)
     read = Numbers(data, _HEAD.size)
-    number, gap = read.take(), read.take()
-    if kind & ~_LIVE not in KINDS or gap > number:
-        raise InputError(f"a message of kind {kind & ~_LIVE}, number {number}, gap {gap}")
     envelope = Envelope(
-        kind=kind & ~_LIVE, stream=stream, number=number, previous=number - gap if gap else 0,
-        live=bool(kind & _LIVE),
-    )  # fmt: skip
+        stream=stream, number=read.take(), first=bool(flags & _FIRST), live=bool(flags & _LIVE)
+    )
     return envelope, data[read.at :]
 
 
@@ -109,92 +88,9 @@ class VersionError(InputError):
     """A message of a version that is not known here."""
 
 
-def pack_hits(frames: Sequence[CountedFrame], *, pose: int, fingerprint: str) -> bytes:
-    """Return frames as the content of a message.
-
-    Parameters
-    ----------
-    frames : sequence of CountedFrame
-        In order of time.
-    pose : int
-        Number of the message with the pose that they were found by.
-    fingerprint : str
-        Of the tiles.
-    """
-    parts = [bytes.fromhex(fingerprint)[:FINGERPRINT_BYTES], varint(pose), varint(len(frames))]
-    before = 0
-    for frame in frames:
-        tiles = pack_tiles(frame.tiles)
-        head = (
-            frame.time_us - before, frame.detections, frame.moving, frame.wild, frame.checksum,
-            len(tiles),
-        )  # fmt: skip
-        parts += [*map(varint, head), tiles]
-        before = frame.time_us
-    return b"".join(parts)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HitsContent:
-    """Frames of a message, with what they refer to.
-
-    Parameters
-    ----------
-    frames : tuple of CountedFrame
-        In order of time.
-    sets : tuple of bytes
-        Their sets of tiles as they were sent, which is how they are stored.
-    pose : int
-        Number of the message with their pose.
-    tiles_begin : str
-        The first digits of the fingerprint of their tiles.
-    """
-
-    frames: tuple[CountedFrame, ...]
-    sets: tuple[bytes, ...]
-    pose: int
-    tiles_begin: str
-
-
-def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
-    """Return the frames of a message.
-
-    Parameters
-    ----------
-    content : bytes
-        As of :func:`pack_hits`.
-    tiles : int
-        How many there are.
-
-    Raises
-    ------
-    InputError
-        If the bytes are no such content, or name a tile or a year that is not there.
-    """
-    read = Numbers(content, FINGERPRINT_BYTES)
-    pose, count = read.take(), read.take()
-    if not 0 < count <= MOST_FRAMES:
-        raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
-    frames, sets, time_us = [], [], 0
-    for _ in range(count):
-        gap, detections, moving, wild, checksum, size = (read.take() for _ in range(6))
-        time_us += gap
-        sets.append(read.bytes(size))
-        found = unpack_tiles(sets[-1], below=tiles, what="a frame's tiles")
-        frames.append(
-            CountedFrame(
-                time_us=time_us, detections=detections, moving=moving, wild=wild,
-                checksum=checksum, tiles=found,
-            )
-        )  # fmt: skip
-    read.end()
-    seconds = np.array([frame.time_us / 1e6 for frame in frames])
-    if not (known := in_known_years(seconds)).all():
-        raise InputError(
-            f"a frame at {seconds[~known][0]:g} s, outside the years {FIRST_YEAR} to {LAST_YEAR}"
-        )
-    digits = content[:FINGERPRINT_BYTES].hex()
-    return HitsContent(frames=tuple(frames), sets=tuple(sets), pose=pose, tiles_begin=digits)
+def check_of(content: bytes) -> int:
+    """Return a check sum of the content of a message, by which sensor and fusion compare it."""
+    return zlib.crc32(content)
 
 
 def in_parts(frames: Sequence[T], pack: Callable[[Sequence[T]], bytes]) -> Iterator[bytes]:
@@ -214,16 +110,6 @@ def in_parts(frames: Sequence[T], pack: Callable[[Sequence[T]], bytes]) -> Itera
     half = len(frames) // 2
     yield from in_parts(frames[:half], pack)
     yield from in_parts(frames[half:], pack)
-
-
-def folded(values: Integers) -> Integers:
-    """Return signed numbers as numbers from 0: 0, -1, 1, -2, ... become 0, 1, 2, 3, ..."""
-    return np.asarray((values << 1) ^ (values >> 63))
-
-
-def unfolded(values: Integers) -> Integers:
-    """Return what :func:`folded` folded."""
-    return np.asarray((values >> 1) ^ -(values & 1))
 
 
 def varint(value: int) -> bytes:
@@ -257,10 +143,6 @@ class Numbers:
                 return value
         raise InputError(f"a message ends within a number, after {len(self._data)} bytes")
 
-    def rest(self) -> memoryview:
-        """Look at what follows."""
-        return memoryview(self._data)[self.at :]
-
     def bytes(self, size: int) -> bytes:
         """Take so many bytes."""
         if size > len(self._data) - self.at:
@@ -276,55 +158,43 @@ class Numbers:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseContent:
-    """A pose that a sensor found or was given, with what else makes hits of detections.
+    """A pose that a sensor found or was given.
 
     Parameters
     ----------
     pose : dict
         As a pose file holds it.
-    since_step : int
-        The step from which it holds.
     fingerprint : str
-        Of the tiles.
-    filters, settings : dict
-        Which detections count, and the constants of the hit share.
-    validity_s : float
-        How long a frame is valid, seconds.
-    trusted : bool
-        False after the sensor was moved, until its pose is known again: frames then do not count.
+        Of the tiles near which detections are sent.
     """
 
     pose: dict[str, Any]
-    since_step: int
     fingerprint: str
-    filters: dict[str, Any] = field(default_factory=dict)
-    settings: dict[str, Any] = field(default_factory=dict)
-    validity_s: float = 0.1
-    trusted: bool = True
 
     def pack(self) -> bytes:
-        """Return it as the content of a message."""
-        return json.dumps(vars(self), separators=(",", ":")).encode()
+        """Return it as a message."""
+        return json.dumps({"version": VERSION, **vars(self)}, separators=(",", ":")).encode()
 
     @classmethod
     def unpack(cls, content: bytes) -> PoseContent:
-        """Return what the content of a message holds.
+        """Return what a message holds.
 
         Raises
         ------
         InputError
-            If it is none.
+            If it is none, or of another version.
         """
-        record = read_record(content, what="a pose")
-        kinds = {"pose": dict, "since_step": int, "fingerprint": str, "filters": dict,
-                 "settings": dict, "validity_s": float | int, "trusted": bool}  # fmt: skip
+        record = read_record(content, what="a pose", version=VERSION)
+        kinds = {"pose": dict, "fingerprint": str}
         odd = [name for name, kind in kinds.items() if not isinstance(record.get(name), kind)]
-        odd += (
-            ["validity_s"] if not odd and not 0.0 < record["validity_s"] <= MOST_VALIDITY_S else []
-        )
         if odd:
             raise InputError(f"a message with a pose: {odd[0]} is {record.get(odd[0])!r:.80}")
         return cls(**{name: record[name] for name in kinds})
+
+
+def key_of_pose(message: bytes) -> bytes:
+    """Return the key by which frames name a pose, from the message that holds it."""
+    return hashlib.blake2b(message, digest_size=POSE_BYTES).digest()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,7 +206,9 @@ class Acknowledgement:
     stream : str
         Which, in hexadecimal digits.
     stored : int
-        All messages up to this number are on fusion's disk.
+        All messages up to this number lie in recordings at fusion, on its disk.
+    check : int
+        Check sum of the content of that message: a sensor whose own differs begins a new stream.
     session : str
         Which run of fusion says so: after a new one all later messages are sent again.
     resend : int
@@ -347,6 +219,7 @@ class Acknowledgement:
 
     stream: str
     stored: int
+    check: int
     session: str
     resend: int = 0
     refused: str = ""
@@ -365,7 +238,7 @@ class Acknowledgement:
             If it is none, or of another version.
         """
         record = read_record(data, what="an acknowledgement", version=VERSION)
-        texts, numbers = ("stream", "session", "refused"), ("stored", "resend")
+        texts, numbers = ("stream", "session", "refused"), ("stored", "check", "resend")
         odd = [name for name in texts if not isinstance(record.get(name), str)]
         odd += [name for name in numbers if not isinstance(record.get(name), int)]
         if odd:

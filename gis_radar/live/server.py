@@ -17,10 +17,11 @@ from gis_radar.errors import InputError
 from gis_radar.live.intake import SensorState
 from gis_radar.live.map_of_now import MapState
 from gis_radar.live.page import make_app
+from gis_radar.live.quarters import Quarters
 from gis_radar.live.recent import RecentCounts
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot, place_of
-from gis_radar.live.vehicles.in_fusion import LiveVehicles
+from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.web_server import WebServer
 from gis_radar.site.live_table import PageTable
 
@@ -31,6 +32,7 @@ class FusedMap(Protocol):
     """The part of fusion that is shown."""
 
     sensors: dict[str, SensorState]
+    quarters: Quarters
 
     def state(self) -> MapState:
         """Return the map of now."""
@@ -82,15 +84,14 @@ class ShownMap:
                 for name, each in list(self._fusion.sensors.items())
             ],
             vehicles=None if followed is None else followed.now(),
-            lately=None if followed is None else followed.counts.lately(),
+            lately=self._fusion.quarters.lately(),
         )
 
     def lane_intervals(self) -> pd.DataFrame:
-        """Return hit and observed seconds of each lane in intervals of 15 minutes."""
-        table = self._recent.lane_intervals()
-        followed = self._fusion.vehicles
-        known = followed.counts.intervals() if followed is not None else pd.DataFrame()
-        return table if known.empty else table.merge(known, on=["lane", "begin"], how="left")
+        """Return what was measured of each lane by quarter of an hour, and hits since then."""
+        both = [self._fusion.quarters.intervals(), self._recent.lane_intervals()]
+        table = pd.concat([each for each in both if len(each)] or both, ignore_index=True)
+        return table.drop_duplicates(["lane", "begin"]).sort_values("begin", kind="stable")
 
     def metrics(self) -> str:
         """Return counts and alarms as text for Prometheus."""

@@ -12,11 +12,10 @@ from gis_radar.errors import InputError
 from gis_radar.live.broker import FUSION, BrokerAddress
 from gis_radar.measures import Filters
 from gis_radar.site.live_table import BrokerTable, Duration, LiveTable, TopicWord
-from gis_radar.site.settings import MapTable, MeasureTable, Sensor, Site, ViewTable
+from gis_radar.site.settings import MapTable, Sensor, Site, ViewTable
 from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
 from gis_radar.site.values import (
     CompassBearing,
-    Cycle,
     File,
     Meaning,
     Position,
@@ -50,7 +49,13 @@ class LiveSettings:
     commit_frames : int
         Frames that go to the disk at once at the latest: a replay is not held up by the clock.
     settle_s : float
-        An hour is written once it is over and no frame of it came for so long, seconds.
+        How long after its end, at the longest, a quarter or an hour waits for frames of all
+        sensors, seconds; and how long no frame of it came.
+    spool_bytes : int
+        Size from which the spool goes on in another file: a worker makes recordings of those
+        that are closed.
+    again_s : float
+        After which a job that failed is tried again, seconds.
     clock_alarm_s : float
         A sensor whose frames come this much after or before their time by fusion's clock has a
         wrong clock, seconds: half of a window.
@@ -68,7 +73,9 @@ class LiveSettings:
     slowest_resend_s: float = 300.0
     commit_s: float = 1.0
     commit_frames: int = 200
-    settle_s: float = 60.0
+    settle_s: float = 30.0
+    spool_bytes: int = 1 << 28
+    again_s: float = 60.0
     clock_alarm_s: float = 0.025
     clock_frames: int = 200
     silent_s: float = 5.0
@@ -105,8 +112,8 @@ class BufferTable(TomlTable):
 
     file: Text | None = key('"R1.buffer"', None, "SENSOR.buffer, beside this file")
     """Where it is."""
-    megabytes: Annotated[float, Meaning("megabytes, 1 or more"), within(1.0, 1e7)] = key(400.0)
-    """How large it may become: 400 hold a day of a radar at 20 Hz."""
+    megabytes: Annotated[float, Meaning("megabytes, 1 or more"), within(1.0, 1e7)] = key(800.0)
+    """How large it may become: 800 hold a day of a radar at 20 Hz."""
 
 
 class EdgeFile(TomlTable):
@@ -130,14 +137,10 @@ class EdgeFile(TomlTable):
     """Whether the pose is followed every 5 s."""
     road: File | None = key('"road.laz"', None, "none")
     """The scanned road, from `gis-radar mask`, to find and follow the pose by."""
-    cycle: Cycle | None = key('"150ms"', None, "a frame is valid for 100 ms")
-    """Of a sensor under 10 Hz, the time from frame to frame."""
     frames_a_message: Annotated[int, Meaning("1 to 100"), Field(strict=True, ge=1, le=100)] = key(
         "5", 1, "1"
     )
     """Frames that wait for each other: fewer messages, and a later map."""
-    detections: Switch = key("false", True, "true")
-    """Whether detections for tracking are sent, too."""
     source: SourceTable
     """Where the frames come from."""
     broker: BrokerTable
@@ -146,8 +149,6 @@ class EdgeFile(TomlTable):
     """The lanes, to find and follow the pose by."""
     view: ViewTable | None = None
     """What it sees, where its pose does not state it."""
-    measure: MeasureTable = MeasureTable()
-    """Which detections count, as in SITE.toml."""
     buffer: BufferTable = BufferTable()
     """The disk buffer."""
     _path: Path = PrivateAttr(Path("SENSOR.toml"))
@@ -162,8 +163,6 @@ class EdgeFile(TomlTable):
                 message="its pose is to be found, which needs lanes and road",
                 hint="give road and a table [map], or a pose",
             )
-        if self.measure.clocks is not None:
-            raise Unfit(message="clocks are not corrected here", hint="set the clock by PTP or NTP")
         return self
 
     @property
@@ -179,10 +178,6 @@ class EdgeFile(TomlTable):
     def address(self) -> BrokerAddress:
         """Return where the broker is, and as whom to speak to it."""
         return broker_address(self.broker, user=self.sensor)
-
-    def filters(self) -> Filters:
-        """Return which detections count."""
-        return filters_of(self.measure)
 
 
 class LiveSensor(Sensor):
@@ -224,6 +219,18 @@ class LiveSite(Site):
         """Return where the broker is, and as whom to speak to it."""
         return broker_address(self.live.broker, user=FUSION)
 
+    def filters(self) -> Filters:
+        """Return which detections count."""
+        table = self.measure
+        return Filters(
+            min_speed=table.min_speed, min_rcs=table.min_rcs, clearance=table.clearance,
+            elevation_error_deg=table.elevation_error,
+        )  # fmt: skip
+
+    def cycles(self) -> dict[str, float]:
+        """Return the time from frame to frame of sensors that state it, seconds."""
+        return {each.name: each.cycle for each in self.sensor if each.cycle is not None}
+
 
 def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
     """Return where the broker is, and as whom to speak to it.
@@ -248,14 +255,6 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
             raise InputError(f"{table.password_file}: cannot be read: {error}") from error
     name = (table.user or user) if password else ""
     return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
-
-
-def filters_of(table: MeasureTable) -> Filters:
-    """Return which detections count, as a file states it."""
-    return Filters(
-        min_speed=table.min_speed, min_rcs=table.min_rcs, clearance=table.clearance,
-        elevation_error_deg=table.elevation_error,
-    )  # fmt: skip
 
 
 _HINT = "begin with: gis-radar edge --template > SENSOR.toml"

@@ -9,7 +9,18 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, PlainValidator, model_validator
 
 from gis_radar.errors import GisRadarError
-from gis_radar.site.values import File, Meaning, Place, Switch, Text, Texts, TomlTable, Unfit, key
+from gis_radar.site.values import (
+    File,
+    Meaning,
+    Place,
+    Switch,
+    Text,
+    Texts,
+    TomlTable,
+    Unfit,
+    key,
+    within,
+)
 from gis_radar.steps import duration_s, interval_steps
 
 _NOT_IN_TOPICS = frozenset("+#/$")
@@ -144,11 +155,11 @@ class LiveTable(TomlTable):
     """The live system: `gis-radar live`."""
 
     site: TopicWord = key('"junction"')
-    """The site's name in the topics: `v1/SITE/SENSOR/hits`."""
+    """The site's name in the topics: `v1/SITE/SENSOR/detections`."""
     tiles: File = key('"tiles.gpkg"')
     """The tiles, from `gis-radar tiles`: the same file that the sensors have."""
     folder: Text = key('"live"', "live", '"live"')
-    """Where its files go."""
+    """Where its files go: dataset, recordings, what is on its way there."""
     lateness: Duration = key('"200ms"', 0.2, '"200ms"')
     """How long a 50 ms window stays open after its end for frames on their way."""
     interval: Interval = key('"15min"', "15min", '"15min"')
@@ -156,7 +167,13 @@ class LiveTable(TomlTable):
     every: Duration = key('"10s"', 10.0, '"10s"')
     """How often the files for QGIS are replaced."""
     vehicles: Switch = key("false", default=True)
-    """Whether vehicles are followed, by what sensors send as `detections`."""
+    """Whether vehicles are followed; without, the dataset holds hits."""
+    oldest: Duration = key('"72h"', 259_200.0, '"72h"')
+    """How old a frame may be that comes after an outage; older ones are left out."""
+    keep: Duration = key('"168h"', 604_800.0, '"168h"')
+    """How long recordings are kept."""
+    gigabytes: Annotated[float, Meaning("gigabytes, over 0"), within(1e-3, 1e6)] = key(100.0)
+    """How much room recordings may take; then the oldest are removed sooner."""
     health: HostPort | None = key('"127.0.0.1:9464"', None, "none")
     """Where counts and alarms are served as text for Prometheus."""
     broker: BrokerTable

@@ -130,15 +130,13 @@ FOUND = [
     *(
         ("live buffer", "live/buffer", statement(text))
         for text in (
-            "UPDATE messages SET kind = 'a'",
             "UPDATE messages SET content = 'a'",
             "UPDATE messages SET number = 9223372036854775807 WHERE number = 1",
             "UPDATE messages SET number = -5 WHERE number = 1",
-            "ALTER TABLE messages RENAME COLUMN kind TO other",
             "ALTER TABLE messages RENAME COLUMN number TO other",
-            "UPDATE notes SET value = '/' WHERE name = 'stream'",
-            "UPDATE notes SET value = X'FF' WHERE name = 'format'",
-            "UPDATE notes SET value = CAST(X'FF' AS TEXT) WHERE name = 'stream'",
+            "UPDATE notes SET value = '/'",
+            "UPDATE notes SET value = X'FF'",
+            "UPDATE notes SET value = CAST(X'FF' AS TEXT)",
         )
     ),
     ("live records", "live/pose", instead(b'"event":""', b'"event":"\\ud800"')),
@@ -154,29 +152,6 @@ FOUND = [
     ("pcd", FIRST_CLOUD, instead(b"SIZE 4", b"SIZE ,,,1")),
     ("live buffer bytes", "live/buffer", zeroed(4096)),
     ("live buffer bytes", "live/buffer", lambda data, path: path.write_bytes(data[:5000])),
-    *(
-        ("live journal", "live/journal", statement(text))
-        for text in (
-            "DELETE FROM poses",
-            "UPDATE poses SET content = 5",
-            "UPDATE poses SET standing = 9",
-            "UPDATE frames SET pose = 9",
-            "UPDATE frames SET tiles = X'FF7F'",
-            "ALTER TABLE marks RENAME COLUMN stream TO other",
-            "ALTER TABLE poses RENAME COLUMN id TO other",
-            "ALTER TABLE frames RENAME COLUMN sensor TO other",
-        )
-    ),
-    *(
-        ("live vehicles", "live/followed", statement(text))
-        for text in (
-            "UPDATE poses SET content = '0.5'",
-            "UPDATE poses SET sensor = '1969-12-31T23:59:59Z'",
-            "UPDATE poses SET id = 7",
-            "UPDATE views SET easting = 'a'",
-            "UPDATE views SET tiles = X'FFFFFFFFFFFFFF7F'",
-        )
-    ),
 ]
 
 

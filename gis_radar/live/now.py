@@ -1,15 +1,13 @@
 """Vehicles of this moment: the tracker's filter alone, and those that stood when it lost them.
 
 The filter takes what moves; who stands longer than it remembers stays shown where it stood, until
-somebody drives there, or a block of smoothed vehicles says that none is there. A block that ends a
-minute ago also names who stood all the time and was never seen to move.
+somebody drives there, or for three minutes.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import count
 from typing import Any
 
 import geopandas as gpd
@@ -18,7 +16,6 @@ import shapely
 
 from gis_radar.arrays import Floats
 from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
 from gis_radar.tracking.bodies import are_persons, usual_rcs
 from gis_radar.tracking.columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
 from gis_radar.tracking.detections import MapDetections
@@ -27,6 +24,11 @@ from gis_radar.tracking.settings import VehicleSettings
 
 HEAVY_M = 7.0  # the contract: who is longer counts as heavy
 LENGTHS_M, HEAVY_WIDTH_M, WIDTH_M = (4.6, 18.75), 2.5, 1.85
+SURE_HITS = 6  # detections of a vehicle: with fewer the filter follows it for a moment only
+HELD_S = 180.0  # one that stood when the filter lost it is shown for so long
+GONE_MPS = 0.7  # who was faster when it was lost has left
+SAME_M = 2.5  # what is nearer to where one stood is the same
+RCS_KEPT, JUDGED = 40, 400  # cross sections of a vehicle, and vehicles by which walkers are told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,20 +97,15 @@ class NowFilter:
         The lanes.
     tracker : VehicleSettings
         Those of the tracker.
-    settings : FollowSettings
-        Of what is shown.
     """
 
     graph: LaneGraph
     tracker: VehicleSettings
-    settings: FollowSettings = DEFAULTS
     _waiting: list[MapDetections] = field(default_factory=list)
     _known: dict[int, _Known] = field(default_factory=dict)
     _stood: dict[int, Floats] = field(default_factory=dict)  # by number, the row and when it was
     _shown: dict[int, Floats] = field(default_factory=dict)
-    _passed: deque[tuple[float, Floats]] = field(default_factory=deque)
     _same: dict[int, int] = field(default_factory=dict)
-    _numbers: count[int] = field(default_factory=count)
     _reached: float = -np.inf
     _still: float = np.nan
 
@@ -143,11 +140,11 @@ class NowFilter:
             self._still += 0.05 * (known - self._still)
         for each in np.unique(number[number >= 0]).tolist():
             rows = number == each
-            found = self._known.pop(each, None) or _Known(rcs=deque(maxlen=self.settings.rcs_kept))
+            found = self._known.pop(each, None) or _Known(rcs=deque(maxlen=RCS_KEPT))
             found.rcs.extend(detections.rcs[rows].tolist())
             found.fast = max(found.fast, float(states[rows, SPEED].max()))
             self._known[each] = found  # the latest last
-        while len(self._known) > self.settings.judged:
+        while len(self._known) > JUDGED:
             del self._known[next(iter(self._known))]
 
     def _persons(self) -> set[int]:
@@ -160,7 +157,7 @@ class NowFilter:
     def _show(self) -> None:
         """Take in the bodies of the filter, and whom it has lost since."""
         bodies = self._filter.bodies
-        sure = (bodies[:, HITS] >= self.settings.sure_hits) & (bodies[:, LAST] > self._reached - 60)
+        sure = (bodies[:, HITS] >= SURE_HITS) & (bodies[:, LAST] > self._reached - 60)
         persons = self._persons() if len(bodies) else set()
         alive: dict[int, Floats] = {}
         for body in bodies[sure]:
@@ -173,17 +170,14 @@ class NowFilter:
                 )
         places = np.array([each[:2] for each in alive.values()]).reshape(-1, 2)
         for number, row in self._shown.items():
-            if number not in alive and row[3] < self.settings.gone_mps:
+            if number not in alive and row[3] < GONE_MPS:
                 self._stood[number] = np.array([*row, self._reached])
-        self._passed.append((self._reached, places))
-        while self._passed and self._passed[0][0] < self._reached - self.settings.held_s:
-            self._passed.popleft()
         for number in [*self._stood]:
             near = self._near(self._stood[number][:2], places)
             if near is not None:  # it drives on, or another one is there
                 new = [*alive][near]
                 self._same.setdefault(new, self._same.get(number, number))
-            late = self._reached - self._stood[number][5] > self.settings.held_s
+            late = self._reached - self._stood[number][5] > HELD_S
             if near is not None or late:
                 del self._stood[number]
         self._same = {k: v for k, v in self._same.items() if k in alive or k in self._stood}
@@ -192,29 +186,17 @@ class NowFilter:
     def _near(self, place: Floats, places: Floats) -> int | None:
         apart = np.hypot(*(places - place).T) if len(places) else np.zeros(0)
         nearest = int(apart.argmin()) if len(apart) else -1
-        return nearest if len(apart) and apart[nearest] < self.settings.same_m else None
-
-    def correct(self, time: float, stood: Floats) -> None:
-        """Take in who stood at a time by smoothed vehicles (east, north, heading, 0, length)."""
-        places = stood[:, :2]
-        for number in [*self._stood]:
-            known = self._stood[number]
-            if known[5] < time:
-                if self._near(known[:2], places) is None:
-                    del self._stood[number]
-                else:
-                    known[5] = time
-        held = np.array([each[:2] for each in self._stood.values()]).reshape(-1, 2)
-        since = [each for when, each in self._passed if when > time]
-        driven = np.concatenate([held, *since]) if since else held
-        for row in stood:
-            if self._near(row[:2], driven) is None:
-                self._stood[-1 - next(self._numbers)] = np.array([*row, time])
+        return nearest if len(apart) and apart[nearest] < SAME_M else None
 
     def now(self) -> VehiclesNow:
         """Return the vehicles of the last moment."""
         both = {**{k: row[:5] for k, row in self._stood.items()}, **self._shown}
-        rows = [(self._same.get(k, k), *row) for k, row in both.items()]
+        rows, used = [], {*both}
+        for number, row in both.items():
+            earlier = self._same.get(number, number)
+            shown = number if earlier in used else earlier
+            used.add(shown)
+            rows.append((shown, *row))
         table = np.array(rows, np.float64).reshape(-1, 6)
         table[:, 1:3] += self.graph.origin
         return VehiclesNow.of(self._reached, table)

@@ -1,1 +1,0 @@
-"""Folders of hits, one an hour, as fusion stores them."""

@@ -1,0 +1,262 @@
+"""What the worker beside fusion does: recordings, hours of the dataset, provisional quarters."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gis_radar.dataset import Dataset, clear_unfinished, hour_text, open_dataset, record_path
+from gis_radar.dataset.manifest import Manifest
+from gis_radar.dataset.measure import measure
+from gis_radar.errors import InputError, OutputError
+from gis_radar.files import output_errors
+from gis_radar.live.quarters import KEPT, Lately, read_quarters
+from gis_radar.live.recordings import (
+    CUT_US,
+    HOUR_US,
+    PARTS,
+    RECORDINGS,
+    JoinedRows,
+    hour_of_time,
+    join_parts,
+    make_parts,
+    name_of_time,
+    parts_of_hour,
+    recording_path,
+    remove_old,
+    time_of_name,
+    track_beside,
+    waiting_hours,
+)
+from gis_radar.measures.settings import Filters
+from gis_radar.poses.files import PoseTrack
+from gis_radar.progress import Reporter
+from gis_radar.tiles import read_tiles
+
+DATASET, PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
+QUARTER_US = HOUR_US // 4
+AFTER_US = 60_000_000  # of a provisional quarter, frames that help to know its vehicles
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredSite:
+    """What a dataset of a live site is measured by.
+
+    Parameters
+    ----------
+    folder, map, tiles : Path
+        Of the live system's files, the lanes, and the tiles.
+    sensors : sequence of str
+        Their names.
+    scans, scan_crs : sequence of Path, object
+        What hides tiles.
+    filters : Filters
+        Which detections count.
+    cycles : dict
+        Seconds from frame to frame, of sensors that state it.
+    timezone : str
+        Of the site.
+    vehicles : bool
+        Whether vehicles are followed.
+    keep_s, most_bytes : float
+        How long recordings are kept, and how much room they may take.
+    """
+
+    folder: Path
+    map: Path
+    tiles: Path
+    sensors: Sequence[str]
+    scans: Sequence[Path]
+    scan_crs: Any
+    filters: Filters
+    cycles: dict[str, float]
+    timezone: str
+    vehicles: bool
+    keep_s: float
+    most_bytes: float
+
+    @property
+    def dataset(self) -> Path:
+        """Where the dataset is."""
+        return self.folder / DATASET
+
+    def measure(
+        self, recordings: Sequence[tuple[Path, PoseTrack]], folder: Path, *, before_hour: int,
+        reporter: Reporter,
+    ) -> Dataset:  # fmt: skip
+        """Measure recordings as `gis-radar measure` does."""
+        return measure(
+            [path for path, _ in recordings], [track for _, track in recordings],
+            read_tiles(self.tiles), self.map, folder, scans=self.scans, scan_crs=self.scan_crs,
+            sight_cache=self.folder / SIGHT if self.scans else None, filters=self.filters,
+            cycles={name: self.cycles[name] for name in self.cycles
+                    if any(track.sensor == name for _, track in recordings)},
+            hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
+            reporter=reporter,
+        )  # fmt: skip
+
+
+@dataclass(kw_only=True)
+class Done(Reporter):
+    """What a piece of work found; it takes warnings meanwhile.
+
+    Parameters
+    ----------
+    said : list of str
+        Warnings.
+    quarters : list of Lately
+        What was measured.
+    hours : list of int
+        Those that are to be made (again).
+    """
+
+    said: list[str] = field(default_factory=list)
+    quarters: list[Lately] = field(default_factory=list)
+    hours: list[int] = field(default_factory=list)
+
+    def log(self, message: str, level: str = "info") -> None:
+        """Keep a warning."""
+        if level == "warning":
+            self.said.append(message)
+
+
+def take_up(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+    """Find what an earlier run left: hours to be made, and the quarters of the last day."""
+    make_recordings(site, spooled)
+    clear_unfinished(site.folder / PARTS)
+    done = Done(hours=sorted(waiting_hours(site.folder)))
+    for path in sorted((site.folder / RECORDINGS).glob("*/*.parquet")):
+        hour = hour_of_time(time_of_name(path.stem))
+        if hour not in done.hours and _is_newer(path, site.dataset, hour):
+            done.hours.append(hour)
+    for path in sorted((site.folder / PROVISIONAL).glob("2*")):
+        if Manifest.is_there(path / DATASET):
+            quarter = time_of_name(path.name) // QUARTER_US
+            done.quarters += _quarters_in(site, path / DATASET, [quarter])
+    _read_day(site, done)
+    return done
+
+
+def _is_newer(path: Path, dataset: Path, hour: int) -> bool:
+    """Return whether a recording changed since its hour was made."""
+    record = record_path(dataset, hour)
+    return not record.exists() or record.stat().st_mtime < path.stat().st_mtime
+
+
+def make_recordings(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+    """Make parts of recordings of files of the spool."""
+    for path in spooled:
+        make_parts(site.folder, path)
+    return Done()
+
+
+def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]) -> Done:
+    """Make the recordings of hours that are over, and measure them.
+
+    Parameters
+    ----------
+    site : MeasuredSite
+        The site.
+    spooled : sequence of Path
+        Files of the spool that nobody writes to any more.
+    hours : sequence of int
+        Whose recordings are to be made, since 1970.
+    """
+    done = make_recordings(site, spooled)
+    before_hour = hour_of_time(int(time.time() * 1e6))
+    for hour in hours:
+        try:
+            found = [
+                (path, track_beside(path))
+                for sensor in site.sensors
+                if (path := _recording_of(site, sensor, hour, done)) is not None
+            ]
+            if found:
+                site.measure(found, site.dataset, before_hour=before_hour, reporter=done)
+        except InputError as error:  # the recordings stay; other hours are made all the same
+            done.log(f"{hour_text(hour)} is not measured: {error.message}", "warning")
+    _read_day(site, done)
+    for path in (site.folder / PROVISIONAL).glob("2*"):
+        if time_of_name(path.name) // HOUR_US < before_hour:
+            shutil.rmtree(path, ignore_errors=True)
+    remove_old(site.folder, keep_s=site.keep_s, most_bytes=site.most_bytes, reporter=done)
+    return done
+
+
+def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: Done) -> Path | None:
+    """Return the recording of an hour with all that came of it; None where there is none."""
+    path = recording_path(site.folder, sensor, hour)
+    known = Manifest.is_there(site.dataset) and not path.exists()
+    if known and path.resolve().as_posix() in set(open_dataset(site.dataset).recordings()["path"]):
+        parts = parts_of_hour(site.folder, sensor, hour)
+        if parts:
+            done.log(
+                f"{sensor}: frames of {path.stem} came after its recording was removed: left out",
+                "warning",
+            )
+        for each in parts:
+            each.unlink()
+        return None
+    return join_parts(site.folder, sensor, hour, done)
+
+
+def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> Done:
+    """Measure a quarter of an hour by what is there of it; the hour replaces it.
+
+    Parameters and result as of :func:`make_hours`.
+    """
+    done = make_recordings(site, spooled)
+    begin_us = quarter * QUARTER_US
+    path = site.folder / PROVISIONAL / name_of_time(begin_us)
+    span = (begin_us - CUT_US, begin_us + QUARTER_US + AFTER_US)
+    with output_errors(path):
+        shutil.rmtree(path, ignore_errors=True)
+        path.mkdir(parents=True)
+    found = []
+    for sensor in site.sensors:
+        sources = []
+        for hour in range(hour_of_time(span[0]), hour_of_time(span[1]) + 1):
+            there = recording_path(site.folder, sensor, hour)
+            sources += [there] if there.exists() else []
+            sources += parts_of_hour(site.folder, sensor, hour)
+        rows = JoinedRows(sources, *span) if sources else None
+        if rows is not None and len(rows.table):
+            place = path / RECORDINGS / sensor / f"{path.name}.parquet"
+            found.append((place, rows.write(place)))
+    if not found:
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        made = path / DATASET
+        site.measure(found, made, before_hour=1 << 40, reporter=done)
+        done.quarters = _quarters_in(site, made, [quarter])
+    return done
+
+
+def _read_day(site: MeasuredSite, done: Done) -> None:
+    """Read the quarters of the last day from the dataset."""
+    if Manifest.is_there(site.dataset):
+        last = int(time.time() * 1e6) // QUARTER_US
+        done.quarters += _quarters_in(site, site.dataset, range(last - KEPT, last + 1))
+
+
+def _quarters_in(site: MeasuredSite, folder: Path, quarters: Sequence[int]) -> list[Lately]:
+    return read_quarters(open_dataset(folder), read_tiles(site.tiles), quarters)
+
+
+def refuse_other_tiles(dataset: Path, fingerprint: str) -> None:
+    """Refuse a dataset of other tiles.
+
+    Raises
+    ------
+    OutputError
+        If there is one.
+    """
+    if Manifest.is_there(dataset) and Manifest.read(dataset).fingerprint != fingerprint:
+        raise OutputError(
+            f"{dataset}: was measured with other tiles",
+            hint="name another folder in [live], or move this one away",
+        )

@@ -1,0 +1,242 @@
+"""Which hours and quarters are to be measured, and the worker that does it beside fusion.
+
+One process at low priority, one piece of work at a time: fusion and its map never wait for it, and
+how far it is behind is told.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from gis_radar.dataset import hour_text
+from gis_radar.errors import GisRadarError
+from gis_radar.live.hour_work import (
+    AFTER_US,
+    QUARTER_US,
+    Done,
+    MeasuredSite,
+    make_hours,
+    make_quarter,
+    make_recordings,
+    take_up,
+)
+from gis_radar.live.quarters import Quarters
+from gis_radar.live.recordings import end_of_hour_s
+from gis_radar.live.settings import DEFAULTS, LiveSettings
+from gis_radar.processes import stop_workers, watch_parent
+from gis_radar.progress import QUIET, Reporter
+
+NICE = 15  # the map goes first
+BEHIND_S = 900.0  # from which on it is told how far hours are behind, and at each doubling
+LOOK_S = 0.1
+MOST_SAID = 1_000  # warnings that are known, and not told again
+
+Work = Callable[[MeasuredSite, Sequence[Path]], Done]
+
+
+def _begin() -> None:
+    watch_parent()
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+
+
+class HourJobs:
+    """Has hours and quarters measured once they are over.
+
+    Parameters
+    ----------
+    site : MeasuredSite
+        The site.
+    quarters : Quarters
+        Takes in what was measured.
+    settings : LiveSettings
+        How long it is waited for frames.
+    reporter : Reporter
+        Receives warnings of the work.
+
+    Attributes
+    ----------
+    touched : dict
+        Hours of recordings that are to be made, and when a frame of each came last (monotonic
+        seconds).
+    wanted : bool
+        Whether work waits for the spool to be closed.
+    """
+
+    def __init__(
+        self, site: MeasuredSite, quarters: Quarters, *, settings: LiveSettings = DEFAULTS,
+        reporter: Reporter = QUIET,
+    ) -> None:  # fmt: skip
+        self.touched: dict[int, float] = {}
+        self.behind_s = self.quarters_left_out = 0.0
+        self._site, self._quarters = site, quarters
+        self._settings, self._reporter = settings, reporter
+        self._pool: ProcessPoolExecutor | None = None
+        self._running: Future[Done] | None = None
+        self._next: Work | None = None
+        self._hours: dict[int, float] = {}  # that are being made, and when they were touched
+        self._quarter = 0  # that was measured last
+        self._said: set[str] = set()
+        self._again_at, self._told_s = 0.0, BEHIND_S
+
+    def take_up(self, spooled: Sequence[Path]) -> None:
+        """Begin with what an earlier run left."""
+        self._submit(take_up, spooled)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether work waits until the spool goes on in another file."""
+        return self._next is not None and self._running is None
+
+    def turn(self, now_s: float, newest: Mapping[str, float], *, full: bool = False) -> None:
+        """Take in what was done, and choose what is next.
+
+        Parameters
+        ----------
+        now_s : float
+            UNIX seconds.
+        newest : mapping
+            By sensor, the time of its last frame.
+        full : bool
+            Whether the open file of the spool is long.
+        """
+        self._take()
+        if self._running is None and self._next is None and time.monotonic() >= self._again_at:
+            self._choose(now_s, newest, full=full)
+
+    def _choose(self, now_s: float, newest: Mapping[str, float], *, full: bool) -> None:
+        due = sorted(hour for hour in self.touched if self._is_due(hour, now_s, newest))
+        self._look_behind(now_s, due)
+        quarter = self._due_quarter(now_s, newest)
+        if quarter is not None and self.behind_s < BEHIND_S:  # the page waits for it
+            left = quarter - self._quarter - 1 if self._quarter else 0
+            self.quarters_left_out += max(left, 0)
+            self._quarter = quarter
+            self._next = partial(_of_quarter, quarter)
+        elif due:
+            self._hours = {hour: self.touched[hour] for hour in due}
+            self._next = partial(_of_hours, due)
+        elif full:
+            self._next = make_recordings
+
+    def _is_due(self, hour: int, now_s: float, newest: Mapping[str, float]) -> bool:
+        """Return whether all frames of an hour are there, or none came for long."""
+        end_s = end_of_hour_s(hour)
+        if now_s < end_s:
+            return False
+        settled = time.monotonic() - self.touched[hour] >= self._settings.settle_s
+        all_there = all(each >= end_s for each in newest.values())
+        return all_there or (settled and now_s >= end_s + self._settings.settle_s)
+
+    def _due_quarter(self, now_s: float, newest: Mapping[str, float]) -> int | None:
+        """Return the newest quarter that is over, if it was not measured and frames came of it."""
+        after_s = AFTER_US / 1e6
+        quarter = int((now_s - after_s) * 1e6) // QUARTER_US - 1
+        end_s = (quarter + 1) * QUARTER_US / 1e6 + after_s
+        there = all(each >= end_s for each in newest.values())
+        if quarter <= self._quarter or not (there or now_s >= end_s + self._settings.settle_s):
+            return None
+        begin_s = quarter * QUARTER_US / 1e6
+        return quarter if any(each >= begin_s for each in newest.values()) else None
+
+    def _look_behind(self, now_s: float, due: Sequence[int]) -> None:
+        """Tell how far hours are behind, at each doubling; and once they no longer are."""
+        self.behind_s = now_s - end_of_hour_s(due[0]) if due else 0.0
+        if self.behind_s >= self._told_s:
+            self._told_s = 2.0 * self.behind_s
+            self._reporter.log(
+                f"measuring is behind: {hour_text(due[0])} waits for {self.behind_s / 60:.0f} min: "
+                "the machine has too few cores for its sensors",
+                "warning",
+            )
+        elif not due:
+            self._told_s = BEHIND_S
+
+    def begin(self, spooled: Sequence[Path]) -> None:
+        """Begin what is wanted, now that the spool is closed up to here."""
+        work, self._next = self._next, None
+        if work is not None:
+            self._submit(work, spooled)
+
+    def _submit(self, work: Work, spooled: Sequence[Path]) -> None:
+        """Hand work to the process, which is started where there is none."""
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin)
+        self._running = self._pool.submit(work, self._site, list(spooled))
+
+    def _take(self) -> None:
+        """Take in what was done; what failed is tried again later."""
+        if self._running is None or not self._running.done():
+            return
+        work, self._running = self._running, None
+        hours, self._hours = self._hours, {}
+        try:
+            done = work.result()
+        except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on
+            self._again_at = time.monotonic() + self._settings.again_s
+            reason = error.message if isinstance(error, GisRadarError) else (
+                f"{type(error).__name__}: {error}"
+            )  # fmt: skip
+            self._say([f"measuring failed and is tried again: {reason}"])
+            self.stop()
+            return
+        for hour, touched in hours.items():
+            if self.touched.get(hour) == touched:  # else frames came meanwhile: once more
+                del self.touched[hour]
+        self.touch(done.hours)
+        self._quarters.add(done.quarters)
+        self._say(done.said)
+
+    def touch(self, hours: Iterable[int]) -> None:
+        """Take note of hours of which frames came."""
+        self.touched |= dict.fromkeys(hours, time.monotonic())
+
+    def _say(self, lines: Iterable[str]) -> None:
+        for line in lines:  # once, of whatever hour
+            words = " ".join(word for word in line.split() if not word[0].isdigit())
+            if words not in self._said:
+                self._said = {words} if len(self._said) >= MOST_SAID else self._said | {words}
+                self._reporter.log(line, "warning")
+
+    def finish(self, spooled: Sequence[Path]) -> None:
+        """Make recordings of what is there, and measure the hours that are over."""
+        self.stop()
+        self._hours, now_s = {}, time.time()
+        due = sorted(hour for hour in self.touched if end_of_hour_s(hour) <= now_s)
+        self._next = partial(_of_hours, due) if due else make_recordings
+        self.begin(spooled)
+        while self._running is not None:
+            time.sleep(LOOK_S)
+            self._take()
+        self.stop()
+
+    def stop(self) -> None:
+        """End the process."""
+        if self._pool is not None:
+            workers = list((self._pool._processes or {}).values())  # noqa: SLF001 - no other way
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            stop_workers(workers)
+        self._pool, self._running, self._next = None, None, None
+
+    def figures(self) -> dict[str, float]:
+        """Return how far the work is, by name, for Prometheus."""
+        return {
+            "hours_waiting": float(len(self.touched)),
+            "hours_behind_seconds": self.behind_s,
+            "quarters_left_out": self.quarters_left_out,
+        }
+
+
+def _of_hours(hours: Sequence[int], site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+    return make_hours(site, spooled, hours)
+
+
+def _of_quarter(quarter: int, site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+    return make_quarter(site, spooled, quarter)

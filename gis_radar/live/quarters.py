@@ -1,0 +1,161 @@
+"""What was measured by quarter of an hour: tiles of the last one, lanes of the last day.
+
+Read from the dataset, and of quarters whose hour is not over from their provisional ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.dataset import STEPS_PER_QUARTER, Dataset
+from gis_radar.dataset.tables import PASSAGES, TILE_COUNTS, TableSchema
+from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
+from gis_radar.steps import STEP_S, step_begin
+
+KEPT = 96  # quarters: a day
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileOccupancy:
+    """Steps of tiles: in which each was visible, and occupied while it was.
+
+    Parameters
+    ----------
+    visible, occupied : (n,) int64 arrays
+        By position of the tiles.
+    """
+
+    visible: Integers
+    occupied: Integers
+
+    def share(self) -> Floats:
+        """Return the occupancy of each tile, NaN where it was not visible."""
+        found = np.full(len(self.visible), np.nan)
+        np.divide(self.occupied, self.visible, out=found, where=self.visible > 0)
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lately:
+    """The last quarter of an hour that was measured.
+
+    Parameters
+    ----------
+    until_step : int
+        Its last step.
+    tiles : TileOccupancy
+        By position of the tiles.
+    lanes : DataFrame
+        `lane, hit_s, observed_s` (means of its tiles); with vehicles also `occupied_s, visible_s`,
+        `passages, speed` (m/s, mean).
+    """
+
+    until_step: int
+    tiles: TileOccupancy
+    lanes: pd.DataFrame
+
+
+class Quarters:
+    """The quarters of the last day; safe to read from another thread."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, Lately] = {}
+
+    def add(self, found: Iterable[Lately]) -> None:
+        """Take in quarters, in place of those that are known."""
+        known = self._known | {each.until_step: each for each in found}
+        self._known = {step: known[step] for step in sorted(known)[-KEPT:]}
+
+    def lately(self) -> Lately | None:
+        """Return the newest quarter with vehicles; None where there is none."""
+        known = self._known
+        followed = [step for step, each in known.items() if "passages" in each.lanes]
+        return known[max(followed)] if followed else None
+
+    def intervals(self) -> pd.DataFrame:
+        """Return the lanes of all quarters, with `begin` and `end`."""
+        tables = [
+            each.lanes.assign(
+                begin=step_begin(step + 1 - STEPS_PER_QUARTER), end=step_begin(step + 1)
+            )
+            for step, each in self._known.items()
+        ]
+        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+
+
+def read_quarters(
+    dataset: Dataset, tiles: gpd.GeoDataFrame, quarters: Sequence[int]
+) -> list[Lately]:
+    """Read quarters of a dataset, those that are not there left out.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        It.
+    tiles : GeoDataFrame
+        Its tiles.
+    quarters : sequence of int
+        Since 1970, ascending.
+    """
+    if not quarters:
+        return []
+    span = (quarters[0] * STEPS_PER_QUARTER, (quarters[-1] + 1) * STEPS_PER_QUARTER - 1)
+    counts = _rows(dataset, TILE_COUNTS, span)
+    passages = _rows(dataset, PASSAGES, span) if dataset.has_vehicles else None
+    found = []
+    for quarter in quarters:
+        begin = quarter * STEPS_PER_QUARTER
+        mine = counts[counts["first_step"] == begin] if len(counts) else counts
+        if len(mine):
+            found.append(_quarter(begin, mine, passages, tiles))
+    return found
+
+
+def _rows(dataset: Dataset, table: TableSchema, span: tuple[int, int]) -> pd.DataFrame:
+    parts: list[pd.DataFrame] = [part.to_pandas() for part in dataset.batches(table, span)]
+    if not parts:
+        return pd.DataFrame(columns=[*table.names, "first_step"])
+    return pd.concat(parts, ignore_index=True)
+
+
+def _quarter(
+    begin: int, counts: pd.DataFrame, passages: pd.DataFrame | None, tiles: gpd.GeoDataFrame
+) -> Lately:
+    ids = tiles["tile_id"].to_numpy(np.int64)
+    place = np.searchsorted(ids, counts["tile_id"].to_numpy(np.int64))
+    lanes, lane_of_tile = lanes_with_tiles(tiles)
+    size = len(lanes)
+    number_of_tiles = np.maximum(np.bincount(lane_of_tile, minlength=size), 1)
+    steps: dict[str, Integers] = {}
+    table = pd.DataFrame({"lane": [lane.number for lane in lanes]})
+    for name in ("hit", "observed", "occupied", "visible"):
+        steps[name] = np.zeros(len(ids), np.int64)
+        steps[name][place] = counts[f"{name}_steps"].fillna(0).to_numpy(np.int64)
+        total = lane_totals(steps[name].astype(float), lane_of_tile, size)
+        if passages is not None or name in {"hit", "observed"}:
+            table[f"{name}_s"] = total / number_of_tiles * STEP_S
+    if passages is not None:
+        inside = passages["step"].between(begin, begin + STEPS_PER_QUARTER - 1)
+        lane_of = dict(zip(tiles["lanelet_id"].tolist(), lane_of_tile.tolist(), strict=True))
+        table["passages"], table["speed"] = _passed(passages[inside], lane_of, size)
+    occupancy = TileOccupancy(visible=steps["visible"], occupied=steps["occupied"])
+    return Lately(until_step=begin + STEPS_PER_QUARTER - 1, tiles=occupancy, lanes=table)
+
+
+def _passed(passages: pd.DataFrame, lane_of: dict[int, int], size: int) -> tuple[Integers, Floats]:
+    """Return how often each lane was passed, once by a vehicle, and the mean speed, m/s."""
+    lane = passages["lanelet_id"].map(lane_of)
+    found = passages.assign(lane=lane).dropna(subset="lane").sort_values("step")
+    found = found.drop_duplicates(["vehicle", "lane"])
+    number = found["lane"].to_numpy(np.int64)
+    passes = np.bincount(number, minlength=size)
+    speed = np.full(size, np.nan)
+    total = np.bincount(number, found["speed_cms"].to_numpy(float) / 100.0, size)
+    np.divide(total, passes, out=speed, where=passes > 0)
+    return passes, speed

@@ -1,0 +1,309 @@
+"""Recordings at the centre: made of the spool, an hour and a sensor each.
+
+A recording begins and ends two minutes after the full hour, so that an hour of the dataset has all
+that it follows from once its recording is added, and is made once. Parts of it lie beside it until
+then. A frame is in it once, in the order of time, whenever and however often it came in.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gis_radar.arrays import Integers
+from gis_radar.dataset.parts import rename_whole, unfinished
+from gis_radar.errors import InputError
+from gis_radar.files import output_errors, writing_errors
+from gis_radar.live.detections import FrameDetections, unpack_detections
+from gis_radar.live.payload import PoseContent, key_of_pose, unpack_message
+from gis_radar.live.spool import FRAMES, POSE, SpoolFile
+from gis_radar.measures.frames import FrameIndex
+from gis_radar.measures.hour import MARGIN_STEPS
+from gis_radar.poses.files import PoseTrack, read_track, write_pose, write_track
+from gis_radar.poses.pose import pose_from_dict
+from gis_radar.progress import Reporter
+from gis_radar.recordings.recording import open_recording
+from gis_radar.steps import STEP_US, step_begin
+
+HOUR_US = 3_600_000_000
+CUT_US = MARGIN_STEPS * STEP_US  # after the full hour
+RECORDINGS, PARTS = "recordings", "parts"
+AT_ONCE = 20_000  # frames of a sensor in memory: a quarter of an hour
+ROWS_OF_GROUP = 131_072
+_POSES = b"gis_radar.poses"  # key of the file's metadata
+_SCHEMA = pa.schema(
+    [("time", pa.float64()), *((name, pa.float32()) for name in ("x", "y", "z")),
+     ("range_rate", pa.float32()), ("rcs", pa.float32()), ("pose", pa.string())]
+)  # fmt: skip
+
+
+def hour_of_time(time_us: int) -> int:
+    """Return in the recording of which hour (since 1970) a time lies."""
+    return (time_us - CUT_US) // HOUR_US
+
+
+def end_of_hour_s(hour: int) -> float:
+    """Return when the recording of an hour ends, UNIX seconds."""
+    return ((hour + 1) * HOUR_US + CUT_US) / 1e6
+
+
+def name_of_time(time_us: int) -> str:
+    """Return a time as it stands in names of files, such as 20261123T0702Z."""
+    return f"{datetime.fromtimestamp(time_us / 1e6, tz=UTC):%Y%m%dT%H%MZ}"
+
+
+def time_of_name(name: str) -> int:
+    """Return the time in a name of :func:`name_of_time`, microseconds since 1970."""
+    parsed = datetime.strptime(name, "%Y%m%dT%H%MZ").replace(tzinfo=UTC)
+    return round(parsed.timestamp() * 1e6)
+
+
+def recording_path(folder: Path, sensor: str, hour: int) -> Path:
+    """Return where the recording of an hour lies."""
+    name = name_of_time(hour * HOUR_US + CUT_US)
+    return folder / RECORDINGS / sensor / f"{name}.parquet"
+
+
+def parts_of_hour(folder: Path, sensor: str, hour: int) -> list[Path]:
+    """Return the parts of a recording that are not in it yet, in the order in which they came."""
+    name = name_of_time(hour * HOUR_US + CUT_US)
+    return sorted((folder / PARTS / sensor).glob(f"{name}.*.parquet"))
+
+
+def waiting_hours(folder: Path) -> set[int]:
+    """Return the hours of which parts wait."""
+    found = set()
+    for path in (folder / PARTS).glob("*/*.*.parquet"):
+        with suppress(ValueError):
+            found.add(hour_of_time(time_of_name(path.name.partition(".")[0])))
+    return found
+
+
+def make_parts(folder: Path, spooled: Path) -> None:
+    """Make parts of recordings of a file of the spool, then remove it.
+
+    Killed at any moment, it is done again and gives the same.
+
+    Raises
+    ------
+    OutputError
+        If they cannot be written; the file then stays.
+    """
+    file = SpoolFile(spooled)
+    for sensor, begins in file.by_sensor().items():
+        poses: dict[str, Any] = {}
+        numbers: dict[int, int] = {}
+        for rows in _frames(file, begins, poses):
+            hours = np.array([hour_of_time(each.time_us) for each, _ in rows])
+            for hour in np.unique(hours).tolist():
+                mine = [row for row, of in zip(rows, hours.tolist(), strict=True) if of == hour]
+                numbers[hour] = numbers.get(hour, -1) + 1
+                name = name_of_time(hour * HOUR_US + CUT_US)
+                number = f"{spooled.stem}-{numbers[hour]:04d}"
+                _write(folder / PARTS / sensor / f"{name}.{number}.parquet", _table(mine), poses)
+    with output_errors(spooled):
+        spooled.unlink()
+
+
+def _frames(
+    file: SpoolFile, begins: Sequence[int], poses: dict[str, Any]
+) -> Iterator[list[tuple[FrameDetections, str]]]:
+    """Yield the frames of a sensor with the keys of their poses, some at a time."""
+    rows: list[tuple[FrameDetections, str]] = []
+    for begin in begins:
+        record = file.at(begin)
+        if record is None:
+            continue
+        if record.kind == POSE:
+            key = key_of_pose(record.payload).hex()
+            poses[key] = PoseContent.unpack(record.payload).pose
+        elif record.kind == FRAMES:
+            pose, frames = unpack_detections(unpack_message(record.payload)[1])
+            rows += [(each, pose.hex()) for each in frames]
+        if len(rows) >= AT_ONCE:
+            yield rows
+            rows = []
+    if rows:
+        yield rows
+
+
+def _table(rows: Sequence[tuple[FrameDetections, str]]) -> pa.Table:
+    """Return frames as rows of a recording, in the order of time, those of one time once."""
+    known: dict[int, tuple[FrameDetections, str]] = {}
+    for row in rows:
+        known.setdefault(row[0].time_us, row)
+    ordered = [known[time_us] for time_us in sorted(known)]
+    frames = [each.as_rows() for each, _ in ordered]
+    points = np.concatenate([each.points for each in frames])
+    columns = [
+        np.concatenate([each.time for each in frames]), *points.T,
+        np.concatenate([each.range_rate for each in frames]),
+        np.concatenate([each.rcs for each in frames]),
+    ]  # fmt: skip
+    sizes = [len(each) for each in frames]
+    pose = np.repeat(np.array([pose for _, pose in ordered], object), sizes)
+    arrays = [
+        pa.array(values, field.type)
+        for values, field in zip([*columns, pose], _SCHEMA, strict=True)
+    ]
+    return pa.Table.from_arrays(arrays, schema=_SCHEMA)
+
+
+def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
+    """Write a table of rows whole, and to the disk."""
+    named = {key: poses[key] for key in sorted(table["pose"].unique().to_pylist()) if key in poses}
+    with output_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with output_errors(path), writing_errors(path):
+        pq.write_table(
+            table.replace_schema_metadata({_POSES: json.dumps(named, sort_keys=True)}),
+            unfinished(path), compression="zstd", row_group_size=ROWS_OF_GROUP,
+            use_dictionary=["pose"],
+        )  # fmt: skip
+        with unfinished(path).open("rb") as file:
+            os.fsync(file.fileno())
+    rename_whole(unfinished(path), path)
+
+
+class JoinedRows:
+    """JoinedRows of a sensor from several files, each frame once.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Recordings and parts: of two frames of one time that of the earlier file counts.
+    begin_us, end_us : int
+        Only frames from one time to before another.
+
+    Attributes
+    ----------
+    differing : int
+        Frames that were left out for one of the same time with other detections.
+    """
+
+    def __init__(self, paths: Sequence[Path], begin_us: int = 0, end_us: int = 1 << 62) -> None:
+        self.poses: dict[str, Any] = {}
+        self.differing = 0
+        tables: list[pa.Table] = []
+        known: dict[int, int] = {}
+        for path in paths:
+            with pq.ParquetFile(path) as file:
+                table = file.read()
+                self.poses |= json.loads(file.schema_arrow.metadata[_POSES])
+            frames = FrameIndex.of(table["time"].to_numpy())
+            sums = _checks(table, frames)
+            times = frames.time_us.tolist()
+            keep = np.array([t not in known and begin_us <= t < end_us for t in times])
+            pairs = zip(times, sums.tolist(), strict=True)
+            self.differing += sum(known.get(t, check) != check for t, check in pairs)
+            known |= {t: c for t, c in zip(times, sums.tolist(), strict=True) if t not in known}
+            tables.append(table.filter(pa.array(keep[frames.of_row])))
+        merged = pa.concat_tables(tables).combine_chunks()
+        order = np.argsort(merged["time"].to_numpy(), kind="stable")
+        self.table = merged if (np.diff(order) == 1).all() else merged.take(pa.array(order))
+
+    def write(self, path: Path) -> PoseTrack:
+        """Write them as a recording, with the poses of the sensor beside it; return these."""
+        _write(path, self.table, self.poses)
+        track = self._track(path.parent.name)
+        alone = len(track.poses) == 1
+        named = path.with_suffix(".json" if alone else ".csv")
+        if alone:
+            write_pose(track.poses[0], named)
+        else:
+            write_track(track, named)
+        path.with_suffix(".csv" if alone else ".json").unlink(missing_ok=True)
+        return read_track(named)
+
+    def _track(self, sensor: str) -> PoseTrack:
+        """Return the poses in force: each from the step of the first frame that names it."""
+        frames = FrameIndex.of(self.table["time"].to_numpy())
+        keys = self.table["pose"].take(pa.array(frames.begins)).to_pylist()
+        poses, since, last = [], list[int](), None
+        for key, step in zip(keys, (frames.time_us // STEP_US).tolist(), strict=True):
+            if key != last and key in self.poses and (not since or step > since[-1]):
+                poses.append(pose_from_dict(self.poses[key], what=f"the pose of {sensor}"))
+                since.append(step)
+                last = key
+        times = np.array([step_begin(step).timestamp() for step in since])
+        return PoseTrack(poses=tuple(poses), since=times)
+
+
+def _checks(table: pa.Table, frames: FrameIndex) -> Integers:
+    """Return a sum of each frame's positions, by which two frames of one time are told apart."""
+    x, y = (table[name].to_numpy().view(np.uint32).astype(np.int64) for name in ("x", "y"))
+    return np.asarray(np.add.reduceat(x + 31 * y, frames.begins))
+
+
+def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path | None:
+    """Join the parts of an hour into its recording; return it, None where there is none.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written; the parts then stay.
+    """
+    path, parts = recording_path(folder, sensor, hour), parts_of_hour(folder, sensor, hour)
+    there = [path] if path.exists() else []
+    if not parts:
+        return path if there else None
+    rows = JoinedRows([*there, *parts])
+    if rows.differing:
+        reporter.log(
+            f"{sensor}: {rows.differing:,} frames differ from others of the same time and are "
+            f"left out of {path.name}: has another program the same name?",
+            "warning",
+        )
+    rows.write(path)
+    for each in parts:
+        with output_errors(each):
+            each.unlink()
+    try:
+        for _ in open_recording(path).read():
+            pass
+    except InputError as error:
+        aside = path.with_suffix(".refused")
+        reporter.log(f"{error.message}: put aside as {aside.name}", "warning")
+        path.replace(aside)
+        return None
+    return path
+
+
+def track_beside(path: Path) -> PoseTrack:
+    """Read the poses that lie beside a recording."""
+    alone = path.with_suffix(".json")
+    return read_track(alone if alone.exists() else path.with_suffix(".csv"))
+
+
+def remove_old(folder: Path, *, keep_s: float, most_bytes: float, reporter: Reporter) -> None:
+    """Remove recordings that are too old, or for which there is no room, the oldest first."""
+    paths = sorted((folder / RECORDINGS).glob("*/*.parquet"), key=lambda each: each.name)
+    sizes = {each: each.stat().st_size for each in paths}
+    before = name_of_time(int((time.time() - keep_s) * 1e6))
+    newest = {each.name for each in paths[-1:]}
+    total, crowded = sum(sizes.values()), 0
+    for path in paths:
+        full = total > most_bytes and path.name not in newest
+        if path.name >= before and not full:
+            break
+        crowded += path.name >= before
+        total -= sizes[path]
+        for each in (path, path.with_suffix(".json"), path.with_suffix(".csv")):
+            with output_errors(each):
+                each.unlink(missing_ok=True)
+    if crowded:
+        reporter.log(
+            f"{folder / RECORDINGS}: {crowded} recordings are removed before their time, as they "
+            f"take over {most_bytes / 1e9:g} GB",
+            "warning",
+        )

@@ -1,0 +1,236 @@
+"""The spool of fusion: what sensors sent, as it came, until it lies in recordings.
+
+Files of records that are appended and synced. Each begins with the marks of all streams, so that
+the newest one tells where each goes on, and holds the poses that its frames name.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import struct
+import zlib
+from array import array
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from gis_radar.dataset.parts import sync_folder
+from gis_radar.files import output_errors
+
+HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; messages that were passed over
+ENDING = ".spool"
+_BEGIN = struct.Struct(">II")  # of a record: its length, and the CRC-32 of what follows
+Marks = Mapping[str, Mapping[str, tuple[int, int]]]
+"""By sensor and stream, up to which number it is stored, and the check sum of that message."""
+
+
+class Record(NamedTuple):
+    """A record of the spool.
+
+    Parameters
+    ----------
+    kind : int
+        `HEAD`, `POSE`, `FRAMES` or `PASSED`.
+    sensor : str
+        Of which sensor; empty for the head.
+    payload : bytes
+        A message as it came, or the marks as JSON.
+    """
+
+    kind: int
+    sensor: str
+    payload: bytes
+
+
+class SpooledFrames(NamedTuple):
+    """A message with frames on its way to the spool.
+
+    Parameters
+    ----------
+    sensor : str
+        Whose it is.
+    pose : bytes
+        Key of the pose that it names; empty for one that is passed over.
+    payload : bytes
+        As it came.
+    """
+
+    sensor: str
+    pose: bytes
+    payload: bytes
+
+
+class Spool:
+    """Appends messages to files; `add`, `collect` are for one thread, the rest for one other.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the files; made where there is none. The first one is begun by :meth:`rotate`.
+
+    Attributes
+    ----------
+    poses : dict
+        By sensor and key, the message of each pose that frames may name.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.poses: dict[tuple[str, bytes], bytes] = {}
+        self._waiting: list[SpooledFrames] = []
+        self._batch: list[SpooledFrames] = []
+        self._handle, self._size, self._path = -1, 0, folder
+        self._written: set[tuple[str, bytes]] = set()
+        with output_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+
+    @property
+    def waiting(self) -> int:
+        """Messages that are not on disk yet."""
+        return len(self._waiting) + len(self._batch)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file that is open."""
+        return self._size
+
+    def add(self, message: SpooledFrames) -> None:
+        """Take a message."""
+        self._waiting.append(message)
+
+    def collect(self) -> bool:
+        """Make what came so far the next batch to be written; return whether there is any."""
+        self._batch += self._waiting
+        self._waiting = []
+        return bool(self._batch)
+
+    def write(self) -> None:
+        """Bring the batch to the disk.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written: nothing of it is kept, and the next call tries it again.
+        """
+        written, parts = set(self._written), list[bytes]()
+        for each in self._batch:
+            key = (each.sensor, each.pose)
+            if each.pose and key not in written and key in self.poses:
+                written.add(key)
+                parts.append(_packed(Record(POSE, each.sensor, self.poses[key])))
+            kind = FRAMES if each.pose else PASSED
+            parts.append(_packed(Record(kind, each.sensor, each.payload)))
+        self._append(b"".join(parts))
+        self._written, self._batch = written, []
+
+    def _append(self, data: bytes) -> None:
+        try:
+            with output_errors(self._path):
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[os.write(self._handle, rest) :]
+                os.fsync(self._handle)
+        except BaseException:
+            with suppress(OSError):  # a rest of it would hide what comes after
+                os.ftruncate(self._handle, self._size)
+                os.lseek(self._handle, self._size, os.SEEK_SET)
+            raise
+        self._size += len(data)
+
+    def rotate(self, marks: Marks) -> None:
+        """Go on in a new file, which begins with the marks of all streams.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written: the old file stays in use.
+        """
+        before = (self._handle, self._size, self._written, self._path)
+        numbers = [int(each.stem) for each in spool_files(self.folder)]
+        path = self.folder / f"{max(numbers, default=0) + 1:08d}{ENDING}"
+        with output_errors(path):
+            handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._handle, self._size, self._written, self._path = handle, 0, set(), path
+        try:
+            self._append(_packed(Record(HEAD, "", json.dumps(marks).encode())))
+            sync_folder(self.folder)
+        except BaseException:
+            os.close(handle)
+            with suppress(OSError):
+                path.unlink()
+            self._handle, self._size, self._written, self._path = before
+            raise
+        if before[0] >= 0:
+            os.close(before[0])
+
+    @property
+    def closed(self) -> list[Path]:
+        """The files that are not written to any more, in order."""
+        return [each for each in spool_files(self.folder) if each != self._path]
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._handle >= 0:
+            os.close(self._handle)
+            self._handle = -1
+
+
+def _packed(record: Record) -> bytes:
+    name = record.sensor.encode()
+    body = struct.pack(">BH", record.kind, len(name)) + name + record.payload
+    return _BEGIN.pack(len(body), zlib.crc32(body)) + body
+
+
+def spool_files(folder: Path) -> list[Path]:
+    """Return the files of a spool, in order."""
+    return sorted(each for each in folder.glob(f"*{ENDING}") if each.stem.isdigit())
+
+
+class SpoolFile:
+    """A file of the spool, to be read; it ends where a record is not whole.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+
+    def records(self) -> Iterator[tuple[int, Record]]:
+        """Yield all records, each with where it begins."""
+        at = 0
+        while (record := self.at(at)) is not None:
+            yield at, record
+            at += _BEGIN.size + _BEGIN.unpack_from(self._data, at)[0]
+
+    def at(self, at: int) -> Record | None:
+        """Return the record that begins somewhere; None where none does that is whole."""
+        if at + _BEGIN.size > len(self._data):
+            return None
+        size, check = _BEGIN.unpack_from(self._data, at)
+        body = bytes(self._data[at + _BEGIN.size : at + _BEGIN.size + size])
+        if len(body) < size or size < 3 or zlib.crc32(body) != check:
+            return None
+        kind, length = struct.unpack_from(">BH", body)
+        return Record(kind, body[3 : 3 + length].decode(), body[3 + length :])
+
+    def by_sensor(self) -> dict[str, array[int]]:
+        """Return by sensor where its records begin."""
+        found: dict[str, array[int]] = {}
+        for at, record in self.records():
+            if record.sensor:
+                found.setdefault(record.sensor, array("Q")).append(at)
+        return found

@@ -1,0 +1,224 @@
+"""The vehicles of now: followed by a process of its own, for which fusion never waits."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import suppress
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+
+from gis_radar.errors import GisRadarError, InputError
+from gis_radar.lanelets.graph import LaneGraph, lane_graph
+from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
+from gis_radar.live.first_run import SampleSensor
+from gis_radar.live.now import NowFilter, VehiclesNow, layer_of
+from gis_radar.live.payload import POSE_BYTES
+from gis_radar.measures.frames import rows_of
+from gis_radar.poses.pose import Pose
+from gis_radar.processes import stop_workers, watch_parent
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.tracking.detections import map_detections
+from gis_radar.tracking.settings import DEFAULTS as TRACKER
+
+NOW_S, REORDER_S = 0.5, 0.3  # how often they are told; how long frames wait for other sensors
+OLD_S = 5.0  # vehicles of now that are older are none
+MOST_WAITING = 20_000  # messages, while the process is busy: 10 s of a hundred sensors
+AGAIN_S = 30.0  # after which a process that ended is started anew
+SAMPLE_FRAMES = 100  # 5 s: with so many, vehicles are found
+
+Placed = tuple[int, Pose, float]
+"""Number of a sensor, its pose, and the height of the road near it (m; NaN where not known)."""
+PoseName = tuple[str, bytes]
+"""Name of a sensor, and the key of its pose."""
+Message = tuple[str, bytes]
+"""Name of a sensor, and the content of what it sent."""
+
+
+class _Following:
+    """What the process keeps."""
+
+    def __init__(self, graph: LaneGraph) -> None:
+        self._filter = NowFilter(graph=graph, tracker=TRACKER)
+        self._graph, self._newest = graph, -np.inf
+        self._placed: dict[PoseName, Placed] = {}
+
+    def go_on(
+        self, placed: Mapping[PoseName, Placed], gone: Collection[PoseName],
+        rows: Sequence[Message],
+    ) -> VehiclesNow:  # fmt: skip
+        """Take new poses and messages; return the vehicles up to a moment before the newest."""
+        self._placed |= placed
+        for name in gone:
+            self._placed.pop(name, None)
+        for sensor, content in rows:
+            with suppress(InputError):
+                self._take(sensor, content)
+        self._filter.go_on(min(self._newest, time.time()) - REORDER_S)
+        return self._filter.now()
+
+    def _take(self, sensor: str, content: bytes) -> None:
+        known = self._placed.get((sensor, content[:POSE_BYTES]))
+        if known is None:
+            return
+        number, pose, road_m = known
+        for frame in unpack_detections(content)[1]:
+            rows = frame.as_rows()
+            self._newest = max(self._newest, frame.time_us / 1e6)
+            self._filter.take(
+                map_detections(
+                    rows_of(rows, rows.present), pose, number, self._graph, TRACKER.detections,
+                    road_m=road_m,
+                )
+            )  # fmt: skip
+
+
+_following: _Following | None = None  # of the process
+
+
+def _start(graph: LaneGraph | None) -> None:
+    global _following  # noqa: PLW0603 - what all calls have in common
+    watch_parent()
+    _following = None if graph is None else _Following(graph)
+
+
+def _go_on(
+    placed: Mapping[PoseName, Placed], gone: Collection[PoseName], rows: Sequence[Message]
+) -> VehiclesNow:
+    assert _following is not None  # noqa: S101 - set when the process starts
+    return _following.go_on(placed, gone, rows)
+
+
+def run_vehicles_once() -> None:
+    """Follow a few seconds of the sample, by which all is compiled."""
+    sample = SampleSensor()
+    selector, key = DetectionSelector(sample.road), bytes(POSE_BYTES)
+    following = _Following(lane_graph(sample.roads.lanelets))
+    for frame in sample.frames(SAMPLE_FRAMES):
+        found = selector.find(frame, sample.pose, road_m=np.nan)
+        message = (sample.pose.sensor, pack_detections([found], pose=key))
+        following.go_on({(sample.pose.sensor, key): (0, sample.pose, np.nan)}, (), [message])
+
+
+class LiveVehicles:
+    """Vehicles of now of a live site.
+
+    Parameters
+    ----------
+    graph : LaneGraph
+        The lanes.
+    sensors : sequence of str
+        The site's.
+    crs : CRS
+        The map frame.
+    reporter : Reporter
+        Receives a line where the process ends.
+
+    Attributes
+    ----------
+    dropped : int
+        Messages that the process was too busy for.
+    """
+
+    def __init__(
+        self, graph: LaneGraph, sensors: Sequence[str], crs: Any, *, reporter: Reporter = QUIET
+    ) -> None:
+        self.dropped = self.restarts = 0
+        self._graph, self._crs, self._reporter = graph, crs, reporter
+        self._number = {name: k for k, name in enumerate(sorted(sensors))}
+        self._placed: dict[PoseName, Placed] = {}
+        self._fresh: dict[PoseName, Placed] = {}
+        self._gone: set[PoseName] = set()
+        self._waiting: list[Message] = []
+        self._pool: ProcessPoolExecutor | None = None
+        self._work: Future[VehiclesNow] | None = None
+        self._now, self._told, self._start_at = VehiclesNow.none(), 0.0, 0.0
+
+    def make_ready(self) -> Future[None]:
+        """Start the process; what it runs is compiled there first, which the answer waits for."""
+        self._fresh, self._gone = dict(self._placed), set()
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(
+            1, mp_context=context, initializer=_start, initargs=(self._graph,)
+        )
+        return self._pool.submit(run_vehicles_once)
+
+    def place(self, sensor: str, key: bytes, pose: Pose, road_m: float) -> None:
+        """Take in a pose that messages name."""
+        self._placed[sensor, key] = self._fresh[sensor, key] = (self._number[sensor], pose, road_m)
+        self._gone.discard((sensor, key))
+
+    def forget(self, sensor: str, key: bytes) -> None:
+        """Forget a pose that no message names any more."""
+        self._placed.pop((sensor, key), None)
+        self._gone.add((sensor, key))
+
+    def take(self, sensor: str, content: bytes) -> None:
+        """Take the content of a message."""
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting.append((sensor, content))
+        else:
+            self.dropped += 1
+
+    def turn(self) -> None:
+        """Hand on what came, and take in what was found; called often."""
+        now = time.monotonic()
+        if self._work is not None:
+            if not self._work.done():
+                return
+            work, self._work = self._work, None
+            try:
+                self._now, self._told = work.result(), now
+            except Exception as error:  # noqa: BLE001 - whatever it is, a new process begins anew
+                self._lose(error)
+        if self._pool is None and now >= self._start_at and self._start_at > 0.0:
+            self.make_ready()
+        if self._pool is not None and self._waiting and now - self._told >= NOW_S:
+            rows, self._waiting = self._waiting, []
+            fresh, gone = self._fresh, self._gone
+            self._fresh, self._gone = {}, set()
+            try:
+                self._work = self._pool.submit(_go_on, fresh, gone, rows)
+            except Exception as error:  # noqa: BLE001 - as above
+                self._lose(error)
+
+    def _lose(self, error: Exception) -> None:
+        """Go on without the process for a while."""
+        self.restarts += 1
+        reason = error.message if isinstance(error, GisRadarError) else type(error).__name__
+        self._reporter.log(
+            f"the process that follows the vehicles of now has ended ({reason}); a new one begins "
+            "anew",
+            "warning",
+        )
+        self.close()
+        self._start_at = time.monotonic() + AGAIN_S
+
+    def close(self) -> None:
+        """Stop the process."""
+        if self._pool is not None:
+            workers = list((self._pool._processes or {}).values())  # noqa: SLF001 - no other way
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            stop_workers(workers)
+        self._pool, self._work, self._waiting = None, None, []
+        self._now = VehiclesNow.none()
+
+    def now(self) -> VehiclesNow:
+        """Return the vehicles of now; none where nothing came for long."""
+        return self._now if time.monotonic() - self._told < OLD_S else VehiclesNow.none()
+
+    def figures(self) -> dict[str, float]:
+        """Return counts, by name, for Prometheus."""
+        return {
+            "vehicles_now": float(len(self.now())),
+            "vehicles_dropped_messages": float(self.dropped),
+            "vehicles_process_restarts": float(self.restarts),
+        }
+
+    def layer(self) -> gpd.GeoDataFrame:
+        """Return the vehicles of now as points in the map."""
+        return layer_of(self.now(), self._crs)

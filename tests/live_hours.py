@@ -1,0 +1,83 @@
+"""Spools of the sample's frames at other times, and the site that fusion's worker measures."""
+
+from dataclasses import replace
+from functools import cache
+
+import gis_radar as gr
+from gis_radar.live.detections import DetectionSelector, pack_detections
+from gis_radar.live.hour_work import MeasuredSite
+from gis_radar.live.payload import Envelope, PoseContent, key_of_pose, pack_message
+from gis_radar.live.sources import frames_of_recording
+from gis_radar.live.spool import Spool, SpooledFrames
+from gis_radar.measures.views import road_near
+from gis_radar.sight import SightTiles, find_sight
+
+SAMPLE = gr.sample_folder()
+
+
+@cache
+def selected_frames(name):
+    """Return what a sensor of the sample sends."""
+    road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
+    pose = gr.read_pose(SAMPLE / f"{name}.json")
+    selector, height = DetectionSelector(road), road_near(find_sight(pose, road), road)
+    recording = SAMPLE / f"{name}.parquet"
+    return [selector.find(each, pose, road_m=height) for each in frames_of_recording(recording)]
+
+
+def frames_at(name, begin_us):
+    """Return these frames as if the first of all sensors came at a time."""
+    first = min(selected_frames(each)[0].time_us for each in ("R1", "R2"))
+    return [
+        replace(each, time_us=each.time_us - first + begin_us) for each in selected_frames(name)
+    ]
+
+
+class SpooledSite:
+    """The sample as a live site: what its sensors sent waits in fusion's spool.
+
+    Keys are those of the site, in place of the usual ones.
+    """
+
+    def __init__(self, folder, **given):
+        self.folder = folder / "live"
+        tiles = folder / "tiles.gpkg"
+        roads = gr.read_map(SAMPLE / "junction.osm")
+        gr.write_tiles(gr.make_tiles(roads), tiles, problems=roads.problems)
+        self.site = MeasuredSite(
+            **{
+                "folder": self.folder, "map": SAMPLE / "junction.osm", "tiles": tiles,
+                "sensors": ("R1", "R2"), "scans": (), "scan_crs": None, "filters": gr.Filters(),
+                "cycles": {}, "timezone": "UTC", "vehicles": False, "keep_s": 1e10,
+                "most_bytes": 1e12,
+            } | given
+        )  # fmt: skip
+        self.spool = Spool(self.folder / "spool")
+        self.spool.rotate({})
+        self._print = SightTiles.of(gr.read_tiles(tiles)).fingerprint
+        self._number = 0
+
+    def pose(self, name, **changes):
+        """Return the message with a pose of a sensor."""
+        pose = gr.read_pose(SAMPLE / f"{name}.json").as_dict() | changes
+        return PoseContent(pose=pose, fingerprint=self._print).pack()
+
+    def add(self, name, frames, *, pose=None):
+        """Put frames of a sensor in the spool, and close its file; return all closed ones."""
+        message = pose or self.pose(name)
+        key = key_of_pose(message)
+        self.spool.poses[name, key] = message
+        for begin in range(0, len(frames), 50):
+            self._number += 1
+            content = pack_detections(frames[begin : begin + 50], pose=key)
+            payload = pack_message(Envelope(stream=b"abcd", number=self._number), content)
+            self.spool.add(SpooledFrames(name, key, payload))
+        self.spool.collect()
+        self.spool.write()
+        self.spool.rotate({})
+        return self.spool.closed
+
+    def parts(self, hour=None):
+        """Return the digests of the dataset's parts, of an hour or all."""
+        found = self.site.dataset.glob(f"*/date=*/{'*' if hour is None else hour}.parquet")
+        return {str(path.relative_to(self.site.dataset)): path.read_bytes() for path in found}

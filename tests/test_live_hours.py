@@ -1,0 +1,254 @@
+"""Hours and quarters that fusion has measured beside the map: equal to the batch, made once."""
+
+import multiprocessing
+from concurrent.futures import Future
+
+import pandas as pd
+import pytest
+from live_hours import SAMPLE, SpooledSite, frames_at
+from live_programs import Lines, pose_beside
+from live_site import wait_for
+
+import gis_radar as gr
+from gis_radar.dataset import read_hours
+from gis_radar.errors import OutputError
+from gis_radar.live import hour_work
+from gis_radar.live.hour_work import (
+    QUARTER_US,
+    Done,
+    make_hours,
+    make_quarter,
+    refuse_other_tiles,
+    take_up,
+)
+from gis_radar.live.jobs import HourJobs
+from gis_radar.live.quarters import KEPT, Lately, Quarters, TileOccupancy, read_quarters
+from gis_radar.live.recordings import CUT_US, HOUR_US, end_of_hour_s, recording_path
+
+HOUR = 486_111  # since 1970: 2025-06-15T15Z
+FULL_US = (HOUR + 1) * HOUR_US  # the full hour after it
+NAMES = ("R1", "R2")
+
+
+class Clock:
+    """The module `time` at a time of its own."""
+
+    def __init__(self, now_s):
+        self.now_s = now_s
+
+    def time(self):
+        return self.now_s
+
+
+def recorded_at(made, begin_us, names=NAMES):
+    for name in names:
+        made.add(name, frames_at(name, begin_us))
+    return made.spool.closed
+
+
+def batch_of(made, folder, **given):
+    """Return the parts that `measure` makes of the recordings of fusion."""
+    paths = sorted((made.folder / "recordings").glob("*/*.parquet"))
+    tracks = [gr.read_track(pose_beside(path)) for path in paths]
+    gr.measure(
+        paths, tracks, gr.read_tiles(made.site.tiles), SAMPLE / "junction.osm", folder, **given
+    )
+    found = folder.glob("*/date=*/*.parquet")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path, monkeypatch):
+    """With vehicles that drive over its end; the next hour is made when its own is over."""
+    made = SpooledSite(tmp_path, vehicles=True)
+    clock = Clock(end_of_hour_s(HOUR) + 20.0)
+    monkeypatch.setattr(hour_work, "time", clock)
+    done = make_hours(made.site, recorded_at(made, FULL_US - 50_000_000), [HOUR])
+    assert [text for text in done.said if "not measured" in text] == []
+    assert list(read_hours(made.site.dataset)) == [HOUR]
+    first = made.parts("15")
+    assert {name.partition("/")[0] for name in first} >= {"hits", "tracks", "passages", "occupied"}
+    assert len(gr.open_dataset(made.site.dataset).continued()) == 0
+    stamps = {path: path.stat().st_mtime_ns for path in made.site.dataset.glob("*/date=*/15.*")}
+    clock.now_s += 3600.0
+    make_hours(made.site, recorded_at(made, FULL_US + CUT_US + 9_000_000), [HOUR + 1])
+    assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
+    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps  # not made again
+    assert len(gr.open_dataset(made.site.dataset).continued()) > 0
+    assert made.parts() == batch_of(made, tmp_path / "batch")
+
+
+def test_frames_that_come_late_make_their_hour_again(tmp_path):
+    made = SpooledSite(tmp_path)
+    make_hours(made.site, recorded_at(made, FULL_US - 50_000_000, ["R1"]), [HOUR])
+    alone = made.parts()
+    make_hours(made.site, recorded_at(made, FULL_US - 50_000_000, ["R2"]), [HOUR])
+    assert made.parts() != alone
+    assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
+    assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
+
+
+def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_path, monkeypatch):
+    made = SpooledSite(tmp_path, vehicles=True)
+    quarter = FULL_US // QUARTER_US - 2  # from a quarter past to half past
+    begin_us = quarter * QUARTER_US
+    monkeypatch.setattr(hour_work, "time", Clock(end_of_hour_s(HOUR) + 20.0))
+    done = make_quarter(made.site, recorded_at(made, begin_us + 300_000_000), quarter)
+    assert not made.site.dataset.exists()
+    (found,) = done.quarters
+    assert found.until_step == (begin_us + QUARTER_US) // 50_000 - 1
+    assert found.lanes["passages"].sum() > 20
+    assert 0 < found.tiles.occupied.sum() < found.tiles.visible.sum()
+    assert found.lanes["speed"].dropna().between(1.0, 30.0).all()
+    (folder,) = (made.folder / "provisional").iterdir()
+    again = take_up(made.site, [])
+    assert again.quarters[0].lanes.equals(found.lanes)
+    assert again.hours == [HOUR]
+    done = make_hours(made.site, [], [HOUR])
+    assert not folder.exists()
+    tiles = gr.read_tiles(made.site.tiles)
+    (by_hour,) = read_quarters(gr.open_dataset(made.site.dataset), tiles, [quarter])
+    assert by_hour.lanes["hit_s"].equals(found.lanes["hit_s"])
+    assert by_hour.lanes["passages"].sum() == found.lanes["passages"].sum()
+    assert take_up(made.site, []).hours == []
+
+
+def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path):
+    made = SpooledSite(tmp_path)
+    recorded_at(made, FULL_US - 50_000_000, ["R1"])
+    same = frames_at("R1", FULL_US - 50_000_000)
+    made.add("R2", same)  # the same frames for two sensors
+    recorded_at(made, FULL_US + 2 * HOUR_US)
+    done = make_hours(made.site, made.spool.closed, [HOUR, HOUR + 2])
+    (said,) = [text for text in done.said if "is not measured" in text]
+    assert "those of R1" in said
+    assert list(read_hours(made.site.dataset)) == [HOUR + 3]
+
+
+def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", FULL_US - 50_000_000)
+    make_hours(made.site, made.add("R1", frames[:-20]), [HOUR])
+    before = made.parts()
+    recording_path(made.folder, "R1", HOUR).unlink()
+    done = make_hours(made.site, made.add("R1", frames[-20:]), [HOUR])
+    assert any("came after its recording was removed" in text for text in done.said)
+    assert made.parts() == before
+
+
+def test_a_dataset_of_other_tiles_is_refused(tmp_path):
+    made = SpooledSite(tmp_path)
+    make_hours(made.site, recorded_at(made, FULL_US - 50_000_000), [HOUR])
+    with pytest.raises(OutputError, match="was measured with other tiles"):
+        refuse_other_tiles(made.site.dataset, "00" * 16)
+
+
+class JobsHere(HourJobs):
+    """Jobs whose work is done when the test says so."""
+
+    def __init__(self, *given, **more):
+        super().__init__(*given, **more)
+        self.begun = []
+
+    def _submit(self, work, _spooled):
+        self.begun.append((work.func.__name__, *work.args) if hasattr(work, "func")
+                          else (work.__name__,))  # fmt: skip
+        self._running = Future()
+
+    def turn_at(self, now_s, newest_s, **more):
+        self.turn(now_s, {"R1": newest_s, "R2": newest_s}, **more)
+        if self.wanted:
+            self.begin([])
+        return self.begun[-1] if self._running is not None else None
+
+    def end(self, done=None, error=None):
+        if error is not None:
+            self._running.set_exception(error)
+        else:
+            self._running.set_result(done or Done())
+
+
+def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_while(tmp_path):
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters())
+    begin_s = HOUR * 3600.0 + 1800.0
+    jobs.touch([HOUR])
+    quarter = int(begin_s) // 900 - 1
+    assert jobs.turn_at(begin_s + 59.0, begin_s + 59.0) == ("_of_quarter", quarter - 1)
+    jobs.end()
+    assert jobs.turn_at(begin_s + 59.0, begin_s + 59.0) is None
+    assert jobs.turn_at(begin_s + 60.5, begin_s + 59.0) is None  # a sensor is still to come
+    assert jobs.turn_at(begin_s + 60.5, begin_s + 60.1) == ("_of_quarter", quarter)
+    jobs.end()
+    assert jobs.turn_at(begin_s + 62.0, begin_s + 62.0) is None  # it was measured
+    assert jobs.turn_at(begin_s + 989.0, begin_s + 900.0) is None
+    assert jobs.turn_at(begin_s + 991.0, begin_s + 900.0) == ("_of_quarter", quarter + 1)
+    jobs.end()
+    end_s = end_of_hour_s(HOUR)
+    assert jobs.turn_at(end_s - 1.0, end_s - 1.0)[0] == "_of_quarter"
+    jobs.end()
+    assert jobs.turn_at(end_s + 1.0, end_s - 1.0) is None
+    assert jobs.turn_at(end_s + 1.0, end_s + 0.5) == ("_of_hours", [HOUR])
+    jobs.touch([HOUR])  # a late frame, meanwhile
+    jobs.end()
+    assert jobs.turn_at(end_s + 2.0, end_s + 2.0) == ("_of_hours", [HOUR])
+    jobs.end()
+    assert jobs.turn_at(end_s + 3.0, end_s + 3.0) is None
+    assert jobs.turn_at(end_s + 3.0, end_s + 3.0, full=True) == ("make_recordings",)
+
+
+def test_falling_behind_is_told_with_how_far(tmp_path):
+    said = Lines()
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said)
+    end_s = end_of_hour_s(HOUR)
+    jobs.touch([HOUR])
+    for minutes in (16, 17, 40, 50):
+        jobs.turn_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
+        jobs.end(error=OSError(28, "no space"))
+        assert jobs.turn_at(end_s + 60.0 * minutes, end_s) is None  # not at once
+        jobs._again_at = 0.0
+    behind = [line for line in said.lines if "measuring is behind" in line]
+    assert ["16 min" in behind[0], "40 min" in behind[1], len(behind)] == [True, True, 2]
+    assert jobs.figures()["hours_behind_seconds"] == 3000.0
+    assert sum("failed and is tried again" in line for line in said.lines) == 1
+    assert HOUR in jobs.touched
+    jobs.turn_at(end_s + 3100.0, end_s + 3100.0)
+    jobs.end()
+    jobs.turn_at(end_s + 3100.0, end_s + 3100.0)
+    assert jobs.figures()["hours_behind_seconds"] == 0.0
+
+
+def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path):
+    made = SpooledSite(tmp_path)
+    recorded_at(made, FULL_US - 50_000_000)
+    said = Lines()
+    jobs = HourJobs(made.site, Quarters(), reporter=said)
+    jobs.take_up([])
+    wait_for(multiprocessing.active_children)
+    for each in multiprocessing.active_children():
+        each.kill()
+    jobs.touch([HOUR])
+
+    def turned():
+        jobs._again_at = 0.0
+        jobs.turn(end_of_hour_s(HOUR) + 60.0, {"R1": 2e9, "R2": 2e9})
+        if jobs.wanted:
+            jobs.begin(made.spool.closed)
+        return not jobs.touched
+
+    wait_for(turned)
+    jobs.stop()
+    assert said.told("measuring failed and is tried again")
+    assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
+    assert multiprocessing.active_children() == []
+
+
+def test_quarters_of_a_day_are_kept():
+    quarters = Quarters()
+    none = TileOccupancy(visible=[], occupied=[])
+    lanes = pd.DataFrame({"lane": [7], "passages": [1]})
+    quarters.add(
+        [Lately(until_step=18_000 * k - 1, tiles=none, lanes=lanes) for k in range(1, KEPT + 9)]
+    )
+    table = quarters.intervals()
+    assert len(table) == KEPT
+    assert table["begin"].is_monotonic_increasing
+    assert quarters.lately().until_step == 18_000 * (KEPT + 8) - 1

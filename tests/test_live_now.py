@@ -1,0 +1,143 @@
+"""The vehicles of now: where the batch has them, by a process that may be killed."""
+
+import multiprocessing
+import time
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from live_hours import SAMPLE, selected_frames
+from live_programs import Lines
+from live_site import Background, LiveSite, needs_mosquitto, wait_for
+
+import gis_radar as gr
+from gis_radar.dataset.tables import TRACKS
+from gis_radar.lanelets.graph import lane_graph
+from gis_radar.live import vehicles_now
+from gis_radar.live.detections import pack_detections
+from gis_radar.live.edge import Edge
+from gis_radar.live.fusion import Fusion
+from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.live.vehicles_now import LiveVehicles, _Following
+from gis_radar.steps import STEPS_PER_SECOND
+
+NAMES, KEY, EVERY = ("R1", "R2"), b"pose", 4
+POSES = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return lane_graph(gr.read_map(SAMPLE / "junction.osm").lanelets)
+
+
+@pytest.fixture(scope="module")
+def batch(once):
+    """Give the states of vehicles that the batch finds, metres."""
+
+    def make(folder):
+        roads = SAMPLE / "junction.osm"
+        recordings = [SAMPLE / f"{name}.parquet" for name in NAMES]
+        tiles = gr.make_tiles(gr.read_map(roads))
+        gr.measure(recordings, list(POSES.values()), tiles, roads, folder / "dataset")
+        return folder / "dataset"
+
+    dataset = gr.open_dataset(once("live_vehicles_batch", make))
+    rows = pd.concat([part.to_pandas() for part in dataset.batches(TRACKS)], ignore_index=True)
+    east, north = dataset.manifest.origin
+    return rows.assign(easting=0.01 * rows["x_cm"] + east, northing=0.01 * rows["y_cm"] + north)
+
+
+def messages():
+    """Return what the sensors of the sample send, by time."""
+    sent = [(each.time_us, name, pack_detections([each], pose=KEY))
+            for name in NAMES for each in selected_frames(name)]  # fmt: skip
+    return [(name, content) for _, name, content in sorted(sent)]
+
+
+def test_vehicles_of_now_are_where_the_batch_has_them(graph, batch):
+    """The filter alone, a third of a second late: most vehicles, within some metres."""
+    following, sent = _Following(graph), messages()
+    placed = {(name, KEY): (k, POSES[name], np.nan) for k, name in enumerate(NAMES)}
+    true = found = shown = 0
+    for begin in range(0, len(sent), 20):
+        now = following.go_on(placed, (), sent[begin : begin + 20])
+        placed = {}
+        step = round(now.time * STEPS_PER_SECOND) // EVERY * EVERY
+        rows = batch[(batch["step"] == step) & batch["seen"]]
+        if begin < 400:
+            continue
+        true, shown = true + len(rows), shown + len(now)
+        assert len(set(now.vehicle.tolist())) == len(now)
+        if len(rows) and len(now):
+            states = rows[["easting", "northing"]].to_numpy()
+            apart = np.hypot(*np.moveaxis(states[:, None] - now.place, -1, 0))
+            found += int((apart.min(axis=1) < 4.0).sum())
+    assert found > 0.8 * true > 500
+    assert shown < 1.4 * true
+
+
+def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph, monkeypatch):
+    monkeypatch.setattr(vehicles_now, "AGAIN_S", 0.1)
+    said = Lines()
+    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832", reporter=said)
+    vehicles.make_ready().result()
+    for name in NAMES:
+        vehicles.place(name, KEY, POSES[name], np.nan)
+    sent = iter(messages() * 2)
+
+    def follows():
+        for _ in range(40):
+            vehicles.take(*next(sent))
+        vehicles.turn()
+        return len(vehicles.now())
+
+    wait_for(follows)
+    assert len(vehicles.layer()) == len(vehicles.now())
+    for each in multiprocessing.active_children():
+        each.kill()
+    wait_for(lambda: follows() is None or vehicles.restarts)
+    assert said.told("a new one begins anew")
+    assert len(vehicles.now()) == 0
+    wait_for(follows)
+    monkeypatch.setattr(vehicles_now, "OLD_S", 0.0)
+    assert len(vehicles.now()) == 0  # nothing came for long
+    vehicles.close()
+    assert multiprocessing.active_children() == []
+
+
+def test_what_a_busy_process_cannot_take_is_dropped_and_counted(graph, monkeypatch):
+    monkeypatch.setattr(vehicles_now, "MOST_WAITING", 3)
+    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832")
+    for name, content in messages()[:5]:
+        vehicles.take(name, content)
+    assert vehicles.dropped == 2
+
+
+@needs_mosquitto
+def test_a_live_site_shows_vehicles_and_measures_the_hour(tmp_path, once):
+    """At the times of now: map and vehicles on the way, the recordings at the end."""
+    site = LiveSite(tmp_path, once, vehicles="true", of_live='every = "1s"')
+    site.broker.start()
+    fusion = Fusion(read_live_site(site.file))
+    middle = Background(fusion.run)
+    wait_for(lambda: fusion._link is not None and fusion._link.connected)
+    source = 'speed = 1.0\nloop = "100s"'
+    work = [Background(Edge(read_edge_file(site.edge(name, source=source))).run) for name in NAMES]
+    try:
+        wait_for(lambda: len(fusion.vehicles.now()) > 3 and fusion.state().hit.any())
+        begin = time.monotonic()
+        wait_for(lambda: time.monotonic() > begin + 3.0)
+        assert abs(fusion.state().step / STEPS_PER_SECOND - time.time()) < 2.0
+        assert "gis_radar_vehicles_now" in fusion.metrics()
+        assert all(not each.health.alarms.keys() - {"clock"} for each in fusion.sensors.values())
+    finally:
+        for each in work:
+            each.end()
+        middle.end()
+        site.broker.kill()
+    layer = gpd.read_file(site.folder / "live" / "now.gpkg", layer="vehicles")
+    assert {"vehicle", "speed", "heading"} <= {*layer.columns}
+    parts = list((site.folder / "live" / "parts").glob("R?/*.parquet"))
+    assert {path.parent.name for path in parts} == {*NAMES}
+    assert multiprocessing.active_children() == []

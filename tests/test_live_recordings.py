@@ -1,0 +1,221 @@
+"""The spool of fusion and the recordings that are made of it, whatever ends in the midst of it."""
+
+import errno
+import os
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from live_hours import SpooledSite, frames_at, selected_frames
+from live_intake import NOW_US, FedIntake
+from live_programs import Lines, pose_beside
+
+import gis_radar as gr
+from gis_radar.errors import OutputError
+from gis_radar.live.recordings import (
+    CUT_US,
+    HOUR_US,
+    join_parts,
+    make_parts,
+    recording_path,
+    remove_old,
+    waiting_hours,
+)
+from gis_radar.live.spool import Spool, SpooledFrames, SpoolFile, spool_files
+from gis_radar.steps import STEP_US
+
+HOUR = 486_111  # since 1970: 2025-06
+BEGIN_US = HOUR * HOUR_US + CUT_US
+
+
+def times(path):
+    return np.unique(np.rint(pd.read_parquet(path)["time"] * 1e6).astype(np.int64)).tolist()
+
+
+def test_a_spool_that_ends_in_a_record_is_read_up_to_there(tmp_path):
+    fed = FedIntake(tmp_path)
+    fed.pose()
+    for number in (1, 2, 3):
+        fed.frames(number, first=number == 1)
+        fed.commit()
+    fed.spool.close()
+    (path,) = spool_files(tmp_path / "spool")
+    whole = path.read_bytes()
+    kept = len(fed.spooled())
+    for end in range(len(whole) - 1, len(whole) - 20, -3):
+        path.write_bytes(whole[:end])
+        assert len(fed.spooled()) == kept - 1
+    path.write_bytes(whole[:-8] + bytes(8))  # as a loss of power leaves it
+    again = FedIntake(tmp_path)
+    assert again.sensor.mark.stored == 2
+    assert again.spool.closed == [path]
+
+
+@pytest.mark.parametrize("call", ["write", "fsync"])
+def test_a_full_disk_keeps_what_waits_and_leaves_no_half_record(tmp_path, monkeypatch, call):
+    fed = FedIntake(tmp_path)
+    fed.pose()
+    fed.frames(1, first=True)
+    fed.commit()
+    fed.frames(2)
+    real = getattr(os, call)
+
+    def full(handle, *data):
+        if data:
+            real(handle, data[0][:7])
+        raise OSError(errno.ENOSPC, "full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, full)
+        for _ in range(2):
+            with pytest.raises(OutputError, match="cannot be written"):
+                fed.commit()
+    assert (fed.sensor.mark.stored, fed.spool.waiting) == (1, 1)
+    before = len(fed.spooled())
+    fed.commit()
+    assert (fed.sensor.mark.stored, fed.spool.waiting) == (2, 0)
+    assert len(fed.spooled()) == before + 1
+
+
+def test_a_disk_without_an_inode_leaves_the_old_file_in_use(tmp_path, monkeypatch):
+    fed = FedIntake(tmp_path)
+    fed.pose()
+    fed.frames(1, first=True)
+    fed.commit()
+    real = os.open
+
+    def no_inode(path, flags, *mode):
+        if flags & os.O_CREAT:
+            raise OSError(errno.ENOSPC, "no inode")
+        return real(path, flags, *mode)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", no_inode)
+        with pytest.raises(OutputError, match="cannot be written"):
+            fed.spool.rotate(fed.intake.marks)
+        fed.frames(2)
+        fed.commit()
+    assert len(spool_files(tmp_path / "spool")) == 1
+    fed.spool.rotate(fed.intake.marks)
+    assert len(spool_files(tmp_path / "spool")) == 2
+    assert len(fed.spooled()) == 3
+
+
+def test_the_spool_reaches_the_disk_before_it_counts(tmp_path, monkeypatch):
+    """Each batch is synced after it was written: a loss of power takes nothing acknowledged."""
+    spool = Spool(tmp_path / "s")
+    spool.rotate({})
+    calls = []
+    write, sync = os.write, os.fsync
+    monkeypatch.setattr(os, "write", lambda *each: calls.append("write") or write(*each))
+    monkeypatch.setattr(os, "fsync", lambda each: calls.append("fsync") or sync(each))
+    spool.add(SpooledFrames("R1", b"", b"x"))
+    spool.collect()
+    spool.write()
+    assert calls == ["write", "fsync"]
+
+
+def test_a_recording_holds_each_frame_once_in_the_order_of_time(tmp_path):
+    """Of two files of the spool that overlap, out of order, over the end of an hour."""
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", BEGIN_US + HOUR_US - 50_000_000)
+    spooled = made.add("R1", frames[600:1400])
+    spooled = made.add("R1", [*frames[:900], *frames[1300:]])
+    for path in spooled:
+        make_parts(made.folder, path)
+    assert made.spool.closed == []
+    assert waiting_hours(made.folder) == {HOUR, HOUR + 1}
+    said = Lines()
+    found = [join_parts(made.folder, "R1", hour, said) for hour in (HOUR, HOUR + 1)]
+    border = BEGIN_US + HOUR_US
+    wanted = [each.time_us for each in frames]
+    assert times(found[0]) == [each for each in wanted if each < border]
+    assert times(found[1]) == [each for each in wanted if each >= border]
+    rows = pd.concat([pd.read_parquet(path) for path in found], ignore_index=True)
+    sent = np.concatenate([each.as_rows().points for each in frames])
+    np.testing.assert_array_equal(rows[["x", "y", "z"]], sent.astype(np.float32))
+    assert (said.lines, waiting_hours(made.folder)) == ([], set())
+    assert list(gr.open_recording(found[0]).read())
+
+
+def test_making_parts_and_joining_them_again_changes_nothing(tmp_path):
+    """As after `kill -9` between any two steps."""
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", BEGIN_US)
+    (spooled,) = made.add("R1", frames)
+    kept = spooled.read_bytes()
+    make_parts(made.folder, spooled)
+    (part,) = (made.folder / "parts" / "R1").iterdir()
+    first = part.read_bytes()
+    spooled.write_bytes(kept)
+    make_parts(made.folder, spooled)
+    assert part.read_bytes() == first
+    said = Lines()
+    path = join_parts(made.folder, "R1", HOUR, said)
+    recording = path.read_bytes()
+    part.write_bytes(first)  # killed before it was removed
+    assert join_parts(made.folder, "R1", HOUR, said).read_bytes() == recording
+    assert (said.lines, list((made.folder / "parts" / "R1").iterdir())) == ([], [])
+
+
+def test_frames_that_contradict_each_other_are_named_and_the_first_stay(tmp_path):
+    """Two programs with one name, or a clock that is set back."""
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", BEGIN_US)
+    made.add("R1", frames[:100])
+    other = [replace(each, points=each.points + 250) for each in frames[90:110]]
+    for path in made.add("R1", other):
+        make_parts(made.folder, path)
+    said = Lines()
+    path = join_parts(made.folder, "R1", HOUR, said)
+    assert said.told("R1: 10 frames differ from others of the same time")
+    assert times(path) == [each.time_us for each in frames[:110]]
+    mine = pd.read_parquet(path).iloc[: sum(len(each.as_rows()) for each in frames[:100])]
+    sent = np.concatenate([each.as_rows().points for each in frames[:100]])
+    np.testing.assert_array_equal(mine[["x", "y", "z"]], sent.astype(np.float32))
+
+
+def test_poses_lie_beside_a_recording_as_they_were_in_force(tmp_path):
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", BEGIN_US)
+    steps = [each.time_us // STEP_US for each in frames]
+    cut = next(k for k in range(400, 500) if steps[k] > steps[k - 1])  # as a sensor does
+    made.add("R1", frames[:cut])
+    moved = made.pose("R1", easting=690360.21, event="")
+    for path in made.add("R1", frames[cut:], pose=moved):
+        make_parts(made.folder, path)
+    path = join_parts(made.folder, "R1", HOUR, Lines())
+    track = gr.read_track(pose_beside(path))
+    assert [pose.easting for pose in track.poses] == [690360.113, 690360.21]
+    at = track.at(np.array([each.time_us / 1e6 for each in frames]))
+    assert at.tolist() == [0] * cut + [1] * (len(frames) - cut)
+    assert not path.with_suffix(".json").exists()
+
+
+def test_recordings_are_kept_for_a_time_and_in_a_room(tmp_path):
+    made = SpooledSite(tmp_path)
+    now = NOW_US // HOUR_US
+    frames = selected_frames("R1")[:40]
+    for hour in (now - 200, now - 5, now - 4, now - 3):
+        shift = hour * HOUR_US + CUT_US - frames[0].time_us
+        made.add("R1", [replace(each, time_us=each.time_us + shift) for each in frames])
+        for path in made.spool.closed:
+            make_parts(made.folder, path)
+        join_parts(made.folder, "R1", hour, Lines())
+    said = Lines()
+    remove_old(made.folder, keep_s=168 * 3600.0, most_bytes=1e12, reporter=said)
+    there = [recording_path(made.folder, "R1", now - k).exists() for k in (200, 5, 4, 3)]
+    assert (there, said.lines) == ([False, True, True, True], [])
+    size = recording_path(made.folder, "R1", now - 3).stat().st_size
+    remove_old(made.folder, keep_s=168 * 3600.0, most_bytes=2.5 * size, reporter=said)
+    there = [recording_path(made.folder, "R1", now - k).exists() for k in (5, 4, 3)]
+    assert there == [False, True, True]
+    assert said.told("1 recordings are removed before their time")
+    assert not list((made.folder / "recordings" / "R1").glob("*T*Z.json"))[2:]
+
+
+def test_a_file_of_the_spool_without_a_byte_holds_nothing(tmp_path):
+    path = tmp_path / "00000001.spool"
+    path.touch()
+    assert list(SpoolFile(path).records()) == []
