@@ -563,7 +563,6 @@ def test_the_command_fails_after_the_poses_where_a_sensor_has_none(
     [
         (("--figure", "f.png"), "for one sensor"),
         (("--method", "icp"), "for one sensor"),
-        (("--scan", "s.laz"), "for one sensor"),
         (("--heading", "3"), "2 recordings, but 1 headings"),
         (("--guess", "690000,5336000"), "2 recordings, but 3 guesses"),
         (("--heading", "3", "--compass", "north"), "both --heading and --compass"),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ from gis_radar.calibration.common_times import (
     read_until,
 )
 from gis_radar.calibration.joint_settings import MATCHING, CorrespondenceSettings
-from gis_radar.calibration.localization import localize
+from gis_radar.calibration.localization import decided_by_scan, localize
 from gis_radar.calibration.network import CLASH_HINT, Solved, Station, solve_network
 from gis_radar.calibration.result import AmbiguousError, Localization
+from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.crs import moved_position, yaw_from_compass
 from gis_radar.errors import InputError, NoAnswerError, UsageError
@@ -34,7 +36,7 @@ from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.notebooks import card
 from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.progress import QUIET, Level, Reporter
 from gis_radar.scans.scan import read_road, road_crs
 
 STAGE = "finding the poses together"
@@ -74,7 +76,7 @@ class JointCalibration:
 
     def figures(self) -> dict[str, str]:
         """Return a line a sensor."""
-        lines = {name: gain_line(found.pose) for name, found in self.found.items()}
+        lines = {name: _line(found.pose) for name, found in self.found.items()}
         return lines | {name: f"no answer: {why}" for name, why in self.refused.items()}
 
     def write(self, folder: str | Path) -> list[Path]:
@@ -108,6 +110,8 @@ def localize_together(
     compasses: Sequence[float] | None = None,
     crs: Any = None,
     origin: tuple[float, float] | None = None,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
     settings: LocalizationSettings = LOCALIZATION,
     matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
@@ -117,6 +121,7 @@ def localize_together(
     Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
     the same time relate their poses, which are adjusted together. A sensor that cannot tell several
     poses apart, or whose place along a straight road is not fixed, is placed by its neighbours.
+    Where there are scans, each adjusted pose is checked against them.
 
     Parameters
     ----------
@@ -138,6 +143,9 @@ def localize_together(
         The map frame; that of the road where it is not given.
     origin : (easting, northing), optional
         Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
+    scans, scan_crs
+        As for :func:`gis_radar.localize_files`: where the traffic in front of a sensor fits several
+        poses, the scan check decides first.
     settings, matching : LocalizationSettings, CorrespondenceSettings
         All constants, of the single answers and of what relates them.
     reporter : Reporter
@@ -148,7 +156,8 @@ def localize_together(
     UsageError
         If there are fewer than two recordings, not as many guesses, or a sensor twice.
     InputError
-        If a file cannot be read, or two recordings have no time in common.
+        If a file cannot be read, two recordings have no time in common, or no scan has points
+        within 300 m of a guess.
     NoAnswerError
         If no sensor has a trustworthy pose.
     """
@@ -164,9 +173,12 @@ def localize_together(
             yaw_from_compass(compass, roads.crs, place[0], place[1])
             for compass, place in zip(compasses, places, strict=True)
         ]
+    if scans:
+        for path, place in zip(paths, places, strict=True):
+            require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
     return locate_all(
-        paths, roads, read_road(road, roads.crs),
-        guesses=places, headings=headings, settings=settings, matching=matching, reporter=reporter,
+        paths, roads, read_road(road, roads.crs), guesses=places, headings=headings, scans=scans,
+        scan_crs=scan_crs, settings=settings, matching=matching, reporter=reporter,
     )  # fmt: skip
 
 
@@ -177,6 +189,8 @@ def locate_all(
     *,
     guesses: Sequence[tuple[float, ...]],
     headings: Sequence[float] | None = None,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
     settings: LocalizationSettings = LOCALIZATION,
     matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
@@ -185,32 +199,27 @@ def locate_all(
 
     Parameters
     ----------
-    recordings, guesses, headings, settings, matching, reporter
+    recordings, guesses, headings, scans, scan_crs, settings, matching, reporter
         As for :func:`localize_together`; guesses in the map's CRS.
     roads, road_points
         As for :func:`gis_radar.localize`.
     """
     end = common_time(recordings)
-    answers: dict[str, tuple[Localization, ...]] = {}
-    refused: dict[str, NoAnswerError] = {}
-    for number, recording in enumerate(recordings):
-        reporter.progress(STAGE, number, len(recordings) + 1)
-        heading = None if headings is None else headings[number]
-        try:
-            found = localize(
-                recording, roads, road_points,
-                guess=guesses[number], heading=heading, settings=settings, reporter=reporter,
-            )  # fmt: skip
-            answers[recording.stem] = (found,)
-        except AmbiguousError as error:
-            answers[recording.stem] = error.answers
-            refused[recording.stem] = error
-        except NoAnswerError as error:
-            refused[recording.stem] = error
-    reporter.progress(STAGE, len(recordings), len(recordings) + 1)
-    if all(name in refused for name in answers):
-        raise NoAnswerError("; ".join(error.message for error in refused.values()),
-                            hint="at least one sensor must have an answer of its own")  # fmt: skip
+    look_at = partial(_look, scans=scans, scan_crs=scan_crs, reporter=reporter) if scans else None
+    sure = [None] * len(guesses) if headings is None else headings
+    asks = [
+        partial(
+            localize, roads=roads, road_points=road_points, guess=guess, heading=heading,
+            settings=settings, reporter=reporter,
+        )
+        for guess, heading in zip(guesses, sure, strict=True)
+    ]  # fmt: skip
+    if look_at is not None:
+        asks = [
+            partial(decided_by_scan, localize=ask, look_at=look_at, reporter=reporter)
+            for ask in asks
+        ]
+    answers, refused = _alone(recordings, asks, reporter)
     used = {path.stem: path for path in recordings if path.stem in answers}
     solved = adjust_poses(
         used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
@@ -223,12 +232,66 @@ def locate_all(
         if name in solved.poses and len(used) > 1:
             reporter.log(f"{name}: {reason}", "warning")
     placed = {
-        name: _with_pose(answers[name][solved.chosen[name]], pose)
-        for name, pose in solved.poses.items()
-    }
+        name: _with_pose(answers[name][solved.chosen[name]], solved.poses[name])
+        for name in used if name in solved.poses
+    }  # fmt: skip
+    if look_at is not None:
+        placed = {
+            name: found.with_scan_check(look_at(used[name], found.pose))
+            for name, found in placed.items()
+        }
     why = {name: error.message for name, error in refused.items() if name not in placed}
-    ordered = {path.stem: placed[path.stem] for path in recordings if path.stem in placed}
-    return JointCalibration(found=ordered, refused=why | solved.refused, pairs=solved.pairs)
+    return JointCalibration(found=placed, refused=why | solved.refused, pairs=solved.pairs)
+
+
+def _alone(
+    recordings: Sequence[Path], asks: Sequence[Callable[[Path], Localization]], reporter: Reporter
+) -> tuple[dict[str, tuple[Localization, ...]], dict[str, NoAnswerError]]:
+    """Localize each sensor by itself; return its answers (several if ambiguous), and refusals.
+
+    Raises
+    ------
+    NoAnswerError
+        If none of them has one answer.
+    """
+    answers: dict[str, tuple[Localization, ...]] = {}
+    refused: dict[str, NoAnswerError] = {}
+    for done, (recording, ask) in enumerate(zip(recordings, asks, strict=True)):
+        reporter.progress(STAGE, done, len(recordings) + 1)
+        try:
+            answers[recording.stem] = (ask(recording),)
+        except AmbiguousError as error:
+            answers[recording.stem] = error.answers
+            refused[recording.stem] = error
+        except NoAnswerError as error:
+            refused[recording.stem] = error
+    reporter.progress(STAGE, len(recordings), len(recordings) + 1)
+    if all(name in refused for name in answers):
+        raise NoAnswerError("; ".join(error.message for error in refused.values()),
+                            hint="at least one sensor must have an answer of its own")  # fmt: skip
+    return answers, refused
+
+
+@dataclass(frozen=True)
+class _Named(Reporter):
+    """Passes on what concerns one sensor, remarks with its name."""
+
+    name: str
+    reporter: Reporter
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        self.reporter.progress(stage, done, total)
+
+    def log(self, message: str, level: Level = "info") -> None:
+        self.reporter.log(f"{self.name}: {message}", level)
+
+
+def _look(
+    recording: Path, pose: Pose, *, scans: Sequence[str | Path], scan_crs: Any, reporter: Reporter
+) -> ScanCheck:
+    """Check a sensor's pose against the scan; remarks name the sensor."""
+    named = _Named(pose.sensor, reporter)
+    return check_against_scan(recording, pose, scans, scan_crs=scan_crs, reporter=named)
 
 
 def adjust_poses(
@@ -343,6 +406,11 @@ def _check_counts(
 def _with_pose(found: Localization, pose: Pose) -> Localization:
     observable = bool(pose.evidence.get("observable", found.observable))
     return replace(found, pose=pose, observable=observable)
+
+
+def _line(pose: Pose) -> str:
+    look = pose.evidence.get("scan_check")
+    return gain_line(pose) + (f"; scan check: {look['verdict']}" if look else "")
 
 
 def gain_line(pose: Pose) -> str:

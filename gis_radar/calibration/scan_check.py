@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from pyproj import CRS
-from scipy import fft, ndimage
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
@@ -107,7 +107,9 @@ class Alignment:
         x, y = self.standing.points[:, :2].T
         place = np.array([cos * x - sin * y + ahead, sin * x + cos * y + left]) / CELL_M
         place += len(self.closeness) // 2 - 0.5
-        return np.asarray(ndimage.map_coordinates(self.closeness, place, order=1, mode="constant"))
+        return np.asarray(
+            scipy.ndimage.map_coordinates(self.closeness, place, order=1, mode="constant")
+        )
 
     def score(self, offset: Sequence[float] = HERE) -> float:
         """Return the score at (ahead, left, turn in degrees)."""
@@ -166,8 +168,10 @@ class Alignment:
         turns = np.arange(-180.0, 180.0, self.settings.turn_deg)
         scores = _scores(self, turns.tolist(), self.settings.coarse)
         size = (7, 5, 5)
-        peak = ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest")) == scores
-        order = np.argsort(-np.where(peak, scores, -1.0), axis=None)[: self.settings.candidates]
+        top = scipy.ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest"))
+        order = np.argsort(-np.where(scores == top, scores, -1.0), axis=None)[
+            : self.settings.candidates
+        ]
         turn, ahead, left = np.unravel_index(order, scores.shape)
         middle, cell_m = scores.shape[1] // 2, CELL_M * self.settings.coarse
         places = np.column_stack([(ahead - middle) * cell_m, (left - middle) * cell_m, turns[turn]])
@@ -181,7 +185,7 @@ def align(
     standing: Standing, structure: Structure, settings: ScanCheckSettings = SCAN_CHECK
 ) -> Alignment:
     """Compare what stands with a scan that shows something."""
-    away = ndimage.distance_transform_edt(~structure.visible) * CELL_M
+    away = scipy.ndimage.distance_transform_edt(~structure.visible) * CELL_M
     closeness = np.asarray(np.exp(-0.5 * (away / settings.close_m) ** 2))
     return Alignment(standing=standing, closeness=closeness, settings=settings)
 
@@ -190,12 +194,14 @@ def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -
     """Return the scores of all shifts at once, by convolution: (headings, ahead, left)."""
     field, points = alignment.closeness, alignment.standing.points[:, :2]
     if coarse > 1:
-        field = ndimage.gaussian_filter(field, coarse * alignment.settings.close_m / CELL_M / 2.0)
+        field = scipy.ndimage.gaussian_filter(
+            field, coarse * alignment.settings.close_m / CELL_M / 2.0
+        )
     size, cell_m = len(field) // coarse, CELL_M * coarse
     field = field[: size * coarse, : size * coarse]
     field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
-    side = int(fft.next_fast_len(size, real=True))
-    spectrum = fft.rfft2(field.astype(np.float32), (side, side))
+    side = int(scipy.fft.next_fast_len(size, real=True))
+    spectrum = scipy.fft.rfft2(field.astype(np.float32), (side, side))
     most = round(alignment.settings.shift_m / cell_m)
     reach = np.arange(-most, most + 1)
     scores = []
@@ -203,9 +209,9 @@ def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         place = np.floor(points @ turn / cell_m + size / 2.0).astype(np.int64)
         count = np.bincount(place[:, 0] * side + place[:, 1], minlength=side**2)
-        image = fft.rfft2(count.astype(np.float32).reshape(side, side))
-        rows = fft.ifft(spectrum * np.conj(image), axis=0)[reach]  # others are not asked for
-        found = fft.irfft(rows, side, axis=1)[:, reach]
+        image = scipy.fft.rfft2(count.astype(np.float32).reshape(side, side))
+        rows = scipy.fft.ifft(spectrum * np.conj(image), axis=0)[reach]  # others are not asked for
+        found = scipy.fft.irfft(rows, side, axis=1)[:, reach]
         scores.append(np.asarray(found, np.float64) / len(points))
     return np.stack(scores)
 
@@ -310,6 +316,7 @@ def require_scans_near(
     crs: CRS,
     place: Sequence[float],
     *,
+    name: str = "the sensor",
     scan_crs: Any = None,
 ) -> None:
     """Refuse scans that cannot serve to check a sensor's pose; reads their headers only.
@@ -322,6 +329,8 @@ def require_scans_near(
         The map frame.
     place : (easting, northing, ...)
         About where the sensor is, metres.
+    name : str
+        What the message calls it.
 
     Raises
     ------
@@ -334,7 +343,7 @@ def require_scans_near(
     # each is opened, so that a bad one is refused at once
     near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
     if not any(near):
-        raise _elsewhere(scans, reach_m, "the sensor", place, crs)
+        raise _elsewhere(scans, reach_m, name, place, crs)
 
 
 def _elsewhere(

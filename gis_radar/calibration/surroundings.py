@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
@@ -305,11 +305,13 @@ def _structure(tops: Columns, settings: ScanCheckSettings, *, classified: bool) 
         widest_roof_m=settings.widest_roof_m,
         classified=classified,
     )
-    below = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
-    low = ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
+    below = scipy.ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
+    low = scipy.ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
     high = _solid(np.nan_to_num(top - low, nan=0.0) > tall_m)
     # the wall itself runs between the last high cell and the first low one
-    edge = high | (ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > tall_m))
+    edge = high | (
+        scipy.ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > tall_m)
+    )
     canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > tall_m)
     roof = _solid(np.isfinite(building))
     # a tree over a roof's edge is seen, one over the middle of a roof is taken for a roof
@@ -321,5 +323,7 @@ def _structure(tops: Columns, settings: ScanCheckSettings, *, classified: bool) 
 
 def _solid(cells: Booleans) -> Booleans:
     """Return cells that are no strays: three or more of nine around."""
-    around = ndimage.convolve(cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
+    around = scipy.ndimage.convolve(
+        cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant"
+    )
     return np.asarray(cells & (around >= 3))
