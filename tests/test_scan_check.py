@@ -21,8 +21,13 @@ import gis_radar as gr
 from gis_radar.calibration import AmbiguousError, Localization, Solved, joint
 from gis_radar.calibration import localization as localizing
 from gis_radar.calibration.scan_check import Alignment, align, require_scans_near
-from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
-from gis_radar.calibration.surroundings import LevelFrame, read_slow, read_structure
+from gis_radar.calibration.surroundings import (
+    SCAN_CHECK,
+    LevelFrame,
+    ScanCheckSettings,
+    read_slow,
+    read_structure,
+)
 from gis_radar.cli import group
 from gis_radar.grid import CELL_M
 from gis_radar.scans import scan as scan_files

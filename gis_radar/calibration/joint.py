@@ -23,7 +23,6 @@ from gis_radar.calibration.common_times import (
     read_span,
     read_until,
 )
-from gis_radar.calibration.joint_settings import MATCHING, CorrespondenceSettings
 from gis_radar.calibration.localization import decided_by_scan, localize
 from gis_radar.calibration.network import CLASH_HINT, Solved, Station, solve_network
 from gis_radar.calibration.result import AmbiguousError, Localization
@@ -38,6 +37,9 @@ from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Level, Reporter
 from gis_radar.scans.scan import read_road, road_crs
+
+# Of the recordings of several days, the seconds in which most sensors recorded: 2000 frames.
+COMMON_S = 100.0
 
 STAGE = "finding the poses together"
 READING = "reading what moved"
@@ -113,7 +115,6 @@ def localize_together(
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
     settings: LocalizationSettings = LOCALIZATION,
-    matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
     """Find the poses of several sensors that recorded at the same time, all files.
@@ -146,8 +147,8 @@ def localize_together(
     scans, scan_crs
         As for :func:`gis_radar.localize_files`: where the traffic in front of a sensor fits several
         poses, the scan check decides first.
-    settings, matching : LocalizationSettings, CorrespondenceSettings
-        All constants, of the single answers and of what relates them.
+    settings : LocalizationSettings
+        Of the single answers.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -178,7 +179,7 @@ def localize_together(
             require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
     return locate_all(
         paths, roads, read_road(road, roads.crs), guesses=places, headings=headings, scans=scans,
-        scan_crs=scan_crs, settings=settings, matching=matching, reporter=reporter,
+        scan_crs=scan_crs, settings=settings, reporter=reporter,
     )  # fmt: skip
 
 
@@ -192,14 +193,13 @@ def locate_all(
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
     settings: LocalizationSettings = LOCALIZATION,
-    matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
     """Find the poses of several sensors, with map and road in memory.
 
     Parameters
     ----------
-    recordings, guesses, headings, scans, scan_crs, settings, matching, reporter
+    recordings, guesses, headings, scans, scan_crs, settings, reporter
         As for :func:`localize_together`; guesses in the map's CRS.
     roads, road_points
         As for :func:`gis_radar.localize`.
@@ -223,7 +223,7 @@ def locate_all(
     used = {path.stem: path for path in recordings if path.stem in answers}
     solved = adjust_poses(
         used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
-        roads, road_points, end=end, settings=settings, matching=matching, reporter=reporter,
+        roads, road_points, end=end, settings=settings, reporter=reporter,
     )  # fmt: skip
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
     if not solved.poses:
@@ -303,7 +303,6 @@ def adjust_poses(
     end: float | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
     settings: LocalizationSettings = LOCALIZATION,
-    matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
 ) -> Solved:
     """Adjust poses by the vehicles that the sensors see at the same time.
@@ -321,8 +320,8 @@ def adjust_poses(
         which most recorded, the latest of these.
     clocks : mapping of str to SensorClock, optional
         Of sensors whose clocks were measured: their times are corrected.
-    settings, matching : LocalizationSettings, CorrespondenceSettings
-        Of tracks and correspondences.
+    settings : LocalizationSettings
+        Of tracks.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -340,11 +339,11 @@ def adjust_poses(
         for path in several:
             with _noted(why, name):
                 spans[name].append(read_span(path, right[name]))
-    until = best_end(spans, matching.window_s) if end is None else end
+    until = best_end(spans, COMMON_S) if end is None else end
     stations = []
     for done, (name, known) in enumerate(spans.items()):
         reporter.progress(READING, done, len(spans))
-        there = [each for each in known if each.shared_s(until - matching.window_s, until)]
+        there = [each for each in known if each.shared_s(until - COMMON_S, until)]
         moving = read_until([], until, settings)
         with _noted(why, name):
             moving = read_until(there, until, settings, right[name])
@@ -355,7 +354,7 @@ def adjust_poses(
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
     lanes = lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
-    solved = solve_network(stations, lanes, settings, matching)
+    solved = solve_network(stations, lanes, settings)
     for remark in solved.remarks:
         reporter.log(remark, "warning")
     unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}

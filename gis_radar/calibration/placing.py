@@ -9,8 +9,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.correspondences import PLANE, Moments, Rows, assign, compare, mean_gaps
-from gis_radar.calibration.joint_settings import CorrespondenceSettings
+from gis_radar.calibration.correspondences import (
+    FARTHEST_M,
+    LEAST_PAIRS,
+    MOMENT_S,
+    PLANE,
+    Moments,
+    Rows,
+    assign,
+    compare,
+    mean_gaps,
+)
+
+GATE_CHI2 = 13.8  # two degrees of freedom: 1 in 1000 true pairs is lost
+# Grid on which the shift between two sensors is looked for, and how far at least.
+STEP_M = 1.0
+REACH_M = 6.0
+# Shifts nearer than this, a vehicle's length, are one answer: the adjustment pulls them in.
+APART_M = 5.0
+# Standard deviations by which vehicles must prefer a place to all others (as for one sensor), and
+# to what chance gives.
+CLEAR_Z = 2.5
+# What chance gives is seen where one sensor's times are wrong by so much: other traffic.
+CHANCE_S: tuple[float, ...] = (-15.0, -8.0, 8.0, 15.0)
+CONTRADICTION_CHI2 = 16.3  # three degrees of freedom: 1 in 1000 sites is refused in error
 
 TRIED = 30  # shifts scored one to one, of those that look best
 GRID_YAW = math.radians(0.5)  # between the headings that correspondences are looked for under
@@ -96,9 +118,7 @@ class Placing:
         return max(there, key=total_score).scores if there else np.empty(0)
 
 
-def find_place(
-    choices: Sequence[Choice], others: Mapping[str, Choice], settings: CorrespondenceSettings
-) -> Placing:
+def find_place(choices: Sequence[Choice], others: Mapping[str, Choice]) -> Placing:
     """Find the shift at which a sensor's vehicles agree with those of others.
 
     Parameters
@@ -107,62 +127,56 @@ def find_place(
         The poses that the sensor alone may have: one, or several that it cannot tell apart.
     others : mapping
         Sensors that have a place, by name.
-    settings : CorrespondenceSettings
-        Of the grid, and what is clear.
     """
     tracks = 1 + max((int(c.seen.track.max(initial=-1)) for c in choices), default=-1)
     allowed: list[Shift] = []
     beyond: list[Shift] = []
     chance: list[Shift] = []
     for number, choice in enumerate(choices):
-        score = _Score(choice, others, tracks, settings)
-        steps, inside = _grid(choice.covariance, settings)
+        score = _Score(choice, others, tracks)
+        steps, inside = _grid(choice.covariance)
         allowed += score.best(number, steps[inside])
         if len(choices) == 1:
             beyond += score.best(number, steps[~inside])
-        for late_s in settings.chance_s:
-            late = round(late_s / settings.moment_s)
+        for late_s in CHANCE_S:
+            late = round(late_s / MOMENT_S)
             wrong = {name: other.later(late) for name, other in others.items()}
-            chance += _Score(choice, wrong, tracks, settings).best(number, steps)[:1]
+            chance += _Score(choice, wrong, tracks).best(number, steps)[:1]
 
     def good(shift: Shift) -> bool:
         z_scores = (preference(shift.scores, each.scores) for each in chance)
-        return min(z_scores, default=math.inf) > settings.clear
+        return min(z_scores, default=math.inf) > CLEAR_Z
 
     allowed, beyond = [s for s in allowed if good(s)], [s for s in beyond if good(s)]
     best = max(allowed, key=total_score, default=None)
-    rivals = [s for s in allowed if best is not None and _differ(choices, best, s, settings)]
+    rivals = [s for s in allowed if best is not None and _differ(choices, best, s)]
     z_score = min((preference(best.scores, s.scores) for s in rivals if best), default=math.inf)
     return Placing(
         inside=best,
         z_score=z_score if best is not None else 0.0,
-        beyond=_contradiction(best, beyond, settings),
+        beyond=_contradiction(best, beyond),
     )
 
 
-def _contradiction(
-    best: Shift | None, beyond: Sequence[Shift], settings: CorrespondenceSettings
-) -> Shift | None:
+def _contradiction(best: Shift | None, beyond: Sequence[Shift]) -> Shift | None:
     """Return the place beyond a sensor's own answer that its vehicles clearly prefer to it."""
     if best is not None:
         beyond = [
             shift
             for shift in beyond
-            if np.hypot(*(shift.step - best.step)[:2]) > 2.0 * settings.step_m
-            and preference(shift.scores, best.scores) > settings.clear
+            if np.hypot(*(shift.step - best.step)[:2]) > 2.0 * STEP_M
+            and preference(shift.scores, best.scores) > CLEAR_Z
         ]
     return max(beyond, key=total_score, default=None)
 
 
-def _differ(
-    choices: Sequence[Choice], one: Shift, other: Shift, settings: CorrespondenceSettings
-) -> bool:
+def _differ(choices: Sequence[Choice], one: Shift, other: Shift) -> bool:
     """Return whether two shifts give two answers: the fit merges near ones."""
     ends = [choices[shift.choice].seen.place[:2] + shift.step[:2] for shift in (one, other)]
     apart_m = float(np.hypot(*(ends[1] - ends[0])))
     if one.choice == other.choice:
-        return apart_m > settings.apart_m
-    return apart_m > 2.0 * settings.step_m or choices[one.choice].turned(choices[other.choice])
+        return apart_m > APART_M
+    return apart_m > 2.0 * STEP_M or choices[one.choice].turned(choices[other.choice])
 
 
 def preference(scores: Floats, others: Floats) -> float:
@@ -176,16 +190,16 @@ def preference(scores: Floats, others: Floats) -> float:
     return float(gain.sum()) / spread if spread > 0.0 else math.copysign(math.inf, gain.sum())
 
 
-def _grid(covariance: Floats, settings: CorrespondenceSettings) -> tuple[Floats, Booleans]:
+def _grid(covariance: Floats) -> tuple[Floats, Booleans]:
     """Return steps of easting, northing, yaw, and which of them the sensor's answer allows."""
     values, axes = np.linalg.eigh(covariance[:2, :2])
-    far_m = math.sqrt(settings.contradiction_chi2) * np.sqrt(values)
-    far_m = np.clip(far_m, settings.reach_m, settings.farthest_m)
-    half = np.ceil(far_m / settings.step_m).astype(np.int64)
-    u, v = np.mgrid[-half[0] : half[0] + 1, -half[1] : half[1] + 1] * settings.step_m
+    far_m = math.sqrt(CONTRADICTION_CHI2) * np.sqrt(values)
+    far_m = np.clip(far_m, REACH_M, FARTHEST_M)
+    half = np.ceil(far_m / STEP_M).astype(np.int64)
+    u, v = np.mgrid[-half[0] : half[0] + 1, -half[1] : half[1] + 1] * STEP_M
     flat = np.stack([u.ravel(), v.ravel()], axis=1)
     chi2 = np.sum(flat**2 / values, axis=1)
-    inside = chi2 < settings.contradiction_chi2
+    inside = chi2 < CONTRADICTION_CHI2
     east_north = flat @ axes.T
     # along what a scene does not fix, place and heading go together
     turn = east_north @ np.linalg.solve(covariance[:2, :2], covariance[:2, 2])
@@ -200,19 +214,18 @@ class _Score:
         choice: Choice,
         others: Mapping[str, Choice],
         tracks: int,
-        settings: CorrespondenceSettings,
     ) -> None:
-        self.settings, self.tracks = settings, tracks
+        self.tracks = tracks
         self.parts: dict[str, tuple[Rows, Floats, Floats, Floats]] = {}
-        loose = np.diag([settings.step_m**2 / 3.0, settings.step_m**2 / 3.0, GRID_YAW**2])
+        loose = np.diag([STEP_M**2 / 3.0, STEP_M**2 / 3.0, GRID_YAW**2])
         for name, other in others.items():
-            rows = compare(other.seen, choice.seen, settings)
+            rows = compare(other.seen, choice.seen)
             if not len(rows.tracks):
                 continue
             covariance = np.zeros((2 * PLANE, 2 * PLANE))
             covariance[:PLANE, :PLANE] = other.covariance
             covariance[PLANE:, PLANE:] = loose
-            gap, known = mean_gaps(rows, covariance, settings)
+            gap, known = mean_gaps(rows, covariance)
             slope = rows.means(rows.poses)[:, :, PLANE:]
             self.parts[name] = rows, gap, slope, np.asarray(np.linalg.inv(known))
 
@@ -223,11 +236,11 @@ class _Score:
         rough = np.array([self._rough(step) for step in steps])
         order = np.argsort(-rough, kind="stable")
         first = self._most(choice, steps[order[:TRIED]])
-        away = np.hypot(*(steps[order, :2] - first.step[:2]).T) > self.settings.apart_m
+        away = np.hypot(*(steps[order, :2] - first.step[:2]).T) > APART_M
         found = [first]
         if away.any():
             found.append(self._most(choice, steps[order[away][:TRIED]]))
-        return [each for each in found if sum(each.pairs.values()) >= self.settings.least_pairs]
+        return [each for each in found if sum(each.pairs.values()) >= LEAST_PAIRS]
 
     def _most(self, choice: int, steps: Floats) -> Shift:
         shifts = [self._shift(choice, step) for step in steps]
@@ -243,7 +256,7 @@ class _Score:
         total = 0.0
         for name, (rows, *_) in self.parts.items():
             gain = np.zeros(self.tracks)
-            won = np.maximum(self.settings.gate_chi2 - self._chi2(name, step), 0.0)
+            won = np.maximum(GATE_CHI2 - self._chi2(name, step), 0.0)
             np.maximum.at(gain, rows.tracks[:, 1], won)
             total += float(gain.sum())
         return total
@@ -252,7 +265,7 @@ class _Score:
         scores, pairs = np.zeros(self.tracks), {}
         for name, (rows, *_) in self.parts.items():
             chi2 = self._chi2(name, step)
-            taken: Integers = assign(chi2, rows.tracks, self.settings.gate_chi2)
-            np.add.at(scores, rows.tracks[taken, 1], self.settings.gate_chi2 - chi2[taken])
+            taken: Integers = assign(chi2, rows.tracks, GATE_CHI2)
+            np.add.at(scores, rows.tracks[taken, 1], GATE_CHI2 - chi2[taken])
             pairs[name] = len(taken)
         return Shift(choice=choice, step=step, scores=scores, pairs=pairs)
