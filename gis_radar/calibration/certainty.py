@@ -9,10 +9,17 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.calibration.matching import Scene
 from gis_radar.calibration.model import Model
-from gis_radar.calibration.settings import LOCALIZATION, AnswerSettings
+from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, AnswerSettings, Schedule
 from gis_radar.calibration.solver import Fit, Prior, Rest, settle, solve
 from gis_radar.calibration.state import POSE, SIZE, State, angles_from_turn
 from gis_radar.calibration.traces import Samples
+
+VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
+# Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
+LEAST_RISE = 0.5
+CLEAR_RISE = 50.0
+
+LOOK_GAIN = 1.0  # what a look around an optimum must gain: a sigma costs 0.5
 
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
 
@@ -77,7 +84,7 @@ def certainty(
         covariance=pose,
         noise=drawn,
         sigma=np.sqrt(np.diag(pose)),
-        eigenvalues=eigenvalues(fit.data_information[POSE, POSE], settings),
+        eigenvalues=eigenvalues(fit.data_information[POSE, POSE]),
         observable=is_fixed(pose, settings),
     )
 
@@ -96,9 +103,9 @@ def pose_covariance(information: Floats, state: State) -> Floats:
     return np.asarray(to_angles @ np.linalg.inv(information) @ to_angles.T)
 
 
-def eigenvalues(information: Floats, settings: AnswerSettings) -> Floats:
+def eigenvalues(information: Floats) -> Floats:
     """Return the eigenvalues of a (6, 6) information about the pose, ascending, 1/m^2."""
-    lever = np.diag([1.0] * 3 + [1.0 / settings.lever_m] * 3)
+    lever = np.diag([1.0] * 3 + [1.0 / LEVER_M] * 3)
     return np.asarray(np.linalg.eigvalsh(lever @ information @ lever), dtype=np.float64)
 
 
@@ -186,18 +193,18 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     """
     settings = scene.settings.hypotheses
     for look in range(settings.looks + 1):  # the last one only measures
-        hold, way = _weakest(fit, scene.settings.answer)
+        hold, way = _weakest(fit)
         curved_m = float(np.sqrt(hold @ way))
         sides = [
             _profile(scene, fit, side * way / curved_m**2, hold, prior, model)
             for side in (-1.0, 1.0)
         ]
-        sigma_m = max(_deviation(scene, fit, side) for side in sides)
+        sigma_m = max(_deviation(fit, side) for side in sides)
         lowest = min((other for side in sides for _, other in side), key=_cost, default=fit)
-        if look == settings.looks or lowest.cost > fit.cost - settings.look_gain:
+        if look == settings.looks or lowest.cost > fit.cost - LOOK_GAIN:
             break
         again = solve(scene, lowest.state, prior, schedule=settings.fine, model=model)
-        if not again.converged or again.cost > fit.cost - settings.look_gain:
+        if not again.converged or again.cost > fit.cost - LOOK_GAIN:
             break
         fit = again
     if sigma_m > curved_m:
@@ -228,7 +235,7 @@ def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float
         if _spread(fit, hold, settings) <= step_m:
             break
         rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
-        if rise < settings.clear_rise:
+        if rise < CLEAR_RISE:
             continue
         walled = _along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
         if _spread(walled, hold, settings) <= step_m:
@@ -243,10 +250,10 @@ def _spread(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
     return float(np.sqrt(way @ certainty(fit, settings).covariance @ way))
 
 
-def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
+def _weakest(fit: Fit) -> tuple[Floats, Floats]:
     """Return the least-known combination, metres, and its covariance with the state."""
     covariance: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
-    lever_m = np.array([1.0, 1.0, settings.lever_m])
+    lever_m = np.array([1.0, 1.0, LEVER_M])
     _, vectors = np.linalg.eigh(lever_m[:, None] * covariance[np.ix_(PLANE, PLANE)] * lever_m)
     hold = np.zeros(SIZE)
     hold[PLANE] = lever_m * vectors[:, -1]
@@ -264,18 +271,18 @@ def _profile(
     found, state, at_m, settings = list[tuple[float, Rest]](), fit.state, 0.0, scene.settings.answer
     for step_m in settings.valley_steps_m:
         start = state.moved((step_m - at_m) * way)
-        here = settle(scene, start, prior, schedule=settings.valley, model=model, hold=hold)
+        here = settle(scene, start, prior, schedule=VALLEY, model=model, hold=hold)
         state, at_m = here.state, step_m
         found.append((step_m, here))
     return found
 
 
-def _deviation(scene: Scene, fit: Fit, side: list[tuple[float, Rest]]) -> float:
+def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
     """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
-    sigma_m, settings = 0.0, scene.settings.answer
+    sigma_m = 0.0
     for step_m, here in side:
-        rise = max(here.cost - fit.cost, settings.least_rise)
-        if rise > settings.clear_rise:
+        rise = max(here.cost - fit.cost, LEAST_RISE)
+        if rise > CLEAR_RISE:
             continue  # this place is out of the question, however far it is
         sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
     return sigma_m

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.lanes import Lanes, sample_lanes
+from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
 from gis_radar.calibration.settings import LocalizationSettings
 from gis_radar.calibration.traces import Moving, MovingWindow
 from gis_radar.errors import InputError
@@ -161,5 +161,5 @@ def lanes_of_all(
     spread_m = float(np.hypot(*(places - middle).T).max())
     return sample_lanes(
         roads.lanelets, road_points,
-        place=middle, reach_m=spread_m + seen_m + settings.lanes.margin_m, settings=settings.lanes,
+        place=middle, reach_m=spread_m + seen_m + MARGIN_M, settings=settings.lanes,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,14 +13,37 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.adaptation import adapted
-from gis_radar.calibration.certainty import advantage, along_valley
+from gis_radar.calibration.certainty import LOOK_GAIN, advantage, along_valley
+from gis_radar.calibration.lanes import LANE_CELL_M
 from gis_radar.calibration.matching import Scene
 from gis_radar.calibration.model import MODEL, Model
-from gis_radar.calibration.search import Candidate, Levelling, level, search
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.search import TILT, Candidate, Levelling, level, search
+from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Samples
+
+# Prior of the mean height of reflections: between wheel hubs and belt lines.
+REFLECTION_M = 0.6
+REFLECTION_SIGMA_M = 0.25
+ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion
+GONE = 5.0  # standard deviations behind the first, beyond which none is a finalist
+# Closer fits are one: easting, northing, height; turns about the axes.
+TWIN_M = (0.3, 0.3, 0.5)
+TWIN_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
+# Grid around an optimum on which better ones are looked for: half a vehicle's width apart, and so
+# many steps to all sides and turns, which count at LEVER_M.
+LOOK_M = 0.5
+LOOK_STEPS = (3, 2)
+# Widening of the spreads there (drivers differ by as much), samples that are looked at, and how
+# many of the lowest places are fitted.
+LOOK_SCALE_M = 0.3
+LOOK_SAMPLES = 400
+LOOK_PLACES = 4
+
+# Peaks that are fitted, without and with a heading; cost in proportion.
+CANDIDATES = 10
+KNOWN_CANDIDATES = 4
 
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
 
@@ -64,11 +88,11 @@ def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> lis
     heading : (yaw, tolerance) or None
         Radians; without it all headings are tried.
     """
-    levelling, part, settings = level(scene), rough(scene), scene.settings.search
-    most = settings.candidates if heading is None else settings.known_candidates
+    levelling, part = level(scene), rough(scene)
+    most = CANDIDATES if heading is None else KNOWN_CANDIDATES
     found = _searched(scene, levelling, heading, most)
     tried = [_rough_fit(part, _start(part, levelling, c), c.score) for c in found]
-    return _ranked(tried, scene.settings)
+    return _ranked(tried)
 
 
 def search_score(scene: Scene, *, heading: tuple[float, float] | None) -> float:
@@ -91,7 +115,7 @@ def _searched(
 
 def rough(scene: Scene) -> Scene:
     """Return the scene with an even part of the samples, enough to rank hypotheses."""
-    return _part(scene, scene.settings.hypotheses.rough_samples)
+    return _part(scene, ROUGH_SAMPLES)
 
 
 def _part(scene: Scene, most: int) -> Scene:
@@ -112,10 +136,10 @@ def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     The best one is looked at in full, and so is each that could still overtake it.
     """
     part, best, settings = rough(scene), hypotheses[0], scene.settings.hypotheses
-    near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < settings.gone]
+    near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < GONE]
     finalists = near[: settings.finalists]
-    settled = _ranked([_settled(part, h, h.fit.state) for h in finalists], scene.settings)
-    fine = _ranked([_fine(scene, h) for h in settled], scene.settings)
+    settled = _ranked([_settled(part, h, h.fit.state) for h in finalists])
+    fine = _ranked([_fine(scene, h) for h in settled])
     looked = _with_rivals(fine, scene, partial(look_around, scene))
     return _with_rivals(looked, scene, partial(_adapted, scene))
 
@@ -127,7 +151,7 @@ def _with_rivals(
     first, rival = ranked[0], scene.settings.hypotheses.rival
     near = [advantage(first.fit, h.fit, scene.samples) < rival for h in ranked]
     improved = [better(h) if close else h for h, close in zip(ranked, near, strict=True)]
-    return _ranked(improved, scene.settings)
+    return _ranked(improved)
 
 
 def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
@@ -136,22 +160,22 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
     Which face of which vehicle a trace shows, and to which lane it belongs, make the cost bumpy in
     the small where drivers keep off the middle of their lanes.
     """
-    settings, lever_m = scene.settings.hypotheses, scene.settings.answer.lever_m
-    aside, turned = (np.arange(-n, n + 1) * settings.look_m for n in settings.look_steps)
-    few = _part(scene, settings.look_samples)
-    grid = np.stack(np.meshgrid(aside, aside, turned / lever_m, indexing="ij"), axis=-1)
+    settings = scene.settings.hypotheses
+    aside, turned = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
+    few = _part(scene, LOOK_SAMPLES)
+    grid = np.stack(np.meshgrid(aside, aside, turned / LEVER_M, indexing="ij"), axis=-1)
     steps = np.zeros((grid.size // 3, SIZE))
     steps[:, PLANE] = grid.reshape(-1, 3)
     for _ in range(settings.looks):
         starts = [best.fit.state.moved(step) for step in steps]
-        costs = np.array([cost_at(few, start, scale_m=settings.look_scale_m) for start in starts])
+        costs = np.array([cost_at(few, start, scale_m=LOOK_SCALE_M) for start in starts])
         costs = costs.reshape(grid.shape[:3])
         lowest = np.argwhere(costs == minimum_filter(costs, size=3))
-        order = np.argsort(costs[tuple(lowest.T)])[: settings.look_places]
+        order = np.argsort(costs[tuple(lowest.T)])[:LOOK_PLACES]
         chosen = np.ravel_multi_index(tuple(lowest[order].T), costs.shape)
         others = [_settled(scene, best, starts[k]) for k in chosen]
         better = min(others, key=lambda h: h.fit.cost)
-        if better.fit.cost > best.fit.cost - settings.look_gain:
+        if better.fit.cost > best.fit.cost - LOOK_GAIN:
             break
         best = better
     return best
@@ -176,21 +200,21 @@ def widen_by_profile(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
 
 def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
     """Return the state at a candidate, at the height that puts the traces over the road."""
-    lanes, reflection_m = scene.lanes, scene.settings.hypotheses.reflection_m
+    lanes = scene.lanes
     turn = Rotation.from_euler("Z", candidate.yaw).as_matrix()
     state = State(
         position=np.array([*candidate.place, 0.0]),
         R_map_sensor=turn @ levelling.R_level_sensor,
-        reflection=reflection_m,
+        reflection=REFLECTION_M,
     )
     points = state.to_map(scene.samples.points)
-    cell = np.floor((points[:, :2] - lanes.corner) / lanes.settings.cell_m).astype(np.int64)
+    cell = np.floor((points[:, :2] - lanes.corner) / LANE_CELL_M).astype(np.int64)
     _, rows, columns = lanes.distance.shape
     inside = (cell >= 0).all(axis=1) & (cell < [columns, rows]).all(axis=1)
     column, row = cell[inside].T
     nearest = np.argmin(lanes.distance[:, row, column], axis=0)
     lane = lanes.nearest[nearest, row, column]
-    over = lanes.points[lane, 2] + reflection_m - points[inside, 2]
+    over = lanes.points[lane, 2] + REFLECTION_M - points[inside, 2]
     over = over[(lane >= 0) & np.isfinite(over)]
     known = lanes.points[:, 2][np.isfinite(lanes.points[:, 2])]
     height = np.median(over) if len(over) else np.median(known) + levelling.depth_m
@@ -207,11 +231,11 @@ def prior_at(state: State, settings: LocalizationSettings = LOCALIZATION) -> Pri
     settings : LocalizationSettings
         The standard deviations.
     """
-    guess_m, tilt = settings.search.guess_m, settings.search.tilt
+    guess_m, tilt = settings.search.guess_m, TILT
     information = np.zeros((SIZE, SIZE))
     sigma = np.array([guess_m / 2, guess_m / 2, guess_m, tilt, tilt, np.pi])
     information[POSE, POSE] = np.diag(sigma**-2)
-    information[REFLECTION, REFLECTION] = settings.hypotheses.reflection_sigma_m**-2
+    information[REFLECTION, REFLECTION] = REFLECTION_SIGMA_M**-2
     mean = replace(state, position=np.array([0.0, 0.0, state.position[2]]))
     return Prior(mean=mean, information=information)
 
@@ -222,9 +246,9 @@ def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
     return Hypothesis(fit=fit, prior=prior, score=score)
 
 
-def _ranked(hypotheses: Sequence[Hypothesis], settings: LocalizationSettings) -> list[Hypothesis]:
+def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return hypotheses the best first, without what another, better one has found as well."""
-    twin = np.array([*settings.hypotheses.twin_m, *settings.hypotheses.twin_rad])
+    twin = np.array([*TWIN_M, *TWIN_RAD])
     kept: list[Hypothesis] = []
     for h in sorted(hypotheses, key=lambda h: h.loss):
         gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE]) / twin for k in kept]

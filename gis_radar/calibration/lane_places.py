@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import Lanes, direction_bin
+from gis_radar.calibration.lanes import LANE_BINS, LANE_CELL_M, LANE_STEP_M, Lanes, direction_bin
 from gis_radar.calibration.monitor_settings import ALARM, AlarmSettings
+from gis_radar.calibration.settings import TraceSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.trace_settings import TraceSettings
 from gis_radar.calibration.traces import NONE, Moving, link_tracks
 
 
@@ -57,12 +57,12 @@ def cells_along(lanes: Lanes, settings: AlarmSettings = ALARM) -> Cells:
         How long they are.
     """
     step = np.diff(lanes.points[:, :2], axis=0)
-    on = (np.hypot(*step.T) < 2.0 * lanes.settings.step_m) & (
+    on = (np.hypot(*step.T) < 2.0 * LANE_STEP_M) & (
         np.sum(lanes.along[1:] * lanes.along[:-1], axis=1) > settings.same_way
     )
     run = np.cumsum(np.append(0, ~on))
     begin = np.flatnonzero(np.append(True, ~on))
-    place_m = (np.arange(len(run)) - begin[run]) * lanes.settings.step_m
+    place_m = (np.arange(len(run)) - begin[run]) * LANE_STEP_M
     alone = ~_overlapped(lanes, settings)
     pieces = [(place_m // size).astype(np.int64) for size in (settings.cell_m, settings.stretch_m)]
     cell, stretch = (
@@ -244,14 +244,14 @@ def _on_lanes(
     """Return the lane sample nearest to each detection that drives there, how far left and over."""
     _, rows, columns = lanes.nearest.shape
     speed = np.hypot(*velocity.T)
-    place = np.floor((points[:, :2] - lanes.corner) / lanes.settings.cell_m).astype(np.int64)
+    place = np.floor((points[:, :2] - lanes.corner) / LANE_CELL_M).astype(np.int64)
     inside = (place >= 0).all(axis=1) & (place < [columns, rows]).all(axis=1)
     usable = inside & (speed > settings.least_mps)
     column, row = np.where(usable[:, None], place, 0).T
-    heading = direction_bin(velocity, lanes.settings.bins)
+    heading = direction_bin(velocity, LANE_BINS)
     best, across = np.full(len(points), NONE), np.full(len(points), np.inf)
     for turn in (-1, 0, 1):
-        k = lanes.nearest[(heading + turn) % lanes.settings.bins, row, column].astype(np.int64)
+        k = lanes.nearest[(heading + turn) % LANE_BINS, row, column].astype(np.int64)
         off, way = points[:, :2] - lanes.points[k, :2], lanes.along[k]
         left = off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1]
         same = np.sum(way * velocity, axis=1) > settings.same_way * speed

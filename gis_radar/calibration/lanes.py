@@ -11,9 +11,25 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.settings import LOCALIZATION
-from gis_radar.calibration.trace_settings import LaneSettings
+from gis_radar.calibration.settings import LOCALIZATION, LaneSettings
 from gis_radar.errors import NoAnswerError
+
+# Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius lose 1 cm.
+LANE_STEP_M = 1.0
+LANE_CELL_M = 1.0
+LANE_BINS = 16  # of direction, 22.5 degrees each: lanes of a junction stay apart
+LANE_REACH_M = 12.0  # a point farther from every lane matches none; more than three lanes
+MARGIN_M = 20.0  # lanes beyond the farthest traces and the error of the guess
+SAME_LEVEL_M = 2.0  # scanned points farther from the map's height are of another storey
+# Scanned points that give a sample's height (their median).
+SCAN_NEAR_M = 2.0
+SCAN_POINTS = 12
+SLOPE_REACH = 3  # samples either way over which the rise is taken
+MOST_SLOPE = 0.2  # steeper is an error: roads rise 12 % at most (RAL), ramps 20 %
+UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
+# Top speed over the limit, and at least (54 km/h).
+SPEEDING = 1.5
+MIN_TOP_MPS = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,23 +115,23 @@ def sample_lanes(
             f"{place[0]:.1f},{place[1]:.1f}",
             hint="check the guess, its coordinate system, and that the map is the right one",
         )
-    parts = [_sampled(line, settings.step_m) for line in table["centre"]]
+    parts = [_sampled(line, LANE_STEP_M) for line in table["centre"]]
     count = [len(xyz) for xyz, _ in parts]
     local = np.vstack([xyz for xyz, _ in parts]) - [*place, 0.0]
     along = np.vstack([way for _, way in parts])
     lane = np.repeat(np.arange(len(parts)), count)
-    height, scanned = _heights(local, road - [*place, 0.0], settings)
+    height, scanned = _heights(local, road - [*place, 0.0])
     local[:, 2] = height
-    slope = _slopes(local, along, lane, settings)
+    slope = _slopes(local, along, lane)
     limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
-    top = np.maximum(limit * settings.speeding, settings.min_top_mps)
-    top = np.where(np.isnan(limit), settings.unlimited_mps, top)
+    top = np.maximum(limit * SPEEDING, MIN_TOP_MPS)
+    top = np.where(np.isnan(limit), UNLIMITED_MPS, top)
     width = (table.geometry.area / table["centre"].length).to_numpy()[lane]
     two_way = ~table["one_way"].to_numpy(bool)[lane]
     near = np.hypot(local[:, 0], local[:, 1]) < reach_m
     rows = np.concatenate([np.flatnonzero(near), np.flatnonzero(near & two_way)])
     turn = np.where(np.arange(len(rows)) < near.sum(), 1.0, -1.0)
-    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None], settings)
+    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None])
     return Lanes(
         origin=np.asarray(place, dtype=np.float64),
         points=local[rows],
@@ -150,19 +166,19 @@ def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats]:
     return points, way / np.hypot(*way.T)[:, None]
 
 
-def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Floats, Booleans]:
+def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
     """Return heights at samples, and whether the scan gives them; the map separates levels."""
     known = local[:, 2]
     if len(road) == 0:
         return known, np.zeros(len(known), dtype=bool)
     gap, index = cKDTree(road[:, :2]).query(
         local[:, :2],
-        k=min(settings.scan_points, len(road)),
-        distance_upper_bound=settings.scan_near_m,
+        k=min(SCAN_POINTS, len(road)),
+        distance_upper_bound=SCAN_NEAR_M,
     )
     gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
     z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
-    z = np.where(np.abs(z - known[:, None]) > settings.same_level_m, np.nan, z)
+    z = np.where(np.abs(z - known[:, None]) > SAME_LEVEL_M, np.nan, z)
     found = np.isfinite(z).sum(axis=1)
     ranked = np.sort(z, axis=1)
     rows = np.arange(len(z))
@@ -171,30 +187,29 @@ def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Float
     return height, np.asarray(found > 0)
 
 
-def _slopes(points: Floats, along: Floats, lane: Integers, settings: LaneSettings) -> Floats:
+def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
     """Return the rise along each lane; level where the heights are unknown."""
-    reach = settings.slope_reach
     last = len(points) - 1
-    ahead, behind = (np.clip(np.arange(len(points)) + d, 0, last) for d in (reach, -reach))
+    ahead, behind = (
+        np.clip(np.arange(len(points)) + d, 0, last) for d in (SLOPE_REACH, -SLOPE_REACH)
+    )
     ahead = np.where(lane[ahead] == lane, ahead, np.arange(len(points)))
     behind = np.where(lane[behind] == lane, behind, np.arange(len(points)))
     gap = points[ahead] - points[behind]
     run = np.sum(gap[:, :2] * along, axis=1)
-    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > settings.step_m)
-    return np.asarray(np.clip(np.nan_to_num(rise), -settings.most_slope, settings.most_slope))
+    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > LANE_STEP_M)
+    return np.asarray(np.clip(np.nan_to_num(rise), -MOST_SLOPE, MOST_SLOPE))
 
 
-def _raster(
-    points: Floats, along: Floats, settings: LaneSettings
-) -> tuple[Floats, np.ndarray, np.ndarray]:
+def _raster(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
     """Return the grid's corner, and for each bin of direction the nearest sample of each cell."""
-    cell_m, reach = settings.cell_m, settings.reach_m / settings.cell_m
-    corner = np.floor(points[:, :2].min(axis=0)) - settings.reach_m
+    cell_m, reach = LANE_CELL_M, LANE_REACH_M / LANE_CELL_M
+    corner = np.floor(points[:, :2].min(axis=0)) - LANE_REACH_M
     place = (points[:, :2] - corner) / cell_m
     columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
-    nearest = np.full((settings.bins, rows, columns), -1, dtype=np.int32)
-    distance = np.full((settings.bins, rows, columns), np.float32(np.inf))
-    _spread(nearest, distance, direction_bin(along, settings.bins), place, reach)
+    nearest = np.full((LANE_BINS, rows, columns), -1, dtype=np.int32)
+    distance = np.full((LANE_BINS, rows, columns), np.float32(np.inf))
+    _spread(nearest, distance, direction_bin(along, LANE_BINS), place, reach)
     distance *= np.float32(cell_m)
     return corner, nearest, distance
 

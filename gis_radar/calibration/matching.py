@@ -8,10 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.lanes import LANE_CELL_M, LANE_STEP_M, Lanes
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Samples
+
+# Largest height between sample and lane, plus that share of the range (3 degrees of tilt).
+LEVEL_M = 4.0
+LEVEL_SHARE = 0.05
+BORDER_M = 1.0  # a sample nearer to its lane's middle is no other lane's: less than half a lane
 
 NO_WAY_M = 1e-9
 
@@ -128,7 +133,7 @@ def match(lanes: Lanes, placed: Placed) -> Matches:
     """
     s = lanes.settings
     lane, found = _match(
-        np.array([s.cell_m, s.step_m, s.level_m, s.level_share, s.border_m, s.slack_mps]),
+        np.array([LANE_CELL_M, LANE_STEP_M, LEVEL_M, LEVEL_SHARE, BORDER_M, s.slack_mps]),
         placed.points,
         placed.sight,
         placed.samples.reach,

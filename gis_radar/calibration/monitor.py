@@ -14,6 +14,7 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.alarm import Displacement
+from gis_radar.calibration.hypotheses import REFLECTION_M
 from gis_radar.calibration.kalman_filter import (
     Estimate,
     Measurement,
@@ -249,7 +250,7 @@ class Follower:
             State(
                 position=start.position,
                 R_map_sensor=np.eye(3),
-                reflection=settings.localization.hypotheses.reflection_m,
+                reflection=REFLECTION_M,
             )
         )
         self._seen: WindowFit | None = None

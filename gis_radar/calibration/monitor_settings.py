@@ -8,14 +8,15 @@ from typing import Any
 
 from scipy.special import gammaincinv
 
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings, Schedule, changed
+from gis_radar.calibration.settings import LocalizationSettings, Schedule, changed
+from gis_radar.calibration.solver import FAR
 
 HOUR_S = 3600.0
 
 Six = tuple[float, float, float, float, float, float]
 _WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
 _LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
-_FAR = replace(LOCALIZATION.solver.far, rounds=12)
+_FAR = replace(FAR, rounds=12)
 
 
 @dataclass(frozen=True, kw_only=True)

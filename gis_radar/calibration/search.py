@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Booleans, Floats, compiled
-from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.lanes import LANE_CELL_M, Lanes
 from gis_radar.calibration.matching import Scene
-from gis_radar.calibration.settings import SearchSettings
+
+BEYOND_GUESS_M = 2.0  # searched beyond how far a guess may be off
+TILT = math.radians(6.0)  # 1 sigma of how far masts and roads lean, radians
+# 1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
+LEVEL_SPREAD_M = 0.5
+LEVEL_ELEVATION = math.radians(0.6)
+SCORED = 900  # traces scored; cost in proportion
+SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
+# Bell across a lane, grid of places, grid of headings (radians). Steps are at most one spread, or
+# 50 m off half of one.
+SPREAD_M = 2.0
+STEP_M = 2.0
+YAW_STEP = math.radians(2.0)
+# Cosine by which a lane's direction may disagree with the Doppler's sign (15 degrees).
+BESIDE = 0.25
+# Closer peaks are one.
+NEAR_M = 3.0
+NEAR_RAD = math.radians(5.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +60,8 @@ def level(scene: Scene) -> Levelling:
     x, y, z = samples.points.T
     rows = np.column_stack([x, y, np.ones(len(x))])
     reach = np.linalg.norm(samples.points, axis=1)
-    sigma = np.hypot(settings.level_spread_m, settings.level_elevation * reach)
-    prior = np.diag([settings.tilt**-2, settings.tilt**-2, 0.0])
+    sigma = np.hypot(LEVEL_SPREAD_M, LEVEL_ELEVATION * reach)
+    prior = np.diag([TILT**-2, TILT**-2, 0.0])
     weight = sigma**-2
     plane = np.array([0.0, 0.0, float(np.median(z))])
     for _ in range(settings.level_rounds):
@@ -96,17 +114,17 @@ def search(
         Candidates to return, the best first.
     """
     lanes, samples, settings = scene.lanes, scene.samples, scene.settings.search
-    chosen = np.random.default_rng(0).permutation(len(samples))[: settings.samples]
+    chosen = np.random.default_rng(0).permutation(len(samples))[:SCORED]
     points, away = levelled[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
-    cell_m = lanes.settings.cell_m
+    cell_m = LANE_CELL_M
 
     def score(close: NDArray[np.uint8], places: Floats, yaws: Floats) -> Floats:
         return np.asarray(_score(close, lanes.corner, cell_m, points, away, places, yaws))
 
-    places = _places(settings.guess_m + settings.slack_m, settings.step_m)
-    yaws = _yaws(heading, settings.yaw_step)
-    scores = score(closeness(lanes, settings), places, yaws)
-    return _peaks(scores, places, yaws, most, settings)
+    places = _places(settings.guess_m + BEYOND_GUESS_M, STEP_M)
+    yaws = _yaws(heading, YAW_STEP)
+    scores = score(closeness(lanes), places, yaws)
+    return _peaks(scores, places, yaws, most)
 
 
 def _yaws(heading: tuple[float, float] | None, step: float) -> Floats:
@@ -123,15 +141,13 @@ def _places(radius_m: float, step_m: float) -> Floats:
     return np.asarray(grid[np.hypot(*grid.T) <= radius_m])
 
 
-def closeness(lanes: Lanes, settings: SearchSettings) -> NDArray[np.uint8]:
+def closeness(lanes: Lanes) -> NDArray[np.uint8]:
     """Return for each direction of sight how close a cell is to lanes that lead away along it.
 
     Parameters
     ----------
     lanes : Lanes
         The map.
-    settings : SearchSettings
-        The bell across a lane, and which directions agree.
 
     Returns
     -------
@@ -139,20 +155,18 @@ def closeness(lanes: Lanes, settings: SearchSettings) -> NDArray[np.uint8]:
         255 on a centre line. What comes towards the sensor is what leads away along the
         opposite sight.
     """
-    near = np.exp(-0.5 * (lanes.distance / settings.spread_m) ** 2)
-    sights, bins = settings.sights, len(near)
+    near = np.exp(-0.5 * (lanes.distance / SPREAD_M) ** 2)
+    sights, bins = SIGHTS, len(near)
     ways = np.arange(bins) * (2.0 * np.pi / bins)
     out = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)
     bytes_near = np.rint(near * 255.0).astype(np.uint8)
     for sight in range(sights):
-        agree = np.cos(ways - sight * (2.0 * np.pi / sights)) > -settings.beside
+        agree = np.cos(ways - sight * (2.0 * np.pi / sights)) > -BESIDE
         out[sight] = bytes_near[agree].max(axis=0)
     return out
 
 
-def _peaks(
-    scores: Floats, places: Floats, yaws: Floats, most: int, settings: SearchSettings
-) -> list[Candidate]:
+def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Candidate]:
     """Return the best candidates, no two of them close to each other."""
     order = np.argsort(-scores, axis=None)[: 400 * most]
     kept: list[Candidate] = []
@@ -160,8 +174,7 @@ def _peaks(
         i, j = divmod(int(flat), scores.shape[1])
         place, yaw = places[i], float(yaws[j])
         twin = any(
-            np.hypot(*(place - other.place)) < settings.near_m
-            and abs(_wrapped(yaw - other.yaw)) < settings.near_rad
+            np.hypot(*(place - other.place)) < NEAR_M and abs(_wrapped(yaw - other.yaw)) < NEAR_RAD
             for other in kept
         )
         if not twin:

@@ -20,10 +20,9 @@ from gis_radar.calibration.matching import Scene
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
 from gis_radar.calibration.result import Problem
-from gis_radar.calibration.settings import Schedule
+from gis_radar.calibration.settings import Schedule, TraceSettings
 from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
-from gis_radar.calibration.trace_settings import TraceSettings
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
 from gis_radar.errors import NoAnswerError
 from gis_radar.progress import QUIET, Reporter
@@ -126,7 +125,7 @@ class WindowTraffic:
     @cached_property
     def vehicles(self) -> int:
         """How many vehicles there are: the parts of a track that is cut count as one."""
-        return len(np.unique(vehicles_of(self.moving, self.number, self.settings)))
+        return len(np.unique(vehicles_of(self.moving, self.number)))
 
     def samples(self) -> Samples:
         """Return the detections that a registration works on."""
