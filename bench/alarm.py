@@ -261,7 +261,7 @@ class Sensor:
 
     def detectors(self) -> tuple[ChangeDetector, ChangeDetector]:
         """Return how vehicles show moves."""
-        return detectors(self.cells, self.state.position[:2], ALARM)
+        return detectors(self.cells, self.state.position[:2])
 
 
 class Both:

@@ -1,4 +1,4 @@
-"""Settings of the localization that may be set; those that differ go into a pose's evidence.
+"""What may be set of localization and monitor; what differs goes into a pose's evidence.
 
 Other constants of its algorithms stand beside their use. What is assumed of vehicles and radars is
 in :mod:`gis_radar.calibration.model`: those constants carry an uncertainty that enters an answer's
@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import radians
 from typing import Any
+
+from scipy.special import gammaincinv
 
 LEVER_M = 50.0  # a turn counts as the metres by which it moves what is so far off: usual traces
 
@@ -237,3 +239,170 @@ def changed(settings: Any, defaults: Any, path: str = "") -> dict[str, Any]:
 
 
 LOCALIZATION = LocalizationSettings()
+
+HOUR_S = 3600.0
+
+Six = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlarmSettings:
+    """Settings of the alarm: how a small move is noticed against the sensor's own first hour.
+
+    Lengths across a lane are means of a vehicle in a cell. *Measured* is on two hours of the sample
+    junction, simulated as recorded (`bench/alarm.py`).
+
+    Parameters
+    ----------
+    block_s : float
+        Traffic is summed by blocks, and tested at the end of each.
+    settle_s : float
+        A vehicle counts in the block so long after its last detection, when none may follow.
+    blocks : tuple of int
+        Newest blocks that are tested: five for a strong move, nine for a small one (with
+        `settle_s` within ten minutes), thirty for light traffic.
+    share : float
+        The tested blocks are at most that share of all there are: no alarm before 15 minutes,
+        nine blocks are tested from 27 on, thirty from 90 on.
+    reference_h, reference_vehicles : float, int
+        The reference is the first hour; then it forgets within an hour or so many vehicles,
+        whichever takes longer, to follow what changes slowly.
+    dispersion, dispersion_blocks : float
+        Ratio of the scatter between blocks to what independent vehicles make (broken tracks,
+        platoons; measured 1.4 to 2.1): before it is measured at the sensor, and how many blocks
+        that counts for.
+    outlier : float
+        Standard deviations of drivers' habit on a stretch from which on it is no habit but an
+        obstacle, which weighs less and less.
+    gate : float
+        Score beyond which a move is noticed: 0.2 false alarms a month, 95 % under 2.0, by the tail
+        of 240 hours of changing traffic (`bench/alarm.py`).
+    """
+
+    block_s: float = 60.0
+    settle_s: float = 7.0
+    blocks: tuple[int, ...] = (5, 9, 30)
+    share: float = 0.34
+    reference_h: float = 1.0
+    reference_vehicles: int = 1000
+    dispersion: float = 2.0
+    dispersion_blocks: float = 20.0
+    outlier: float = 2.0
+    gate: float = 24.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationaryTargetSettings:
+    """Settings of the second change detector: what stands still around the sensor.
+
+    *Recorded* is on recordings of an ARS548 (a target repeats to 0.01 m, 0.05 and 0.1 to 2 degrees;
+    over seconds it wanders by 0.1 m, 0.15 and 1 degree), *measured* on `bench/alarm.py`.
+
+    Parameters
+    ----------
+    block_s : float
+        The place of a target is its median over so long: a shake is shorter, and four cycles.
+    search_blocks : int
+        New targets are looked for every so many blocks, five minutes.
+    reference_blocks : int
+        The mean forgets within so many blocks, 10 minutes: twice what is tested; over an hour the
+        drift allowed to a mast would hide half a degree.
+    blocks : tuple of int
+        Newest blocks that are tested for a move, longer than any gust.
+    least_targets : int
+        Fewer targets contradict nothing.
+    wanted_m, wanted_rad : float
+        The move to be noticed, in the plane and of an angle.
+    gate : float
+        Score beyond which a move is noticed, from 120 hours of changing days of one radar
+        (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
+    """
+
+    block_s: float = 20.0
+    search_blocks: int = 15
+    reference_blocks: int = 30
+    blocks: tuple[int, ...] = (6, 15)
+    least_targets: int = 12
+    wanted_m: float = 0.3
+    wanted_rad: float = radians(0.5)
+    gate: float = 28.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorSettings:
+    """What may be set of the calibration monitor.
+
+    Vectors of six are easting, northing, height and turns about the map's axes: metres, radians.
+
+    Parameters
+    ----------
+    cycle_s : float
+        Time between two corrected poses, seconds (the paper).
+    drift : (6,) tuple
+        1 sigma of how far a mast bends within an hour, in sun and wind.
+    by_hand : (6,) tuple
+        1 sigma of a start pose that states none: measured with tape, compass and spirit level.
+    lengths_s : tuple of float
+        Newest parts of the window that are tested for a move: a short one soon shows a blow, but
+        holds few vehicles; a long one shows a shift of some decimetres.
+    false_alarms : float
+        Moves reported an hour where none was; at most, as if all tests were independent.
+    suspect : float
+        Level of chi2 above which a move is looked for and the pose's sigma widened.
+    agreement : float
+        Standard errors by which its vehicles must prefer the move, each counting as one.
+        Measured where both other figures are beyond chance: at rest in light traffic 0.1 to 1.5,
+        within 25 s of a turn by a degree 1.9 to 2.2, after a shift of half a metre 2.6 to 3.3.
+    knock : (6,) tuple
+        1 sigma of how far a blow moves a sensor that is still in use.
+    lost_s : float
+        `moved` with unknown pose after so many seconds of rejected fits: a whole window.
+    alarm : AlarmSettings
+        Of small moves, by where vehicles drive.
+    still : StationaryTargetSettings
+        Of small moves, by stationary targets.
+    localization : LocalizationSettings
+        Of window, traces, lanes and fits.
+    """
+
+    cycle_s: float = 5.0
+    drift: Six = (0.02, 0.02, 0.01, radians(0.1), radians(0.1), radians(0.1))
+    by_hand: Six = (1.0, 1.0, 1.0, radians(2.0), radians(2.0), radians(2.0))
+    lengths_s: tuple[float, ...] = (20.0, 60.0)
+    false_alarms: float = 0.01
+    suspect: float = 0.95
+    agreement: float = 1.65
+    knock: Six = (0.7, 0.7, 0.4, radians(3.0), radians(3.0), radians(4.0))
+    lost_s: float = 100.0
+    alarm: AlarmSettings = field(default_factory=AlarmSettings)
+    still: StationaryTargetSettings = field(default_factory=StationaryTargetSettings)
+    localization: LocalizationSettings = field(default_factory=LocalizationSettings)
+
+    @property
+    def gate(self) -> float:
+        """Largest chi2 of six degrees of freedom that is chance, by `false_alarms`."""
+        tests = HOUR_S / self.cycle_s * len(self.lengths_s)  # an hour
+        return chi2_quantile(1.0 - self.false_alarms / tests)
+
+    @property
+    def median_chi2(self) -> float:
+        """Median of chi2 of six degrees of freedom."""
+        return chi2_quantile(0.5)
+
+    @property
+    def suspect_chi2(self) -> float:
+        """Chi2 of six degrees of freedom above which a move is looked for."""
+        return chi2_quantile(self.suspect)
+
+    def changes(self) -> dict[str, Any]:
+        """Return the settings that differ from the defaults, by dotted name."""
+        return changed(self, MONITOR)
+
+
+def chi2_quantile(level: float) -> float:
+    """Return the quantile of chi2 of six degrees of freedom, without loading scipy.stats."""
+    return float(2.0 * gammaincinv(3.0, level))
+
+
+MONITOR = MonitorSettings()
+ALARM = MONITOR.alarm
