@@ -26,12 +26,12 @@ from gis_radar.calibration.adjustment import (
     adjust,
     shared_covariance,
 )
+from gis_radar.calibration.certainty import plane_covariance, stated_covariance
 from gis_radar.calibration.common_times import Span, best_end, read_span
 from gis_radar.calibration.correspondences import HALF_LENGTH_M, MOMENT_S, Moments, assign, compare
-from gis_radar.calibration.covariance import plane_covariance, stated_covariance
 from gis_radar.calibration.joint import adjust_poses, common_time, locate_all
-from gis_radar.calibration.lags import find_lag
 from gis_radar.calibration.network import FIRM_PAIRS
+from gis_radar.calibration.placing import find_lag
 from gis_radar.cli import group
 from gis_radar.poses.pose import COMPONENTS, View
 

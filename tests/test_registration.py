@@ -21,9 +21,8 @@ from gis_radar.calibration.certainty import (
     along_valley,
     certainty,
 )
-from gis_radar.calibration.hypotheses import Hypothesis, look_around, prior_at
-from gis_radar.calibration.lanes import Lanes, sample_lanes
-from gis_radar.calibration.matching import Scene, match, place
+from gis_radar.calibration.hypotheses import Hypothesis, level, look_around, prior_at
+from gis_radar.calibration.lanes import Lanes, Scene, match, place, sample_lanes
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.residuals import (
     STRAY_HEIGHT_M,
@@ -37,7 +36,6 @@ from gis_radar.calibration.residuals import (
     height_over_road,
     lateral,
 )
-from gis_radar.calibration.search import level
 from gis_radar.calibration.settings import LOCALIZATION, Schedule
 from gis_radar.calibration.solver import solve
 from gis_radar.calibration.state import SIZE, TURN, State, angles_from_turn

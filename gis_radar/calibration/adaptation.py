@@ -10,7 +10,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.special import gammaincinv, ndtr
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.calibration.matching import Placed, Scene, place
+from gis_radar.calibration.lanes import Placed, Scene, place
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.residuals import (
     VIEW_EDGE,

@@ -1,18 +1,22 @@
-"""How certain a fit is: covariance, unobservable directions, z score against another fit."""
+"""How certain a pose is: covariance, unobservable directions, z score against another one."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, AnswerSettings, Schedule
 from gis_radar.calibration.solver import Fit, Prior, Rest, settle, solve
 from gis_radar.calibration.state import POSE, SIZE, State, angles_from_turn
 from gis_radar.calibration.traces import Samples
+from gis_radar.errors import NoAnswerError
+from gis_radar.poses.pose import COMPONENTS, Pose
 
 VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
 # Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
@@ -22,6 +26,7 @@ CLEAR_RISE = 50.0
 LOOK_GAIN = 1.0  # what a look around an optimum must gain: a sigma costs 0.5
 
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
+Names = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,9 +168,21 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     """
     lost = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
     gain: Floats = (lost + other.aside - fit.aside)[np.unique(samples.track)]
+    return z_score(gain, shared=fit.habits + other.habits)
+
+
+def z_score(gain: Floats, *, shared: float = 0.0) -> float:
+    """Return by how many standard errors a sum of gains differs from zero (Vuong 1989).
+
+    Parameters
+    ----------
+    gain : (n,) array
+        What each vehicle, one cluster, gains in log likelihood.
+    shared : float
+        Variance of what all of them share.
+    """
     drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
-    spread = float(np.sqrt(drawn + fit.habits + other.habits))
-    total = float(gain.sum())
+    spread, total = float(np.sqrt(drawn + shared)), float(gain.sum())
     if spread <= 0.0:
         return float(np.inf * np.sign(total)) if total else 0.0
     return total / spread
@@ -286,3 +303,71 @@ def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
             continue  # this place is out of the question, however far it is
         sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
     return sigma_m
+
+
+def plane_covariance(pose: Pose) -> Floats:
+    """Return the covariance of easting, northing (m) and yaw (radians), (3, 3)."""
+    return stated_covariance(pose)[np.ix_(PLANE, PLANE)]
+
+
+def stated_covariance(pose: Pose) -> Floats:
+    """Return the (6, 6) covariance that a pose states.
+
+    Raises
+    ------
+    NoAnswerError
+        If it states none.
+    """
+    covariance = pose.parsed_evidence().covariance
+    if covariance is None:
+        raise NoAnswerError(
+            f"{pose.sensor}: its pose states no covariance", hint="localize it with --method lane"
+        )
+    return covariance
+
+
+def longest_m(covariance: Floats) -> float:
+    """Return the standard deviation along the direction that is known worst."""
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+
+
+def moved(pose: Pose, step: Floats) -> Pose:
+    """Return a pose after a step of easting, northing, yaw; the rest follows its covariance."""
+    covariance = stated_covariance(pose)
+    known = covariance[np.ix_(PLANE, PLANE)]
+    whole = covariance[:, PLANE] @ np.linalg.solve(known, step)
+    whole[PLANE] = step
+    east, north, up, roll, pitch, yaw = (float(v) for v in whole)
+    turned = pose.yaw + math.degrees(yaw)
+    return replace(
+        pose,
+        easting=pose.easting + east,
+        northing=pose.northing + north,
+        height=pose.height + up,
+        roll=pose.roll + math.degrees(roll),
+        pitch=pose.pitch + math.degrees(pitch),
+        yaw=(turned + 180.0) % 360.0 - 180.0,
+    )
+
+
+def with_gain(
+    pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int], settings: AnswerSettings
+) -> Pose:
+    """Return a pose with its new covariance, and what it gained by whom."""
+    before = stated_covariance(pose)
+    known = before[np.ix_(PLANE, PLANE)]
+    share = before[:, PLANE] @ np.linalg.inv(known)
+    after = before + share @ (plane - known) @ share.T
+    after = (after + after.T) / 2.0
+    units = np.array([1.0] * 3 + [math.degrees(1.0)] * 3)
+    old, new = (np.sqrt(np.diag(each)) * units for each in (before, after))
+    others = sorted({each for pair in pairs for each in pair} - {name})
+    gained = {COMPONENTS[i]: {"before": float(old[i]), "after": float(new[i])} for i in PLANE}
+    evidence = {
+        **pose.evidence,
+        "sigma": {each: float(value) for each, value in zip(COMPONENTS, new, strict=True)},
+        "covariance": after.tolist(),
+        "observable": is_fixed(after, settings),
+        "together": {"sensors": others, "pairs": sum(pairs.values()), "gained": gained},
+    }
+    return replace(pose, evidence=evidence)

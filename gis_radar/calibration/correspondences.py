@@ -11,8 +11,7 @@ import pandas as pd
 import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.lanes import Lanes
-from gis_radar.calibration.matching import match, place
+from gis_radar.calibration.lanes import Lanes, match, place
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, Moving, Samples

@@ -17,8 +17,7 @@ from gis_radar.calibration.hypotheses import (
     search_score,
     widen_by_profile,
 )
-from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
-from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
 from gis_radar.calibration.result import STAGE, AmbiguousError, Localization, Problem, common
 from gis_radar.calibration.settings import (
     LOCALIZATION,

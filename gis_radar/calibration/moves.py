@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.kalman_filter import Estimate, Innovation, innovation, likeliest_move
 from gis_radar.calibration.settings import MonitorSettings
 from gis_radar.calibration.solver import FAR, Fit
@@ -106,9 +107,7 @@ def agreement(rest: Fit, moved: Fit) -> float:
         Of the same samples.
     """
     gain = (rest.costs - moved.costs)[(rest.costs != 0.0) | (moved.costs != 0.0)]
-    if len(gain) < 2:
-        return 0.0
-    return float(gain.sum() / np.sqrt(max(len(gain) * gain.var(ddof=1), 1e-12)))
+    return z_score(gain) if len(gain) > 1 else 0.0
 
 
 class Scatter:

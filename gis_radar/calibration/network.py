@@ -19,6 +19,7 @@ from gis_radar.calibration.adjustment import (
     shared_covariance,
     sum_correspondences,
 )
+from gis_radar.calibration.certainty import Names, longest_m, moved, plane_covariance, with_gain
 from gis_radar.calibration.correspondences import (
     LEAST_PAIRS,
     PLANE,
@@ -29,8 +30,6 @@ from gis_radar.calibration.correspondences import (
     mean_gaps,
     read_moments,
 )
-from gis_radar.calibration.covariance import Names, longest_m, moved, plane_covariance, with_gain
-from gis_radar.calibration.lags import Lag, find_lag
 from gis_radar.calibration.lanes import Lanes
 from gis_radar.calibration.placing import (
     CLEAR_Z,
@@ -39,8 +38,10 @@ from gis_radar.calibration.placing import (
     GRID_YAW,
     STEP_M,
     Choice,
+    Lag,
     Placing,
     Shift,
+    find_lag,
     find_place,
     preference,
 )

@@ -359,7 +359,7 @@ class MonitorSettings:
         `moved` with unknown pose after so many seconds of rejected fits: a whole window.
     alarm : AlarmSettings
         Of small moves, by where vehicles drive.
-    still : StationaryTargetSettings
+    stationary : StationaryTargetSettings
         Of small moves, by stationary targets.
     localization : LocalizationSettings
         Of window, traces, lanes and fits.
@@ -375,7 +375,7 @@ class MonitorSettings:
     knock: Six = (0.7, 0.7, 0.4, radians(3.0), radians(3.0), radians(4.0))
     lost_s: float = 100.0
     alarm: AlarmSettings = field(default_factory=AlarmSettings)
-    still: StationaryTargetSettings = field(default_factory=StationaryTargetSettings)
+    stationary: StationaryTargetSettings = field(default_factory=StationaryTargetSettings)
     localization: LocalizationSettings = field(default_factory=LocalizationSettings)
 
     @property

@@ -9,8 +9,15 @@ from functools import cache, partial
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.lanes import LANE_BINS, direction_bin
-from gis_radar.calibration.matching import Matches, Placed, Scene, match, place
+from gis_radar.calibration.lanes import (
+    LANE_BINS,
+    Matches,
+    Placed,
+    Scene,
+    direction_bin,
+    match,
+    place,
+)
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.residuals import (
     NO_VEHICLE,

@@ -1,4 +1,4 @@
-"""StillTargets: what stands still around a sensor, as a change detector of its small moves.
+"""StationaryTargets: what stands still around a sensor, as a change detector of its small moves.
 
 Walls, posts, signs, kerbs and parked cars return in frame after frame. Where such a target stands
 in the sensor's own frame changes only if the sensor does: a move by `d` and a turn by `w` put what
@@ -124,7 +124,7 @@ def by_move(polar: Floats) -> Floats:
     return np.stack([np.hstack([-way, -np.cross(arm, way)]) for way in ways], axis=1)
 
 
-class StillTargets:
+class StationaryTargets:
     """Learns persistent still targets of one sensor, and compares their newest places with before.
 
     Detections are pushed; every `block_s` seconds a block ends with the median place of each
@@ -139,7 +139,7 @@ class StillTargets:
     """
 
     def __init__(self, settings: MonitorSettings = MONITOR) -> None:
-        self._settings, self._of = settings, settings.still
+        self._settings, self._of = settings, settings.stationary
         self._batches: list[Floats] = []  # still detections since the last block: polar
         self._frames = self._searched = self._blocks = 0  # of this block, of the map, ended
         cells = (round(REACH_M / CELL_M), round(2 * np.pi / CELL_RAD))

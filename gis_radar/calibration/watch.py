@@ -11,7 +11,7 @@ from gis_radar.calibration.alarm import Alarm, Displacement
 from gis_radar.calibration.lane_places import Cells, cells_along, lane_places
 from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import StillTargets, Verdict
+from gis_radar.calibration.stationary_targets import StationaryTargets, Verdict
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
 from gis_radar.recordings.recording import Detections
 
@@ -41,7 +41,7 @@ def decided(
         Both gates.
     """
     found = max((each.found for each in verdicts), key=lambda f: f.score, default=None)
-    if found is not None and found.score > settings.still.gate:
+    if found is not None and found.score > settings.stationary.gate:
         return found
     if driven is None or any(each.sees for each in verdicts):
         return None
@@ -67,7 +67,7 @@ class Watch:
         """Reset what was learnt: the sensor was moved."""
         self._cells: Cells | None = None
         self._since = np.nan
-        self._still = StillTargets(self._settings)
+        self._still = StationaryTargets(self._settings)
         self._block_since = np.nan
         self._newest: Verdict | None = None
 
@@ -107,7 +107,7 @@ class Watch:
 
     def _still_block(self, time: float) -> bool:
         """Compare what stands still, at the end of a block."""
-        of = self._settings.still
+        of = self._settings.stationary
         if np.isnan(self._block_since):
             self._block_since = time
         if time - self._block_since < of.block_s:

@@ -16,8 +16,7 @@ from gis_radar.calibration.certainty import advantage, certainty
 from gis_radar.calibration.hypotheses import find_hypotheses, prior_at, rough
 from gis_radar.calibration.kalman_filter import Estimate, Measurement, covariance_from_angles
 from gis_radar.calibration.lane_method import lanes_around
-from gis_radar.calibration.lanes import Lanes
-from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.lanes import Lanes, Scene
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.result import Problem
 from gis_radar.calibration.settings import MONITOR, MonitorSettings, Schedule, TraceSettings

@@ -17,7 +17,7 @@ from gis_radar.calibration.state import State
 from gis_radar.calibration.stationary_targets import (
     GONE_BLOCKS,
     LEAST_AGE,
-    StillTargets,
+    StationaryTargets,
     Verdict,
     by_move,
     polar_of,
@@ -25,7 +25,7 @@ from gis_radar.calibration.stationary_targets import (
 from gis_radar.calibration.watch import BLOW_BLOCKS, Watch, decided
 from gis_radar.recordings.recording import Detections
 
-OF = MONITOR.still
+OF = MONITOR.stationary
 FRAME_S, FRAMES = 0.5, 40  # one frame of ten
 SETTLED = 60  # blocks
 
@@ -93,7 +93,7 @@ MOVES = {
 @pytest.fixture(scope="module")
 def taught():
     yard = Yard()
-    return yard, yard.feed(StillTargets(), SETTLED)
+    return yard, yard.feed(StationaryTargets(), SETTLED)
 
 
 def again(taught, seed):
@@ -161,7 +161,7 @@ def test_nothing_is_said_after_a_blow_in_snow_or_of_few_targets(taught, move, co
 
 
 def test_seven_minutes_are_enough():
-    yard, targets = Yard(seed=5), StillTargets()
+    yard, targets = Yard(seed=5), StationaryTargets()
     yard.feed(targets, 19)
     assert targets.verdict(BLOW_BLOCKS).rests
     yard.feed(targets, 2)
@@ -185,7 +185,7 @@ def test_targets_that_are_told_later_begin_anew(taught):
 
 
 def test_without_still_returns_or_frames_there_is_no_target():
-    targets = StillTargets()
+    targets = StationaryTargets()
     for block in range(40):
         targets.push(np.array([20.0 * block]), np.full((1, 3), np.nan), np.array([np.nan]))
         targets.end_block()
@@ -196,7 +196,7 @@ def test_without_still_returns_or_frames_there_is_no_target():
 
 
 def test_what_drives_or_stands_for_a_while_is_no_target():
-    yard, targets = Yard(3), StillTargets()
+    yard, targets = Yard(3), StationaryTargets()
     queue = np.array([[30.0, 2.0, -4.0]])
     for block in range(30):
         points = np.vstack([yard.points, queue + [0.4 * block, 0, 0]]) if block % 6 == 0 else None
