@@ -27,9 +27,9 @@ from gis_radar.calibration.adjustment import (
     shared_covariance,
 )
 from gis_radar.calibration.certainty import plane_covariance, stated_covariance
-from gis_radar.calibration.common_times import Span, best_end, read_span
 from gis_radar.calibration.correspondences import HALF_LENGTH_M, MOMENT_S, Moments, assign, compare
 from gis_radar.calibration.joint import adjust_poses, common_time, locate_all
+from gis_radar.calibration.moving import Span, best_end, read_span
 from gis_radar.calibration.network import FIRM_PAIRS
 from gis_radar.calibration.placing import find_lag
 from gis_radar.cli import group

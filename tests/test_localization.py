@@ -11,8 +11,8 @@ from streets import CROSSING, STRAIGHT, Street, errors
 from gis_radar.calibration import LOCALIZATION, draw_localization, lane_method, localize
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.calibration.icp import pose_information, voxels
+from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import read_moving
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.poses.files import read_pose, write_pose
 from gis_radar.progress import Reporter

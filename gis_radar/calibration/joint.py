@@ -14,16 +14,17 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.common_times import (
+from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
+from gis_radar.calibration.localization import decided_by_scan, localize
+from gis_radar.calibration.moving import (
     RIGHT,
+    Moving,
     Span,
     best_end,
     common_time,
-    lanes_of_all,
     read_span,
     read_until,
 )
-from gis_radar.calibration.localization import decided_by_scan, localize
 from gis_radar.calibration.network import CLASH_HINT, Solved, Station, solve_network
 from gis_radar.calibration.result import AmbiguousError, Localization
 from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
@@ -353,12 +354,42 @@ def adjust_poses(
         stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
-    lanes = lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
+    lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
     solved = solve_network(stations, lanes, settings)
     for remark in solved.remarks:
         reporter.log(remark, "warning")
     unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}
     return replace(solved, unmatched=unmatched)
+
+
+def _lanes_of_all(
+    moving: Sequence[Moving],
+    places: Floats,
+    roads: LaneletMap,
+    road_points: Floats,
+    settings: LocalizationSettings,
+) -> Lanes:
+    """Return the lanes that any of several sensors sees.
+
+    Parameters
+    ----------
+    moving : sequence of Moving
+        What they saw.
+    places : (n, 2) array
+        Where they may stand.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    settings : LocalizationSettings
+        How finely lanes are sampled.
+    """
+    middle = places.mean(axis=0)
+    flat = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
+    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
+    spread_m = float(np.hypot(*(places - middle).T).max())
+    return sample_lanes(
+        roads.lanelets, road_points,
+        place=middle, reach_m=spread_m + seen_m + MARGIN_M, settings=settings.lanes,
+    )  # fmt: skip
 
 
 def _sigma_s(clock: SensorClock) -> float | None:

@@ -9,9 +9,10 @@ from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.calibration.lanes import LANE_BINS, LANE_CELL_M, LANE_STEP_M, Lanes, direction_bin
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.settings import TraceSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import HIDDEN_S, NONE, STRAY_MPS, VEHICLE_M, Moving, link_tracks
+from gis_radar.calibration.traces import HIDDEN_S, NONE, STRAY_MPS, VEHICLE_M, link_tracks
 
 # Cells of lanes, in which a vehicle's place is one number; and stretches, in which whatever makes
 # drivers change their habit (a parked van, a cyclist) concerns all cells.

@@ -27,11 +27,11 @@ from gis_radar.calibration.kalman_filter import (
     widened,
 )
 from gis_radar.calibration.moves import Change, MoveTest, Scatter, SuspectedMove
+from gis_radar.calibration.moving import MovingWindow
 from gis_radar.calibration.pose_track import MOVED, NOTHING, REJECTED, Row, Track, track_of
 from gis_radar.calibration.result import Problem
 from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import MovingWindow
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
 from gis_radar.crs import require_same

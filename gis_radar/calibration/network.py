@@ -31,6 +31,7 @@ from gis_radar.calibration.correspondences import (
     read_moments,
 )
 from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.placing import (
     CLEAR_Z,
     CONTRADICTION_CHI2,
@@ -47,7 +48,7 @@ from gis_radar.calibration.placing import (
 )
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Moving, link_tracks
+from gis_radar.calibration.traces import link_tracks
 from gis_radar.poses.pose import Pose
 
 # Standard deviations by which vehicles must prefer a lag to another place of the sensor.

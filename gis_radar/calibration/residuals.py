@@ -494,12 +494,3 @@ def _add(total: Floats, track: Integers, rows: Floats) -> None:  # pragma: no co
     for i in range(len(rows)):
         for j in range(rows.shape[1]):
             total[track[i], j] += rows[i, j]
-
-
-def at_least(information: Floats, floor: Floats) -> Floats:
-    """Return an information that in no direction is below a positive definite floor."""
-    root = np.linalg.cholesky((floor + floor.T) / 2.0)
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ (information + information.T) @ inverse.T / 2.0)
-    wide = root @ vectors
-    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)

@@ -25,7 +25,6 @@ from gis_radar.calibration.residuals import (
     Normal,
     Residuals,
     assemble,
-    at_least,
     height,
     lateral,
     sums,
@@ -415,3 +414,12 @@ def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
         samples.track[matches.found] * count + number, minlength=samples.tracks * count
     )
     return votes.reshape(samples.tracks, count).argmax(axis=1), count
+
+
+def at_least(information: Floats, floor: Floats) -> Floats:
+    """Return an information that in no direction is below a positive definite floor."""
+    root = np.linalg.cholesky((floor + floor.T) / 2.0)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ (information + information.T) @ inverse.T / 2.0)
+    wide = root @ vectors
+    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)

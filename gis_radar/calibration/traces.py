@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.settings import LOCALIZATION, TraceSettings
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import open_recording
-from gis_radar.recordings.window import RollingWindow
 
 LINK_S = 0.35  # longest gap in a track: a far vehicle is hit in every fourth frame or so
 RANGE_M = 1.5  # largest disagreement of range and Doppler: between the faces of one vehicle
@@ -46,105 +43,6 @@ PACE_POINTS = 4  # fewer detections in PACE_S are no pace: of three the middle o
 # Time over which they share an error of elevation (`Model.bent`), much shorter than the time in
 # which it changes.
 SPELL_S = 1.0
-
-STAGE = "reading traces"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moving:
-    """The moving detections of a window.
-
-    Parameters
-    ----------
-    time : (n,) array
-        UNIX seconds, ascending.
-    points : (n, 3) array
-        Sensor frame, metres.
-    range_rate : (n,) array
-        m/s, positive when receding.
-    frames, detections : int
-        How many frames and detections, still ones too, the window holds.
-    begin, end : float
-        UNIX seconds of its first and last frame.
-    """
-
-    time: Floats
-    points: Floats
-    range_rate: Floats
-    frames: int
-    detections: int
-    begin: float
-    end: float
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-
-class MovingWindow(RollingWindow):
-    """The last frames of a stream of detections, of which the moving ones are kept.
-
-    Parameters
-    ----------
-    frames : int
-        Length of the window.
-    min_speed : float
-        Least absolute range rate of a moving detection, m/s.
-    """
-
-    def __init__(
-        self,
-        *,
-        frames: int = LOCALIZATION.traces.frames,
-        min_speed: float = LOCALIZATION.traces.min_speed_mps,
-    ) -> None:
-        super().__init__(frames=frames, keep=lambda batch: np.abs(batch.range_rate) > min_speed)
-
-    def moving(self) -> Moving:
-        """Return what moved in the window."""
-        found = self.content()
-        return Moving(
-            time=found.time,
-            points=found.points,
-            range_rate=found.range_rate,
-            frames=len(self),
-            detections=found.detections,
-            begin=self.begin,
-            end=float(found.frame_times[-1]) if len(self) else float("nan"),
-        )
-
-
-def read_moving(
-    path: str | Path,
-    *,
-    frames: int = LOCALIZATION.traces.frames,
-    min_speed: float = LOCALIZATION.traces.min_speed_mps,
-    reporter: Reporter = QUIET,
-) -> Moving:
-    """Read what moved in the last frames of a recording, in bounded memory.
-
-    Parameters
-    ----------
-    path : str or Path
-        A recording.
-    frames : int
-        Length of the window.
-    min_speed : float
-        Least absolute range rate, m/s.
-    reporter : Reporter
-        Receives progress.
-
-    Raises
-    ------
-    InputError
-        If the recording cannot be read.
-    """
-    recording, done = open_recording(path), 0
-    window = MovingWindow(frames=frames, min_speed=min_speed)
-    for batch in recording.read():
-        window.push(batch)
-        done += len(batch)
-        reporter.progress(STAGE, done, recording.rows)
-    return window.moving()
 
 
 NONE = -1
