@@ -15,8 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
-from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR
-from gis_radar.calibration.settings import LEVER_M
+from gis_radar.calibration.settings import HOUR_S, LEVER_M, MONITOR
 from gis_radar.calibration.state import State, angles_from_turn
 
 LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])

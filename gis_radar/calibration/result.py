@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.scan_check import ScanCheck
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Moving
 from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import (
@@ -28,9 +29,6 @@ from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
 from gis_radar.sight import Sight, SightTiles
 from gis_radar.steps import iso_from_step, step_of
 from gis_radar.words import figure_text, percent, tr
-
-if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
-    from gis_radar.calibration.scan_check import ScanCheck
 
 STAGE = "finding the pose"
 
