@@ -146,13 +146,13 @@ def clock_gap(
 ) -> tuple[float, float]:
     """Return by how much the clock of the other sensor is ahead of the one's, and its sigma, s.
 
-    As if clocks could be off by a second. Traffic in opposite directions tells a clock from a
-    place; where it goes one way, sigma says so.
+    Clocks are allowed to be off by a second. Traffic in opposite directions separates an error of
+    a clock from one of a place; where all of it goes one way, sigma becomes large.
 
     Parameters
     ----------
-    tied
-        As for :func:`adjust`.
+    matched : Correspondences
+        Of two sensors.
     away, covariances
         Of the two: (2, 3), and two (3, 3) arrays.
     """

@@ -94,7 +94,7 @@ class Habits:
         )
 
     def over(self, cell: Integers) -> tuple[Floats, Floats]:
-        """Return weight and pull for more cells, those of here among them."""
+        """Return weight and gradient for a list of cells that holds all of its own."""
         if len(cell) == len(self.cell):
             return self.weight, self.gradient
         place = np.searchsorted(cell, self.cell)

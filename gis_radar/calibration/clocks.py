@@ -108,7 +108,7 @@ class Clocks:
     reference : str
         The sensor whose clock counts as right.
     clocks : dict
-        By sensor, the reference too; those without an answer are not there.
+        By sensor, the reference too; sensors without an answer are left out.
     refused : dict
         Of the others: why there is no answer.
     pairs : dict

@@ -19,7 +19,7 @@ from gis_radar.calibration.traces import NONE, Samples
 
 MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle goes 2-3 m
 LEAST_MOMENTS = 5  # two tracks with fewer common moments are no pair: a second of common sight
-# Between sight and lane, below which the Doppler tells no speed (70 degrees).
+# Cosine between sight and lane below which the Doppler gives no speed (70 degrees).
 LEAST_COSINE = math.cos(math.radians(70.0))
 # Mean of the unit vectors of travel of a moment; below, its detections lie on several lanes.
 LEAST_STRAIGHT = 0.95

@@ -153,7 +153,7 @@ def pose_information(
     """Return the (6, 6) information of a registration about its pose, order as a state's step.
 
     Point-to-point correspondences hold a trace even along a road on which it slides. The curvature
-    is therefore measured over steps of `profile_m` (or a voxel up and down) with the nearest road
+    is therefore measured over steps of `PROFILE_M` (or a voxel up and down) with the nearest road
     sought anew at each: what the traces cost off the road, in errors of a voxel. Traces within
     `crowd_m` of each other count as one.
 

@@ -121,8 +121,9 @@ def localize_together(
     """Find the poses of several sensors that recorded at the same time, all files.
 
     Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
-    the same time relate their poses, which are adjusted together. A sensor that cannot tell several
-    poses apart, or whose place along a straight road is not fixed, is placed by its neighbours.
+    the same time relate their poses, which are adjusted together. A sensor with several
+    poses that fit alike, or whose place along a straight road is not fixed, is placed by its
+    neighbours.
     Where there are scans, each adjusted pose is checked against them.
 
     Parameters
@@ -313,7 +314,7 @@ def adjust_poses(
     recordings : mapping of str to Path or sequence of Path
         By sensor.
     poses : mapping of str to tuple of Pose
-        By sensor: its own answer with covariance, or several that it cannot tell apart.
+        By sensor: its own answer with covariance, or several that fit alike.
     roads, road_points
         As for :func:`gis_radar.localize`.
     end : float, optional
@@ -444,7 +445,7 @@ def _line(pose: Pose) -> str:
 
 
 def gain_line(pose: Pose) -> str:
-    """Return what a pose's evidence says of its certainty and of its correspondences."""
+    """Return a line of a pose's certainty and of its correspondences, by its evidence."""
     sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
     after = f"position \u00b1 {np.hypot(sigma['easting'], sigma['northing']):.2f} m"
     turn = f"yaw \u00b1 {sigma['yaw']:.2f} deg"

@@ -1,4 +1,4 @@
-"""The filter: a pose that stands still, corrected by measurements that share an error.
+"""Kalman filter of a pose that hardly changes, corrected by measurements that share an error.
 
 The paper's Kalman filter ("Localization with ICP", Eqs. 2-7) on the error of the state: metres, and
 a turn about the map's axes. What all measurements have in common, such as the map's own error,

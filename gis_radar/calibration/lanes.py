@@ -111,8 +111,8 @@ def sample_lanes(
         If no lane is there.
     """
     driven = [
-        any(p == "vehicle" or p.startswith("vehicle:") for p in who)
-        for who in lanelets["participants"]
+        any(p == "vehicle" or p.startswith("vehicle:") for p in users)
+        for users in lanelets["participants"]
     ]
     close = lanelets["centre"].distance(shapely.Point(place)) < reach_m
     table = lanelets[np.asarray(driven) & close.to_numpy()]

@@ -1,4 +1,4 @@
-"""Tracking: the pose of a sensor followed through a recording."""
+"""Calibration monitor: the pose of a sensor followed through a recording."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class Station:
     moving : Moving
         What it saw while the others recorded, too.
     poses : tuple of Pose
-        The poses that it may have by itself: its answer, or several that it cannot tell apart.
+        The poses that it may have by itself: its answer, or several that fit alike.
     clock_s : float, optional
         Standard deviation of its clock, where that was measured.
     """

@@ -55,7 +55,7 @@ CLOCK_RATES: tuple[float, ...] = (
 )  # fmt: skip
 # Votes for a lag nearer than this agree: a vehicle's length at 30 km/h, poses within 1 m.
 LAG_S = 0.25
-# Moments farther apart are of two places; slower vehicles tell no time.
+# Moments farther apart are of two places; slower vehicles fix no time.
 LAG_PLACE_M = 4.0
 LAG_SPEED_MPS = 3.0
 # By how many standard deviations, as counts scatter, the votes for a lag exceed those for any
@@ -150,7 +150,7 @@ def find_place(choices: Sequence[Choice], others: Mapping[str, Choice]) -> Placi
     Parameters
     ----------
     choices : sequence of Choice
-        The poses that the sensor alone may have: one, or several that it cannot tell apart.
+        The poses that the sensor alone may have: one, or several that fit alike.
     others : mapping
         Sensors that have a place, by name.
     """
@@ -421,7 +421,7 @@ def _near(one: Moments, other: Moments) -> tuple[Integers, Integers]:
 
 
 def _middles(seen: Moments, model: Model) -> Floats:
-    """Return the middles of the vehicles, as far as the faces seen tell."""
+    """Return the middles of the vehicles, by the faces that are seen."""
     shown, points = faces(seen, model), seen.points.copy()
     left = np.column_stack([-seen.along[:, 1], seen.along[:, 0]])
     ends = HALF_LENGTH_M * (1.0 - shown.side) * shown.ahead

@@ -41,7 +41,7 @@ LINE = 46  # letters of a title, as wide as a panel
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
 ARROW_EVERY_M = 12.0
-# Traces in a light and a dark colour, which grey paper tells apart, too.
+# Traces in a light and a dark colour, which differ in grey, too.
 ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
 
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
@@ -233,7 +233,7 @@ def draw_localization(
     seen : (Sight, SightTiles), optional
         Drawn beside it: which tiles the sensor sees from there, and which something hides.
     """
-    # not at the top: whoever draws nothing does not wait for matplotlib
+    # not at the top: matplotlib is slow to load, and only pictures need it
     from matplotlib.text import Text  # noqa: PLC0415
 
     from gis_radar.calibration.scan_check_picture import draw_surroundings  # noqa: PLC0415
@@ -278,7 +278,7 @@ def _draw_road(ax: Any, road: Floats, extent: Extent) -> None:
 
 def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
     """Draw the bounds of the lanes within an extent, with arrows where they are one-way."""
-    from matplotlib.collections import LineCollection  # noqa: PLC0415 - only who draws waits for it
+    from matplotlib.collections import LineCollection  # noqa: PLC0415 - only pictures need it
 
     low, high = extent
     near = roads.lanelets.cx[low[0] : high[0], low[1] : high[1]]

@@ -247,7 +247,7 @@ Six = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class AlarmSettings:
-    """Settings of the alarm: how a small move is noticed against the sensor's own first hour.
+    """Settings of the change detector by vehicles, against the sensor's own first hour.
 
     Lengths across a lane are means of a vehicle in a cell. *Measured* is on two hours of the sample
     junction, simulated as recorded (`bench/alarm.py`).
@@ -293,7 +293,7 @@ class AlarmSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class StationaryTargetSettings:
-    """Settings of the second change detector: what stands still around the sensor.
+    """Settings of the change detector by stationary targets.
 
     *Recorded* is on recordings of an ARS548 (a target repeats to 0.01 m, 0.05 and 0.1 to 2 degrees;
     over seconds it wanders by 0.1 m, 0.15 and 1 degree), *measured* on `bench/alarm.py`.

@@ -1,11 +1,11 @@
-"""StationaryTargets: what stands still around a sensor, as a change detector of its small moves.
+"""Detect small moves of a sensor by the stationary targets around it.
 
 Walls, posts, signs, kerbs and parked cars return in frame after frame. Where such a target stands
 in the sensor's own frame changes only if the sensor does: a move by `d` and a turn by `w` put what
 was at `a` to `a - d - w x a`. Each target wanders by itself, too, over seconds (neighbours and the
-ground add to its angles), and it may be a car that leaves. So targets are the units: how far each
-has gone that no common move explains is the noise of all, whatever its cause and however long it
-lasts. It is measured in the very comparison that it decides.
+ground add to its angles), and it may be a car that leaves. So targets are the units: the part of
+their displacements that no common move explains is their noise, whatever its cause and duration,
+and is measured in the same comparison.
 
 Memory is that of a block of detections, a map of hits in range and azimuth, and some hundred
 targets.
@@ -125,7 +125,7 @@ def by_move(polar: Floats) -> Floats:
 
 
 class StationaryTargets:
-    """Learns persistent still targets of one sensor, and compares their newest places with before.
+    """Finds stationary targets of one sensor, and compares their newest places with earlier ones.
 
     Detections are pushed; every `block_s` seconds a block ends with the median place of each
     target. The newest blocks wait, up to the longest that is tested; then they join the mean. What
@@ -140,7 +140,7 @@ class StationaryTargets:
 
     def __init__(self, settings: MonitorSettings = MONITOR) -> None:
         self._settings, self._of = settings, settings.stationary
-        self._batches: list[Floats] = []  # still detections since the last block: polar
+        self._batches: list[Floats] = []  # stationary detections since the last block: polar
         self._frames = self._searched = self._blocks = 0  # of this block, of the map, ended
         cells = (round(REACH_M / CELL_M), round(2 * np.pi / CELL_RAD))
         self._hits = np.zeros(cells, dtype=np.int64)
@@ -150,7 +150,7 @@ class StationaryTargets:
         self.know(np.empty((0, 3)), np.empty(0))
 
     def know(self, place: Floats, rate: Floats) -> None:
-        """Set the targets of this sensor; their mean places are still to be learnt.
+        """Set the targets of this sensor; their mean places follow from what comes.
 
         What was seen of others is forgotten.
 

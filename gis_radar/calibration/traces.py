@@ -203,7 +203,7 @@ def _goes_somewhere(
 
 
 def _pace(number: Integers, time: Floats, moving: Moving) -> Floats:
-    """Return the fastest range rate of each track that lasts, m/s: a median over `pace_s`.
+    """Return the fastest range rate of each track that lasts, m/s: a median over `PACE_S`.
 
     A walker's limbs swing at up to two and a half times his speed, most of him goes on as he does.
     """

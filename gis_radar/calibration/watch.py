@@ -1,4 +1,4 @@
-"""Watch: both change detectors of small moves, what stands still and where vehicles drive."""
+"""Both change detectors of small moves: stationary targets, and where vehicles drive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gis_radar.calibration.stationary_targets import StationaryTargets, Verdict
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
 from gis_radar.recordings.recording import Detections
 
-# The newest ones that exclude a blow; and those that show how far a move went.
+# Newest blocks that exclude a blow; and those that show how far a move went.
 BLOW_BLOCKS = 1
 LATEST_BLOCKS = 3
 
@@ -27,14 +27,14 @@ def decided(
 ) -> Displacement | None:
     """Return the move that is beyond chance, or none.
 
-    Where enough stands still to show a move of the wanted size, that alone decides: it is known to
-    centimetres and hundredths of degrees, where vehicles in ten minutes are to decimetres, and
+    Where there are enough stationary targets to show a move of the wanted size, they alone decide:
+    they fix it to centimetres and hundredths of degrees, vehicles in ten minutes to decimetres, and
     drivers change their habits. Elsewhere either change detector reports a move.
 
     Parameters
     ----------
     verdicts : sequence of Verdict
-        Of what stands still.
+        Of stationary targets.
     driven : Displacement or None
         Of vehicles.
     settings : MonitorSettings
@@ -72,12 +72,12 @@ class Watch:
         self._newest: Verdict | None = None
 
     def push(self, batch: Detections) -> None:
-        """Take the next detections, those that stand still, too."""
+        """Take the next detections, stationary ones, too."""
         self._still.push(batch.time, batch.points, batch.range_rate)
 
     @property
     def unmoved(self) -> bool:
-        """Whether what stands still shows that the sensor was not moved, up to the last block."""
+        """Whether stationary targets show that the sensor was not moved, up to the last block."""
         return self._newest is not None and self._newest.rests
 
     def look(self, traffic: WindowTraffic | None, state: State, time: float) -> Displacement | None:
@@ -106,7 +106,7 @@ class Watch:
         return found.turned(state.R_map_sensor)
 
     def _still_block(self, time: float) -> bool:
-        """Compare what stands still, at the end of a block."""
+        """Compare stationary targets, at the end of a block."""
         of = self._settings.stationary
         if np.isnan(self._block_since):
             self._block_since = time

@@ -49,7 +49,7 @@ from gis_radar.progress import Reporter
 )  # fmt: skip
 @click.option(
     "--together", is_flag=True,
-    help="Several sensors, tied by the vehicles they share: a RECORDING and --guess each; "
+    help="Several sensors, related by the vehicles they share: a RECORDING and --guess each; "
     "-o is a folder of SENSOR.json.",
 )  # fmt: skip
 @origin
