@@ -39,9 +39,9 @@ from gis_radar.calibration import MONITOR
 from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
 from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import StillTargets
-from gis_radar.calibration.traces import Moving
+from gis_radar.calibration.stationary_targets import StationaryTargets
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network
@@ -61,7 +61,7 @@ MINUTES = 10  # a batch of simulation; streets hold the same habits in all of th
 STREETS_SEED = 77
 WINDOW_S = 100.0
 FIRST_MOVED = 3  # batches before the first move
-ALARM, STILL, TRACES = MONITOR.alarm, MONITOR.still, MONITOR.localization.traces
+ALARM, STILL, TRACES = MONITOR.alarm, MONITOR.stationary, MONITOR.localization.traces
 
 WITNESSES = {
     "whole": "both, as `track` asks them",
@@ -261,7 +261,7 @@ class Sensor:
 
     def detectors(self) -> tuple[ChangeDetector, ChangeDetector]:
         """Return how vehicles show moves."""
-        return detectors(self.cells, self.state.position[:2], ALARM)
+        return detectors(self.cells, self.state.position[:2])
 
 
 class Both:
@@ -271,16 +271,16 @@ class Both:
     ----------
     sensor : Sensor
         Whose.
-    known : (StillTargets, array of int) or None
+    known : (StationaryTargets, array of int) or None
         Of which still targets these are taken as they are, and no others looked for.
     """
 
     def __init__(
-        self, sensor: Sensor, known: tuple[StillTargets, np.ndarray] | None = None
+        self, sensor: Sensor, known: tuple[StationaryTargets, np.ndarray] | None = None
     ) -> None:
         self.vehicles = Alarm(sensor.cells, sensor.state.position[:2])
-        fixed = replace(MONITOR, still=replace(STILL, search_blocks=2**62))
-        self.still = StillTargets(MONITOR if known is None else fixed)
+        fixed = replace(MONITOR, stationary=replace(STILL, search_blocks=2**62))
+        self.still = StationaryTargets(MONITOR if known is None else fixed)
         if known is not None:
             self.still.know(known[0].place[known[1]], known[0].rate[known[1]])
 
@@ -348,7 +348,7 @@ def _add(counts: Noticed, more: Noticed) -> None:
             row[who] += count
 
 
-def learnt(sensor: Sensor, batchs: Sequence[Path]) -> tuple[StillTargets, list[Minute]]:
+def learnt(sensor: Sensor, batchs: Sequence[Path]) -> tuple[StationaryTargets, list[Minute]]:
     """Return the still targets of all batchs, and what both change detectors see in each minute."""
     first, parts = Both(sensor), [sensor.load(path) for path in batchs]
     for batch in parts:

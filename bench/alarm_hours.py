@@ -18,11 +18,11 @@ from scipy.stats import genpareto
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.calibration.alarm import ChangeDetector
-from gis_radar.calibration.lane_places import LanePlaces
-from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR
-from gis_radar.calibration.stationary_targets import by_move
+from gis_radar.calibration.lane_places import WITHIN_M, LanePlaces
+from gis_radar.calibration.settings import HOUR_S, MONITOR
+from gis_radar.calibration.stationary_targets import GATE_M, GATE_RAD, WANDER_M, WANDER_RAD, by_move
 
-ALARM, STILL = MONITOR.alarm, MONITOR.still
+ALARM, STILL = MONITOR.alarm, MONITOR.stationary
 RUN = 3  # minutes that stay together
 MONTH_H = 720.0
 APART = 30  # minutes between independent exceedances: the longest part that is tested
@@ -36,8 +36,8 @@ SWAY = (0.005, 0.005, 0.002, np.radians(0.03), np.radians(0.03), np.radians(0.02
 WET_H = 1.0
 CAR_M = 5.0
 # where another car's target is, 1 sigma, and where it is still taken for the one that left
-BESIDE = np.array([0.5, STILL.gate_rad / 2.0, STILL.wander_rad[1]])
-GATE = np.array([STILL.gate_m, STILL.gate_rad, np.inf])
+BESIDE = np.array([0.5, GATE_RAD / 2.0, WANDER_RAD[1]])
+GATE = np.array([GATE_M, GATE_RAD, np.inf])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +95,7 @@ class Day:
 
 CHANGING = Day(
     shares=SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0,
-    sway=1.0, wander=(STILL.wander_m, *STILL.wander_rad), parked=0.33, wet=0.1,
+    sway=1.0, wander=(WANDER_M, *WANDER_RAD), parked=0.33, wet=0.1,
 )  # fmt: skip
 
 
@@ -158,7 +158,7 @@ class Hours:
         ):
             own = sign * (value - mean[seen.cell])
             values.append((mean + slow.change(detector))[seen.cell] + own)
-        kept &= np.abs(values[0]) < ALARM.within_m
+        kept &= np.abs(values[0]) < WITHIN_M
         return LanePlaces(
             vehicle=np.unique(seen.vehicle[kept], return_inverse=True)[1],
             cell=seen.cell[kept], across_m=values[0][kept], over_m=values[1][kept],

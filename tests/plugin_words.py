@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 CATALOGUES = PACKAGE / "languages"
 CLASS_TEXTS = ("TITLE", "SUBTITLE", "HELP")
 CONSTANTS = (
-    "SITE", "TRAFFIC", "RESULTS", "SET_UP", "WINDS", "_GONE", "_UNKNOWN",
+    "SITE", "TRAFFIC", "RESULTS", "SET_UP", "WINDS", "_GONE",
 )  # fmt: skip
 ERRORS = ("WorkerError", "NoWorkerError")
 

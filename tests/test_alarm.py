@@ -10,14 +10,21 @@ from sites import START
 from streets import Street
 
 from gis_radar.calibration import MOVED, track
-from gis_radar.calibration.alarm import Alarm, Displacement, Memory, detectors, habits_of
+from gis_radar.calibration.alarm import (
+    STRETCH_HABIT_M,
+    Alarm,
+    Displacement,
+    Memory,
+    detectors,
+    habits_of,
+)
 from gis_radar.calibration.kalman_filter import Estimate, Innovation, Measurement
 from gis_radar.calibration.lane_places import LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
-from gis_radar.calibration.monitor_settings import ALARM, MONITOR
-from gis_radar.calibration.moves import MoveTest, Scatter, score
+from gis_radar.calibration.moves import FAR_WINDOW, MoveTest, Scatter, score
+from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.settings import ALARM, MONITOR
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.progress import Reporter
@@ -117,7 +124,7 @@ def test_obstacles_habits_and_few_vehicles_are_no_moves(cells, taught):
 
 def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taught):
     few = replace(ALARM, reference_h=0.2, reference_vehicles=100)
-    memory = Memory(detectors(cells, np.zeros(2), few)[0], replace(MONITOR, alarm=few))
+    memory = Memory(detectors(cells, np.zeros(2))[0], replace(MONITOR, alarm=few))
     for k, block in enumerate(taught):
         memory.push(block, block.across_m, 60.0 * k)
     assert len(memory._recent) <= ALARM.blocks[-1]
@@ -153,7 +160,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     """Reference, move and habits in one dense system; no tapering, no reweighting, no drift."""
     alarm = replace(ALARM, dispersion=1.0, dispersion_blocks=1e12, outlier=1e9, blocks=(5, 9, 30))
     settings = replace(MONITOR, alarm=alarm, drift=(1e-9,) * 6)
-    detector = replace(detectors(cells, np.zeros(2), alarm)[0], edge_m=(np.inf, np.inf))
+    detector = replace(detectors(cells, np.zeros(2))[0], edge_m=(np.inf, np.inf))
     memory = Memory(detector, settings)
     for k, seen in enumerate(taught):
         memory.push(seen, seen.across_m, 60.0 * k)
@@ -169,7 +176,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
         rows = np.hstack([np.eye(len(known)), design * (k >= 31)])
         square += rows.T @ weight @ rows
         force += rows.T @ gradient
-    stretch_m = np.full(cells.stretches, alarm.stretch_habit_m)
+    stretch_m = np.full(cells.stretches, STRETCH_HABIT_M)
     prior = np.concatenate([np.full(3, 1e-6), detector.habit_m**-2.0, stretch_m**-2.0])
     square[len(known) :, len(known) :] += np.diag(prior)
     whole = np.linalg.inv(square)
@@ -403,7 +410,7 @@ def test_a_move_is_likelier_by_all_vehicles(gain, alone, suspected, certain, mon
     far = MONITOR.knock
 
     def fit(_part, _held, _like, *, near, schedule):
-        assert schedule is MONITOR.far
+        assert schedule is FAR_WINDOW
         return seen if tuple(near) == far else rest
 
     part = SimpleNamespace(moving=SimpleNamespace(begin=70.0), vehicles=40)

@@ -20,13 +20,18 @@ from streets import CROSSING, Street, errors
 
 import gis_radar as gr
 from gis_radar.calibration import CLASH_HINT, AmbiguousError, joint
-from gis_radar.calibration.adjustment import Correspondences, adjust, shared_covariance
-from gis_radar.calibration.common_times import Span, best_end, read_span
-from gis_radar.calibration.correspondences import Moments, assign, compare
-from gis_radar.calibration.covariance import plane_covariance, stated_covariance
+from gis_radar.calibration.adjustment import (
+    STRETCH_SIGMA_M,
+    Correspondences,
+    adjust,
+    shared_covariance,
+)
+from gis_radar.calibration.certainty import plane_covariance, stated_covariance
+from gis_radar.calibration.correspondences import HALF_LENGTH_M, MOMENT_S, Moments, assign, compare
 from gis_radar.calibration.joint import adjust_poses, common_time, locate_all
-from gis_radar.calibration.joint_settings import CorrespondenceSettings
-from gis_radar.calibration.lags import find_lag
+from gis_radar.calibration.moving import Span, best_end, read_span
+from gis_radar.calibration.network import FIRM_PAIRS
+from gis_radar.calibration.placing import find_lag
 from gis_radar.cli import group
 from gis_radar.poses.pose import COMPONENTS, View
 
@@ -41,7 +46,6 @@ LONG = Street(
 ALONG = LONG.placed([[1.0, 0.0]])[0] - LONG.placed([[0.0, 0.0]])[0]
 TRAFFIC = {"frames": 900, "vehicles": 60, "seed": 1}
 FIRM = (0.15, 0.15, 0.15, 0.1, 0.1, 0.1)  # sigmas of a sensor that stands fast, m and degrees
-MATCHING = CorrespondenceSettings()
 
 
 @pytest.fixture(scope="module")
@@ -242,13 +246,13 @@ def test_a_clock_that_runs_one_percent_slow_is_followed():
     """A vehicle every 4 s for 240 s, each seen for 4 s."""
     one = some_moments(3, [0.0, 12.0, 5.0], vehicles=60, every_s=4.0)
     other = some_moments(3, [60.0, -15.0, 6.0], vehicles=60, every_s=4.0)
-    time = (other.moment + 0.5) * MATCHING.moment_s
-    slow = np.round((time - 0.01 * (time - 100.0) + 2.0) / MATCHING.moment_s - 0.5).astype(int)
-    found = find_lag(replace(other, moment=slow), [one], MATCHING)
+    time = (other.moment + 0.5) * MOMENT_S
+    slow = np.round((time - 0.01 * (time - 100.0) + 2.0) / MOMENT_S - 0.5).astype(int)
+    found = find_lag(replace(other, moment=slow), [one])
     assert found.rate == pytest.approx(-0.01, abs=1e-3)
     assert found.corrected(100.0 + 2.0) == pytest.approx(100.0, abs=0.1)
     assert found.corrected(200.0 + 1.0) == pytest.approx(200.0, abs=0.2)
-    assert find_lag(other, [one], MATCHING) is None
+    assert find_lag(other, [one]) is None
 
 
 @pytest.mark.parametrize("slow", [0.01, -0.008])
@@ -281,7 +285,7 @@ def test_few_vehicles_move_no_pose_that_is_certain_by_itself(few, true):
     )
     loose = stated(true["R2"], along_m=4.0, spread_m=6.0)
     solved = matched(few, R1=(mine["R1"],), R2=(loose,))
-    assert 4 <= solved.pairs["R1", "R2"] < MATCHING.firm_pairs
+    assert 4 <= solved.pairs["R1", "R2"] < FIRM_PAIRS
     assert abs(errors(solved.poses["R2"], true["R2"])[:2] @ ALONG) < 1.0
 
 
@@ -299,11 +303,11 @@ def test_what_is_alike_on_a_stretch_is_no_evidence_of_each_vehicle():
             gap=gap, slope=slope, covariance=np.tile(0.25 * np.eye(2), (pairs, 1, 1)),
             stretch=np.zeros(pairs, dtype=int),
         )  # fmt: skip
-        covariance = adjust({(0, 1): correspondences}, np.zeros((2, 3)), known, MATCHING).covariance
+        covariance = adjust({(0, 1): correspondences}, np.zeros((2, 3)), known).covariance
         apart = np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
         sigma.append(np.sqrt(apart @ covariance @ apart))
     assert sigma[0] > sigma[1] > sigma[2]
-    assert sigma[2] == pytest.approx(MATCHING.stretch_sigma_m[0], rel=0.2)
+    assert sigma[2] == pytest.approx(STRETCH_SIGMA_M[0], rel=0.2)
 
 
 def test_of_three_the_one_that_two_contradict_is_refused(recordings, true):
@@ -441,7 +445,7 @@ def some_moments(seed, place, *, vehicles=10, every_s=0.0):
     middle = np.column_stack([begin[track, 0], 2.0 * along[:, 0]])
     middle += along * (10.0 * 0.2 * moment)[:, None]
     arm = np.column_stack([middle, np.zeros(len(track))]) - place
-    moment = moment + track * round(every_s / MATCHING.moment_s)
+    moment = moment + track * round(every_s / MOMENT_S)
     return Moments(
         track=track, moment=moment, arm=arm, place=np.asarray(place, float), along=along,
         speed=np.full(len(track), 10.0), count=np.full(len(track), 3),
@@ -451,13 +455,13 @@ def some_moments(seed, place, *, vehicles=10, every_s=0.0):
 @pytest.mark.parametrize("part", range(6))
 def test_derivatives_by_the_poses_are_right(part):
     one, other = some_moments(1, [0.0, 12.0, 5.0]), some_moments(1, [60.0, -15.0, 6.0])
-    rows, step = compare(one, other, MATCHING), np.zeros(6)
+    rows, step = compare(one, other), np.zeros(6)
     step[part] = 1e-5
-    after = compare(one.moved(step[:3]), other.moved(step[3:]), MATCHING)
+    after = compare(one.moved(step[:3]), other.moved(step[3:]))
     assert (rows.tracks == after.tracks).all()
     # that a turn changes the aspect, and the share of the sides with it, is left out
     off = np.abs((after.gap - rows.gap) / 1e-5 - rows.poses[:, :, part])
-    assert off.max() < (MATCHING.half_length_m if part in {2, 5} else 1e-6)
+    assert off.max() < (HALF_LENGTH_M if part in {2, 5} else 1e-6)
 
 
 def test_each_track_is_paired_once_at_the_least_misfit():
@@ -491,7 +495,7 @@ def test_an_adjustment_never_knows_less_than_the_single_answers(seed, n, pairs):
     }  # fmt: skip
     single = shared_covariance(known)
     assert np.linalg.eigvalsh(single).min() > 0.0
-    found = adjust(correspondences, np.zeros((n, 3)), known, MATCHING)
+    found = adjust(correspondences, np.zeros((n, 3)), known)
     scale = np.sqrt(np.diag(single))
     less = (single - found.covariance) / np.outer(scale, scale)
     assert np.linalg.eigvalsh(less).min() > -1e-7
@@ -563,7 +567,6 @@ def test_the_command_fails_after_the_poses_where_a_sensor_has_none(
     [
         (("--figure", "f.png"), "for one sensor"),
         (("--method", "icp"), "for one sensor"),
-        (("--scan", "s.laz"), "for one sensor"),
         (("--heading", "3"), "2 recordings, but 1 headings"),
         (("--guess", "690000,5336000"), "2 recordings, but 3 guesses"),
         (("--heading", "3", "--compass", "north"), "both --heading and --compass"),

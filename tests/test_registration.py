@@ -13,6 +13,7 @@ from streets import CROSSING, Street
 
 from gis_radar.calibration.adaptation import adapted, heights
 from gis_radar.calibration.certainty import (
+    CLEAR_RISE,
     _along,
     _excluded,
     _spread,
@@ -20,24 +21,25 @@ from gis_radar.calibration.certainty import (
     along_valley,
     certainty,
 )
-from gis_radar.calibration.hypotheses import Hypothesis, look_around, prior_at
-from gis_radar.calibration.lanes import Lanes, sample_lanes
-from gis_radar.calibration.matching import Scene, match, place
+from gis_radar.calibration.hypotheses import Hypothesis, level, look_around, prior_at
+from gis_radar.calibration.lanes import Lanes, Scene, match, place, sample_lanes
 from gis_radar.calibration.model import MODEL
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.residuals import (
+    STRAY_HEIGHT_M,
+    STRAY_SHARE,
+    VIEW_EDGE,
     Comparison,
     assemble,
-    at_least,
     height,
     height_covariance,
     height_over_road,
     lateral,
 )
-from gis_radar.calibration.search import level
 from gis_radar.calibration.settings import LOCALIZATION, Schedule
-from gis_radar.calibration.solver import solve
+from gis_radar.calibration.solver import at_least, solve
 from gis_radar.calibration.state import SIZE, TURN, State, angles_from_turn
-from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
+from gis_radar.calibration.traces import Samples, link_tracks, thin
 from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import Pose
 
@@ -67,7 +69,6 @@ def matched(scene, scale_m):
     compared = Comparison(
         lanes=lanes, placed=placed, matches=match(lanes, placed),
         model=replace(MODEL, hidden_share=1e-9), scale_m=scale_m,
-        settings=LOCALIZATION.solver,
     )  # fmt: skip
     return compared, state, [np.zeros((samples.tracks, 1)), np.zeros_like(samples.spell_reach)]
 
@@ -108,9 +109,9 @@ def test_curvatures_are_second_derivatives_of_the_loss(scene, family):
 def test_heights_are_a_mixture_of_two_bells_and_strays(scene):
     compared, state, (_, own) = matched(scene, 0.1)
     own[:] = np.random.default_rng(1).normal(0.0, 0.3, own.shape)
-    model, settings, samples = compared.model, compared.settings, compared.placed.samples
+    model, samples = compared.model, compared.placed.samples
     rows = height(compared, own)
-    over = height_over_road(compared.lanes, compared.placed, compared.matches, settings.view_edge)
+    over = height_over_road(compared.lanes, compared.placed, compared.matches, VIEW_EDGE)
     noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
     away = over - state.reflection - own.ravel()[samples.spells]
     tall = model.body_share
@@ -121,8 +122,8 @@ def test_heights_are_a_mixture_of_two_bells_and_strays(scene):
             (tall, away - model.body_over, np.hypot(model.body, noise)),
         )
     ]
-    stray = settings.stray_share * np.sqrt(2.0 * np.pi) / settings.stray_height_m
-    loss = -np.log((1.0 - settings.stray_share) * sum(bells) + stray)
+    stray = STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_HEIGHT_M
+    loss = -np.log((1.0 - STRAY_SHARE) * sum(bells) + stray)
     assert np.allclose(rows.loss, np.where(np.isfinite(over), loss, 0.0), rtol=1e-12, atol=1e-12)
 
 
@@ -383,7 +384,7 @@ def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
         for changed in (costs, costs | {4.0: rise})
     ]
     walled = _excluded(scene, flat, hold, sides)
-    if rise > settings.clear_rise:
+    if rise > CLEAR_RISE:
         assert certainty(walled).sigma[0] <= 1.0
         assert certainty(walled).sigma[1] <= certainty(flat).sigma[1]
     else:

@@ -18,11 +18,16 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.calibration import AmbiguousError, Localization
+from gis_radar.calibration import AmbiguousError, Localization, Solved, joint
 from gis_radar.calibration import localization as localizing
 from gis_radar.calibration.scan_check import Alignment, align, require_scans_near
-from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
-from gis_radar.calibration.surroundings import LevelFrame, read_slow, read_structure
+from gis_radar.calibration.surroundings import (
+    SCAN_CHECK,
+    LevelFrame,
+    ScanCheckSettings,
+    read_slow,
+    read_structure,
+)
 from gis_radar.cli import group
 from gis_radar.grid import CELL_M
 from gis_radar.scans import scan as scan_files
@@ -408,6 +413,105 @@ def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypat
     found = gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN])
     assert found.pose.easting == POSE.easting
     assert found.pose.evidence["scan_check"]["verdict"] == "confirms"
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    """Both sensors of the sample, localized together from guesses metres off, with the scan."""
+    folder = tmp_path_factory.mktemp("together")
+    call = [
+        "localize", str(SAMPLE / "R1.parquet"), str(R2), "--together", "--json",
+        "--map", str(SAMPLE / "junction.osm"), "--road", str(SCAN), "--scan", str(SCAN),
+        *guess_of("R1"), *guess_of("R2"), "-o", str(folder / "poses"),
+    ]  # fmt: skip
+    done = CliRunner().invoke(group, call, catch_exceptions=False)
+    assert done.exit_code == 0
+    return folder / "poses", [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def guess_of(sensor):
+    pose = gr.read_pose(SAMPLE / f"{sensor}.json")
+    return ["--guess", f"{pose.easting + 3:.1f},{pose.northing - 4:.1f}"]
+
+
+@pytest.mark.parametrize("sensor", ["R1", "R2"])
+def test_poses_found_together_are_checked_each(calibrated, sensor):
+    folder, lines = calibrated
+    pose = gr.read_pose(folder / f"{sensor}.json")
+    assert "together" in pose.evidence
+    assert pose.view == gr.View(max_range_m=reached_m(SAMPLE / f"{sensor}.parquet"))
+    again = gr.check_against_scan(SAMPLE / f"{sensor}.parquet", pose, [SCAN])
+    assert pose.evidence["scan_check"] == json.loads(json.dumps(again.figures()))
+    assert again.verdict == "confirms"
+    assert lines[-1]["summary"][sensor].endswith("; scan check: confirms")
+    (said,) = [each for each in lines if each.get("message", "").startswith(f"{sensor}: scan ")]
+    assert said["message"] == f"{sensor}: scan check: confirms: {again.reason}"
+
+
+def test_the_adjusted_pose_is_checked_and_no_other(tmp_path, monkeypatch):
+    """The single answer lies a lane off, the adjusted pose is right: the check confirms it."""
+    wrong = {
+        name: Localization(
+            pose=moved(gr.read_pose(SAMPLE / f"{name}.json"), 0.0, 3.5),
+            fitness=1.0, observable=True,
+        )
+        for name in ("R1", "R2")
+    }  # fmt: skip
+    right = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in wrong}
+    solved = Solved(poses=right, chosen={"R1": 0, "R2": 0}, refused={}, pairs={})
+    monkeypatch.setattr(joint, "localize", lambda recording, **_: wrong[recording.stem])
+    monkeypatch.setattr(joint, "adjust_poses", lambda *_, **__: solved)
+    found = together(scans=[SCAN]).found
+    assert [each.pose.evidence["scan_check"]["verdict"] for each in found.values()] == 2 * [
+        "confirms"
+    ]
+
+
+def together(**options):
+    guesses = [gr.read_pose(SAMPLE / f"{name}.json").position[:2] for name in ("R1", "R2")]
+    return gr.localize_together(
+        [SAMPLE / "R1.parquet", R2], SAMPLE / "junction.osm", SCAN, guesses=guesses, **options
+    )
+
+
+def test_the_scan_decides_for_a_sensor_before_its_neighbours_do(monkeypatch):
+    aside = replace(POSE, easting=POSE.easting + 6.0, northing=POSE.northing + 3.0)
+    both = tuple(Localization(pose=p, fitness=0.95, observable=True) for p in (aside, POSE))
+    first = Localization(pose=gr.read_pose(SAMPLE / "R1.json"), fitness=0.95, observable=True)
+
+    def single(recording, **_):
+        if recording == R2:
+            raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=both)
+        return first
+
+    given = []
+
+    def unmoved(_, poses, *__, **___):
+        given.append(poses["R2"])
+        right = {name: several[-1] for name, several in poses.items()}
+        chosen = {name: len(several) - 1 for name, several in poses.items()}
+        return Solved(poses=right, chosen=chosen, refused={}, pairs={})
+
+    monkeypatch.setattr(joint, "localize", single)
+    monkeypatch.setattr(joint, "adjust_poses", unmoved)
+    together()
+    together(scans=[SCAN])
+    assert given == [(aside, POSE), (POSE,)]
+
+
+def test_a_scan_that_reaches_one_of_two_sensors_is_refused_before_the_search(tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(joint, "localize", never)
+    north = gr.read_pose(SAMPLE / "R1.json").northing + 310.0  # R2 is 55 m nearer to it
+
+    def change(xyz, category):
+        return (xyz + [0.0, north - xyz[:, 1].min(), 0.0])[::50], category[::50]
+
+    scan = rewritten(tmp_path / "far.laz", change)
+    with pytest.raises(gr.InputError, match="no point within 300 m of R1"):
+        together(scans=[scan])
 
 
 def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch):

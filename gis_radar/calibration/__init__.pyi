@@ -1,16 +1,15 @@
-from .clock_settings import ClockSettings
 from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
 from .joint import JointCalibration, adjust_poses, gain_line, localize_together
+from .lane_detections import ClockSettings
 from .localization import localize, localize_files
 from .monitor import Follower, start_estimate, track
-from .monitor_settings import MONITOR, MonitorSettings
 from .network import CLASH_HINT, Solved
 from .pose_track import MOVED, Event, Track, draw_track, track_of
 from .result import AmbiguousError, Localization, Problem, draw_localization
 from .scan_check import ScanCheck, check_against_scan, require_scans_near
 from .scan_check_picture import draw_scan_check
-from .scan_check_settings import ScanCheckSettings
-from .settings import LOCALIZATION, LocalizationSettings
+from .settings import LOCALIZATION, MONITOR, LocalizationSettings, MonitorSettings
+from .surroundings import ScanCheckSettings
 from .windows import WindowFitter
 
 __all__ = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,13 +10,43 @@ from scipy.optimize import Bounds, minimize
 from scipy.special import gammaincinv, ndtr
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.calibration.matching import Placed, Scene, place
+from gis_radar.calibration.lanes import Placed, Scene, place
 from gis_radar.calibration.model import Model
-from gis_radar.calibration.residuals import Comparison, assemble, height, height_over_road, lateral
-from gis_radar.calibration.settings import AdaptationSettings
+from gis_radar.calibration.residuals import (
+    VIEW_EDGE,
+    Comparison,
+    assemble,
+    height,
+    height_over_road,
+    lateral,
+)
 from gis_radar.calibration.solver import Fit, Prior
 from gis_radar.calibration.state import REFLECTION
 from gis_radar.calibration.traces import Samples
+
+# Bumpers, sills and wheels end that far over the road (ground clearance 0.12 to 0.3 m).
+EDGE_M = 0.2
+EDGE_SIGMA_M = 0.07
+NODES = 16  # of the quadrature over the gamma distribution of heights above the edge
+# Share of bodies, and between which heights above the edge they reflect.
+TALL_SHARE = 0.2
+TALL_M = (0.2, 2.8)
+# Share of strays, and over which height.
+STRAY_HEIGHTS = 0.05
+STRAY_M = 8.0
+NEAR_M = 80.0  # farther samples fix no heights: 0.6 degrees are 0.8 m
+MOST_SAMPLES = 1500  # more cost time only
+NOISE_M = 0.05  # 1 sigma of the heights of scan and map
+# Edge (m), scale (m) and elevation noise (radians): start of the fit and its bounds.
+START = (0.2, 0.2, math.radians(0.5))
+LOWEST = (-1.5, 0.05, math.radians(0.1))
+HIGHEST = (2.0, 0.6, math.radians(2.0))
+FACTORS = 17  # on the side strength that are tried, up and down
+FACTOR_SIGMA = math.log(2.0)  # 1 sigma of the logarithm of such a factor in the prior
+DERIVATIVE_STEP = 1e-4  # of numerical derivatives
+# Shares of the elevation's variance that may last, and rounds in which the effects settle.
+BENT_SHARES: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+BENT_ROUNDS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,20 +108,20 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
     model : Model
         With the elevation's noise in all.
     """
-    placed, settings = place(scene.samples, fit.state), scene.settings.adaptation
+    placed = place(scene.samples, fit.state)
     models = [
         replace(
             model,
             elevation=model.elevation * float(np.sqrt(1.0 - share)),
             bent=model.elevation * float(np.sqrt(share)),
         )
-        for share in settings.bent_shares
+        for share in BENT_SHARES
     ]
 
     def cost(tried: Model) -> float:
         compared = _compared(scene, fit, placed, tried)
         effect = np.zeros_like(fit.effects[1])
-        for _ in range(settings.bent_rounds):
+        for _ in range(BENT_ROUNDS):
             rows = height(compared, effect)
             normal = assemble([rows], [effect])
             ((gradient, _, covariance),) = normal.shared
@@ -112,7 +143,6 @@ def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> Compariso
         matches=fit.matches,
         model=model,
         scale_m=0.0,
-        settings=scene.settings.solver,
     )
 
 
@@ -133,11 +163,11 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     def cost(factor: float) -> float:
         tried = replace(model, side_strength=model.side_strength * factor)
         compared = _compared(scene, fit, placed, tried)
-        prior = (np.log(factor) / settings.factor_sigma) ** 2
+        prior = (np.log(factor) / FACTOR_SIGMA) ** 2
         rows = lateral(compared, fit.effects[0])
         return float(rows.weight @ rows.loss + 0.5 * prior)
 
-    factors = np.geomspace(1.0 / settings.most_factor, settings.most_factor, settings.factors)
+    factors = np.geomspace(1.0 / settings.most_factor, settings.most_factor, FACTORS)
     return float(model.side_strength * min(factors, key=cost))
 
 
@@ -176,48 +206,46 @@ def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights |
         None where too few samples are near enough.
     """
     samples, settings = scene.samples, scene.settings.adaptation
-    view_edge, reach = scene.settings.solver.view_edge, samples.reach
-    over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches, view_edge)
-    usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < settings.near_m))
+    reach = samples.reach
+    over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches, VIEW_EDGE)
+    usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < NEAR_M))
     if len(usable) < settings.least:
         return None
-    usable = np.random.default_rng(0).permutation(usable)[: settings.most]
+    usable = np.random.default_rng(0).permutation(usable)[:MOST_SAMPLES]
     over, reach = over[usable], reach[usable]
     weight = np.ones(len(over)) if alone is None else alone[usable]
 
     def cost(parameters: Floats) -> float:
-        return -float(weight @ _log_density(parameters, over, reach, settings))
+        return -float(weight @ _log_density(parameters, over, reach))
 
     start, low, high = (
         np.array([edge, np.log(scale), np.log(noise)])
-        for edge, scale, noise in (settings.start, settings.low, settings.high)
+        for edge, scale, noise in (START, LOWEST, HIGHEST)
     )
     fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
     found: Floats = np.asarray(fitted.x)
     clusters = samples.vehicles[samples.track[usable]]
-    error = _sandwich(found, over, reach, clusters, weight, settings)
-    shift = found[0] - settings.edge_m
+    error = _sandwich(found, over, reach, clusters, weight)
+    shift = found[0] - EDGE_M
     return Heights(
         mean_m=float(fit.state.reflection - shift),
-        sigma_m=float(np.hypot(settings.edge_sigma_m, error)),
+        sigma_m=float(np.hypot(EDGE_SIGMA_M, error)),
         elevation=float(np.exp(found[2])),
     )
 
 
-def _log_density(
-    parameters: Floats, over: Floats, reach: Floats, settings: AdaptationSettings
-) -> Floats:
+def _log_density(parameters: Floats, over: Floats, reach: Floats) -> Floats:
     """Return the log density of heights, given edge, log scale and log noise of elevations."""
     edge, scale = parameters[0], np.exp(parameters[1])
-    sigma = np.hypot(settings.noise_m, np.exp(parameters[2]) * reach)
-    nodes = gammaincinv(2.0, (np.arange(settings.nodes) + 0.5) / settings.nodes)
+    sigma = np.hypot(NOISE_M, np.exp(parameters[2]) * reach)
+    nodes = gammaincinv(2.0, (np.arange(NODES) + 0.5) / NODES)
     away = (over[:, None] - edge - scale * nodes) / sigma[:, None]
     low = np.exp(-0.5 * away**2).mean(axis=1) / (sigma * np.sqrt(2.0 * np.pi))
-    begin, end = settings.tall_m
+    begin, end = TALL_M
     tall = ndtr((over - edge - begin) / sigma) - ndtr((over - edge - end) / sigma)
-    share, stray = settings.tall_share, settings.stray_share
+    share, stray = TALL_SHARE, STRAY_HEIGHTS
     vehicle = (1.0 - share) * low + share * tall / (end - begin)
-    return np.asarray(np.log((1.0 - stray) * vehicle + stray / settings.stray_m))
+    return np.asarray(np.log((1.0 - stray) * vehicle + stray / STRAY_M))
 
 
 def _sandwich(
@@ -226,15 +254,14 @@ def _sandwich(
     reach: Floats,
     track: Integers,
     weight: Floats,
-    settings: AdaptationSettings,
 ) -> float:
     """Return the standard error of the edge, with the vehicles as clusters."""
 
     def density(shift: Floats) -> Floats:
-        return _log_density(parameters + shift, over, reach, settings)
+        return _log_density(parameters + shift, over, reach)
 
-    shifts = settings.step * np.eye(len(parameters))
-    scores = np.column_stack([(density(d) - density(-d)) / (2.0 * settings.step) for d in shifts])
+    shifts = DERIVATIVE_STEP * np.eye(len(parameters))
+    scores = np.column_stack([(density(d) - density(-d)) / (2.0 * DERIVATIVE_STEP) for d in shifts])
     weighted = weight[:, None] * scores
     bread = np.linalg.inv(scores.T @ weighted + 1e-9 * np.eye(len(parameters)))
     _, number = np.unique(track, return_inverse=True)

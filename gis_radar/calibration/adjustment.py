@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,9 +10,28 @@ import numpy as np
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.calibration.certainty import cluster_robust
-from gis_radar.calibration.correspondences import FACES, PLANE, Rows, effects, mean_gaps, stretches
-from gis_radar.calibration.joint_settings import CorrespondenceSettings
+from gis_radar.calibration.correspondences import (
+    FACES,
+    PLANE,
+    SHARE,
+    Rows,
+    effects,
+    mean_gaps,
+    stretches,
+)
 from gis_radar.calibration.model import MODEL, Model
+
+HALF_LENGTH_SIGMA_M = 0.25  # how well the mean of vehicles' half length is known
+HALF_WIDTH_SIGMA_M = 0.1  # the same of the mean half width
+SIDE_SIGMA = math.log(1.5)  # and of the strength of sides, logarithm
+# What is alike for all vehicles on a stretch of a lane, as both radars see them from there, one
+# standard deviation along and across: 0.2 to 0.3 and 0.1 m at the true poses of two simulators.
+STRETCH_SIGMA_M = (0.3, 0.1)
+CLOCK_S = 0.02  # offset of a sensor's clock, one standard deviation: NTP on a local network
+# The same where it is asked whether clocks are off: at more, no vehicle finds its pair.
+FREE_CLOCK_S = 1.0
+# Degrees of freedom of Student's t for a pair's misfit: every tenth pair or so is wrong.
+FREEDOM_T = 4.0
 
 STEPS = 8  # of weights and poses in turn; they settle after three or four
 OWN = 2 * PLANE  # of a pair of sensors
@@ -48,9 +68,7 @@ class Correspondences:
         gap = self.gap + self.slope[:, :, :SHARED] @ step
         return np.asarray(np.einsum("pi,pij,pj->p", gap, np.linalg.inv(self.covariance), gap))
 
-    def summed(
-        self, weight: Floats, step: Floats, settings: CorrespondenceSettings
-    ) -> tuple[Floats, Floats]:
+    def summed(self, weight: Floats, step: Floats) -> tuple[Floats, Floats]:
         """Return the information about the eleven, and each pair's part of the gradient by them.
 
         What is alike on a stretch is eliminated.
@@ -61,13 +79,11 @@ class Correspondences:
             Of each pair.
         step : (11,) array
             At which the gradient is taken.
-        settings : CorrespondenceSettings
-            How alike that is.
         """
         known = weight[:, None, None] * self.information
         gradient = weight[:, None] * self.gradient + known[:, :, :SHARED] @ step
         total, parts = np.zeros((SHARED, SHARED)), gradient[:, :SHARED].copy()
-        alike = np.diag(np.square(settings.stretch_sigma_m) ** -1.0)
+        alike = np.diag(np.square(STRETCH_SIGMA_M) ** -1.0)
         for number in np.unique(self.stretch):
             on = self.stretch == number
             here = known[on].sum(axis=0)
@@ -77,14 +93,12 @@ class Correspondences:
         return total, parts
 
 
-def sum_correspondences(
-    rows: Rows, settings: CorrespondenceSettings, model: Model = MODEL
-) -> Correspondences:
+def sum_correspondences(rows: Rows, model: Model = MODEL) -> Correspondences:
     """Sum up the moments of each pair; what a vehicle adds to all of them is eliminated."""
     alike = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     slope = np.concatenate([rows.poses, rows.constants, rows.clocks, alike], axis=2)
-    by_effect, variances = effects(rows, settings, model)
-    weight = settings.share / rows.variance
+    by_effect, variances = effects(rows, model)
+    weight = SHARE / rows.variance
 
     def total(a: Floats, b: Floats) -> Floats:
         each = np.einsum("rik,ri,ril->rkl", a, weight, b)
@@ -94,14 +108,14 @@ def sum_correspondences(
     inner = np.linalg.inv(np.diag(1.0 / variances) + total(by_effect, by_effect))
     coupled = total(slope, by_effect)
     gain = coupled @ inner
-    mean, covariance = mean_gaps(rows, np.zeros((OWN, OWN)), settings, model)
+    mean, covariance = mean_gaps(rows, np.zeros((OWN, OWN)), model)
     return Correspondences(
         information=total(slope, slope) - gain @ np.swapaxes(coupled, 1, 2),
         gradient=(total(slope, gap) - gain @ total(by_effect, gap))[:, :, 0],
         gap=mean,
         slope=rows.means(slope),
         covariance=covariance,
-        stretch=stretches(rows, settings),
+        stretch=stretches(rows),
     )
 
 
@@ -129,21 +143,20 @@ def clock_gap(
     matched: Correspondences,
     away: Floats,
     covariances: Sequence[Floats],
-    settings: CorrespondenceSettings,
 ) -> tuple[float, float]:
     """Return by how much the clock of the other sensor is ahead of the one's, and its sigma, s.
 
-    As if clocks could be off by a second. Traffic in opposite directions tells a clock from a
-    place; where it goes one way, sigma says so.
+    Clocks are allowed to be off by a second. Traffic in opposite directions separates an error of
+    a clock from one of a place; where all of it goes one way, sigma becomes large.
 
     Parameters
     ----------
-    tied, settings
-        As for :func:`adjust`.
+    matched : Correspondences
+        Of two sensors.
     away, covariances
         Of the two: (2, 3), and two (3, 3) arrays.
     """
-    nuisance = _nuisance([settings.free_clock_s] * 2, settings)
+    nuisance = _nuisance([FREE_CLOCK_S] * 2)
     prior = np.diag([*[0.0] * OWN, *nuisance])
     for k, each in enumerate(covariances):
         own = slice(PLANE * k, PLANE * k + PLANE)
@@ -151,8 +164,8 @@ def clock_gap(
     start = np.concatenate([away.ravel(), np.zeros(len(nuisance))])
     step = np.zeros(len(start))
     for _ in range(STEPS):
-        weight = _weights(matched, step, settings)
-        known, parts = matched.summed(weight, step, settings)
+        weight = _weights(matched, step)
+        known, parts = matched.summed(weight, step)
         information = known + prior
         step = step - np.linalg.solve(information, parts.sum(axis=0) + prior @ (start + step))
     gap = np.zeros(len(start))
@@ -164,7 +177,6 @@ def adjust(
     correspondences: Mapping[Edge, Correspondences],
     away: Floats,
     covariances: Sequence[Floats],
-    settings: CorrespondenceSettings,
     *,
     clocks_s: Sequence[float] | None = None,
     held: Collection[Edge] = (),
@@ -182,31 +194,29 @@ def adjust(
         The poses as they are less the single answers.
     covariances : sequence of (3, 3) arrays
         Of the single answers.
-    settings : CorrespondenceSettings
-        What is known of faces and clocks.
     clocks_s : sequence of float, optional
-        Standard deviations of the clocks; by default that of the settings.
+        Standard deviations of the clocks; by default `CLOCK_S` each.
     held : collection of (int, int)
         Pairs of sensors that are only compared: their correspondences move no pose.
     """
     n = len(covariances)
-    clocks = [settings.clock_s] * n if clocks_s is None else list(clocks_s)
+    clocks = [CLOCK_S] * n if clocks_s is None else list(clocks_s)
     prior = np.zeros((PLANE * n + FACES + n, PLANE * n + FACES + n))
     single = shared_covariance(covariances)
     prior[: PLANE * n, : PLANE * n] = np.linalg.inv(single)
-    nuisance = _nuisance(clocks, settings)
+    nuisance = _nuisance(clocks)
     prior[PLANE * n :, PLANE * n :] = np.diag(nuisance)
     start = np.concatenate([away.ravel(), np.zeros(FACES + n)])
     step = np.zeros(len(prior))
     for _ in range(STEPS):
-        weights = {edge: _weights(matched, step[_index(edge, n)], settings)
+        weights = {edge: _weights(matched, step[_index(edge, n)])
                    for edge, matched in correspondences.items()}  # fmt: skip
         information, scores = prior.copy(), []
         for edge, matched in correspondences.items():
             if edge in held:
                 continue
             at, weight = _index(edge, n), weights[edge]
-            known, parts = matched.summed(weight, step[at], settings)
+            known, parts = matched.summed(weight, step[at])
             information[np.ix_(at, at)] += known
             each = np.zeros((len(weight), len(prior)))
             each[:, at] = parts
@@ -219,7 +229,7 @@ def adjust(
     covariance = inverse[: PLANE * n, : PLANE * n]
     misfit = {
         edge: _misfit(matched, weights[edge], away[list(edge)], [covariances[i] for i in edge],
-                      _nuisance([clocks[i] for i in edge], settings), settings)
+                      _nuisance([clocks[i] for i in edge]))
         for edge, matched in correspondences.items()
     }  # fmt: skip
     return Adjusted(
@@ -246,9 +256,9 @@ def shared_covariance(covariances: Sequence[Floats]) -> Floats:
     return whole.reshape(n * PLANE, n * PLANE)
 
 
-def _nuisance(clocks_s: Sequence[float], settings: CorrespondenceSettings) -> Floats:
+def _nuisance(clocks_s: Sequence[float]) -> Floats:
     """Return the inverse variances of the constants of the faces, and of the clocks."""
-    faces = [settings.half_length_sigma_m, settings.half_width_sigma_m, settings.side_sigma]
+    faces = [HALF_LENGTH_SIGMA_M, HALF_WIDTH_SIGMA_M, SIDE_SIGMA]
     return np.array([*faces, *clocks_s]) ** -2.0
 
 
@@ -259,9 +269,9 @@ def _index(edge: Edge, n: int) -> list[int]:
     return [*one, *other, *range(PLANE * n, after), after + edge[0], after + edge[1]]
 
 
-def _weights(matched: Correspondences, step: Floats, settings: CorrespondenceSettings) -> Floats:
+def _weights(matched: Correspondences, step: Floats) -> Floats:
     """Return the weight of each pair by its misfit."""
-    return np.asarray((settings.freedom + 2.0) / (settings.freedom + matched.chi2(step)))
+    return np.asarray((FREEDOM_T + 2.0) / (FREEDOM_T + matched.chi2(step)))
 
 
 def _at_most(covariance: Floats, most: Floats) -> Floats:
@@ -279,10 +289,9 @@ def _misfit(
     away: Floats,
     covariances: Sequence[Floats],
     nuisance: Floats,
-    settings: CorrespondenceSettings,
 ) -> float:
     """Return chi-square of what correspondences and single answers of two sensors differ by."""
-    information, parts = matched.summed(weight, np.zeros(SHARED), settings)
+    information, parts = matched.summed(weight, np.zeros(SHARED))
     gradient = parts.sum(axis=0) - information[:, :OWN] @ away.ravel()
     inner = np.linalg.inv(information[OWN:, OWN:] + np.diag(nuisance))
     gain = information[:OWN, OWN:] @ inner

@@ -20,8 +20,36 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.lane_places import Cells, LanePlaces
-from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR, AlarmSettings, MonitorSettings
+from gis_radar.calibration.lane_places import WITHIN_M, Cells, LanePlaces
+from gis_radar.calibration.settings import HOUR_S, MONITOR, MonitorSettings
+
+TAPER_M = 1.3  # farther from the middle of its lane a vehicle counts less and less
+# Standard deviations: between vehicles, from cell to cell, and of one detection (faces, bearing).
+# Measured: 0.35, 0.45 to 0.49, 0.3 to 0.6.
+DRIVER_M = 0.35
+SWAY_M = 0.46
+HIT_M = 0.5
+# The same of heights over the road, and what grows with range; measured.
+TALL_M = 0.55
+BUMP_M = 0.3
+ELEVATION_HIT_M = 1.0
+ELEVATION_RAD = 0.014
+WARM_UP = 10  # blocks of reference with which the dispersion can be measured
+LEAST_VEHICLES = 12  # fewer in the tested blocks contradict nothing
+# Cells of which the reference holds less than so many vehicles do not measure dispersion.
+KNOWN_VEHICLES = 3.0
+# Combinations of moves and habits that blocks show less than so well do not, either.
+LEAST_SEEN = 0.05
+# How far drivers change their habit on a stretch within an hour, one standard deviation.
+STRETCH_HABIT_M = 0.05
+# The same of all drivers at once (rain, night), and of where vehicles reflect, seen from the
+# sensor (trucks are broader).
+COMMON_M = 0.05
+BREADTH_M = 0.02
+# The same of heights over the road: of a stretch, of all vehicles.
+HEIGHT_HABIT_M = 0.08
+TALLER_M = 0.15
+ROUNDS = 4  # reweightings of stretches
 
 FREE = RIDGE = 1e-6  # information on what is not known beforehand, 1/m^2
 MOVE = 6
@@ -66,7 +94,7 @@ class Habits:
         )
 
     def over(self, cell: Integers) -> tuple[Floats, Floats]:
-        """Return weight and pull for more cells, those of here among them."""
+        """Return weight and gradient for a list of cells that holds all of its own."""
         if len(cell) == len(self.cell):
             return self.weight, self.gradient
         place = np.searchsorted(cell, self.cell)
@@ -215,9 +243,7 @@ class ChangeDetector:
         return np.where(size > full_m, tapered, value), np.where(size > full_m, falling, slope)
 
 
-def detectors(
-    cells: Cells, place: Floats, settings: AlarmSettings
-) -> tuple[ChangeDetector, ChangeDetector]:
+def detectors(cells: Cells, place: Floats) -> tuple[ChangeDetector, ChangeDetector]:
     """Return the place in the lane, for moves in the plane; and the height, for tilts.
 
     A sensor that has moved by `d` and turned by `w` puts what is at `a` from it at
@@ -229,8 +255,6 @@ def detectors(
         The lanes.
     place : (2,) array
         Of the sensor, local coordinates.
-    settings : AlarmSettings
-        What changes anyway.
     """
     arm, left = cells.centre - place, cells.left
     side = np.sum(arm * left, axis=1) / np.maximum(np.hypot(*arm.T), 1.0)
@@ -240,21 +264,21 @@ def detectors(
         moved=(0, 1, 5),
         by_move=-np.column_stack([left, turned]),
         by_habit=np.column_stack([ones, -side]),
-        habit_m=np.array([settings.common_m, settings.breadth_m]),
+        habit_m=np.array([COMMON_M, BREADTH_M]),
         stretch=cells.stretch,
-        stretch_m=settings.stretch_habit_m,
-        sigma=(settings.driver_m, settings.sway_m * ones, settings.hit_m),
-        edge_m=(settings.taper_m, settings.within_m),
+        stretch_m=STRETCH_HABIT_M,
+        sigma=(DRIVER_M, SWAY_M * ones, HIT_M),
+        edge_m=(TAPER_M, WITHIN_M),
     )
-    bump_m = np.hypot(settings.bump_m, settings.elevation_rad * np.hypot(*arm.T))
+    bump_m = np.hypot(BUMP_M, ELEVATION_RAD * np.hypot(*arm.T))
     over = ChangeDetector(
         moved=(3, 4),
         by_move=np.column_stack([-arm[:, 1], arm[:, 0]]),
         by_habit=ones[:, None],
-        habit_m=np.array([settings.taller_m]),
+        habit_m=np.array([TALLER_M]),
         stretch=cells.stretch,
-        stretch_m=settings.height_habit_m,
-        sigma=(settings.tall_m, bump_m, settings.elevation_hit_m),
+        stretch_m=HEIGHT_HABIT_M,
+        sigma=(TALL_M, bump_m, ELEVATION_HIT_M),
         edge_m=(np.inf, np.inf),
     )
     return across, over
@@ -303,7 +327,7 @@ class Memory:
 
     def _learn(self, block: Habits) -> None:
         alarm = self._settings.alarm
-        if self.learnt >= alarm.warm_up and block.vehicles >= alarm.least_vehicles:
+        if self.learnt >= WARM_UP and block.vehicles >= LEAST_VEHICLES:
             self._measure_scatter(block)
         self.learnt += 1
         share = 1.0
@@ -315,8 +339,8 @@ class Memory:
 
     def _measure_scatter(self, block: Habits) -> None:
         """Compare a block with the reference: `b - A m` has covariance `A + A A_ref^-1 A`."""
-        detector, alarm = self.detector, self._settings.alarm
-        least = alarm.known / detector.sigma[0] ** 2
+        detector = self.detector
+        least = KNOWN_VEHICLES / detector.sigma[0] ** 2
         before = self.reference.where(np.diag(self.reference.weight) > least)
         part = block.where(np.isin(block.cell, before.cell))
         if len(part.cell) == 0:
@@ -330,7 +354,7 @@ class Memory:
         square = design.T @ weighted + weighted.T @ cho_solve(factor, weighted)
         scale = np.sqrt(np.maximum(np.diag(square), RIDGE))
         values, vectors = np.linalg.eigh(square / np.outer(scale, scale))
-        seen = values > alarm.least_seen
+        seen = values > LEAST_SEEN
         score = vectors.T @ (design.T @ rest / scale)
         self._scatter += [np.mean(np.square(score[seen]) / values[seen]), 1.0]
 
@@ -345,7 +369,7 @@ class Memory:
                 tested[number] = newest
         whole = self.reference + newest
         for number, part in tested.items():
-            if part.vehicles >= alarm.least_vehicles:
+            if part.vehicles >= LEAST_VEHICLES:
                 found.append(self._displacement(whole, part, number, now))
         return found
 
@@ -379,7 +403,7 @@ class Memory:
         first = np.concatenate([np.full(size, FREE), detector.habit_m**-2.0])
         usual_m = detector.stretch_m
         spread = np.full(len(there) - len(first), usual_m)
-        for _ in range(alarm.rounds):
+        for _ in range(ROUNDS):
             prior = np.diag(np.concatenate([first, spread**-2.0]))
             covariance = np.linalg.inv(information + prior)
             answer = covariance @ force
@@ -406,7 +430,7 @@ class Alarm:
     """
 
     def __init__(self, cells: Cells, place: Floats, settings: MonitorSettings = MONITOR) -> None:
-        self.memories = [Memory(w, settings) for w in detectors(cells, place, settings.alarm)]
+        self.memories = [Memory(w, settings) for w in detectors(cells, place)]
 
     def push(self, seen: LanePlaces, time: float) -> Displacement | None:
         """Take the vehicles of a block that ended at a time; return the likeliest move, if any.

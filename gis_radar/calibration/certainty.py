@@ -1,20 +1,32 @@
-"""How certain a fit is: covariance, unobservable directions, z score against another fit."""
+"""How certain a pose is: covariance, unobservable directions, z score against another one."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.model import Model
-from gis_radar.calibration.settings import LOCALIZATION, AnswerSettings
+from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, AnswerSettings, Schedule
 from gis_radar.calibration.solver import Fit, Prior, Rest, settle, solve
 from gis_radar.calibration.state import POSE, SIZE, State, angles_from_turn
 from gis_radar.calibration.traces import Samples
+from gis_radar.errors import NoAnswerError
+from gis_radar.poses.pose import COMPONENTS, Pose
+
+VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
+# Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
+LEAST_RISE = 0.5
+CLEAR_RISE = 50.0
+
+LOOK_GAIN = 1.0  # what a look around an optimum must gain: a sigma costs 0.5
 
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
+Names = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +89,7 @@ def certainty(
         covariance=pose,
         noise=drawn,
         sigma=np.sqrt(np.diag(pose)),
-        eigenvalues=eigenvalues(fit.data_information[POSE, POSE], settings),
+        eigenvalues=eigenvalues(fit.data_information[POSE, POSE]),
         observable=is_fixed(pose, settings),
     )
 
@@ -96,9 +108,9 @@ def pose_covariance(information: Floats, state: State) -> Floats:
     return np.asarray(to_angles @ np.linalg.inv(information) @ to_angles.T)
 
 
-def eigenvalues(information: Floats, settings: AnswerSettings) -> Floats:
+def eigenvalues(information: Floats) -> Floats:
     """Return the eigenvalues of a (6, 6) information about the pose, ascending, 1/m^2."""
-    lever = np.diag([1.0] * 3 + [1.0 / settings.lever_m] * 3)
+    lever = np.diag([1.0] * 3 + [1.0 / LEVER_M] * 3)
     return np.asarray(np.linalg.eigvalsh(lever @ information @ lever), dtype=np.float64)
 
 
@@ -156,9 +168,21 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     """
     lost = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
     gain: Floats = (lost + other.aside - fit.aside)[np.unique(samples.track)]
+    return z_score(gain, shared=fit.habits + other.habits)
+
+
+def z_score(gain: Floats, *, shared: float = 0.0) -> float:
+    """Return by how many standard errors a sum of gains differs from zero (Vuong 1989).
+
+    Parameters
+    ----------
+    gain : (n,) array
+        What each vehicle, one cluster, gains in log likelihood.
+    shared : float
+        Variance of what all of them share.
+    """
     drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
-    spread = float(np.sqrt(drawn + fit.habits + other.habits))
-    total = float(gain.sum())
+    spread, total = float(np.sqrt(drawn + shared)), float(gain.sum())
     if spread <= 0.0:
         return float(np.inf * np.sign(total)) if total else 0.0
     return total / spread
@@ -186,18 +210,18 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     """
     settings = scene.settings.hypotheses
     for look in range(settings.looks + 1):  # the last one only measures
-        hold, way = _weakest(fit, scene.settings.answer)
+        hold, way = _weakest(fit)
         curved_m = float(np.sqrt(hold @ way))
         sides = [
             _profile(scene, fit, side * way / curved_m**2, hold, prior, model)
             for side in (-1.0, 1.0)
         ]
-        sigma_m = max(_deviation(scene, fit, side) for side in sides)
+        sigma_m = max(_deviation(fit, side) for side in sides)
         lowest = min((other for side in sides for _, other in side), key=_cost, default=fit)
-        if look == settings.looks or lowest.cost > fit.cost - settings.look_gain:
+        if look == settings.looks or lowest.cost > fit.cost - LOOK_GAIN:
             break
         again = solve(scene, lowest.state, prior, schedule=settings.fine, model=model)
-        if not again.converged or again.cost > fit.cost - settings.look_gain:
+        if not again.converged or again.cost > fit.cost - LOOK_GAIN:
             break
         fit = again
     if sigma_m > curved_m:
@@ -228,7 +252,7 @@ def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float
         if _spread(fit, hold, settings) <= step_m:
             break
         rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
-        if rise < settings.clear_rise:
+        if rise < CLEAR_RISE:
             continue
         walled = _along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
         if _spread(walled, hold, settings) <= step_m:
@@ -243,10 +267,10 @@ def _spread(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
     return float(np.sqrt(way @ certainty(fit, settings).covariance @ way))
 
 
-def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
+def _weakest(fit: Fit) -> tuple[Floats, Floats]:
     """Return the least-known combination, metres, and its covariance with the state."""
     covariance: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
-    lever_m = np.array([1.0, 1.0, settings.lever_m])
+    lever_m = np.array([1.0, 1.0, LEVER_M])
     _, vectors = np.linalg.eigh(lever_m[:, None] * covariance[np.ix_(PLANE, PLANE)] * lever_m)
     hold = np.zeros(SIZE)
     hold[PLANE] = lever_m * vectors[:, -1]
@@ -264,18 +288,86 @@ def _profile(
     found, state, at_m, settings = list[tuple[float, Rest]](), fit.state, 0.0, scene.settings.answer
     for step_m in settings.valley_steps_m:
         start = state.moved((step_m - at_m) * way)
-        here = settle(scene, start, prior, schedule=settings.valley, model=model, hold=hold)
+        here = settle(scene, start, prior, schedule=VALLEY, model=model, hold=hold)
         state, at_m = here.state, step_m
         found.append((step_m, here))
     return found
 
 
-def _deviation(scene: Scene, fit: Fit, side: list[tuple[float, Rest]]) -> float:
+def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
     """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
-    sigma_m, settings = 0.0, scene.settings.answer
+    sigma_m = 0.0
     for step_m, here in side:
-        rise = max(here.cost - fit.cost, settings.least_rise)
-        if rise > settings.clear_rise:
+        rise = max(here.cost - fit.cost, LEAST_RISE)
+        if rise > CLEAR_RISE:
             continue  # this place is out of the question, however far it is
         sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
     return sigma_m
+
+
+def plane_covariance(pose: Pose) -> Floats:
+    """Return the covariance of easting, northing (m) and yaw (radians), (3, 3)."""
+    return stated_covariance(pose)[np.ix_(PLANE, PLANE)]
+
+
+def stated_covariance(pose: Pose) -> Floats:
+    """Return the (6, 6) covariance that a pose states.
+
+    Raises
+    ------
+    NoAnswerError
+        If it states none.
+    """
+    covariance = pose.parsed_evidence().covariance
+    if covariance is None:
+        raise NoAnswerError(
+            f"{pose.sensor}: its pose states no covariance", hint="localize it with --method lane"
+        )
+    return covariance
+
+
+def longest_m(covariance: Floats) -> float:
+    """Return the standard deviation along the direction that is known worst."""
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+
+
+def moved(pose: Pose, step: Floats) -> Pose:
+    """Return a pose after a step of easting, northing, yaw; the rest follows its covariance."""
+    covariance = stated_covariance(pose)
+    known = covariance[np.ix_(PLANE, PLANE)]
+    whole = covariance[:, PLANE] @ np.linalg.solve(known, step)
+    whole[PLANE] = step
+    east, north, up, roll, pitch, yaw = (float(v) for v in whole)
+    turned = pose.yaw + math.degrees(yaw)
+    return replace(
+        pose,
+        easting=pose.easting + east,
+        northing=pose.northing + north,
+        height=pose.height + up,
+        roll=pose.roll + math.degrees(roll),
+        pitch=pose.pitch + math.degrees(pitch),
+        yaw=(turned + 180.0) % 360.0 - 180.0,
+    )
+
+
+def with_gain(
+    pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int], settings: AnswerSettings
+) -> Pose:
+    """Return a pose with its new covariance, and what it gained by whom."""
+    before = stated_covariance(pose)
+    known = before[np.ix_(PLANE, PLANE)]
+    share = before[:, PLANE] @ np.linalg.inv(known)
+    after = before + share @ (plane - known) @ share.T
+    after = (after + after.T) / 2.0
+    units = np.array([1.0] * 3 + [math.degrees(1.0)] * 3)
+    old, new = (np.sqrt(np.diag(each)) * units for each in (before, after))
+    others = sorted({each for pair in pairs for each in pair} - {name})
+    gained = {COMPONENTS[i]: {"before": float(old[i]), "after": float(new[i])} for i in PLANE}
+    evidence = {
+        **pose.evidence,
+        "sigma": {each: float(value) for each, value in zip(COMPONENTS, new, strict=True)},
+        "covariance": after.tolist(),
+        "observable": is_fixed(after, settings),
+        "together": {"sensors": others, "pairs": sum(pairs.values()), "gained": gained},
+    }
+    return replace(pose, evidence=evidence)

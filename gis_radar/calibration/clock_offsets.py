@@ -19,9 +19,58 @@ import scipy
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.clock_settings import CLOCKS, ClockSettings
-from gis_radar.calibration.lane_detections import LaneDetections
+from gis_radar.calibration.lane_detections import CLOCKS, ClockSettings, LaneDetections
 from gis_radar.errors import NoAnswerError
+
+# Cells in which agreement is counted: in a bin a vehicle moves by about a cell.
+CELL_M = 4.0
+CELL_MPS = 3.0
+# Width of a peak (1.25 s, a vehicle's time in a cell), of its surroundings (40 s, within a cycle
+# of signals), and how far off a second peak is another one (5 s).
+PEAK_BINS = 5
+AROUND_BINS = 161
+APART_BINS = 20
+ROUGH_RATIO = 1.25  # least height of the best lag over that of the next best
+# Largest differences of time and speed of a pair: the rough offset's error, and a turn.
+PAIR_S = 0.35
+PAIR_MPS = 1.5
+# Largest gap along the lane, metres, iteration by iteration; the last one stays. A car's length
+# and the error of both poses.
+PAIR_M: tuple[float, ...] = (12.0, 9.0, 7.0)
+PLACE_M = 10.0  # length of lane that shares a bias of the two poses, metres
+VEHICLE_S = 4.0  # detections of one lanelet within it count as one vehicle: about the least headway
+# Detections of a pair of sensors in the fit and in the validation; time grows in proportion.
+MOST_FITTED = 15_000
+MOST_CHECKED = 20_000
+# From a vehicle's middle to the reflections of its front or rear, and one sigma, metres.
+FACE_M = 1.2
+FACE_SIGMA_M = 1.0
+# Sigma of the bias of a place, and least one of a vehicle, metres: poses within lanes, and the
+# spread of reflections.
+PLACE_SIGMA_M = 0.7
+VEHICLE_SIGMA_M = 0.5
+DRIFT_SIGMA = 100e-6  # prior sigma of a drift: quartz clocks of radars keep within 100 ppm
+# Of a clock that is no quartz: a drift over ODD_DRIFT, and over so many of its sigmas under the
+# wide prior ODD_DRIFT_SIGMA, is fitted with that prior. An ARS430 was 0.8 % slow; over
+# MOST_DRIFT a unit is mistaken.
+ODD_DRIFT = 1e-3
+ODD_DRIFT_SIGMAS = 5.0
+ODD_DRIFT_SIGMA = 0.01
+MOST_DRIFT = 0.01
+HUBER = 1.5  # residuals over so many standard deviations weigh less (Huber 1964)
+# Most pairings of the fit, and reweightings in each; pairings end below CONVERGED_S.
+PAIRING_ROUNDS = 12
+WEIGHT_ROUNDS = 8
+CONVERGED_S = 2e-4  # a change of the offset below it ends the fit, seconds: far under any sigma
+MAX_CHANGE_S = 2.0  # a fit that leaves the rough offset by more is of another lag, seconds
+# Both saw a vehicle where place, time and speed differ by less.
+NEAR_M = 8.0
+NEAR_S = 0.2
+NEAR_MPS = 1.0
+# Lags, seconds off the answer, at which far less may agree.
+DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
+LEAST_RATIO = 1.3  # least share seen by both at the answer over that at any decoy
+LEAST_CHECKED = 50  # least detections of a sensor where and while the other one recorded
 
 VALUES_AT_ONCE = 1 << 22  # 16 MiB
 
@@ -50,7 +99,7 @@ def rough_offset(
     NoAnswerError
         If there is no trustworthy one.
     """
-    key_one, key_other = _cells(one, settings), _cells(other, settings)
+    key_one, key_other = _cells(one), _cells(other)
     common = np.intersect1d(key_one, key_other)
     if len(common) < settings.rough_pairs:
         raise NoCommonTrafficError("they see no common traffic")
@@ -68,9 +117,9 @@ def rough_offset(
 def _best_lag(
     agreement: Floats, shift_s: Floats, allowed: Booleans, settings: ClockSettings
 ) -> float:
-    width, apart = settings.peak_bins, settings.apart_bins
+    width, apart = PEAK_BINS, APART_BINS
     smooth = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
-    around = scipy.ndimage.uniform_filter1d(smooth, settings.around_bins, mode="constant")
+    around = scipy.ndimage.uniform_filter1d(smooth, AROUND_BINS, mode="constant")
     score = (smooth - around) / np.sqrt(around + 1.0)
     filled = allowed & (around > 0.0)
     if smooth[allowed].max(initial=0.0) < settings.rough_pairs or filled.sum() < apart:
@@ -80,17 +129,17 @@ def _best_lag(
     best = int(score.argmax())
     elsewhere = np.abs(np.arange(len(score)) - best) > apart
     second = float(score[elsewhere & allowed].max(initial=0.0))
-    if score[best] < max(settings.rough_score, settings.rough_ratio * second):
+    if score[best] < max(settings.rough_score, ROUGH_RATIO * second):
         raise NoAnswerError("no lag stands out in their common traffic")
     near = slice(max(best - width // 2, 0), best + width // 2 + 1)
     weight = np.maximum(agreement[near] - around[best] / width, 1e-9)
     return float(np.average(shift_s[near], weights=weight))
 
 
-def _cells(seen: LaneDetections, settings: ClockSettings) -> Integers:
+def _cells(seen: LaneDetections) -> Integers:
     """Return the cell of each detection: lanelet, place and speed."""
-    place = (seen.s_m / settings.cell_m).astype(np.int64)
-    speed = (seen.speed / settings.cell_mps).astype(np.int64)
+    place = (seen.s_m / CELL_M).astype(np.int64)
+    speed = (seen.speed / CELL_MPS).astype(np.int64)
     return (seen.lanelet * 100_000 + place) * 100 + speed
 
 
@@ -166,22 +215,20 @@ def fine_offset(
     NoAnswerError
         If there is no trustworthy one.
     """
-    one, at = _common(one, other, rough_s, settings.most_fitted)
-    values, sigma, pairs = _fit(
-        one, other, np.array([rough_s, 0.0]), at, settings.drift_sigma, settings
-    )
+    one, at = _common(one, other, rough_s, MOST_FITTED)
+    values, sigma, pairs = _fit(one, other, np.array([rough_s, 0.0]), at, DRIFT_SIGMA, settings)
     # A clock that runs slow by a percent is no quartz that keeps the prior.
-    change, wide_sigma = _solve(pairs, values[1], settings.odd_drift_sigma, settings)
+    change, wide_sigma = _solve(pairs, values[1], ODD_DRIFT_SIGMA)
     drift = abs(values[1] + change[1])
-    if drift > max(settings.odd_drift, settings.odd_drift_sigmas * wide_sigma[1]):
+    if drift > max(ODD_DRIFT, ODD_DRIFT_SIGMAS * wide_sigma[1]):
         start = values + change
-        values, sigma, pairs = _fit(one, other, start, at, settings.odd_drift_sigma, settings)
-        if abs(values[1]) > settings.most_drift:
+        values, sigma, pairs = _fit(one, other, start, at, ODD_DRIFT_SIGMA, settings)
+        if abs(values[1]) > MOST_DRIFT:
             raise NoAnswerError(f"their clocks run apart by {abs(values[1]):.1%}")
     vehicles = pairs.vehicles
     if not sigma[0] <= settings.max_sigma_s:
         raise NoAnswerError(f"their common traffic gives the offset only to {sigma[0]:.2g} s")
-    if abs(values[0] - rough_s) > settings.max_change_s:
+    if abs(values[0] - rough_s) > MAX_CHANGE_S:
         raise NoAnswerError("their common traffic fits no single offset")
     return ClockOffset(
         offset_s=float(values[0]), sigma_s=float(sigma[0]), drift=float(values[1]),
@@ -194,14 +241,14 @@ def _fit(
     settings: ClockSettings,
 ) -> tuple[Floats, Floats, _Pairs]:  # fmt: skip
     """Pair and solve in turn; return offset and drift, their sigmas, and the last pairs."""
-    gaps_m = settings.pair_m
-    for turn in range(settings.rounds):
+    gaps_m = PAIR_M
+    for turn in range(PAIRING_ROUNDS):
         pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)], settings)
         if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
             raise NoAnswerError(f"only {pairs.vehicles} vehicles are seen by both")
-        change, sigma = _solve(pairs, values[1], drift_sigma, settings)
+        change, sigma = _solve(pairs, values[1], drift_sigma)
         values = values + change
-        if turn >= len(gaps_m) and abs(change[0]) < settings.converged_s:
+        if turn >= len(gaps_m) and abs(change[0]) < CONVERGED_S:
             break
     return values, sigma, pairs
 
@@ -241,9 +288,9 @@ def _pairs(
     time = other.time - values[0] - values[1] * (other.time - at)
     begin = min(one.time.min(initial=np.inf), time.min(initial=np.inf))
     near = {
-        "near_m": apart_m + settings.pair_s * settings.max_speed_mps,
-        "near_s": settings.pair_s,
-        "near_mps": settings.pair_mps,
+        "near_m": apart_m + PAIR_S * settings.max_speed_mps,
+        "near_s": PAIR_S,
+        "near_mps": PAIR_MPS,
     }
     tree = scipy.spatial.cKDTree(other.scaled(time - begin, **near))
     found = tree.query_ball_point(
@@ -256,25 +303,23 @@ def _pairs(
     gap = other.s_m[second] - one.s_m[first] - speed * (time[second] - one.time[first])
     fits = np.abs(gap) <= apart_m
     first, second = first[fits], second[fits]
-    block = (one.time[first] // settings.vehicle_s).astype(np.int64)
+    block = (one.time[first] // VEHICLE_S).astype(np.int64)
     return _Pairs(
         gap_m=gap[fits],
         speed=speed[fits],
         late_s=other.time[second] - at,
         sides=(one.side[first] - other.side[second]) / 2,
-        place=np.unique(_places(one, settings)[first], return_inverse=True)[1],
+        place=np.unique(_places(one)[first], return_inverse=True)[1],
         vehicle=np.unique(one.lanelet[first] * 10**12 + block, return_inverse=True)[1],
     )
 
 
-def _places(seen: LaneDetections, settings: ClockSettings) -> Integers:
+def _places(seen: LaneDetections) -> Integers:
     """Return the place of each detection: lanelet and length of lane that shares a bias."""
-    return seen.lanelet * 100_000 + (seen.s_m // settings.place_m).astype(np.int64)
+    return seen.lanelet * 100_000 + (seen.s_m // PLACE_M).astype(np.int64)
 
 
-def _solve(
-    pairs: _Pairs, drift: float, drift_sigma: float, settings: ClockSettings
-) -> tuple[Floats, Floats]:
+def _solve(pairs: _Pairs, drift: float, drift_sigma: float) -> tuple[Floats, Floats]:
     """Return the changes of offset and drift, and their standard deviations.
 
     The unknowns: offset, drift, a displacement of opposite sides, and a bias a place; each vehicle
@@ -283,21 +328,21 @@ def _solve(
     places = int(pairs.place.max()) + 1
     share = 1.0 / np.bincount(pairs.vehicle)[pairs.vehicle]
     size = 3 + places
-    prior = np.full(size, settings.place_sigma_m**-2)
-    prior[:3] = 0.0, drift_sigma**-2, settings.face_sigma_m**-2
+    prior = np.full(size, PLACE_SIGMA_M**-2)
+    prior[:3] = 0.0, drift_sigma**-2, FACE_SIGMA_M**-2
     mean = np.zeros(size)
-    mean[1:3] = -drift, 2 * settings.face_m  # the drift itself is small, not its change
+    mean[1:3] = -drift, 2 * FACE_M  # the drift itself is small, not its change
     columns = np.column_stack([-pairs.speed, -pairs.speed * pairs.late_s, pairs.sides])
     spread_m, robust = 2.0, np.ones(len(share))
-    for _ in range(settings.weight_rounds):
+    for _ in range(WEIGHT_ROUNDS):
         weight = robust * share / spread_m**2
         matrix, right = _normal(columns, pairs.place, pairs.gap_m, weight, size)
         matrix[np.diag_indices(size)] += prior
         solution = np.linalg.solve(matrix, right + prior * mean)
         rest = pairs.gap_m - columns @ solution[:3] - solution[3 + pairs.place]
         by_vehicle = np.bincount(pairs.vehicle, share * rest)
-        spread_m = max(1.4826 * float(np.median(np.abs(by_vehicle))), settings.vehicle_sigma_m)
-        robust = 1.0 / np.maximum(np.abs(rest) / (settings.huber * spread_m), 1.0)
+        spread_m = max(1.4826 * float(np.median(np.abs(by_vehicle))), VEHICLE_SIGMA_M)
+        robust = 1.0 / np.maximum(np.abs(rest) / (HUBER * spread_m), 1.0)
     sigma = np.sqrt(np.diag(np.linalg.inv(matrix))[:2])
     return np.asarray(solution[:2]), np.asarray(sigma)
 
@@ -341,30 +386,28 @@ def validate_offset(
     NoAnswerError
         If too small a share is seen by both, or as much at other lags.
     """
-    lags_s = offset_s + np.array([0.0, *settings.decoys_s])
+    lags_s = offset_s + np.array([0.0, *DECOYS_S])
     there, back = (
-        np.array([_share_seen(*pair, sign * lag_s, settings) for lag_s in lags_s])
+        np.array([_share_seen(*pair, sign * lag_s) for lag_s in lags_s])
         for pair, sign in (((one, other), 1.0), ((other, one), -1.0))
     )
     share, *decoys = (there + back) / 2
     if not share >= settings.least_share:
         raise NoAnswerError("at no lag do they see the same vehicles")
-    if not share >= settings.least_ratio * np.nanmax([0.0, *decoys]):
+    if not share >= LEAST_RATIO * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")
 
 
-def _share_seen(
-    one: LaneDetections, other: LaneDetections, offset_s: float, settings: ClockSettings
-) -> float:
+def _share_seen(one: LaneDetections, other: LaneDetections, offset_s: float) -> float:
     """Return the share of what `one` sees, where and while `other` sees too, that both see."""
     time = other.time - offset_s
-    within = (one.time > time[0] + settings.near_s) & (one.time < time[-1] - settings.near_s)
-    common = np.isin(_places(one, settings), _places(other, settings))
+    within = (one.time > time[0] + NEAR_S) & (one.time < time[-1] - NEAR_S)
+    common = np.isin(_places(one), _places(other))
     mine = one.take(np.flatnonzero(within & common))
-    if len(mine) < settings.least_checked:
+    if len(mine) < LEAST_CHECKED:
         return np.nan
-    mine = mine.take(np.arange(0, len(mine), -(-len(mine) // settings.most_checked)))
-    near = {name: getattr(settings, name) for name in ("near_m", "near_s", "near_mps")}
+    mine = mine.take(np.arange(0, len(mine), -(-len(mine) // MOST_CHECKED)))
+    near = {"near_m": NEAR_M, "near_s": NEAR_S, "near_mps": NEAR_MPS}
     tree = scipy.spatial.cKDTree(other.scaled(time - mine.time[0], **near))
     points = mine.scaled(mine.time - mine.time[0], **near)
     apart, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)

@@ -22,8 +22,13 @@ from gis_radar.calibration.clock_offsets import (
     rough_offset,
     validate_offset,
 )
-from gis_radar.calibration.clock_settings import CLOCKS, ClockSettings
-from gis_radar.calibration.lane_detections import LaneDetections, LaneMatcher, read_lane_detections
+from gis_radar.calibration.lane_detections import (
+    CLOCKS,
+    ClockSettings,
+    LaneDetections,
+    LaneMatcher,
+    read_lane_detections,
+)
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import atomic_write
@@ -34,6 +39,9 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
 from gis_radar.steps import seconds_from_iso
+
+# A drift below so many of its sigmas counts as none: over hours it would only carry noise.
+DRIFT_SIGMAS = 3.0
 
 MOST_DRIFT_PPM = 10_000.0  # a hundred times that of a bad quartz: a unit is mistaken
 NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock, in its file
@@ -100,7 +108,7 @@ class Clocks:
     reference : str
         The sensor whose clock counts as right.
     clocks : dict
-        By sensor, the reference too; those without an answer are not there.
+        By sensor, the reference too; sensors without an answer are left out.
     refused : dict
         Of the others: why there is no answer.
     pairs : dict
@@ -255,7 +263,7 @@ def measure_clocks(
     seen = _read_all(opened, tracks, LaneMatcher(tiles, settings), reporter)
     edges, reasons = _compare(seen, settings, reporter)
     reference = reference or best_linked(edges, sensors)
-    clocks, misfit = adjust_network(edges, reference, settings.drift_sigmas)
+    clocks, misfit = adjust_network(edges, reference, DRIFT_SIGMAS)
     refused = {sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in clocks}
     if len(clocks) < 2:
         why = "; ".join(f"{a} and {b}: {error.message}" for (a, b), error in reasons.items())
@@ -318,7 +326,7 @@ def _reason(sensor: str, reasons: Reasons) -> str:
 
 
 def adjust_network(
-    edges: Edges, reference: str, drift_sigmas: float = CLOCKS.drift_sigmas
+    edges: Edges, reference: str, drift_sigmas: float = DRIFT_SIGMAS
 ) -> tuple[dict[str, SensorClock], float]:
     """Adjust all clocks by weighted least squares over the pairs.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -10,12 +11,42 @@ import pandas as pd
 import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.joint_settings import CorrespondenceSettings
-from gis_radar.calibration.lanes import Lanes
-from gis_radar.calibration.matching import match, place
+from gis_radar.calibration.lanes import Lanes, match, place
 from gis_radar.calibration.model import MODEL, Model
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import NONE, Moving, Samples
+from gis_radar.calibration.traces import NONE, Samples
+
+MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle goes 2-3 m
+LEAST_MOMENTS = 5  # two tracks with fewer common moments are no pair: a second of common sight
+# Cosine between sight and lane below which the Doppler gives no speed (70 degrees).
+LEAST_COSINE = math.cos(math.radians(70.0))
+# Mean of the unit vectors of travel of a moment; below, its detections lie on several lanes.
+LEAST_STRAIGHT = 0.95
+# Detections of one moment farther apart along the lane are of several vehicles, or a lorry.
+LONGEST_M = 7.0
+# Cosine between the directions of travel (30 degrees: a bend, and a guess's yaw).
+LEAST_ALIKE = math.cos(math.radians(30.0))
+SPEED_MPS = 2.5  # largest difference of speeds: wheels, noise of the Doppler over the cosine
+LEVEL_M = 3.0  # largest difference of heights: bridges are higher
+# Of the moments that two tracks have in common, in which speed and direction must agree.
+LEAST_ALIKE_SHARE = 0.7
+FARTHEST_M = 60.0  # pairs farther apart than a pose may be wrong are not looked at
+# From the middle of vehicles to what reflects at their ends, and how they differ: half of 4.5 m,
+# less 0.1 to 0.35 m, as wheels and the underbody reflect from behind a face (1.9 and 2.0 m at the
+# true poses of two simulators).
+HALF_LENGTH_M = 2.05
+HALF_LENGTH_SPREAD_M = 0.6
+# How far off its mean place, along and across, a vehicle shows for one radar against the other
+# for all of its way: mirrors, wheels, rounded corners, hidden ends.
+SPOT_M = (0.7, 0.35)
+STRETCH_M = 30.0  # length of a stretch of a lane, on which what is alike for all vehicles lasts
+# Of one moment by itself beside its faces: the radar's range, and its speed times lateness.
+MOMENT_SIGMA_M = 0.3
+# Moments closer than this share their error: places that reflect change as aspects do.
+MEMORY_S = 1.0
+SHARE = min(MOMENT_S / MEMORY_S, 1.0)  # weight of a moment among those that share their error
+LEAST_PAIRS = 4  # fewer pairs neither place a sensor nor contradict a pose
 
 PLANE = 3  # easting, northing, yaw of a sensor
 FLAT, FACES = slice(0, 2), 3  # of the constants: half length, half width, strength of sides (log)
@@ -78,9 +109,7 @@ class Moments:
         return replace(self, arm=arm, place=spot)
 
 
-def read_moments(
-    moving: Moving, tracks: Integers, state: State, lanes: Lanes, settings: CorrespondenceSettings
-) -> Moments:
+def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -> Moments:
     """Put the vehicles of a recording on the map, moment by moment.
 
     Parameters
@@ -93,8 +122,6 @@ def read_moments(
         Where the sensor is thought to be, in the lanes' local coordinates.
     lanes : Lanes
         The map; directions of travel are theirs.
-    settings : CorrespondenceSettings
-        How long a moment is, and what is one vehicle.
     """
     on = tracks != NONE
     samples = Samples(
@@ -105,12 +132,12 @@ def read_moments(
     matches = match(lanes, placed)
     along = lanes.along[matches.lane]
     cosine = np.sum(along * placed.sight, axis=1)
-    clear = np.abs(cosine) > settings.least_cosine
+    clear = np.abs(cosine) > LEAST_COSINE
     speed = np.divide(samples.range_rate, cosine, out=np.full(len(samples), np.nan), where=clear)
-    moment = np.floor(moving.time[on] / settings.moment_s).astype(np.int64)
+    moment = np.floor(moving.time[on] / MOMENT_S).astype(np.int64)
     columns = {
         "track": samples.track, "moment": moment, "speed": speed,
-        "late": moving.time[on] - (moment + 0.5) * settings.moment_s,
+        "late": moving.time[on] - (moment + 0.5) * MOMENT_S,
         **dict(zip("xyz", placed.arms.T, strict=True)), "e": along[:, 0], "n": along[:, 1],
         "s": np.sum(along * placed.arms[:, FLAT], axis=1),
     }  # fmt: skip
@@ -125,8 +152,8 @@ def read_moments(
     way = found[["e", "n"]].to_numpy()
     straight = np.hypot(*way.T)
     # a queue in one track, or lanes that cross: no place of one vehicle
-    good = (extent < settings.longest_m) & np.isfinite(pace) & (straight > settings.least_straight)
-    way = way / np.maximum(straight, settings.least_straight)[:, None]
+    good = (extent < LONGEST_M) & np.isfinite(pace) & (straight > LEAST_STRAIGHT)
+    way = way / np.maximum(straight, LEAST_STRAIGHT)[:, None]
     arm = found[list("xyz")].to_numpy(copy=True)
     arm[:, FLAT] -= way * (pace * found["late"].to_numpy())[:, None]
     return Moments(
@@ -219,51 +246,45 @@ class Rows:
         return Rows(pair=number, tracks=self.tracks[pairs], **cut)
 
 
-def compare(
-    one: Moments, other: Moments, settings: CorrespondenceSettings, model: Model = MODEL
-) -> Rows:
+def compare(one: Moments, other: Moments, model: Model = MODEL) -> Rows:
     """Compare all vehicles that two sensors see at the same moments, in the same direction.
 
     Parameters
     ----------
     one, other : Moments
         Of two sensors.
-    settings : CorrespondenceSettings
-        What may be the same vehicle.
     model : Model
         How vehicles reflect.
     """
-    if not _in_reach(one, other, settings):  # sensors of a large site that never meet
+    if not _in_reach(one, other):  # sensors of a large site that never meet
         one = one.first(0)
     a, b = _same_moment(one.moment, other.moment)
     table = pd.DataFrame({"one": one.track[a], "other": other.track[b]})
     way = np.sum(one.along[a] * other.along[b], axis=1)
     over = np.abs(one.points[a, 2] - other.points[b, 2])
     alike = (
-        (way > settings.least_alike)
-        & (np.abs(one.speed[a] - other.speed[b]) < settings.speed_mps)
-        & (over < settings.level_m)
+        (way > LEAST_ALIKE) & (np.abs(one.speed[a] - other.speed[b]) < SPEED_MPS) & (over < LEVEL_M)
     )
-    near = np.hypot(*(one.points[a] - other.points[b])[:, FLAT].T) < settings.farthest_m
+    near = np.hypot(*(one.points[a] - other.points[b])[:, FLAT].T) < FARTHEST_M
     both = table.groupby(["one", "other"], sort=True)
     number = both.ngroup().to_numpy()
     share = np.bincount(number, weights=alike) / np.maximum(np.bincount(number), 1)
-    keep = alike & near & (share[number] > settings.least_share)
-    enough = np.bincount(number[keep], minlength=len(share)) >= settings.least_moments
+    keep = alike & near & (share[number] > LEAST_ALIKE_SHARE)
+    enough = np.bincount(number[keep], minlength=len(share)) >= LEAST_MOMENTS
     keep &= enough[number]
     order = np.flatnonzero(keep)[np.argsort(number[keep], kind="stable")]
     _, pair = np.unique(number[order], return_inverse=True)
     tracks = table.iloc[order].groupby(pair).first().to_numpy().reshape(-1, 2)
-    return _rows(one, other, a[order], b[order], pair, tracks, settings, model)
+    return _rows(one, other, a[order], b[order], pair, tracks, model)
 
 
-def _in_reach(one: Moments, other: Moments, settings: CorrespondenceSettings) -> bool:
+def _in_reach(one: Moments, other: Moments) -> bool:
     """Return whether detections of two sensors may be near each other."""
     if not len(one) or not len(other):
         return False
     a, b = one.points[:, FLAT], other.points[:, FLAT]
     apart_m = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
-    return bool((apart_m < settings.farthest_m).all())
+    return bool((apart_m < FARTHEST_M).all())
 
 
 def _same_moment(one: Integers, other: Integers) -> tuple[Integers, Integers]:
@@ -276,16 +297,16 @@ def _same_moment(one: Integers, other: Integers) -> tuple[Integers, Integers]:
 
 def _rows(
     one: Moments, other: Moments, a: Integers, b: Integers, pair: Integers, tracks: Integers,
-    settings: CorrespondenceSettings, model: Model,
+    model: Model,
 ) -> Rows:  # fmt: skip
     """Return gaps and derivatives of moments `a` of one sensor against `b` of the other."""
     along = one.along[a]
     axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
-    half = np.array([settings.half_length_m, model.half_width])
+    half = np.array([HALF_LENGTH_M, model.half_width])
     gap = np.einsum("rij,rj->ri", axes, (one.points[a] - other.points[b])[:, FLAT])
     poses, constants = np.zeros((len(a), 2, 2 * PLANE)), np.zeros((len(a), 2, FACES))
     clocks, bearings = np.zeros((len(a), 2, 2)), np.zeros((len(a), 2, 2))
-    variance = np.full((len(a), 2), settings.moment_sigma_m**2)
+    variance = np.full((len(a), 2), MOMENT_SIGMA_M**2)
     for k, (seen, at, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
         shown, arm = faces(seen, model), seen.arm[at, :2]
         ends, sides = (1.0 - shown.side[at]) * shown.ahead[at], shown.side[at] * shown.left[at]
@@ -309,31 +330,27 @@ def _rows(
     )  # fmt: skip
 
 
-def stretches(rows: Rows, settings: CorrespondenceSettings) -> Integers:
+def stretches(rows: Rows) -> Integers:
     """Return of each pair a number of the stretch of road and the direction it is driven in."""
-    place = np.floor(rows.means(rows.place) / settings.stretch_m)
+    place = np.floor(rows.means(rows.place) / STRETCH_M)
     along = rows.means(rows.poses[:, 0, FLAT])
     quarter = np.round(np.arctan2(along[:, 1], along[:, 0]) / (np.pi / 2.0)) % 4
     labels = np.column_stack([place, quarter])
     return np.asarray(np.unique(labels, axis=0, return_inverse=True)[1].ravel())
 
 
-def effects(
-    rows: Rows, settings: CorrespondenceSettings, model: Model = MODEL
-) -> tuple[Floats, Floats]:
+def effects(rows: Rows, model: Model = MODEL) -> tuple[Floats, Floats]:
     """Return the random effects of a pair: (r, 2, 5) derivatives and (5,) variances.
 
     Which part of it each radar sees best, along and across; its length; both bearings.
     """
     spots = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     derivatives = np.concatenate([spots, rows.constants[:, :, :1], rows.bearings], axis=2)
-    spread = [*settings.spot_m, settings.half_length_spread_m, model.bearing, model.bearing]
+    spread = [*SPOT_M, HALF_LENGTH_SPREAD_M, model.bearing, model.bearing]
     return derivatives, np.square(spread)
 
 
-def mean_gaps(
-    rows: Rows, covariance: Floats, settings: CorrespondenceSettings, model: Model = MODEL
-) -> tuple[Floats, Floats]:
+def mean_gaps(rows: Rows, covariance: Floats, model: Model = MODEL) -> tuple[Floats, Floats]:
     """Return each pair's mean gap, (pairs, 2), and its covariance, (pairs, 2, 2).
 
     Parameters
@@ -342,13 +359,13 @@ def mean_gaps(
         From :func:`compare`.
     covariance : (6, 6) array
         Of both sensors' easting, northing, yaw.
-    settings, model : CorrespondenceSettings, Model
+    model : Model
         How vehicles differ.
     """
-    derivatives, variances = effects(rows, settings, model)
+    derivatives, variances = effects(rows, model)
     by_effect, by_pose = rows.means(derivatives), rows.means(rows.poses)
     number = np.diff(np.append(rows.first, len(rows.pair)))
-    each = rows.means(rows.variance) / np.maximum(number * settings.share, 1.0)[:, None]
+    each = rows.means(rows.variance) / np.maximum(number * SHARE, 1.0)[:, None]
     known = (
         np.einsum("pik,k,pjk->pij", by_effect, variances, by_effect)
         + np.einsum("pik,kl,pjl->pij", by_pose, covariance, by_pose)

@@ -1,27 +1,249 @@
-"""Hypotheses: starts from the search, fitted one by one, compared vehicle by vehicle."""
+"""Hypotheses: starts from a search over places and headings, fitted and compared by vehicles."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Floats
+from gis_radar.arrays import Booleans, Floats, compiled
 from gis_radar.calibration.adaptation import adapted
-from gis_radar.calibration.certainty import advantage, along_valley
-from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.certainty import LOOK_GAIN, PLANE, advantage, along_valley
+from gis_radar.calibration.lanes import LANE_CELL_M, Lanes, Scene
 from gis_radar.calibration.model import MODEL, Model
-from gis_radar.calibration.search import Candidate, Levelling, level, search
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Samples
 
-PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
+BEYOND_GUESS_M = 2.0  # searched beyond how far a guess may be off
+TILT = math.radians(6.0)  # 1 sigma of how far masts and roads lean, radians
+# 1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
+LEVEL_SPREAD_M = 0.5
+LEVEL_ELEVATION = math.radians(0.6)
+SCORED = 900  # traces scored; cost in proportion
+SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
+# Bell across a lane, grid of places, grid of headings (radians). Steps are at most one spread, or
+# 50 m off half of one.
+SPREAD_M = 2.0
+STEP_M = 2.0
+YAW_STEP = math.radians(2.0)
+# Cosine by which a lane's direction may disagree with the Doppler's sign (15 degrees).
+BESIDE = 0.25
+# Closer peaks are one.
+NEAR_M = 3.0
+NEAR_RAD = math.radians(5.0)
+# Prior of the mean height of reflections: between wheel hubs and belt lines.
+REFLECTION_M = 0.6
+REFLECTION_SIGMA_M = 0.25
+ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion
+GONE = 5.0  # standard deviations behind the first, beyond which none is a finalist
+# Closer fits are one: easting, northing, height; turns about the axes.
+TWIN_M = (0.3, 0.3, 0.5)
+TWIN_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
+# Grid around an optimum on which better ones are looked for: half a vehicle's width apart, and so
+# many steps to all sides and turns, which count at LEVER_M.
+LOOK_M = 0.5
+LOOK_STEPS = (3, 2)
+# Widening of the spreads there (drivers differ by as much), samples that are looked at, and how
+# many of the lowest places are fitted.
+LOOK_SCALE_M = 0.3
+LOOK_SAMPLES = 400
+LOOK_PLACES = 4
+# Peaks that are fitted, without and with a heading; cost in proportion.
+CANDIDATES = 10
+KNOWN_CANDIDATES = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Levelling:
+    """The road plane as the sensor sees it.
+
+    Parameters
+    ----------
+    R_level_sensor : (3, 3) array
+        Turns the sensor frame so that the road's plane is level and below; the heading of the
+        x axis stays.
+    depth_m : float
+        From the sensor down to the plane of the reflections.
+    """
+
+    R_level_sensor: Floats
+    depth_m: float
+
+
+def level(scene: Scene) -> Levelling:
+    """Fit a plane to the traces, robustly; a sensor over which the road lies hangs upside down.
+
+    Parameters
+    ----------
+    scene : Scene
+        The traces.
+    """
+    samples, settings = scene.samples, scene.settings.search
+    x, y, z = samples.points.T
+    rows = np.column_stack([x, y, np.ones(len(x))])
+    reach = np.linalg.norm(samples.points, axis=1)
+    sigma = np.hypot(LEVEL_SPREAD_M, LEVEL_ELEVATION * reach)
+    prior = np.diag([TILT**-2, TILT**-2, 0.0])
+    weight = sigma**-2
+    plane = np.array([0.0, 0.0, float(np.median(z))])
+    for _ in range(settings.level_rounds):
+        weight = sigma**-2 / (1.0 + ((z - rows @ plane) / (2.0 * sigma)) ** 2) ** 2
+        plane = np.linalg.solve(rows.T @ (weight[:, None] * rows) + prior, rows.T @ (weight * z))
+    up = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(1.0 + plane[0] ** 2 + plane[1] ** 2)
+    depth = -plane[2] * up[2]
+    if depth < 0.0:
+        up, depth = -up, -depth
+    ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    ahead /= np.linalg.norm(ahead)
+    return Levelling(
+        R_level_sensor=np.vstack([ahead, np.cross(up, ahead), up]), depth_m=float(depth)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A place and a heading that the search found.
+
+    Parameters
+    ----------
+    place : (2,) array
+        Local easting and northing, metres.
+    yaw : float
+        Radians.
+    score : float
+        Mean closeness of the traces to lanes, 0 to 1.
+    """
+
+    place: Floats
+    yaw: float
+    score: float
+
+
+def search(
+    scene: Scene, levelled: Floats, *, heading: tuple[float, float] | None, most: int
+) -> list[Candidate]:
+    """Score every place and heading on a grid, and return the best that differ.
+
+    Parameters
+    ----------
+    scene : Scene
+        The lanes around the guess, which is the local (0, 0), and the traces.
+    levelled : (n, 3) array
+        The traces' points in a levelled sensor frame: z up, yaw unknown.
+    heading : (yaw, tolerance) or None
+        Radians; without it all headings are tried.
+    most : int
+        Candidates to return, the best first.
+    """
+    lanes, samples, settings = scene.lanes, scene.samples, scene.settings.search
+    chosen = np.random.default_rng(0).permutation(len(samples))[:SCORED]
+    points, away = levelled[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
+    cell_m = LANE_CELL_M
+
+    def score(close: NDArray[np.uint8], places: Floats, yaws: Floats) -> Floats:
+        return np.asarray(_score(close, lanes.corner, cell_m, points, away, places, yaws))
+
+    places = _places(settings.guess_m + BEYOND_GUESS_M, STEP_M)
+    yaws = _yaws(heading, YAW_STEP)
+    scores = score(closeness(lanes), places, yaws)
+    return _peaks(scores, places, yaws, most)
+
+
+def _yaws(heading: tuple[float, float] | None, step: float) -> Floats:
+    centre, tolerance = heading or (0.0, np.pi)
+    count = int(np.ceil(tolerance / step))
+    steps = np.arange(-count, count + 1) * tolerance / count
+    return np.asarray(centre + (steps[:-1] if heading is None else steps))
+
+
+def _places(radius_m: float, step_m: float) -> Floats:
+    count = np.ceil(radius_m / step_m)
+    steps = np.arange(-count, count + 1) * step_m
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    return np.asarray(grid[np.hypot(*grid.T) <= radius_m])
+
+
+def closeness(lanes: Lanes) -> NDArray[np.uint8]:
+    """Return for each direction of sight how close a cell is to lanes that lead away along it.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map.
+
+    Returns
+    -------
+    (sights, rows, columns) uint8 array
+        255 on a centre line. What comes towards the sensor is what leads away along the
+        opposite sight.
+    """
+    near = np.exp(-0.5 * (lanes.distance / SPREAD_M) ** 2)
+    sights, bins = SIGHTS, len(near)
+    ways = np.arange(bins) * (2.0 * np.pi / bins)
+    out = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)
+    bytes_near = np.rint(near * 255.0).astype(np.uint8)
+    for sight in range(sights):
+        agree = np.cos(ways - sight * (2.0 * np.pi / sights)) > -BESIDE
+        out[sight] = bytes_near[agree].max(axis=0)
+    return out
+
+
+def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Candidate]:
+    """Return the best candidates, no two of them close to each other."""
+    order = np.argsort(-scores, axis=None)[: 400 * most]
+    kept: list[Candidate] = []
+    for flat in order:
+        i, j = divmod(int(flat), scores.shape[1])
+        place, yaw = places[i], float(yaws[j])
+        twin = any(
+            np.hypot(*(place - other.place)) < NEAR_M and abs(_wrapped(yaw - other.yaw)) < NEAR_RAD
+            for other in kept
+        )
+        if not twin:
+            kept.append(Candidate(place=place, yaw=yaw, score=float(scores[i, j])))
+            if len(kept) == most:
+                break
+    return kept
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@compiled
+def _score(
+    close: NDArray[np.uint8],
+    corner: Floats,
+    cell_m: float,
+    points: Floats,
+    away: Booleans,
+    places: Floats,
+    yaws: Floats,
+) -> Floats:
+    """Return the mean closeness for each place (rows) and yaw (columns)."""
+    sights, rows, columns = close.shape
+    total = np.zeros((len(places), len(yaws)))
+    for j in range(len(yaws)):
+        cos, sin = np.cos(yaws[j]), np.sin(yaws[j])
+        for k in range(len(points)):
+            x = cos * points[k, 0] - sin * points[k, 1]
+            y = sin * points[k, 0] + cos * points[k, 1]
+            turn = np.arctan2(y, x) / (2.0 * np.pi) + (0.0 if away[k] else 0.5)
+            sight = int(np.rint(turn * sights)) % sights
+            for i in range(len(places)):
+                column = int((x + places[i, 0] - corner[0]) / cell_m)
+                row = int((y + places[i, 1] - corner[1]) / cell_m)
+                if 0 <= column < columns and 0 <= row < rows:
+                    total[i, j] += close[sight, row, column]
+    return total / (255.0 * max(len(points), 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +286,11 @@ def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> lis
     heading : (yaw, tolerance) or None
         Radians; without it all headings are tried.
     """
-    levelling, part, settings = level(scene), rough(scene), scene.settings.search
-    most = settings.candidates if heading is None else settings.known_candidates
+    levelling, part = level(scene), rough(scene)
+    most = CANDIDATES if heading is None else KNOWN_CANDIDATES
     found = _searched(scene, levelling, heading, most)
     tried = [_rough_fit(part, _start(part, levelling, c), c.score) for c in found]
-    return _ranked(tried, scene.settings)
+    return _ranked(tried)
 
 
 def search_score(scene: Scene, *, heading: tuple[float, float] | None) -> float:
@@ -91,7 +313,7 @@ def _searched(
 
 def rough(scene: Scene) -> Scene:
     """Return the scene with an even part of the samples, enough to rank hypotheses."""
-    return _part(scene, scene.settings.hypotheses.rough_samples)
+    return _part(scene, ROUGH_SAMPLES)
 
 
 def _part(scene: Scene, most: int) -> Scene:
@@ -112,10 +334,10 @@ def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     The best one is looked at in full, and so is each that could still overtake it.
     """
     part, best, settings = rough(scene), hypotheses[0], scene.settings.hypotheses
-    near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < settings.gone]
+    near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < GONE]
     finalists = near[: settings.finalists]
-    settled = _ranked([_settled(part, h, h.fit.state) for h in finalists], scene.settings)
-    fine = _ranked([_fine(scene, h) for h in settled], scene.settings)
+    settled = _ranked([_settled(part, h, h.fit.state) for h in finalists])
+    fine = _ranked([_fine(scene, h) for h in settled])
     looked = _with_rivals(fine, scene, partial(look_around, scene))
     return _with_rivals(looked, scene, partial(_adapted, scene))
 
@@ -127,7 +349,7 @@ def _with_rivals(
     first, rival = ranked[0], scene.settings.hypotheses.rival
     near = [advantage(first.fit, h.fit, scene.samples) < rival for h in ranked]
     improved = [better(h) if close else h for h, close in zip(ranked, near, strict=True)]
-    return _ranked(improved, scene.settings)
+    return _ranked(improved)
 
 
 def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
@@ -136,22 +358,22 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
     Which face of which vehicle a trace shows, and to which lane it belongs, make the cost bumpy in
     the small where drivers keep off the middle of their lanes.
     """
-    settings, lever_m = scene.settings.hypotheses, scene.settings.answer.lever_m
-    aside, turned = (np.arange(-n, n + 1) * settings.look_m for n in settings.look_steps)
-    few = _part(scene, settings.look_samples)
-    grid = np.stack(np.meshgrid(aside, aside, turned / lever_m, indexing="ij"), axis=-1)
+    settings = scene.settings.hypotheses
+    aside, turned = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
+    few = _part(scene, LOOK_SAMPLES)
+    grid = np.stack(np.meshgrid(aside, aside, turned / LEVER_M, indexing="ij"), axis=-1)
     steps = np.zeros((grid.size // 3, SIZE))
     steps[:, PLANE] = grid.reshape(-1, 3)
     for _ in range(settings.looks):
         starts = [best.fit.state.moved(step) for step in steps]
-        costs = np.array([cost_at(few, start, scale_m=settings.look_scale_m) for start in starts])
+        costs = np.array([cost_at(few, start, scale_m=LOOK_SCALE_M) for start in starts])
         costs = costs.reshape(grid.shape[:3])
         lowest = np.argwhere(costs == minimum_filter(costs, size=3))
-        order = np.argsort(costs[tuple(lowest.T)])[: settings.look_places]
+        order = np.argsort(costs[tuple(lowest.T)])[:LOOK_PLACES]
         chosen = np.ravel_multi_index(tuple(lowest[order].T), costs.shape)
         others = [_settled(scene, best, starts[k]) for k in chosen]
         better = min(others, key=lambda h: h.fit.cost)
-        if better.fit.cost > best.fit.cost - settings.look_gain:
+        if better.fit.cost > best.fit.cost - LOOK_GAIN:
             break
         best = better
     return best
@@ -176,21 +398,21 @@ def widen_by_profile(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
 
 def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
     """Return the state at a candidate, at the height that puts the traces over the road."""
-    lanes, reflection_m = scene.lanes, scene.settings.hypotheses.reflection_m
+    lanes = scene.lanes
     turn = Rotation.from_euler("Z", candidate.yaw).as_matrix()
     state = State(
         position=np.array([*candidate.place, 0.0]),
         R_map_sensor=turn @ levelling.R_level_sensor,
-        reflection=reflection_m,
+        reflection=REFLECTION_M,
     )
     points = state.to_map(scene.samples.points)
-    cell = np.floor((points[:, :2] - lanes.corner) / lanes.settings.cell_m).astype(np.int64)
+    cell = np.floor((points[:, :2] - lanes.corner) / LANE_CELL_M).astype(np.int64)
     _, rows, columns = lanes.distance.shape
     inside = (cell >= 0).all(axis=1) & (cell < [columns, rows]).all(axis=1)
     column, row = cell[inside].T
     nearest = np.argmin(lanes.distance[:, row, column], axis=0)
     lane = lanes.nearest[nearest, row, column]
-    over = lanes.points[lane, 2] + reflection_m - points[inside, 2]
+    over = lanes.points[lane, 2] + REFLECTION_M - points[inside, 2]
     over = over[(lane >= 0) & np.isfinite(over)]
     known = lanes.points[:, 2][np.isfinite(lanes.points[:, 2])]
     height = np.median(over) if len(over) else np.median(known) + levelling.depth_m
@@ -207,11 +429,11 @@ def prior_at(state: State, settings: LocalizationSettings = LOCALIZATION) -> Pri
     settings : LocalizationSettings
         The standard deviations.
     """
-    guess_m, tilt = settings.search.guess_m, settings.search.tilt
+    guess_m, tilt = settings.search.guess_m, TILT
     information = np.zeros((SIZE, SIZE))
     sigma = np.array([guess_m / 2, guess_m / 2, guess_m, tilt, tilt, np.pi])
     information[POSE, POSE] = np.diag(sigma**-2)
-    information[REFLECTION, REFLECTION] = settings.hypotheses.reflection_sigma_m**-2
+    information[REFLECTION, REFLECTION] = REFLECTION_SIGMA_M**-2
     mean = replace(state, position=np.array([0.0, 0.0, state.position[2]]))
     return Prior(mean=mean, information=information)
 
@@ -222,9 +444,9 @@ def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
     return Hypothesis(fit=fit, prior=prior, score=score)
 
 
-def _ranked(hypotheses: Sequence[Hypothesis], settings: LocalizationSettings) -> list[Hypothesis]:
+def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return hypotheses the best first, without what another, better one has found as well."""
-    twin = np.array([*settings.hypotheses.twin_m, *settings.hypotheses.twin_rad])
+    twin = np.array([*TWIN_M, *TWIN_RAD])
     kept: list[Hypothesis] = []
     for h in sorted(hypotheses, key=lambda h: h.loss):
         gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE]) / twin for k in kept]

@@ -12,13 +12,21 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
-from gis_radar.calibration.residuals import at_least
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.result import STAGE, Localization, Problem, common
-from gis_radar.calibration.settings import LOCALIZATION, IcpSettings, LocalizationSettings
+from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, IcpSettings, LocalizationSettings
+from gis_radar.calibration.solver import FLOOR, at_least
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Moving
+from gis_radar.calibration.traces import CROWD_M
 from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
 from gis_radar.progress import Reporter
+
+# How far the pose is moved to measure how well the road fixes it: farther than the slack between
+# traces and kerb, in which the cost is flat.
+PROFILE_M = 2.0
+MAST_M = 5.0  # height of a usual mast, where the guess has none
+HEADINGS = 8  # tried where none is given, evenly around
+FARTHEST = 2.0  # an answer farther off than so many times the error of a guess is refused
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +153,7 @@ def pose_information(
     """Return the (6, 6) information of a registration about its pose, order as a state's step.
 
     Point-to-point correspondences hold a trace even along a road on which it slides. The curvature
-    is therefore measured over steps of `profile_m` (or a voxel up and down) with the nearest road
+    is therefore measured over steps of `PROFILE_M` (or a voxel up and down) with the nearest road
     sought anew at each: what the traces cost off the road, in errors of a voxel. Traces within
     `crowd_m` of each other count as one.
 
@@ -161,17 +169,17 @@ def pose_information(
         Of steps, voxels and crowds.
     """
     icp, tree = settings.icp, cKDTree(road)
-    cells = np.floor(source[:, :2] / settings.traces.crowd_m).astype(np.int64)
+    cells = np.floor(source[:, :2] / CROWD_M).astype(np.int64)
     _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     weight = 0.5 / (count[number.ravel()] * icp.voxel_m**2)
 
     def cost(step: Floats) -> float:
         points = state.moved(np.append(step, 0.0)).to_map(source)
-        gap = tree.query(points, distance_upper_bound=icp.profile_m)[0]
-        return float(weight @ np.minimum(gap, icp.profile_m) ** 2)
+        gap = tree.query(points, distance_upper_bound=PROFILE_M)[0]
+        return float(weight @ np.minimum(gap, PROFILE_M) ** 2)
 
-    size = np.array([icp.profile_m, icp.profile_m] + [icp.voxel_m] * 3 + [icp.profile_m])
-    size /= [1.0, 1.0, 1.0, *[settings.answer.lever_m] * 3]
+    size = np.array([PROFILE_M, PROFILE_M] + [icp.voxel_m] * 3 + [PROFILE_M])
+    size /= [1.0, 1.0, 1.0, *[LEVER_M] * 3]
     steps = np.diag(size)
     rise = np.diag([cost(step) + cost(-step) for step in steps]) - 2.0 * cost(np.zeros(6)) * np.eye(
         6
@@ -180,7 +188,7 @@ def pose_information(
         a, b = steps[i] / np.sqrt(2.0), steps[j] / np.sqrt(2.0)
         rise[i, j] = rise[j, i] = 0.5 * (cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b))
     curvature = rise / np.outer(size, size)
-    return at_least(curvature, settings.solver.floor * np.eye(6))
+    return at_least(curvature, FLOOR * np.eye(6))
 
 
 def _cloud(o3d: Any, points: Floats) -> Any:
@@ -213,11 +221,11 @@ def by_icp(
     if len(local) == 0:
         raise NoAnswerError(f"{problem.name}: no road within {reach_m:.0f} m of the guess")
     reporter.progress(STAGE, 2, 3)
-    height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, icp.mast_m)
-    starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, icp.headings)
+    height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
+    starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
     fit = register_icp(source, voxels(local, icp.voxel_m), starts, icp)
     away = float(np.hypot(*fit.state.position[:2]))
-    if away > icp.farthest * guess_m:
+    if away > FARTHEST * guess_m:
         raise NoAnswerError(
             f"{problem.name}: the registration went {away:.0f} m from the guess",
             hint="guess closer",
@@ -230,7 +238,7 @@ def by_icp(
         pose=problem.pose(fit.state, evidence),
         fitness=fit.fitness,
         observable=observable,
-        eigenvalues=tuple(eigenvalues(information, settings.answer).tolist()),
+        eigenvalues=tuple(eigenvalues(information).tolist()),
         samples=len(source),
         traces=source,
         range_rate=np.full(len(source), np.nan),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +14,20 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.common_times import (
+from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
+from gis_radar.calibration.localization import decided_by_scan, localize
+from gis_radar.calibration.moving import (
     RIGHT,
+    Moving,
     Span,
     best_end,
     common_time,
-    lanes_of_all,
     read_span,
     read_until,
 )
-from gis_radar.calibration.joint_settings import MATCHING, CorrespondenceSettings
-from gis_radar.calibration.localization import localize
 from gis_radar.calibration.network import CLASH_HINT, Solved, Station, solve_network
 from gis_radar.calibration.result import AmbiguousError, Localization
+from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.crs import moved_position, yaw_from_compass
 from gis_radar.errors import InputError, NoAnswerError, UsageError
@@ -34,8 +36,11 @@ from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.notebooks import card
 from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.progress import QUIET, Level, Reporter
 from gis_radar.scans.scan import read_road, road_crs
+
+# Of the recordings of several days, the seconds in which most sensors recorded: 2000 frames.
+COMMON_S = 100.0
 
 STAGE = "finding the poses together"
 READING = "reading what moved"
@@ -74,7 +79,7 @@ class JointCalibration:
 
     def figures(self) -> dict[str, str]:
         """Return a line a sensor."""
-        lines = {name: gain_line(found.pose) for name, found in self.found.items()}
+        lines = {name: _line(found.pose) for name, found in self.found.items()}
         return lines | {name: f"no answer: {why}" for name, why in self.refused.items()}
 
     def write(self, folder: str | Path) -> list[Path]:
@@ -108,15 +113,18 @@ def localize_together(
     compasses: Sequence[float] | None = None,
     crs: Any = None,
     origin: tuple[float, float] | None = None,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
     settings: LocalizationSettings = LOCALIZATION,
-    matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
     """Find the poses of several sensors that recorded at the same time, all files.
 
     Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
-    the same time relate their poses, which are adjusted together. A sensor that cannot tell several
-    poses apart, or whose place along a straight road is not fixed, is placed by its neighbours.
+    the same time relate their poses, which are adjusted together. A sensor with several
+    poses that fit alike, or whose place along a straight road is not fixed, is placed by its
+    neighbours.
+    Where there are scans, each adjusted pose is checked against them.
 
     Parameters
     ----------
@@ -138,8 +146,11 @@ def localize_together(
         The map frame; that of the road where it is not given.
     origin : (easting, northing), optional
         Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
-    settings, matching : LocalizationSettings, CorrespondenceSettings
-        All constants, of the single answers and of what relates them.
+    scans, scan_crs
+        As for :func:`gis_radar.localize_files`: where the traffic in front of a sensor fits several
+        poses, the scan check decides first.
+    settings : LocalizationSettings
+        Of the single answers.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -148,7 +159,8 @@ def localize_together(
     UsageError
         If there are fewer than two recordings, not as many guesses, or a sensor twice.
     InputError
-        If a file cannot be read, or two recordings have no time in common.
+        If a file cannot be read, two recordings have no time in common, or no scan has points
+        within 300 m of a guess.
     NoAnswerError
         If no sensor has a trustworthy pose.
     """
@@ -164,9 +176,12 @@ def localize_together(
             yaw_from_compass(compass, roads.crs, place[0], place[1])
             for compass, place in zip(compasses, places, strict=True)
         ]
+    if scans:
+        for path, place in zip(paths, places, strict=True):
+            require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
     return locate_all(
-        paths, roads, read_road(road, roads.crs),
-        guesses=places, headings=headings, settings=settings, matching=matching, reporter=reporter,
+        paths, roads, read_road(road, roads.crs), guesses=places, headings=headings, scans=scans,
+        scan_crs=scan_crs, settings=settings, reporter=reporter,
     )  # fmt: skip
 
 
@@ -177,31 +192,76 @@ def locate_all(
     *,
     guesses: Sequence[tuple[float, ...]],
     headings: Sequence[float] | None = None,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
     settings: LocalizationSettings = LOCALIZATION,
-    matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
     """Find the poses of several sensors, with map and road in memory.
 
     Parameters
     ----------
-    recordings, guesses, headings, settings, matching, reporter
+    recordings, guesses, headings, scans, scan_crs, settings, reporter
         As for :func:`localize_together`; guesses in the map's CRS.
     roads, road_points
         As for :func:`gis_radar.localize`.
     """
     end = common_time(recordings)
+    look_at = partial(_look, scans=scans, scan_crs=scan_crs, reporter=reporter) if scans else None
+    sure = [None] * len(guesses) if headings is None else headings
+    asks = [
+        partial(
+            localize, roads=roads, road_points=road_points, guess=guess, heading=heading,
+            settings=settings, reporter=reporter,
+        )
+        for guess, heading in zip(guesses, sure, strict=True)
+    ]  # fmt: skip
+    if look_at is not None:
+        asks = [
+            partial(decided_by_scan, localize=ask, look_at=look_at, reporter=reporter)
+            for ask in asks
+        ]
+    answers, refused = _alone(recordings, asks, reporter)
+    used = {path.stem: path for path in recordings if path.stem in answers}
+    solved = adjust_poses(
+        used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
+        roads, road_points, end=end, settings=settings, reporter=reporter,
+    )  # fmt: skip
+    reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
+    if not solved.poses:
+        raise NoAnswerError("; ".join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT)
+    for name, reason in solved.unmatched.items():
+        if name in solved.poses and len(used) > 1:
+            reporter.log(f"{name}: {reason}", "warning")
+    placed = {
+        name: _with_pose(answers[name][solved.chosen[name]], solved.poses[name])
+        for name in used if name in solved.poses
+    }  # fmt: skip
+    if look_at is not None:
+        placed = {
+            name: found.with_scan_check(look_at(used[name], found.pose))
+            for name, found in placed.items()
+        }
+    why = {name: error.message for name, error in refused.items() if name not in placed}
+    return JointCalibration(found=placed, refused=why | solved.refused, pairs=solved.pairs)
+
+
+def _alone(
+    recordings: Sequence[Path], asks: Sequence[Callable[[Path], Localization]], reporter: Reporter
+) -> tuple[dict[str, tuple[Localization, ...]], dict[str, NoAnswerError]]:
+    """Localize each sensor by itself; return its answers (several if ambiguous), and refusals.
+
+    Raises
+    ------
+    NoAnswerError
+        If none of them has one answer.
+    """
     answers: dict[str, tuple[Localization, ...]] = {}
     refused: dict[str, NoAnswerError] = {}
-    for number, recording in enumerate(recordings):
-        reporter.progress(STAGE, number, len(recordings) + 1)
-        heading = None if headings is None else headings[number]
+    for done, (recording, ask) in enumerate(zip(recordings, asks, strict=True)):
+        reporter.progress(STAGE, done, len(recordings) + 1)
         try:
-            found = localize(
-                recording, roads, road_points,
-                guess=guesses[number], heading=heading, settings=settings, reporter=reporter,
-            )  # fmt: skip
-            answers[recording.stem] = (found,)
+            answers[recording.stem] = (ask(recording),)
         except AmbiguousError as error:
             answers[recording.stem] = error.answers
             refused[recording.stem] = error
@@ -211,24 +271,29 @@ def locate_all(
     if all(name in refused for name in answers):
         raise NoAnswerError("; ".join(error.message for error in refused.values()),
                             hint="at least one sensor must have an answer of its own")  # fmt: skip
-    used = {path.stem: path for path in recordings if path.stem in answers}
-    solved = adjust_poses(
-        used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
-        roads, road_points, end=end, settings=settings, matching=matching, reporter=reporter,
-    )  # fmt: skip
-    reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
-    if not solved.poses:
-        raise NoAnswerError("; ".join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT)
-    for name, reason in solved.unmatched.items():
-        if name in solved.poses and len(used) > 1:
-            reporter.log(f"{name}: {reason}", "warning")
-    placed = {
-        name: _with_pose(answers[name][solved.chosen[name]], pose)
-        for name, pose in solved.poses.items()
-    }
-    why = {name: error.message for name, error in refused.items() if name not in placed}
-    ordered = {path.stem: placed[path.stem] for path in recordings if path.stem in placed}
-    return JointCalibration(found=ordered, refused=why | solved.refused, pairs=solved.pairs)
+    return answers, refused
+
+
+@dataclass(frozen=True)
+class _Named(Reporter):
+    """Passes on what concerns one sensor, remarks with its name."""
+
+    name: str
+    reporter: Reporter
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        self.reporter.progress(stage, done, total)
+
+    def log(self, message: str, level: Level = "info") -> None:
+        self.reporter.log(f"{self.name}: {message}", level)
+
+
+def _look(
+    recording: Path, pose: Pose, *, scans: Sequence[str | Path], scan_crs: Any, reporter: Reporter
+) -> ScanCheck:
+    """Check a sensor's pose against the scan; remarks name the sensor."""
+    named = _Named(pose.sensor, reporter)
+    return check_against_scan(recording, pose, scans, scan_crs=scan_crs, reporter=named)
 
 
 def adjust_poses(
@@ -240,7 +305,6 @@ def adjust_poses(
     end: float | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
     settings: LocalizationSettings = LOCALIZATION,
-    matching: CorrespondenceSettings = MATCHING,
     reporter: Reporter = QUIET,
 ) -> Solved:
     """Adjust poses by the vehicles that the sensors see at the same time.
@@ -250,7 +314,7 @@ def adjust_poses(
     recordings : mapping of str to Path or sequence of Path
         By sensor.
     poses : mapping of str to tuple of Pose
-        By sensor: its own answer with covariance, or several that it cannot tell apart.
+        By sensor: its own answer with covariance, or several that fit alike.
     roads, road_points
         As for :func:`gis_radar.localize`.
     end : float, optional
@@ -258,8 +322,8 @@ def adjust_poses(
         which most recorded, the latest of these.
     clocks : mapping of str to SensorClock, optional
         Of sensors whose clocks were measured: their times are corrected.
-    settings, matching : LocalizationSettings, CorrespondenceSettings
-        Of tracks and correspondences.
+    settings : LocalizationSettings
+        Of tracks.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -277,11 +341,11 @@ def adjust_poses(
         for path in several:
             with _noted(why, name):
                 spans[name].append(read_span(path, right[name]))
-    until = best_end(spans, matching.window_s) if end is None else end
+    until = best_end(spans, COMMON_S) if end is None else end
     stations = []
     for done, (name, known) in enumerate(spans.items()):
         reporter.progress(READING, done, len(spans))
-        there = [each for each in known if each.shared_s(until - matching.window_s, until)]
+        there = [each for each in known if each.shared_s(until - COMMON_S, until)]
         moving = read_until([], until, settings)
         with _noted(why, name):
             moving = read_until(there, until, settings, right[name])
@@ -291,12 +355,42 @@ def adjust_poses(
         stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
-    lanes = lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
-    solved = solve_network(stations, lanes, settings, matching)
+    lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
+    solved = solve_network(stations, lanes, settings)
     for remark in solved.remarks:
         reporter.log(remark, "warning")
     unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}
     return replace(solved, unmatched=unmatched)
+
+
+def _lanes_of_all(
+    moving: Sequence[Moving],
+    places: Floats,
+    roads: LaneletMap,
+    road_points: Floats,
+    settings: LocalizationSettings,
+) -> Lanes:
+    """Return the lanes that any of several sensors sees.
+
+    Parameters
+    ----------
+    moving : sequence of Moving
+        What they saw.
+    places : (n, 2) array
+        Where they may stand.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    settings : LocalizationSettings
+        How finely lanes are sampled.
+    """
+    middle = places.mean(axis=0)
+    flat = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
+    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
+    spread_m = float(np.hypot(*(places - middle).T).max())
+    return sample_lanes(
+        roads.lanelets, road_points,
+        place=middle, reach_m=spread_m + seen_m + MARGIN_M, settings=settings.lanes,
+    )  # fmt: skip
 
 
 def _sigma_s(clock: SensorClock) -> float | None:
@@ -345,8 +439,13 @@ def _with_pose(found: Localization, pose: Pose) -> Localization:
     return replace(found, pose=pose, observable=observable)
 
 
+def _line(pose: Pose) -> str:
+    look = pose.evidence.get("scan_check")
+    return gain_line(pose) + (f"; scan check: {look['verdict']}" if look else "")
+
+
 def gain_line(pose: Pose) -> str:
-    """Return what a pose's evidence says of its certainty and of its correspondences."""
+    """Return a line of a pose's certainty and of its correspondences, by its evidence."""
     sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
     after = f"position \u00b1 {np.hypot(sigma['easting'], sigma['northing']):.2f} m"
     turn = f"yaw \u00b1 {sigma['yaw']:.2f} deg"

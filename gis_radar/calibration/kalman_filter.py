@@ -1,4 +1,4 @@
-"""The filter: a pose that stands still, corrected by measurements that share an error.
+"""Kalman filter of a pose that hardly changes, corrected by measurements that share an error.
 
 The paper's Kalman filter ("Localization with ICP", Eqs. 2-7) on the error of the state: metres, and
 a turn about the map's axes. What all measurements have in common, such as the map's own error,
@@ -15,8 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
-from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR
-from gis_radar.calibration.settings import LEVER_M
+from gis_radar.calibration.settings import HOUR_S, LEVER_M, MONITOR
 from gis_radar.calibration.state import State, angles_from_turn
 
 LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])

@@ -8,7 +8,6 @@ import geopandas as gpd
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.clock_settings import CLOCKS, ClockSettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections, Recording
@@ -16,6 +15,65 @@ from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
 STAGE = "reading traffic"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockSettings:
+    """What may be set where clocks are compared; written to the file of clocks.
+
+    Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
+    search does not change the offset; half or twice a limit of speed or height changes it by under
+    10 ms; twice `min_cosine` leaves no traffic.
+
+    Parameters
+    ----------
+    min_speed_mps, max_speed_mps : float
+        Speeds along a lane that count, m/s: over walkers and leaves, under 216 km/h.
+    min_cosine : float
+        Between lane and line of sight; across it (60 deg) the range rate implies no speed.
+    max_over_road_m : float
+        Height over the road, metres: the 4 m of a vehicle in the EU, and half a metre of error.
+    window_s : (float, float)
+        What is read, seconds about the begin of the last recording: an hour of traffic, and twice
+        an hour by which a clock may be off.
+    max_offset_s : float
+        Largest offset looked for, beyond what the begins of the times differ by: over an hour,
+        the usual mistake of a time zone.
+    bin_s : float
+        Width of the bins of time in which agreement is counted: in one a vehicle moves by about a
+        cell (4 m).
+    rough_score : float
+        Least height of the best lag in robust standard deviations over the agreement at other
+        lags, of which there are tens of thousands.
+    rough_pairs : int
+        Least cells that both saw: fewer are chance.
+    least_pairs, least_vehicles : int
+        Fewer are refused: a sigma from fewer vehicles is not one.
+    max_sigma_s : float
+        A larger sigma is refused, seconds: five steps.
+    least_share : float
+        Least share of vehicles that both saw at the answer.
+    contradiction_sigmas : float
+        Pairs of sensors that differ by more are warned of.
+    """
+
+    min_speed_mps: float = 1.5
+    max_speed_mps: float = 60.0
+    min_cosine: float = 0.5
+    max_over_road_m: float = 4.5
+    window_s: tuple[float, float] = (-4000.0, 7600.0)
+    max_offset_s: float = 4000.0
+    bin_s: float = 0.25
+    rough_score: float = 8.0
+    rough_pairs: int = 20
+    least_pairs: int = 50
+    least_vehicles: int = 8
+    max_sigma_s: float = 0.25
+    least_share: float = 0.45
+    contradiction_sigmas: float = 4.0
+
+
+CLOCKS = ClockSettings()
 
 
 @dataclass(frozen=True, kw_only=True)

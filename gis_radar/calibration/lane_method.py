@@ -17,18 +17,26 @@ from gis_radar.calibration.hypotheses import (
     search_score,
     widen_by_profile,
 )
-from gis_radar.calibration.lanes import Lanes, sample_lanes
-from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.result import STAGE, AmbiguousError, Localization, Problem, common
 from gis_radar.calibration.settings import (
     LOCALIZATION,
-    AnswerSettings,
     LocalizationSettings,
 )
-from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
+from gis_radar.calibration.traces import Samples, link_tracks, thin
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.poses.pose import COMPONENTS
 from gis_radar.progress import Reporter
+
+# Squared standard deviations within which two answers are one (99.9 %, 3 components).
+SAME_CHI2 = 16.0
+# Optima that near to each other are one answer with a larger sigma: nearer than lanes are, and
+# what drivers off the middle of their lanes can make of one.
+ONE_ANSWER_M = 1.0
+ONE_ANSWER_RAD = math.radians(3.0)
+LEAST_SCANNED = 0.3  # share of lanes in reach that the scanned road must cover
+ANSWER_SLACK_M = 5.0  # an answer may lie that much farther off than a guess may
 
 
 def by_lanes(
@@ -59,7 +67,7 @@ def by_lanes(
     _refuse_unfit(problem, answers[0], settings)
     best = widen_by_profile(scene, answers[0])
     others, clear = answers[1:], settings.answer.clear
-    beside = [h for h in others if _one_answer(best, h, settings.answer)]
+    beside = [h for h in others if _one_answer(best, h)]
     z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
     reporter.progress(STAGE, 5, 5)
     if rival is not None and z_score < clear:
@@ -108,10 +116,10 @@ def lanes_around(
         problem.roads.lanelets,
         problem.road,
         place=problem.guess[:2],
-        reach_m=reach_m + settings.search.guess_m + settings.lanes.margin_m,
+        reach_m=reach_m + settings.search.guess_m + MARGIN_M,
         settings=settings.lanes,
     )
-    if lanes.scanned < settings.answer.least_scanned:
+    if lanes.scanned < LEAST_SCANNED:
         raise InputError(
             f"the road's points lie on {lanes.scanned:.0%} of the lanes around the guess",
             hint="take the mask of a scan of this place, in the map's coordinate system",
@@ -157,7 +165,7 @@ def _z_score(
         apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
         turned = (gap[5] / known.sigma[5]) ** 2
         ahead = advantage(best, other.fit, scene.samples)
-        if apart + turned > settings.same_chi2 and ahead < z_score:
+        if apart + turned > SAME_CHI2 and ahead < z_score:
             z_score, closest = ahead, other
     return z_score, closest
 
@@ -166,7 +174,7 @@ def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> 
     """Return the answers that lie near the guess; refuse where one beyond is clearly better."""
     settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
     away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
-    farthest_m = guess_m + settings.slack_m
+    farthest_m = guess_m + ANSWER_SLACK_M
     inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < farthest_m]
     if not inside or (
         inside[0] is not answers[0]
@@ -191,12 +199,10 @@ def _refuse_unfit(problem: Problem, answer: Hypothesis, settings: LocalizationSe
         raise NoAnswerError(f"{problem.name}: the fit did not come to rest")
 
 
-def _one_answer(answer: Hypothesis, rival: Hypothesis, settings: AnswerSettings) -> bool:
+def _one_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
     """Return whether two optima are so near that they are one answer with a larger sigma."""
     gap = rival.fit.state.difference(answer.fit.state)
-    return bool(
-        np.hypot(*gap[:2]) < settings.one_answer_m and abs(gap[5]) < settings.one_answer_rad
-    )
+    return bool(np.hypot(*gap[:2]) < ONE_ANSWER_M and abs(gap[5]) < ONE_ANSWER_RAD)
 
 
 def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:

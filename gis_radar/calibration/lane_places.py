@@ -8,11 +8,28 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import Lanes, direction_bin
-from gis_radar.calibration.monitor_settings import ALARM, AlarmSettings
+from gis_radar.calibration.lanes import LANE_BINS, LANE_CELL_M, LANE_STEP_M, Lanes, direction_bin
+from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.settings import TraceSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.trace_settings import TraceSettings
-from gis_radar.calibration.traces import NONE, Moving, link_tracks
+from gis_radar.calibration.traces import HIDDEN_S, NONE, STRAY_MPS, VEHICLE_M, link_tracks
+
+# Cells of lanes, in which a vehicle's place is one number; and stretches, in which whatever makes
+# drivers change their habit (a parked van, a cyclist) concerns all cells.
+CELL_M = 12.0
+STRETCH_M = 48.0
+# Where lanes of one direction run nearer than a lane's width, and are not the same line, a
+# vehicle may be of either: left out.
+APART_M = 2.2
+SAME_LINE_M = 0.3
+SAME_WAY = 0.9  # cosine of the angle between directions that are one, 25 degrees
+WITHIN_M = 1.75  # half a lane: what is farther from its middle drives elsewhere
+OVER_M = (-2.0, 5.0)  # heights over the road between which vehicles reflect
+HALF_WIDTH_M = 0.9  # from a vehicle's side to its middle, as in the localization
+LEAST_MPS = 2.7  # what is slower may walk
+SMOOTH_S = 1.0  # a detection's velocity is the slope of its track so long before and after
+WHOLE_S = 1e6  # tracks are not cut, a vehicle is one cluster: any length beyond that of the window
+LEAST_HITS = 3  # fewer detections in a cell state no mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,25 +63,23 @@ class Cells:
         return int(self.stretch.max(initial=-1)) + 1
 
 
-def cells_along(lanes: Lanes, settings: AlarmSettings = ALARM) -> Cells:
+def cells_along(lanes: Lanes) -> Cells:
     """Cut lanes into cells and stretches.
 
     Parameters
     ----------
     lanes : Lanes
         Around a sensor.
-    settings : AlarmSettings
-        How long they are.
     """
     step = np.diff(lanes.points[:, :2], axis=0)
-    on = (np.hypot(*step.T) < 2.0 * lanes.settings.step_m) & (
-        np.sum(lanes.along[1:] * lanes.along[:-1], axis=1) > settings.same_way
+    on = (np.hypot(*step.T) < 2.0 * LANE_STEP_M) & (
+        np.sum(lanes.along[1:] * lanes.along[:-1], axis=1) > SAME_WAY
     )
     run = np.cumsum(np.append(0, ~on))
     begin = np.flatnonzero(np.append(True, ~on))
-    place_m = (np.arange(len(run)) - begin[run]) * lanes.settings.step_m
-    alone = ~_overlapped(lanes, settings)
-    pieces = [(place_m // size).astype(np.int64) for size in (settings.cell_m, settings.stretch_m)]
+    place_m = (np.arange(len(run)) - begin[run]) * LANE_STEP_M
+    alone = ~_overlapped(lanes)
+    pieces = [(place_m // size).astype(np.int64) for size in (CELL_M, STRETCH_M)]
     cell, stretch = (
         np.unique(np.column_stack([run, piece]), axis=0, return_inverse=True)[1].ravel()
         for piece in pieces
@@ -90,15 +105,15 @@ def cells_along(lanes: Lanes, settings: AlarmSettings = ALARM) -> Cells:
     )
 
 
-def _overlapped(lanes: Lanes, settings: AlarmSettings) -> Booleans:
+def _overlapped(lanes: Lanes) -> Booleans:
     """Return the samples beside which another lane of their direction runs too near."""
-    pairs = cKDTree(lanes.points[:, :2]).query_pairs(settings.apart_m, output_type="ndarray")
+    pairs = cKDTree(lanes.points[:, :2]).query_pairs(APART_M, output_type="ndarray")
     found = np.zeros(len(lanes.points), dtype=bool)
     off = lanes.points[pairs[:, 1], :2] - lanes.points[pairs[:, 0], :2]
     way = lanes.along[pairs[:, 0]]
-    alike = np.sum(way * lanes.along[pairs[:, 1]], axis=1) > settings.same_way
+    alike = np.sum(way * lanes.along[pairs[:, 1]], axis=1) > SAME_WAY
     across = np.abs(off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1])
-    found[pairs[alike & (across > settings.same_line_m)].ravel()] = True
+    found[pairs[alike & (across > SAME_LINE_M)].ravel()] = True
     return found
 
 
@@ -143,7 +158,6 @@ def lane_places(
     since: float,
     until: float,
     traces: TraceSettings,
-    settings: AlarmSettings = ALARM,
 ) -> LanePlaces:
     """Return where those vehicles drove whose last detection falls into some time.
 
@@ -159,10 +173,8 @@ def lane_places(
         UNIX seconds: the time, its end not included.
     traces : TraceSettings
         How detections are linked.
-    settings : AlarmSettings
-        Of cells, lanes and vehicles.
     """
-    number = link_tracks(moving, replace(traces, segment_s=settings.whole_s))
+    number = link_tracks(moving, replace(traces, segment_s=WHOLE_S))
     last = np.full(int(number.max(initial=NONE)) + 1, -np.inf)
     np.maximum.at(last, number[number != NONE], moving.time[number != NONE])
     ended = (last >= since) & (last < until)
@@ -170,12 +182,12 @@ def lane_places(
     rows = rows[np.argsort(number[rows], kind="stable")]
     track, time = number[rows], moving.time[rows]
     points = state.to_map(moving.points[rows])
-    smooth, velocity = _smoothed(track, time, points, settings.smooth_s)
-    middle = _middles(smooth, velocity, state.position, settings)
-    sample, across_m, over_m = _on_lanes(cells.lanes, middle, velocity, settings)
+    smooth, velocity = _smoothed(track, time, points, SMOOTH_S)
+    middle = _middles(smooth, velocity, state.position)
+    sample, across_m, over_m = _on_lanes(cells.lanes, middle, velocity)
     cell = np.where(sample == NONE, NONE, cells.of_sample[sample])
     good = cell != NONE
-    vehicle = _joined(track, time, points, velocity, settings)[track]
+    vehicle = _joined(track, time, points, velocity)[track]
     keys = np.column_stack([vehicle[good], cell[good]])
     pairs, of_pair, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     of_pair = of_pair.ravel()
@@ -183,7 +195,7 @@ def lane_places(
         np.bincount(of_pair, values[good], minlength=len(pairs)) / np.maximum(count, 1)
         for values in (across_m, over_m)
     )
-    enough = count >= settings.least_hits
+    enough = count >= LEAST_HITS
     return LanePlaces(
         vehicle=np.unique(pairs[enough, 0], return_inverse=True)[1],
         cell=pairs[enough, 1],
@@ -223,7 +235,7 @@ def _smoothed(  # pragma: no cover - compiled
     return place, velocity
 
 
-def _middles(points: Floats, velocity: Floats, eye: Floats, settings: AlarmSettings) -> Floats:
+def _middles(points: Floats, velocity: Floats, eye: Floats) -> Floats:
     """Return detections moved from the near side of their vehicle to its middle, (n, 3).
 
     Seen from aside it is the side that reflects, from ahead or behind the whole width.
@@ -234,39 +246,35 @@ def _middles(points: Floats, velocity: Floats, eye: Floats, settings: AlarmSetti
     beside, ahead = (np.sum(arm * way, axis=1) for way in (left, along))
     share = beside / np.maximum(np.abs(beside) + np.abs(ahead), 1e-9)
     found = points.copy()
-    found[:, :2] += settings.half_width_m * share[:, None] * left
+    found[:, :2] += HALF_WIDTH_M * share[:, None] * left
     return found
 
 
-def _on_lanes(
-    lanes: Lanes, points: Floats, velocity: Floats, settings: AlarmSettings
-) -> tuple[Integers, Floats, Floats]:
+def _on_lanes(lanes: Lanes, points: Floats, velocity: Floats) -> tuple[Integers, Floats, Floats]:
     """Return the lane sample nearest to each detection that drives there, how far left and over."""
     _, rows, columns = lanes.nearest.shape
     speed = np.hypot(*velocity.T)
-    place = np.floor((points[:, :2] - lanes.corner) / lanes.settings.cell_m).astype(np.int64)
+    place = np.floor((points[:, :2] - lanes.corner) / LANE_CELL_M).astype(np.int64)
     inside = (place >= 0).all(axis=1) & (place < [columns, rows]).all(axis=1)
-    usable = inside & (speed > settings.least_mps)
+    usable = inside & (speed > LEAST_MPS)
     column, row = np.where(usable[:, None], place, 0).T
-    heading = direction_bin(velocity, lanes.settings.bins)
+    heading = direction_bin(velocity, LANE_BINS)
     best, across = np.full(len(points), NONE), np.full(len(points), np.inf)
     for turn in (-1, 0, 1):
-        k = lanes.nearest[(heading + turn) % lanes.settings.bins, row, column].astype(np.int64)
+        k = lanes.nearest[(heading + turn) % LANE_BINS, row, column].astype(np.int64)
         off, way = points[:, :2] - lanes.points[k, :2], lanes.along[k]
         left = off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1]
-        same = np.sum(way * velocity, axis=1) > settings.same_way * speed
+        same = np.sum(way * velocity, axis=1) > SAME_WAY * speed
         nearer = usable & (k >= 0) & same & (np.abs(left) < np.abs(across))
         best, across = np.where(nearer, k, best), np.where(nearer, left, across)
     off, way = points - lanes.points[best], lanes.along[best]
     over = off[:, 2] - lanes.slope[best] * np.sum(off[:, :2] * way, axis=1)
-    low, high = settings.over_m
-    near = (np.abs(across) < settings.within_m) & ~((over < low) | (over > high))
+    low, high = OVER_M
+    near = (np.abs(across) < WITHIN_M) & ~((over < low) | (over > high))
     return np.where(near, best, NONE), np.where(near, across, 0.0), over
 
 
-def _joined(
-    track: Integers, time: Floats, points: Floats, velocity: Floats, settings: AlarmSettings
-) -> Integers:
+def _joined(track: Integers, time: Floats, points: Floats, velocity: Floats) -> Integers:
     """Return for each track the first one of its vehicle: hidden for a while, it comes again."""
     tracks = int(track.max(initial=NONE)) + 1
     first = np.arange(tracks)
@@ -279,9 +287,9 @@ def _joined(
         gap_s = time[begin[j]] - time[end]
         ahead = points[begin[j], :2] - points[end, :2] - pace * gap_s[:, None]
         speed = np.hypot(*pace.T)
-        alike = np.sum(pace * pace[j], axis=1) > settings.same_way * speed * speed[j]
-        off_m = np.hypot(*ahead.T) - settings.stray_mps * gap_s
-        near = (gap_s > 0.0) & (gap_s < settings.hidden_s) & alike & (off_m < settings.vehicle_m)
+        alike = np.sum(pace * pace[j], axis=1) > SAME_WAY * speed * speed[j]
+        off_m = np.hypot(*ahead.T) - STRAY_MPS * gap_s
+        near = (gap_s > 0.0) & (gap_s < HIDDEN_S) & alike & (off_m < VEHICLE_M)
         if near.any():
             i = int(np.argmin(np.where(near, off_m, np.inf)))
             first[present[j]] = first[present[i]]

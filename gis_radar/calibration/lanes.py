@@ -1,8 +1,8 @@
-"""Lanes as a registration sees them: sampled centre lines with direction, height and speed."""
+"""Lanes as sampled centre lines, and the lane of each detection that its Doppler allows."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
@@ -11,9 +11,32 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.settings import LOCALIZATION
-from gis_radar.calibration.trace_settings import LaneSettings
+from gis_radar.calibration.settings import LOCALIZATION, LaneSettings, LocalizationSettings
+from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import Samples
 from gis_radar.errors import NoAnswerError
+
+# Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius lose 1 cm.
+LANE_STEP_M = 1.0
+LANE_CELL_M = 1.0
+LANE_BINS = 16  # of direction, 22.5 degrees each: lanes of a junction stay apart
+LANE_REACH_M = 12.0  # a point farther from every lane matches none; more than three lanes
+MARGIN_M = 20.0  # lanes beyond the farthest traces and the error of the guess
+SAME_LEVEL_M = 2.0  # scanned points farther from the map's height are of another storey
+# Scanned points that give a sample's height (their median).
+SCAN_NEAR_M = 2.0
+SCAN_POINTS = 12
+SLOPE_REACH = 3  # samples either way over which the rise is taken
+MOST_SLOPE = 0.2  # steeper is an error: roads rise 12 % at most (RAL), ramps 20 %
+UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
+# Top speed over the limit, and at least (54 km/h).
+SPEEDING = 1.5
+MIN_TOP_MPS = 15.0
+# Largest height between sample and lane, plus that share of the range (3 degrees of tilt).
+LEVEL_M = 4.0
+LEVEL_SHARE = 0.05
+BORDER_M = 1.0  # a sample nearer to its lane's middle is no other lane's: less than half a lane
+NO_WAY_M = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +111,8 @@ def sample_lanes(
         If no lane is there.
     """
     driven = [
-        any(p == "vehicle" or p.startswith("vehicle:") for p in who)
-        for who in lanelets["participants"]
+        any(p == "vehicle" or p.startswith("vehicle:") for p in users)
+        for users in lanelets["participants"]
     ]
     close = lanelets["centre"].distance(shapely.Point(place)) < reach_m
     table = lanelets[np.asarray(driven) & close.to_numpy()]
@@ -99,23 +122,23 @@ def sample_lanes(
             f"{place[0]:.1f},{place[1]:.1f}",
             hint="check the guess, its coordinate system, and that the map is the right one",
         )
-    parts = [_sampled(line, settings.step_m) for line in table["centre"]]
+    parts = [_sampled(line, LANE_STEP_M) for line in table["centre"]]
     count = [len(xyz) for xyz, _ in parts]
     local = np.vstack([xyz for xyz, _ in parts]) - [*place, 0.0]
     along = np.vstack([way for _, way in parts])
     lane = np.repeat(np.arange(len(parts)), count)
-    height, scanned = _heights(local, road - [*place, 0.0], settings)
+    height, scanned = _heights(local, road - [*place, 0.0])
     local[:, 2] = height
-    slope = _slopes(local, along, lane, settings)
+    slope = _slopes(local, along, lane)
     limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
-    top = np.maximum(limit * settings.speeding, settings.min_top_mps)
-    top = np.where(np.isnan(limit), settings.unlimited_mps, top)
+    top = np.maximum(limit * SPEEDING, MIN_TOP_MPS)
+    top = np.where(np.isnan(limit), UNLIMITED_MPS, top)
     width = (table.geometry.area / table["centre"].length).to_numpy()[lane]
     two_way = ~table["one_way"].to_numpy(bool)[lane]
     near = np.hypot(local[:, 0], local[:, 1]) < reach_m
     rows = np.concatenate([np.flatnonzero(near), np.flatnonzero(near & two_way)])
     turn = np.where(np.arange(len(rows)) < near.sum(), 1.0, -1.0)
-    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None], settings)
+    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None])
     return Lanes(
         origin=np.asarray(place, dtype=np.float64),
         points=local[rows],
@@ -150,19 +173,19 @@ def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats]:
     return points, way / np.hypot(*way.T)[:, None]
 
 
-def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Floats, Booleans]:
+def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
     """Return heights at samples, and whether the scan gives them; the map separates levels."""
     known = local[:, 2]
     if len(road) == 0:
         return known, np.zeros(len(known), dtype=bool)
     gap, index = cKDTree(road[:, :2]).query(
         local[:, :2],
-        k=min(settings.scan_points, len(road)),
-        distance_upper_bound=settings.scan_near_m,
+        k=min(SCAN_POINTS, len(road)),
+        distance_upper_bound=SCAN_NEAR_M,
     )
     gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
     z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
-    z = np.where(np.abs(z - known[:, None]) > settings.same_level_m, np.nan, z)
+    z = np.where(np.abs(z - known[:, None]) > SAME_LEVEL_M, np.nan, z)
     found = np.isfinite(z).sum(axis=1)
     ranked = np.sort(z, axis=1)
     rows = np.arange(len(z))
@@ -171,30 +194,29 @@ def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Float
     return height, np.asarray(found > 0)
 
 
-def _slopes(points: Floats, along: Floats, lane: Integers, settings: LaneSettings) -> Floats:
+def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
     """Return the rise along each lane; level where the heights are unknown."""
-    reach = settings.slope_reach
     last = len(points) - 1
-    ahead, behind = (np.clip(np.arange(len(points)) + d, 0, last) for d in (reach, -reach))
+    ahead, behind = (
+        np.clip(np.arange(len(points)) + d, 0, last) for d in (SLOPE_REACH, -SLOPE_REACH)
+    )
     ahead = np.where(lane[ahead] == lane, ahead, np.arange(len(points)))
     behind = np.where(lane[behind] == lane, behind, np.arange(len(points)))
     gap = points[ahead] - points[behind]
     run = np.sum(gap[:, :2] * along, axis=1)
-    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > settings.step_m)
-    return np.asarray(np.clip(np.nan_to_num(rise), -settings.most_slope, settings.most_slope))
+    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > LANE_STEP_M)
+    return np.asarray(np.clip(np.nan_to_num(rise), -MOST_SLOPE, MOST_SLOPE))
 
 
-def _raster(
-    points: Floats, along: Floats, settings: LaneSettings
-) -> tuple[Floats, np.ndarray, np.ndarray]:
+def _raster(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
     """Return the grid's corner, and for each bin of direction the nearest sample of each cell."""
-    cell_m, reach = settings.cell_m, settings.reach_m / settings.cell_m
-    corner = np.floor(points[:, :2].min(axis=0)) - settings.reach_m
+    cell_m, reach = LANE_CELL_M, LANE_REACH_M / LANE_CELL_M
+    corner = np.floor(points[:, :2].min(axis=0)) - LANE_REACH_M
     place = (points[:, :2] - corner) / cell_m
     columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
-    nearest = np.full((settings.bins, rows, columns), -1, dtype=np.int32)
-    distance = np.full((settings.bins, rows, columns), np.float32(np.inf))
-    _spread(nearest, distance, direction_bin(along, settings.bins), place, reach)
+    nearest = np.full((LANE_BINS, rows, columns), -1, dtype=np.int32)
+    distance = np.full((LANE_BINS, rows, columns), np.float32(np.inf))
+    _spread(nearest, distance, direction_bin(along, LANE_BINS), place, reach)
     distance *= np.float32(cell_m)
     return corner, nearest, distance
 
@@ -223,3 +245,184 @@ def direction_bin(along: Floats, bins: int) -> Integers:
     """Return the bin of direction of (m, 2) vectors; bin 0 is centred on east."""
     turns = np.arctan2(along[:, 1], along[:, 0]) / (2.0 * np.pi)
     return np.asarray(np.rint(turns * bins).astype(np.int64) % bins)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What a registration works on.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map around the guess.
+    samples : Samples
+        The traces.
+    settings : LocalizationSettings
+        How to go about it.
+    """
+
+    lanes: Lanes
+    samples: Samples
+    settings: LocalizationSettings = LOCALIZATION
+
+    def of(self, samples: Samples) -> Scene:
+        """Return the scene with other samples."""
+        return replace(self, samples=samples)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Samples as they lie in the map, where the sensor is in some state.
+
+    Parameters
+    ----------
+    samples : Samples
+        Traces.
+    state : State
+        Of the sensor.
+    points : (n, 3) array
+        The samples in local map coordinates.
+    arms : (n, 3) array
+        The same as seen from the sensor, in the map's axes.
+    flat : (n,) array
+        How far off they are in the plane, metres.
+    sight : (n, 2) array
+        Unit vectors from the sensor to them; east where there is no way.
+    """
+
+    samples: Samples
+    state: State
+    points: Floats
+    arms: Floats
+    flat: Floats
+    sight: Floats
+
+
+def place(samples: Samples, state: State) -> Placed:
+    """Return samples as they lie in the map.
+
+    Parameters
+    ----------
+    samples : Samples
+        Traces.
+    state : State
+        Where the sensor is thought to be.
+    """
+    turn = np.ascontiguousarray(state.R_map_sensor)  # other layouts would be compiled anew
+    points, arms, flat, sight = _placed(samples.points, turn, state.position)
+    return Placed(samples=samples, state=state, points=points, arms=arms, flat=flat, sight=sight)
+
+
+@compiled
+def _placed(  # pragma: no cover - compiled
+    seen: Floats, turn: Floats, position: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return points, arms, distances and directions of sight, as in `Placed`."""
+    points, arms = np.empty((len(seen), 3)), np.empty((len(seen), 3))
+    flat, sight = np.empty(len(seen)), np.empty((len(seen), 2))
+    for i in range(len(seen)):
+        for j in range(3):
+            arms[i, j] = turn[j, 0] * seen[i, 0] + turn[j, 1] * seen[i, 1] + turn[j, 2] * seen[i, 2]
+            points[i, j] = arms[i, j] + position[j]
+        flat[i] = np.hypot(arms[i, 0], arms[i, 1])
+        sight[i, 0], sight[i, 1] = 1.0, 0.0
+        if flat[i] > NO_WAY_M:
+            sight[i, 0], sight[i, 1] = arms[i, 0] / flat[i], arms[i, 1] / flat[i]
+    return points, arms, flat, sight
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """The lane sample of each trace sample.
+
+    Parameters
+    ----------
+    lane : (n,) int array
+        Index of the lane sample; any where there is no match.
+    found : (n,) bool array
+        Whether there is one.
+    """
+
+    lane: Integers
+    found: Booleans
+
+
+def match(lanes: Lanes, placed: Placed) -> Matches:
+    """Find for each sample the nearest lane of a direction that fits its range rate.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map.
+    placed : Placed
+        Traces, with the sensor where it is thought to be.
+    """
+    s = lanes.settings
+    lane, found = _match(
+        np.array([LANE_CELL_M, LANE_STEP_M, LEVEL_M, LEVEL_SHARE, BORDER_M, s.slack_mps]),
+        placed.points,
+        placed.sight,
+        placed.samples.reach,
+        placed.samples.range_rate,
+        lanes.points,
+        lanes.along,
+        lanes.top_speed,
+        lanes.corner,
+        lanes.nearest,
+    )
+    return Matches(lane=lane, found=found)
+
+
+@compiled
+def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    settings: Floats,
+    points: Floats,
+    sight: Floats,
+    reach: Floats,
+    range_rate: Floats,
+    lane_points: Floats,
+    along: Floats,
+    top_speed: Floats,
+    corner: Floats,
+    nearest: NDArray[np.int32],
+) -> tuple[Integers, Booleans]:
+    """Return the lane sample of each point, and whether there is one."""
+    cell_m, step_m, level_m, level_share, border_m, slack_mps = settings
+    bins, rows, columns = nearest.shape
+    lane = np.zeros(len(points), dtype=np.int64)
+    found = np.zeros(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        best = np.inf
+        for b in range(bins):
+            east, north = points[i, 0] - corner[0], points[i, 1] - corner[1]
+            # the nearest lane of a cell's centre; then, where lanes meet, of the cell beside it
+            for _ in range(2):
+                column, row = int(np.floor(east / cell_m)), int(np.floor(north / cell_m))
+                if not (0 <= column < columns and 0 <= row < rows):
+                    break
+                k = nearest[b, row, column]
+                if k < 0:
+                    break
+                # not as arrays: numba would allocate one for each
+                x = points[i, 0] - lane_points[k, 0]
+                y = points[i, 1] - lane_points[k, 1]
+                z = points[i, 2] - lane_points[k, 2]
+                across = y * along[k, 0] - x * along[k, 1]
+                # Doppler sign and size: the speed along the lane that explains the range rate
+                # is neither negative nor above the lane's top speed
+                cosine = along[k, 0] * sight[i, 0] + along[k, 1] * sight[i, 1]
+                forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
+                allowed = -slack_mps <= forward <= abs(cosine) * top_speed[k] + slack_mps
+                if allowed and abs(z) <= level_m + level_share * reach[i]:
+                    # past the end of a lane counts as off it; samples are a step apart
+                    ahead = abs(x * along[k, 0] + y * along[k, 1])
+                    gap = np.hypot(across, max(ahead - 1.5 * step_m, 0.0))
+                    if gap < best:
+                        best = gap
+                        lane[i] = k
+                        found[i] = True
+                if abs(across) < border_m:
+                    break
+                east -= np.copysign(cell_m, across) * along[k, 1]
+                north += np.copysign(cell_m, across) * along[k, 0]
+    return lane, found

@@ -7,21 +7,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.icp import by_icp
 from gis_radar.calibration.lane_method import by_lanes
+from gis_radar.calibration.moving import Moving, read_moving
 from gis_radar.calibration.result import (
     AmbiguousError,
     Localization,
     Problem,
     draw_localization,
 )
+from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
-from gis_radar.calibration.traces import Moving, read_moving
 from gis_radar.crs import looks_like_degrees, moved_position, yaw_from_compass
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.lanelets import LaneletMap, read_map
@@ -33,9 +34,6 @@ from gis_radar.scans.scan import read_road, road_crs
 from gis_radar.sight import Sight, SightScan, SightTiles, find_sight
 from gis_radar.tiles.lookup import with_road_heights
 from gis_radar.tiles.tiles import make_tiles
-
-if TYPE_CHECKING:  # its image filters are loaded by those who have a scan
-    from gis_radar.calibration.scan_check import ScanCheck
 
 FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
 MOST_TRIES = 5  # recordings tried for a pose, in turn: a quiet day or two in between
@@ -224,9 +222,6 @@ def localize_files(
     if guess_crs is not None:
         place = moved_position(place, guess_crs, roads.crs)
     if scans:
-        # not at the top: whoever has no scan does not wait for scipy's image filters
-        from gis_radar.calibration.scan_check import check_against_scan, require_scans_near  # noqa: PLC0415
-
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
     if compass is not None:
         heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
@@ -234,14 +229,15 @@ def localize_files(
         localize, roads=roads, road_points=points,
         guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
     )  # fmt: skip
+    look_at = None
     if scans:
         look_at = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
-        ask = partial(_decided, localize=ask, look_at=look_at, reporter=reporter)
+        ask = partial(decided_by_scan, localize=ask, look_at=look_at, reporter=reporter)
     recording, found = _first_answer(_tried(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
-    found, look = replace(found, pose=pose, recording=recording.name), None
-    if scans:
-        look = check_against_scan(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
+    found = replace(found, pose=pose, recording=recording.name)
+    look = None if look_at is None else look_at(recording, pose)
+    if look is not None:
         found = found.with_scan_check(look)
     if figure is not None:
         seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
@@ -282,14 +278,31 @@ def _first_answer(
     raise refusals[0]
 
 
-def _decided(
+def decided_by_scan(
     recording: Path,
     *,
     localize: Callable[[Path], Localization],
     look_at: Callable[[Path, Pose], ScanCheck],
     reporter: Reporter,
 ) -> Localization:
-    """Localize; where the traffic fits several poses, take the one that what stands confirms."""
+    """Localize; where the traffic fits several poses, take the one that the scan check confirms.
+
+    Parameters
+    ----------
+    recording : Path
+        What the sensor recorded.
+    localize : callable
+        Finds a pose from a recording.
+    look_at : callable
+        Checks a pose against the scan.
+    reporter : Reporter
+        Receives a warning where the scan decided.
+
+    Raises
+    ------
+    NoAnswerError
+        As by `localize`; AmbiguousError where the scan confirms none of the poses, or several.
+    """
     try:
         return localize(recording)
     except AmbiguousError as refusal:

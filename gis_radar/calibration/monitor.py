@@ -1,4 +1,4 @@
-"""Tracking: the pose of a sensor followed through a recording."""
+"""Calibration monitor: the pose of a sensor followed through a recording."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.alarm import Displacement
+from gis_radar.calibration.hypotheses import REFLECTION_M
 from gis_radar.calibration.kalman_filter import (
     Estimate,
     Measurement,
@@ -25,12 +26,12 @@ from gis_radar.calibration.kalman_filter import (
     predicted,
     widened,
 )
-from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
 from gis_radar.calibration.moves import Change, MoveTest, Scatter, SuspectedMove
+from gis_radar.calibration.moving import MovingWindow
 from gis_radar.calibration.pose_track import MOVED, NOTHING, REJECTED, Row, Track, track_of
 from gis_radar.calibration.result import Problem
+from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import MovingWindow
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
 from gis_radar.crs import require_same
@@ -41,6 +42,13 @@ from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, Recording, as_recording
 from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso, step_of
+
+LEAST_CYCLE = 0.5  # a last cycle shorter than that share of one gives no pose
+# Least sigma of a start pose; keeps the covariance regular.
+LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.radians(1e-3))
+# Share of the variance of a localized pose that is noise of its window; the rest, errors of the
+# map and the model, is in every window.
+NOISE_SHARE = 0.3
 
 STAGE = "following the pose"
 SAME_MAP = ("lane", "track")  # methods that share the map's errors with ours
@@ -134,7 +142,7 @@ def _cycles(
                 due = begin + cycle_s * (count + 1.0)
         yield rows, None
         reporter.progress(STAGE, done, recording.rows)
-    if due - last < (1.0 - settings.least_cycle) * cycle_s:
+    if due - last < (1.0 - LEAST_CYCLE) * cycle_s:
         yield rows.take(np.zeros(len(rows), dtype=bool)), due
 
 
@@ -165,9 +173,7 @@ def start_estimate(pose: Pose, time: float, settings: MonitorSettings = MONITOR)
     if covariance is None or (found_here and _sees(evidence, time, pose.sensor)):
         found_here = False
         covariance = np.diag(by_hand**2)
-    turned = covariance_from_angles(pose.quaternion, covariance) + np.diag(
-        np.square(settings.least_sigma)
-    )
+    turned = covariance_from_angles(pose.quaternion, covariance) + np.diag(np.square(LEAST_SIGMA))
     position = np.array([0.0, 0.0, pose.height])
     common = np.zeros((6, 6))
     if found_here:
@@ -175,7 +181,7 @@ def start_estimate(pose: Pose, time: float, settings: MonitorSettings = MONITOR)
             position=position,
             quaternion=pose.quaternion,
             covariance=turned,
-            noise=settings.noise_share * turned,
+            noise=NOISE_SHARE * turned,
         )
         common = -measured.common
     return Estimate(
@@ -249,7 +255,7 @@ class Follower:
             State(
                 position=start.position,
                 R_map_sensor=np.eye(3),
-                reflection=settings.localization.hypotheses.reflection_m,
+                reflection=REFLECTION_M,
             )
         )
         self._seen: WindowFit | None = None

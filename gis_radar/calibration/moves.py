@@ -9,11 +9,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.kalman_filter import Estimate, Innovation, innovation, likeliest_move
-from gis_radar.calibration.monitor_settings import MonitorSettings
-from gis_radar.calibration.solver import Fit
+from gis_radar.calibration.settings import MonitorSettings
+from gis_radar.calibration.solver import FAR, Fit
 from gis_radar.calibration.state import POSE, State
 from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
+
+# So many of the last tests measure by how much chi2 is larger here than it should be, with so
+# many assumed as it should be. Simulated drivers as recorded: 2 to 3 times, and one false move in
+# some minutes without it.
+SCATTER_TESTS = 60
+ASSUMED_TESTS = 4
+NEWEST_VEHICLES = 8  # least vehicles in a tested part; it grows until it holds them
+MATURE_S = 30.0  # seconds of data before a tested part from which the pose is known
+SETTLED_S = 15.0  # a deviation that does not last so long is a shake, seconds
+LATEST_S = 8.0  # newest seconds in which the new pose must still be the better one
+SLICE_S = 1.0  # resolution of the time of a move, seconds: half a second to either side
+# How long ago a move is looked for, seconds: within the window of 100 s, less MATURE_S.
+BACK_S = 75.0
+CHANGE_ROUNDS = 2  # time and pose of a move are estimated in turn so often
+FAR_WINDOW = replace(FAR, rounds=12)  # fit after a suspected move
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,9 +107,7 @@ def agreement(rest: Fit, moved: Fit) -> float:
         Of the same samples.
     """
     gain = (rest.costs - moved.costs)[(rest.costs != 0.0) | (moved.costs != 0.0)]
-    if len(gain) < 2:
-        return 0.0
-    return float(gain.sum() / np.sqrt(max(len(gain) * gain.var(ddof=1), 1e-12)))
+    return z_score(gain) if len(gain) > 1 else 0.0
 
 
 class Scatter:
@@ -110,8 +124,8 @@ class Scatter:
 
     def __init__(self, settings: MonitorSettings) -> None:
         self._usual = settings.median_chi2
-        self._assumed = [self._usual] * settings.assumed_tests
-        self._last: deque[float] = deque(maxlen=settings.scatter_tests)
+        self._assumed = [self._usual] * ASSUMED_TESTS
+        self._last: deque[float] = deque(maxlen=SCATTER_TESTS)
 
     def add(self, chi2: float) -> None:
         """Take the result of a test."""
@@ -165,10 +179,10 @@ class MoveTest:
         suspected, settings, ratio = None, self.fitter.settings, self.scatter.ratio
         for length_s in settings.lengths_s:
             part = self.newest(length_s)
-            if part.moving.begin - self.traffic.moving.begin < settings.mature_s:
+            if part.moving.begin - self.traffic.moving.begin < MATURE_S:
                 break  # what is known from so little data is corrected by the next windows anyway
             held = self.expected(part.moving.begin)
-            seen = self.fitter.fit(part, held, like, near=settings.knock, schedule=settings.far)
+            seen = self.fitter.fit(part, held, like, near=settings.knock, schedule=FAR_WINDOW)
             if seen is None:
                 continue
             if not seen.trusted:
@@ -205,7 +219,7 @@ class MoveTest:
             How much, seconds; more until it holds the least number of vehicles.
         """
         part = self.traffic.between(self.now - length_s, np.inf)
-        least = self.fitter.settings.newest_vehicles
+        least = NEWEST_VEHICLES
         while part.vehicles < least and self.now - length_s > self.traffic.moving.begin:
             length_s *= 1.5
             part = self.traffic.between(self.now - length_s, np.inf)
@@ -215,16 +229,16 @@ class MoveTest:
         """Return the change that the newest data show, if it lasts and is certain."""
         fitter, traffic, settings = self.fitter, self.traffic, self.fitter.settings
         since, old = self.now, held.state(seen.fit.state)
-        for _ in range(settings.change_rounds):
+        for _ in range(CHANGE_ROUNDS):
             new, old = seen.fit.state, held.state(seen.fit.state)
             since = self.change_time(replace(old, reflection=new.reflection), new)
             part = traffic.between(since, np.inf)
             held = self.expected(since)  # all data since then are of the new pose
             again = fitter.fit(part, held, new, near=settings.knock, start=new)
-            if self.now - since < settings.settled_s or again is None or not again.trusted:
+            if self.now - since < SETTLED_S or again is None or not again.trusted:
                 return None
             seen = again
-        latest = traffic.between(self.now - settings.latest_s, np.inf).samples()
+        latest = traffic.between(self.now - LATEST_S, np.inf).samples()
         if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
             return None
         gap = innovation(held, seen.measurement)
@@ -242,7 +256,7 @@ class MoveTest:
         And by how far the vehicles agree: a bus or a lorry gives as many detections as ten cars.
         """
         near = np.sqrt(np.diag(held.covariance)).tolist()
-        schedule, like = self.fitter.settings.far, seen.fit.state
+        schedule, like = FAR_WINDOW, seen.fit.state
         rest = self.fitter.fit(part, held, like, near=near, schedule=schedule)
         if rest is None:
             return np.inf, np.inf
@@ -260,8 +274,8 @@ class MoveTest:
         old, new : State
             The two poses.
         """
-        slice_s, fitter = self.fitter.settings.slice_s, self.fitter
-        begin = max(self.now - fitter.settings.back_s, self.traffic.moving.begin)
+        slice_s, fitter = SLICE_S, self.fitter
+        begin = max(self.now - BACK_S, self.traffic.moving.begin)
         edges = begin + slice_s * np.arange(max(int(np.ceil((self.now - begin) / slice_s)), 1))
         gains = np.zeros(len(edges))
         for i, edge in enumerate(edges):

@@ -10,6 +10,8 @@ import numpy as np
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.calibration.adjustment import (
+    CLOCK_S,
+    FREE_CLOCK_S,
     Adjusted,
     Correspondences,
     adjust,
@@ -17,7 +19,9 @@ from gis_radar.calibration.adjustment import (
     shared_covariance,
     sum_correspondences,
 )
+from gis_radar.calibration.certainty import Names, longest_m, moved, plane_covariance, with_gain
 from gis_radar.calibration.correspondences import (
+    LEAST_PAIRS,
     PLANE,
     Moments,
     Rows,
@@ -26,22 +30,35 @@ from gis_radar.calibration.correspondences import (
     mean_gaps,
     read_moments,
 )
-from gis_radar.calibration.covariance import Names, longest_m, moved, plane_covariance, with_gain
-from gis_radar.calibration.joint_settings import MATCHING, CorrespondenceSettings
-from gis_radar.calibration.lags import Lag, find_lag
 from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.placing import (
+    CLEAR_Z,
+    CONTRADICTION_CHI2,
+    GATE_CHI2,
     GRID_YAW,
+    STEP_M,
     Choice,
+    Lag,
     Placing,
     Shift,
+    find_lag,
     find_place,
     preference,
 )
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Moving, link_tracks
+from gis_radar.calibration.traces import link_tracks
 from gis_radar.poses.pose import Pose
+
+# Standard deviations by which vehicles must prefer a lag to another place of the sensor.
+LAG_CLEAR = 2.0
+CLOCK_SIGMAS = 4.0  # standard deviations beyond which a clock's offset is remarked upon
+# Fewer move no pose that is certain by itself: a cluster-robust covariance needs 20 to 50
+# clusters (Cameron, Miller 2015), and few vehicles are all on one lane.
+FIRM_PAIRS = 20
+FIXED_M = 1.0  # a pose less certain along its weakest direction is looked for along it
+PAIRING_ROUNDS = 6  # of pairing and fitting; two or three are enough
 
 AT_REST = 1e-4  # a step of the adjustment, metres and radians
 CLASH_HINT = "check both guesses, and the clocks of both sensors: gis-radar clocks"
@@ -58,7 +75,7 @@ class Station:
     moving : Moving
         What it saw while the others recorded, too.
     poses : tuple of Pose
-        The poses that it may have by itself: its answer, or several that it cannot tell apart.
+        The poses that it may have by itself: its answer, or several that fit alike.
     clock_s : float, optional
         Standard deviation of its clock, where that was measured.
     """
@@ -101,7 +118,6 @@ def solve_network(
     stations: Sequence[Station],
     lanes: Lanes,
     settings: LocalizationSettings = LOCALIZATION,
-    matching: CorrespondenceSettings = MATCHING,
 ) -> Solved:
     """Adjust the poses of several sensors by the vehicles that they see at the same time.
 
@@ -111,10 +127,10 @@ def solve_network(
         The sensors; those with one pose fix those with several.
     lanes : Lanes
         The map around all of them.
-    settings, matching : LocalizationSettings, CorrespondenceSettings
-        Of tracks and correspondences.
+    settings : LocalizationSettings
+        Of tracks.
     """
-    network = _Network(stations, lanes, settings, matching)
+    network = _Network(stations, lanes, settings)
     network.place_all()
     while True:
         network.refuse_clashes()
@@ -150,10 +166,9 @@ class _Network:
     """The sensors with their places, what agrees and what contradicts."""
 
     def __init__(
-        self, stations: Sequence[Station], lanes: Lanes, settings: LocalizationSettings,
-        matching: CorrespondenceSettings,
-    ) -> None:  # fmt: skip
-        self.lanes, self.settings, self.answer = lanes, matching, settings.answer
+        self, stations: Sequence[Station], lanes: Lanes, settings: LocalizationSettings
+    ) -> None:
+        self.lanes, self.answer = lanes, settings.answer
         self.all = {
             each.name: _Member(each, link_tracks(each.moving, settings.traces)) for each in stations
         }
@@ -173,7 +188,7 @@ class _Network:
         )
         moving = member.station.moving
         moving = replace(moving, time=member.lag.corrected(moving.time))
-        return read_moments(moving, member.tracks, state, self.lanes, self.settings)
+        return read_moments(moving, member.tracks, state, self.lanes)
 
     def choices(self, member: _Member) -> list[Choice]:
         """Return all poses that a sensor may have by itself."""
@@ -194,7 +209,7 @@ class _Network:
             if len(member.station.poses) == 1
         }
         firm = sorted(longest, key=lambda name: longest[name])
-        fixed = [name for name in firm if longest[name] < self.settings.fixed_m] or firm[:1]
+        fixed = [name for name in firm if longest[name] < FIXED_M] or firm[:1]
         for name in fixed:
             (choice,), _ = self._look(self.all[name])
             for other, at in self.placed.items():
@@ -210,21 +225,18 @@ class _Network:
         Where vehicles clearly agree better at another time, the sensor's clock is off by that.
         """
         choices = self.choices(member)
-        found = find_place(choices, self.placed, self.settings)
+        found = find_place(choices, self.placed)
         if not self.placed:
             return choices, found
         others = [each.seen for each in self.placed.values()]
-        lags = (find_lag(choice.seen, others, self.settings) for choice in choices)
+        lags = (find_lag(choice.seen, others) for choice in choices)
         lag = next((each for each in lags if each is not None), None)
         if lag is None:
             return choices, found
         member.lag = lag
         then = self.choices(member)
-        there = find_place(then, self.placed, self.settings)
-        if (
-            there.inside is None
-            or preference(there.inside.scores, found.best) < self.settings.lag_clear
-        ):
+        there = find_place(then, self.placed)
+        if there.inside is None or preference(there.inside.scores, found.best) < LAG_CLEAR:
             member.lag = Lag()
             return choices, found
         member.free = True
@@ -232,7 +244,7 @@ class _Network:
 
     def _hold_against(self, name: str, choice: Choice, other: str, at: Choice) -> None:
         """Record whether two sensors with certain poses agree or contradict each other."""
-        found = find_place([choice], {other: at}, self.settings)
+        found = find_place([choice], {other: at})
         if found.beyond is not None:
             self.clashes[self._pair(other, name)] = _clash(self._pair(other, name), found.beyond)
         elif found.inside is not None:
@@ -251,7 +263,7 @@ class _Network:
             most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
             self.clashes[self._pair(most, name)] = _clash(self._pair(most, name), found.beyond)
             return False
-        if found.inside is None or found.z_score < self.settings.clear:
+        if found.inside is None or found.z_score < CLEAR_Z:
             self.unclear |= {name} if found.inside is not None else set()
             return False
         member.choice, member.start, member.loose = found.inside.choice, found.inside.step, True
@@ -263,7 +275,7 @@ class _Network:
 
     def _loose(self, covariance: Floats) -> Floats:
         """Return the covariance of a sensor that the grid has placed."""
-        grid = np.array([self.settings.step_m, self.settings.step_m, GRID_YAW]) ** -2.0
+        grid = np.array([STEP_M, STEP_M, GRID_YAW]) ** -2.0
         return np.asarray(np.linalg.inv(np.linalg.inv(covariance) + np.diag(grid)))
 
     def refuse_clashes(self) -> None:
@@ -301,7 +313,7 @@ class _Network:
             step=np.zeros((len(names), PLANE)), covariance=shared_covariance(covariances), misfit={}
         )
         correspondences: dict[Names, Correspondences] = {}
-        for _ in range(self.settings.rounds):
+        for _ in range(PAIRING_ROUNDS):
             at = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
             correspondences = self._correspondences(names, at, within)
             if not correspondences:
@@ -313,7 +325,7 @@ class _Network:
             held = {(names.index(a), names.index(b)) for a, b in self._held(correspondences)}
             away = np.array([self.all[name].away for name in names])
             clocks = [self._clock_s(self.all[name]) for name in names]
-            result = adjust(index, away, covariances, self.settings, clocks_s=clocks, held=held)
+            result = adjust(index, away, covariances, clocks_s=clocks, held=held)
             for name, step in zip(names, result.step, strict=True):
                 self.all[name].away = self.all[name].away + step
             within = result.covariance
@@ -330,13 +342,13 @@ class _Network:
             for i, one in enumerate(names[:j]):
                 if (one, other) not in self.agreeing:
                     continue
-                rows = compare(at[one], at[other], self.settings)
-                if len(rows.tracks) < self.settings.least_pairs:
+                rows = compare(at[one], at[other])
+                if len(rows.tracks) < LEAST_PAIRS:
                     continue
                 own = [*range(PLANE * i, PLANE * i + PLANE), *range(PLANE * j, PLANE * j + PLANE)]
                 rows = self._paired(rows, covariance[np.ix_(own, own)])
-                if len(rows.tracks) >= self.settings.least_pairs:
-                    correspondences[one, other] = sum_correspondences(rows, self.settings)
+                if len(rows.tracks) >= LEAST_PAIRS:
+                    correspondences[one, other] = sum_correspondences(rows)
         return correspondences
 
     def _held(self, correspondences: Mapping[Names, Correspondences]) -> set[Names]:
@@ -344,15 +356,14 @@ class _Network:
         return {
             pair
             for pair, matched in correspondences.items()
-            if len(matched.gap) < self.settings.firm_pairs
-            and not any(self.all[name].loose for name in pair)
+            if len(matched.gap) < FIRM_PAIRS and not any(self.all[name].loose for name in pair)
         }
 
     def _paired(self, rows: Rows, covariance: Floats) -> Rows:
-        gap, known = mean_gaps(rows, covariance, self.settings)
+        gap, known = mean_gaps(rows, covariance)
         chi2 = np.einsum("pi,pij,pj->p", gap, np.linalg.inv(known), gap)
         keep = np.zeros(len(chi2), dtype=bool)
-        keep[assign(chi2, rows.tracks, self.settings.gate_chi2)] = True
+        keep[assign(chi2, rows.tracks, GATE_CHI2)] = True
         return rows.only(keep)
 
     def misfits(
@@ -361,7 +372,7 @@ class _Network:
         """Return the pairs of sensors whose own poses the correspondences contradict."""
         names, found = list(self.placed), {}
         for (i, j), chi2 in adjusted.misfit.items():
-            if chi2 <= self.settings.contradiction_chi2:
+            if chi2 <= CONTRADICTION_CHI2:
                 continue
             pair = names[i], names[j]
             own = np.array([self.all[name].away for name in pair])
@@ -374,17 +385,17 @@ class _Network:
     def _clock_s(self, member: _Member) -> float:
         """Return the standard deviation of a sensor's clock."""
         if member.free:
-            return self.settings.free_clock_s
+            return FREE_CLOCK_S
         known = member.station.clock_s
-        return self.settings.clock_s if known is None else max(known, self.settings.clock_s)
+        return CLOCK_S if known is None else max(known, CLOCK_S)
 
     def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, bool]:
         """Return by how much the other's clock is ahead, s, and whether that is out of bounds."""
         away = np.array([self.all[name].away for name in pair])
         known = [plane_covariance(self.all[name].pose) for name in pair]
-        ahead_s, sigma_s = clock_gap(matched, away, known, self.settings)
+        ahead_s, sigma_s = clock_gap(matched, away, known)
         most = math.hypot(*[self._clock_s(self.all[name]) for name in pair], sigma_s)
-        return ahead_s, abs(ahead_s) > self.settings.clock_sigmas * most
+        return ahead_s, abs(ahead_s) > CLOCK_SIGMAS * most
 
     def free_clock(self, correspondences: Mapping[Names, Correspondences]) -> bool:
         """Estimate also the clock that most correspondences show to be off."""

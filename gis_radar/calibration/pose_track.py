@@ -12,8 +12,8 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.calibration.kalman_filter import Estimate
-from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
 from gis_radar.calibration.result import Problem
+from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
 from gis_radar.errors import UsageError
 from gis_radar.notebooks import axes_or_new, card, label_times, picture_file

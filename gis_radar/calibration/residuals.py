@@ -8,17 +8,27 @@ effect of a vehicle on all its rows: its place in the lane, the height at which 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import Lanes
-from gis_radar.calibration.matching import Matches, Placed
+from gis_radar.calibration.lanes import Lanes, Matches, Placed
 from gis_radar.calibration.model import Model
-from gis_radar.calibration.settings import SolverSettings
 from gis_radar.calibration.state import SIZE
 from gis_radar.calibration.traces import Samples
+
+STRAY_SHARE = 0.1  # share of detections that are on no vehicle: ghosts and multipath
+# Over which width and height, metres, these spread evenly.
+STRAY_WIDTH_M = 8.0
+STRAY_HEIGHT_M = 8.0
+# Loss of a sample that is on no vehicle.
+NO_VEHICLE = float(-np.log(STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_WIDTH_M))
+# Where a front or rear reflects, in half widths: the middles of its thirds.
+FRONT: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
+# Radians inside the field of view within which a height counts; beyond it only the tall are seen.
+VIEW_EDGE = math.radians(1.0)
 
 SPELL_M = 0.02  # of each spell by itself, which keeps covariances regular
 
@@ -72,8 +82,6 @@ class Comparison:
         How vehicles drive and reflect.
     scale_m : float
         Added to all spreads (root of squares), to widen the basin at first.
-    settings : SolverSettings
-        What is robust about it.
     """
 
     lanes: Lanes
@@ -81,7 +89,6 @@ class Comparison:
     matches: Matches
     model: Model
     scale_m: float
-    settings: SolverSettings
 
 
 def lateral(compared: Comparison, effect: Floats) -> Residuals:
@@ -100,15 +107,15 @@ def lateral(compared: Comparison, effect: Floats) -> Residuals:
         Random effect: how far each vehicle drives to the left of where drivers do, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
-    samples, model, settings = placed.samples, compared.model, compared.settings
+    samples, model = placed.samples, compared.model
     constants = (
         model.habit, model.half_width, model.face, model.bearing, compared.scale_m,
         model.side_strength, model.hidden_strength, model.hidden_share,
-        settings.stray_share, settings.no_vehicle,
+        STRAY_SHARE, NO_VEHICLE,
     )  # fmt: skip
     rows, jacobian = _lateral(
         np.array(constants),
-        np.array(settings.front),
+        np.array(FRONT),
         matches.lane,
         matches.found,
         lanes.points,
@@ -230,14 +237,14 @@ def height(compared: Comparison, effect: Floats) -> Residuals:
         Random effect: how much higher than others each vehicle appears in each spell, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
-    samples, model, settings = placed.samples, compared.model, compared.settings
+    samples, model = placed.samples, compared.model
     constants = (
         model.elevation, compared.scale_m, model.low, model.body, model.body_share, model.body_over,
-        settings.stray_share, settings.stray_share * np.sqrt(2.0 * np.pi) / settings.stray_height_m,
+        STRAY_SHARE, STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_HEIGHT_M,
     )  # fmt: skip
     rows, jacobian = _height(
         np.array(constants),
-        height_over_road(lanes, placed, matches, settings.view_edge),
+        height_over_road(lanes, placed, matches, VIEW_EDGE),
         placed.state.reflection + effect.ravel()[samples.spells],
         lanes.slope[matches.lane, None] * lanes.along[matches.lane],
         placed.arms,
@@ -487,12 +494,3 @@ def _add(total: Floats, track: Integers, rows: Floats) -> None:  # pragma: no co
     for i in range(len(rows)):
         for j in range(rows.shape[1]):
             total[track[i], j] += rows[i, j]
-
-
-def at_least(information: Floats, floor: Floats) -> Floats:
-    """Return an information that in no direction is below a positive definite floor."""
-    root = np.linalg.cholesky((floor + floor.T) / 2.0)
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ (information + information.T) @ inverse.T / 2.0)
-    wide = root @ vectors
-    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)

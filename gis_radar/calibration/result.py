@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.scan_check import ScanCheck
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Moving
 from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import (
@@ -29,9 +30,6 @@ from gis_radar.sight import Sight, SightTiles
 from gis_radar.steps import iso_from_step, step_of
 from gis_radar.words import figure_text, percent, tr
 
-if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
-    from gis_radar.calibration.scan_check import ScanCheck
-
 STAGE = "finding the pose"
 
 DPI = 216
@@ -43,7 +41,7 @@ LINE = 46  # letters of a title, as wide as a panel
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
 ARROW_EVERY_M = 12.0
-# Traces in a light and a dark colour, which grey paper tells apart, too.
+# Traces in a light and a dark colour, which differ in grey, too.
 ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
 
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
@@ -235,7 +233,7 @@ def draw_localization(
     seen : (Sight, SightTiles), optional
         Drawn beside it: which tiles the sensor sees from there, and which something hides.
     """
-    # not at the top: whoever draws nothing does not wait for matplotlib
+    # not at the top: matplotlib is slow to load, and only pictures need it
     from matplotlib.text import Text  # noqa: PLC0415
 
     from gis_radar.calibration.scan_check_picture import draw_surroundings  # noqa: PLC0415
@@ -280,7 +278,7 @@ def _draw_road(ax: Any, road: Floats, extent: Extent) -> None:
 
 def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
     """Draw the bounds of the lanes within an extent, with arrows where they are one-way."""
-    from matplotlib.collections import LineCollection  # noqa: PLC0415 - only who draws waits for it
+    from matplotlib.collections import LineCollection  # noqa: PLC0415 - only pictures need it
 
     low, high = extent
     near = roads.lanelets.cx[low[0] : high[0], low[1] : high[1]]

@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from pyproj import CRS
-from scipy import fft, ndimage
 
 from gis_radar.arrays import Floats
-from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
 from gis_radar.calibration.surroundings import (
+    SCAN_CHECK,
     LevelFrame,
+    ScanCheckSettings,
     Slow,
     Standing,
     Structure,
@@ -33,6 +34,22 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
 from gis_radar.scans.scan import box_with_margin, open_scan
+
+COARSE_CELLS = 2  # the search over all headings has cells so many times wider
+# Its step of heading, degrees, and its reach ahead and aside, metres.
+TURN_DEG = 1.0
+SHIFT_M = 10.0
+CANDIDATES = 8  # so many of its peaks are refined
+# Steps of the hill climbing, metres and degrees.
+CLIMBING_STEPS: tuple[tuple[float, float], ...] = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))
+# Up to here a pose is the same one: nearer to this lane than to the next.
+SAME_M = 1.75
+SAME_DEG = 1.5
+LEAST_PATCHES = 12  # with fewer patches there is nothing to compare
+# Limits of the radius: 300 m is the longest range of the sensors.
+LEAST_REACH_M = 60.0
+MOST_REACH_M = 300.0
+MARGIN_M = 20.0  # scan read beyond that radius: reach of the search (14 m) and of the walls
 
 CONFIRMS, DOUBTS, UNCLEAR = "confirms", "doubts", "nothing to compare"
 
@@ -107,7 +124,9 @@ class Alignment:
         x, y = self.standing.points[:, :2].T
         place = np.array([cos * x - sin * y + ahead, sin * x + cos * y + left]) / CELL_M
         place += len(self.closeness) // 2 - 0.5
-        return np.asarray(ndimage.map_coordinates(self.closeness, place, order=1, mode="constant"))
+        return np.asarray(
+            scipy.ndimage.map_coordinates(self.closeness, place, order=1, mode="constant")
+        )
 
     def score(self, offset: Sequence[float] = HERE) -> float:
         """Return the score at (ahead, left, turn in degrees)."""
@@ -143,8 +162,8 @@ class Alignment:
     def climbed(self, place: Sequence[float], *, apart: bool = False) -> PoseOffset:
         """Climb from an offset to the top nearby; with `apart`, stay away from the answer."""
         best, limits = self.offset(place), self.settings
-        farthest_m = limits.shift_m * np.sqrt(2.0)
-        for shift_m, turn_deg in limits.steps:
+        farthest_m = SHIFT_M * np.sqrt(2.0)
+        for shift_m, turn_deg in CLIMBING_STEPS:
             step = np.array([shift_m, shift_m, turn_deg])
             for _ in range(30):
                 around = [self.offset(best.place + move * step) for move in _MOVES]
@@ -163,13 +182,13 @@ class Alignment:
 
     def explored(self) -> tuple[list[PoseOffset], float]:
         """Return the best offsets far from each other in all headings, and the mean of all."""
-        turns = np.arange(-180.0, 180.0, self.settings.turn_deg)
-        scores = _scores(self, turns.tolist(), self.settings.coarse)
+        turns = np.arange(-180.0, 180.0, TURN_DEG)
+        scores = _scores(self, turns.tolist(), COARSE_CELLS)
         size = (7, 5, 5)
-        peak = ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest")) == scores
-        order = np.argsort(-np.where(peak, scores, -1.0), axis=None)[: self.settings.candidates]
+        top = scipy.ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest"))
+        order = np.argsort(-np.where(scores == top, scores, -1.0), axis=None)[:CANDIDATES]
         turn, ahead, left = np.unravel_index(order, scores.shape)
-        middle, cell_m = scores.shape[1] // 2, CELL_M * self.settings.coarse
+        middle, cell_m = scores.shape[1] // 2, CELL_M * COARSE_CELLS
         places = np.column_stack([(ahead - middle) * cell_m, (left - middle) * cell_m, turns[turn]])
         return [self.offset(place) for place in places], float(scores.mean())
 
@@ -181,7 +200,7 @@ def align(
     standing: Standing, structure: Structure, settings: ScanCheckSettings = SCAN_CHECK
 ) -> Alignment:
     """Compare what stands with a scan that shows something."""
-    away = ndimage.distance_transform_edt(~structure.visible) * CELL_M
+    away = scipy.ndimage.distance_transform_edt(~structure.visible) * CELL_M
     closeness = np.asarray(np.exp(-0.5 * (away / settings.close_m) ** 2))
     return Alignment(standing=standing, closeness=closeness, settings=settings)
 
@@ -190,22 +209,24 @@ def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -
     """Return the scores of all shifts at once, by convolution: (headings, ahead, left)."""
     field, points = alignment.closeness, alignment.standing.points[:, :2]
     if coarse > 1:
-        field = ndimage.gaussian_filter(field, coarse * alignment.settings.close_m / CELL_M / 2.0)
+        field = scipy.ndimage.gaussian_filter(
+            field, coarse * alignment.settings.close_m / CELL_M / 2.0
+        )
     size, cell_m = len(field) // coarse, CELL_M * coarse
     field = field[: size * coarse, : size * coarse]
     field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
-    side = int(fft.next_fast_len(size, real=True))
-    spectrum = fft.rfft2(field.astype(np.float32), (side, side))
-    most = round(alignment.settings.shift_m / cell_m)
+    side = int(scipy.fft.next_fast_len(size, real=True))
+    spectrum = scipy.fft.rfft2(field.astype(np.float32), (side, side))
+    most = round(SHIFT_M / cell_m)
     reach = np.arange(-most, most + 1)
     scores = []
     for angle in np.radians(turns_deg):
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         place = np.floor(points @ turn / cell_m + size / 2.0).astype(np.int64)
         count = np.bincount(place[:, 0] * side + place[:, 1], minlength=side**2)
-        image = fft.rfft2(count.astype(np.float32).reshape(side, side))
-        rows = fft.ifft(spectrum * np.conj(image), axis=0)[reach]  # others are not asked for
-        found = fft.irfft(rows, side, axis=1)[:, reach]
+        image = scipy.fft.rfft2(count.astype(np.float32).reshape(side, side))
+        rows = scipy.fft.ifft(spectrum * np.conj(image), axis=0)[reach]  # others are not asked for
+        found = scipy.fft.irfft(rows, side, axis=1)[:, reach]
         scores.append(np.asarray(found, np.float64) / len(points))
     return np.stack(scores)
 
@@ -310,6 +331,7 @@ def require_scans_near(
     crs: CRS,
     place: Sequence[float],
     *,
+    name: str = "the sensor",
     scan_crs: Any = None,
 ) -> None:
     """Refuse scans that cannot serve to check a sensor's pose; reads their headers only.
@@ -322,6 +344,8 @@ def require_scans_near(
         The map frame.
     place : (easting, northing, ...)
         About where the sensor is, metres.
+    name : str
+        What the message calls it.
 
     Raises
     ------
@@ -329,12 +353,12 @@ def require_scans_near(
         If none of them reaches within 300 m, or one is damaged; CrsError if one has no projected,
         metric coordinate system.
     """
-    reach_m = SCAN_CHECK.most_reach_m
+    reach_m = MOST_REACH_M
     box = box_with_margin((place[0], place[1], place[0], place[1]), reach_m)
     # each is opened, so that a bad one is refused at once
     near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
     if not any(near):
-        raise _elsewhere(scans, reach_m, "the sensor", place, crs)
+        raise _elsewhere(scans, reach_m, name, place, crs)
 
 
 def _elsewhere(
@@ -390,9 +414,9 @@ def check_against_scan(
     """
     slow = read_slow(recording, settings=settings, reporter=reporter)
     level = LevelFrame(pose=pose)
-    reach_m = float(np.clip(slow.reach_m, settings.least_reach_m, settings.most_reach_m))
+    reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
     structure = read_structure(
-        scans, level, reach_m=reach_m + settings.margin_m, scan_crs=scan_crs, settings=settings,
+        scans, level, reach_m=reach_m + MARGIN_M, scan_crs=scan_crs, settings=settings,
         reporter=reporter,
     )  # fmt: skip
     if structure is None:
@@ -417,7 +441,7 @@ def _too_little(
     """Return why there is nothing to compare, or nothing."""
     if len(slow.points) == 0:
         return "the recording has no still detections with an elevation"
-    if len(found) < settings.least_cells or found.patches < settings.least_patches:
+    if len(found) < settings.least_cells or found.patches < LEAST_PATCHES:
         return f"little stands in view: {len(found)} cells in {found.patches} places"
     if not structure.visible.any():
         return "the scan shows neither canopy nor walls here"
@@ -449,7 +473,7 @@ def _verdict(
 ) -> tuple[str, str]:
     here, limits = alignment.here, alignment.settings
     fits = f"{here.score:.0%} of what stands lies on the scan's canopy and walls"
-    elsewhere = best.beyond(limits.same_m, limits.same_deg)
+    elsewhere = best.beyond(SAME_M, SAME_DEG)
     other = best if elsewhere else rival
     if elsewhere and alignment.z_score(best, here) >= limits.better_sigmas:
         return DOUBTS, f"{fits}, but {best.score:.0%} {best.words()}"

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import Affine2D
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.calibration.scan_check import ScanCheck
+from gis_radar.calibration.scan_check import SHIFT_M, ScanCheck
 from gis_radar.calibration.surroundings import Structure
 from gis_radar.grid import CELL_M
 from gis_radar.notebooks import label_map, legend_below, picture_file
@@ -163,7 +163,7 @@ def _corner(look: ScanCheck, low: Floats, high: Floats) -> tuple[float, float, f
 
 def _draw_surface(ax: Axes, look: ScanCheck) -> None:
     """Draw the score over offsets, north up, with the answer in the middle."""
-    shift_m = look.settings.shift_m
+    shift_m = SHIFT_M
     half = shift_m + CELL_M / 2.0
     ax.imshow(
         look.surface.T, extent=(-half, half, -half, half), origin="lower", cmap="magma", vmin=0.0,

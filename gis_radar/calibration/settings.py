@@ -1,20 +1,18 @@
-"""Settings of the localization: every constant of its algorithms, with unit and reason.
+"""What may be set of localization and monitor; what differs goes into a pose's evidence.
 
-Those of traces and lanes are in `trace_settings`. What is assumed of vehicles and radars is not
-here but in :mod:`gis_radar.calibration.model`: those constants carry an uncertainty that enters an
-answer's covariance.
+Other constants of its algorithms stand beside their use. What is assumed of vehicles and radars is
+in :mod:`gis_radar.calibration.model`: those constants carry an uncertainty that enters an answer's
+covariance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from math import log, radians
+from math import radians
 from typing import Any
 
-import numpy as np
-
-from gis_radar.calibration.trace_settings import LaneSettings, TraceSettings
+from scipy.special import gammaincinv
 
 LEVER_M = 50.0  # a turn counts as the metres by which it moves what is so far off: usual traces
 
@@ -37,6 +35,45 @@ class Schedule:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TraceSettings:
+    """How moving detections become tracks and samples.
+
+    Parameters
+    ----------
+    frames, least_frames : int
+        Window, 100 s at 20 Hz (the paper's n_f); fewer are refused: 5 s show no traffic.
+    min_speed_mps : float
+        Least absolute range rate (the paper).
+    segment_s : float
+        A stream of vehicles that never breaks counts as several tracks of this length.
+    walk_mps : float
+        Tracks that are slower by range rates and way may be of walkers, with their limbs.
+    most : int
+        Samples in all; cost grows in proportion.
+    """
+
+    frames: int = 2000
+    least_frames: int = 100
+    min_speed_mps: float = 0.15
+    segment_s: float = 8.0
+    walk_mps: float = 2.7
+    most: int = 6000
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneSettings:
+    """Which lanes a detection may lie on.
+
+    Parameters
+    ----------
+    slack_mps : float
+        Range rates may disagree with a lane by noise and the turning of a long vehicle.
+    """
+
+    slack_mps: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
 class SearchSettings:
     """How the traces are levelled and laid on a grid of places and headings.
 
@@ -44,99 +81,15 @@ class SearchSettings:
     ----------
     guess_m : float
         How far a guess may be off (contract).
-    slack_m : float
-        Searched beyond it.
     heading_tolerance : float
         Radians either way of a given heading: 25 degrees (contract) and some slack.
-    tilt : float
-        1 sigma of how far masts and roads lean, radians.
-    level_spread_m, level_elevation : float
-        1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
     level_rounds : int
         Reweighted fits of the plane; it settles in five to eight.
-    samples : int
-        Traces scored; cost in proportion.
-    sights : int
-        Bins of the direction of sight, 5.6 degrees.
-    spread_m, step_m, yaw_step : float
-        Bell across a lane, grid of places, grid of headings (radians). Steps are at most one
-        spread, or 50 m off half of one.
-    beside : float
-        Cosine by which a lane's direction may disagree with the Doppler's sign (15 degrees).
-    near_m, near_rad : float
-        Closer peaks are one.
-    candidates, known_candidates : int
-        Peaks that are fitted, without and with a heading; cost in proportion.
     """
 
     guess_m: float = 15.0
-    slack_m: float = 2.0
     heading_tolerance: float = radians(30.0)
-    tilt: float = radians(6.0)
-    level_spread_m: float = 0.5
-    level_elevation: float = radians(0.6)
     level_rounds: int = 12
-    samples: int = 900
-    sights: int = 64
-    spread_m: float = 2.0
-    step_m: float = 2.0
-    yaw_step: float = radians(2.0)
-    beside: float = 0.25
-    near_m: float = 3.0
-    near_rad: float = radians(5.0)
-    candidates: int = 10
-    known_candidates: int = 4
-
-
-@dataclass(frozen=True, kw_only=True)
-class SolverSettings:
-    """The robust part of the likelihood, and when a fit has converged.
-
-    Parameters
-    ----------
-    stray_share : float
-        Share of detections that are on no vehicle: ghosts and multipath.
-    stray_width_m, stray_height_m : float
-        Over which width and height these spread evenly.
-    front : tuple of float
-        Where a front or rear reflects, in half widths: the middles of its thirds.
-    view_edge : float
-        Radians inside the field of view within which a height counts; beyond it only the tall
-        are seen.
-    far : Schedule
-        From a lane off.
-    settled_m, settled_sigmas : float
-        A step shorter than either ends a stage: far below the noise.
-    at_rest_m, at_rest_sigmas : float
-        Where no shorter step helps, one shorter than either is convergence too: it promised to
-        lower the cost by one at most, as faces that come and go make bumps of that size.
-    shrink, least_share : float
-        A step that does not help is divided by `shrink`, down to this share.
-    least_curvature : float
-        Where the curvature is no minimum's, the share of the weights' information that counts.
-    floor : float
-        Information of what nothing fixes, 1/m^2: a kilometre.
-    """
-
-    stray_share: float = 0.1
-    stray_width_m: float = 8.0
-    stray_height_m: float = 8.0
-    front: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
-    view_edge: float = radians(1.0)
-    far: Schedule = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)
-    settled_m: float = 5e-3
-    settled_sigmas: float = 0.02
-    at_rest_m: float = 0.1
-    at_rest_sigmas: float = 1.5
-    shrink: float = 3.0
-    least_share: float = 0.05
-    least_curvature: float = 0.05
-    floor: float = 1e-6
-
-    @property
-    def no_vehicle(self) -> float:
-        """Loss of a sample that is on no vehicle."""
-        return float(-np.log(self.stray_share * np.sqrt(2.0 * np.pi) / self.stray_width_m))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,47 +98,23 @@ class HypothesisSettings:
 
     Parameters
     ----------
-    reflection_m, reflection_sigma_m : float
-        Prior of the mean height of reflections: between wheel hubs and belt lines.
-    rough_samples : int
-        Enough to rank hypotheses; cost in proportion.
     rough, settle, fine : Schedule
         First fit of every candidate, fit of each finalist, fit to all samples.
-    finalists, gone : int, float
-        Most of them, and how many standard deviations behind the first none is one.
+    finalists : int
+        Most hypotheses that are fitted to the end.
     rival : float
         Standard deviations behind the first that earn a full look, which brings a hypothesis
         nearer by about half of one; more than `AnswerSettings.clear`.
-    twin_m, twin_rad : (3,) tuples
-        Closer fits are one: easting, northing, height; turns about the axes.
-    look_m, look_steps : float, (2,) tuple of int
-        Grid around an optimum on which better ones are looked for: half a vehicle's width apart,
-        and so many steps to all sides and turns, which count at `AnswerSettings.lever_m`.
-    look_scale_m, look_samples, look_places : float, int, int
-        Widening of the spreads there (drivers differ by as much), samples that are looked at, and
-        how many of the lowest places are fitted.
-    looks, look_gain : int, float
-        Most looks, each around the last's best; what one must gain (a sigma costs 0.5).
+    looks : int
+        How often better optima are looked for, at most, each time around the last best one.
     """
 
-    reflection_m: float = 0.6
-    reflection_sigma_m: float = 0.25
-    rough_samples: int = 1000
     rough: Schedule = Schedule(scales_m=(1.5, 0.75, 0.3), rounds=4)
     settle: Schedule = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=4)
     fine: Schedule = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)
     finalists: int = 4
-    gone: float = 5.0
     rival: float = 3.5
-    twin_m: tuple[float, float, float] = (0.3, 0.3, 0.5)
-    twin_rad: tuple[float, float, float] = (radians(0.5), radians(0.5), radians(0.3))
-    look_m: float = 0.5
-    look_steps: tuple[int, int] = (3, 2)
-    look_scale_m: float = 0.3
-    look_samples: int = 400
-    look_places: int = 4
     looks: int = 4
-    look_gain: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,52 +123,14 @@ class AdaptationSettings:
 
     Parameters
     ----------
-    edge_m, edge_sigma_m : float
-        Bumpers, sills and wheels end that far over the road (ground clearance 0.12 to 0.3 m).
-    nodes : int
-        Of the quadrature over the gamma distribution of heights above the edge.
-    tall_share, tall_m : float, (2,) tuple
-        Share of bodies, and between which heights above the edge they reflect.
-    stray_share, stray_m : float
-        Share of strays, and over which height.
-    near_m : float
-        Farther samples fix no heights: 0.6 degrees are 0.8 m.
-    least, most : int
-        Samples: fewer are too few, more cost time only.
-    noise_m : float
-        1 sigma of the heights of scan and map.
-    start, low, high : (3,) tuples
-        Edge (m), scale (m) and elevation noise (radians): start of the fit and its bounds.
-    most_factor, factors : float, int
-        Largest factor on the side strength that is tried, up and down, and how many.
-    factor_sigma : float
-        1 sigma of the logarithm of that factor in the prior.
-    step : float
-        Of numerical derivatives.
-    bent_shares, bent_rounds : tuple of float, int
-        Shares of the elevation's variance that may last, and rounds in which the effects settle.
+    least : int
+        Samples near enough; with fewer no heights are estimated.
+    most_factor : float
+        Largest factor on the side strength that is tried, up and down.
     """
 
-    edge_m: float = 0.2
-    edge_sigma_m: float = 0.07
-    nodes: int = 16
-    tall_share: float = 0.2
-    tall_m: tuple[float, float] = (0.2, 2.8)
-    stray_share: float = 0.05
-    stray_m: float = 8.0
-    near_m: float = 80.0
     least: int = 200
-    most: int = 1500
-    noise_m: float = 0.05
-    start: tuple[float, float, float] = (0.2, 0.2, radians(0.5))
-    low: tuple[float, float, float] = (-1.5, 0.05, radians(0.1))
-    high: tuple[float, float, float] = (2.0, 0.6, radians(2.0))
     most_factor: float = 4.0
-    factors: int = 17
-    factor_sigma: float = log(2.0)
-    step: float = 1e-4
-    bent_shares: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-    bent_rounds: int = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,19 +141,12 @@ class AnswerSettings:
     ----------
     street_sigma_m : (2,) tuple
         1 sigma, from street to street, of lanes as drawn and driven, and of the scan's heights.
-    street_m : float
-        Length of a street section with a bias of its own.
     unfixed_m, unfixed_rad : (3,) tuples
         Sigmas from which on a scene does not fix easting, northing, height; roll, pitch, yaw.
         One metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
-    lever_m : float
-        Metres that a turn counts as in steps, hops, eigenvalues and along a valley.
-    valley : Schedule
-        Fit at each step along the least-known direction.
     valley_steps_m : tuple of float
-        How far along it the profile of the likelihood is taken; none turns it off.
-    least_rise, clear_rise : float
-        Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
+        How far along the least-known direction the profile of the likelihood is taken; none turns
+        it off.
     least_tracks : int
         Vehicles; fewer leave the seven components of the state unfixed.
     least_fitness : float
@@ -273,35 +157,16 @@ class AnswerSettings:
     mirror_share : float
         A mirrored recording is fitted where its search score is at least this share of the
         recording's own; infinite turns the check off.
-    same_chi2 : float
-        Squared standard deviations within which two answers are one (99.9 %, 3 components).
-    one_answer_m, one_answer_rad : float
-        Optima that near to each other are one answer with a larger sigma: nearer than lanes are,
-        and what drivers off the middle of their lanes can make of one.
-    least_scanned : float
-        Share of lanes in reach that the scanned road must cover.
-    slack_m : float
-        An answer may lie that much farther off than a guess may.
     """
 
     street_sigma_m: tuple[float, float] = (0.3, 0.2)
-    street_m: float = 60.0
     unfixed_m: tuple[float, float, float] = (1.0, 1.0, 0.5)
     unfixed_rad: tuple[float, float, float] = (radians(2.0), radians(2.0), radians(1.0))
-    lever_m: float = LEVER_M
-    valley: Schedule = Schedule(scales_m=(0.3, 0.0), rounds=4)
     valley_steps_m: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-    least_rise: float = 0.5
-    clear_rise: float = 50.0
     least_tracks: int = 5
     least_fitness: float = 0.6
     clear: float = 2.5
     mirror_share: float = 1.0
-    same_chi2: float = 16.0
-    one_answer_m: float = 1.0
-    one_answer_rad: float = radians(3.0)
-    least_scanned: float = 0.3
-    slack_m: float = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -314,30 +179,17 @@ class IcpSettings:
         Edge of the voxels of traces and road (the paper).
     eps_m, min_points : float, int
         DBSCAN of the traces' voxels: gaps between the lanes of a street stay closed.
-    profile_m : float
-        How far the pose is moved to measure how well the road fixes it: farther than the slack
-        between traces and kerb, in which the cost is flat.
     distances_m : tuple of float
         Correspondence distances: large, then two voxels and one (the paper).
     iterations : int
         Most at each distance.
-    mast_m : float
-        Height of a usual mast, where the guess has none.
-    headings : int
-        Tried where none is given, evenly around.
-    farthest : float
-        An answer farther off than so many times the error of a guess is refused.
     """
 
     voxel_m: float = 0.5
     eps_m: float = 2.0
     min_points: int = 10
-    profile_m: float = 2.0
     distances_m: tuple[float, ...] = (10.0, 1.0, 0.5)
     iterations: int = 60
-    mast_m: float = 5.0
-    headings: int = 8
-    farthest: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,7 +198,7 @@ class LocalizationSettings:
 
     Parameters
     ----------
-    traces, lanes, search, solver, hypotheses, adaptation, answer : settings records
+    traces, lanes, search, hypotheses, adaptation, answer : settings records
         Of the method `lane`, step by step.
     icp : IcpSettings
         Of the method `icp`.
@@ -355,7 +207,6 @@ class LocalizationSettings:
     traces: TraceSettings = field(default_factory=TraceSettings)
     lanes: LaneSettings = field(default_factory=LaneSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
-    solver: SolverSettings = field(default_factory=SolverSettings)
     hypotheses: HypothesisSettings = field(default_factory=HypothesisSettings)
     adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
     answer: AnswerSettings = field(default_factory=AnswerSettings)
@@ -388,3 +239,170 @@ def changed(settings: Any, defaults: Any, path: str = "") -> dict[str, Any]:
 
 
 LOCALIZATION = LocalizationSettings()
+
+HOUR_S = 3600.0
+
+Six = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlarmSettings:
+    """Settings of the change detector by vehicles, against the sensor's own first hour.
+
+    Lengths across a lane are means of a vehicle in a cell. *Measured* is on two hours of the sample
+    junction, simulated as recorded (`bench/alarm.py`).
+
+    Parameters
+    ----------
+    block_s : float
+        Traffic is summed by blocks, and tested at the end of each.
+    settle_s : float
+        A vehicle counts in the block so long after its last detection, when none may follow.
+    blocks : tuple of int
+        Newest blocks that are tested: five for a strong move, nine for a small one (with
+        `settle_s` within ten minutes), thirty for light traffic.
+    share : float
+        The tested blocks are at most that share of all there are: no alarm before 15 minutes,
+        nine blocks are tested from 27 on, thirty from 90 on.
+    reference_h, reference_vehicles : float, int
+        The reference is the first hour; then it forgets within an hour or so many vehicles,
+        whichever takes longer, to follow what changes slowly.
+    dispersion, dispersion_blocks : float
+        Ratio of the scatter between blocks to what independent vehicles make (broken tracks,
+        platoons; measured 1.4 to 2.1): before it is measured at the sensor, and how many blocks
+        that counts for.
+    outlier : float
+        Standard deviations of drivers' habit on a stretch from which on it is no habit but an
+        obstacle, which weighs less and less.
+    gate : float
+        Score beyond which a move is noticed: 0.2 false alarms a month, 95 % under 2.0, by the tail
+        of 240 hours of changing traffic (`bench/alarm.py`).
+    """
+
+    block_s: float = 60.0
+    settle_s: float = 7.0
+    blocks: tuple[int, ...] = (5, 9, 30)
+    share: float = 0.34
+    reference_h: float = 1.0
+    reference_vehicles: int = 1000
+    dispersion: float = 2.0
+    dispersion_blocks: float = 20.0
+    outlier: float = 2.0
+    gate: float = 24.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationaryTargetSettings:
+    """Settings of the change detector by stationary targets.
+
+    *Recorded* is on recordings of an ARS548 (a target repeats to 0.01 m, 0.05 and 0.1 to 2 degrees;
+    over seconds it wanders by 0.1 m, 0.15 and 1 degree), *measured* on `bench/alarm.py`.
+
+    Parameters
+    ----------
+    block_s : float
+        The place of a target is its median over so long: a shake is shorter, and four cycles.
+    search_blocks : int
+        New targets are looked for every so many blocks, five minutes.
+    reference_blocks : int
+        The mean forgets within so many blocks, 10 minutes: twice what is tested; over an hour the
+        drift allowed to a mast would hide half a degree.
+    blocks : tuple of int
+        Newest blocks that are tested for a move, longer than any gust.
+    least_targets : int
+        Fewer targets contradict nothing.
+    wanted_m, wanted_rad : float
+        The move to be noticed, in the plane and of an angle.
+    gate : float
+        Score beyond which a move is noticed, from 120 hours of changing days of one radar
+        (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
+    """
+
+    block_s: float = 20.0
+    search_blocks: int = 15
+    reference_blocks: int = 30
+    blocks: tuple[int, ...] = (6, 15)
+    least_targets: int = 12
+    wanted_m: float = 0.3
+    wanted_rad: float = radians(0.5)
+    gate: float = 28.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorSettings:
+    """What may be set of the calibration monitor.
+
+    Vectors of six are easting, northing, height and turns about the map's axes: metres, radians.
+
+    Parameters
+    ----------
+    cycle_s : float
+        Time between two corrected poses, seconds (the paper).
+    drift : (6,) tuple
+        1 sigma of how far a mast bends within an hour, in sun and wind.
+    by_hand : (6,) tuple
+        1 sigma of a start pose that states none: measured with tape, compass and spirit level.
+    lengths_s : tuple of float
+        Newest parts of the window that are tested for a move: a short one soon shows a blow, but
+        holds few vehicles; a long one shows a shift of some decimetres.
+    false_alarms : float
+        Moves reported an hour where none was; at most, as if all tests were independent.
+    suspect : float
+        Level of chi2 above which a move is looked for and the pose's sigma widened.
+    agreement : float
+        Standard errors by which its vehicles must prefer the move, each counting as one.
+        Measured where both other figures are beyond chance: at rest in light traffic 0.1 to 1.5,
+        within 25 s of a turn by a degree 1.9 to 2.2, after a shift of half a metre 2.6 to 3.3.
+    knock : (6,) tuple
+        1 sigma of how far a blow moves a sensor that is still in use.
+    lost_s : float
+        `moved` with unknown pose after so many seconds of rejected fits: a whole window.
+    alarm : AlarmSettings
+        Of small moves, by where vehicles drive.
+    stationary : StationaryTargetSettings
+        Of small moves, by stationary targets.
+    localization : LocalizationSettings
+        Of window, traces, lanes and fits.
+    """
+
+    cycle_s: float = 5.0
+    drift: Six = (0.02, 0.02, 0.01, radians(0.1), radians(0.1), radians(0.1))
+    by_hand: Six = (1.0, 1.0, 1.0, radians(2.0), radians(2.0), radians(2.0))
+    lengths_s: tuple[float, ...] = (20.0, 60.0)
+    false_alarms: float = 0.01
+    suspect: float = 0.95
+    agreement: float = 1.65
+    knock: Six = (0.7, 0.7, 0.4, radians(3.0), radians(3.0), radians(4.0))
+    lost_s: float = 100.0
+    alarm: AlarmSettings = field(default_factory=AlarmSettings)
+    stationary: StationaryTargetSettings = field(default_factory=StationaryTargetSettings)
+    localization: LocalizationSettings = field(default_factory=LocalizationSettings)
+
+    @property
+    def gate(self) -> float:
+        """Largest chi2 of six degrees of freedom that is chance, by `false_alarms`."""
+        tests = HOUR_S / self.cycle_s * len(self.lengths_s)  # an hour
+        return chi2_quantile(1.0 - self.false_alarms / tests)
+
+    @property
+    def median_chi2(self) -> float:
+        """Median of chi2 of six degrees of freedom."""
+        return chi2_quantile(0.5)
+
+    @property
+    def suspect_chi2(self) -> float:
+        """Chi2 of six degrees of freedom above which a move is looked for."""
+        return chi2_quantile(self.suspect)
+
+    def changes(self) -> dict[str, Any]:
+        """Return the settings that differ from the defaults, by dotted name."""
+        return changed(self, MONITOR)
+
+
+def chi2_quantile(level: float) -> float:
+    """Return the quantile of chi2 of six degrees of freedom, without loading scipy.stats."""
+    return float(2.0 * gammaincinv(3.0, level))
+
+
+MONITOR = MonitorSettings()
+ALARM = MONITOR.alarm

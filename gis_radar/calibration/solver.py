@@ -9,22 +9,46 @@ from functools import cache, partial
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.lanes import direction_bin
-from gis_radar.calibration.matching import Matches, Placed, Scene, match, place
+from gis_radar.calibration.lanes import (
+    LANE_BINS,
+    Matches,
+    Placed,
+    Scene,
+    direction_bin,
+    match,
+    place,
+)
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.residuals import (
+    NO_VEHICLE,
     Comparison,
     Normal,
     Residuals,
     assemble,
-    at_least,
     height,
     lateral,
     sums,
 )
-from gis_radar.calibration.settings import Schedule
+from gis_radar.calibration.settings import LEVER_M, Schedule
 from gis_radar.calibration.state import SIZE, State
 from gis_radar.calibration.traces import Samples
+
+STREET_M = 60.0  # length of a street section with a bias of its own
+
+FAR = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)  # from a lane off
+# A step shorter than either ends a stage: far below the noise.
+SETTLED_M = 5e-3
+SETTLED_SIGMAS = 0.02
+# Where no shorter step helps, one shorter than either is convergence too: it promised to lower
+# the cost by one at most, as faces that come and go make bumps of that size.
+AT_REST_M = 0.1
+AT_REST_SIGMAS = 1.5
+# A step that does not help is divided by SHRINK, down to this share.
+SHRINK = 3.0
+LEAST_SHARE = 0.05
+# Where the curvature is no minimum's, the share of the weights' information that counts.
+LEAST_CURVATURE = 0.05
+FLOOR = 1e-6  # information of what nothing fixes, 1/m^2: a kilometre
 
 FAMILIES = (lateral, height)
 # Constants of the model; the others are of the lateral family.
@@ -140,7 +164,7 @@ def solve(
     hold : (7,) array, optional
         A combination of the state's parts that stays as it is at the start.
     """
-    schedule = schedule or scene.settings.solver.far
+    schedule = schedule or FAR
     return _described(*_descended(scene, start, prior, schedule, model, hold))
 
 
@@ -178,27 +202,26 @@ def _descended(
     scene: Scene, start: State, prior: Prior, schedule: Schedule, model: Model, hold: Floats | None
 ) -> tuple[_Cost, _Here, bool]:
     """Return the cost in the last stage, where it came to rest, and whether it did."""
-    settings = scene.settings.solver
     point = _at_rest(scene, start)
-    converged, lever_m = False, np.repeat([1.0, scene.settings.answer.lever_m], 3)
+    converged, lever_m = False, np.repeat([1.0, LEVER_M], 3)
     for scale_m in schedule.scales_m:
         cost = _Cost(scene, prior, model, scale_m, hold)
         here = cost.at(point)
         for _ in range(schedule.rounds):
             step, effects, sigmas = cost.step(here)
             there, share = None, 1.0
-            while share > settings.least_share and (there is None or there.total > here.total):
+            while share > LEAST_SHARE and (there is None or there.total > here.total):
                 moved = _Point(
                     here.point.state.moved(share * step),
                     [b + share * more for b, more in zip(here.point.effects, effects, strict=True)],
                 )
-                there, share = cost.at(moved), share / settings.shrink
+                there, share = cost.at(moved), share / SHRINK
             length_m = float(np.abs(step[:6] * lever_m).max())
             if there is None or there.total > here.total:
-                converged = length_m < settings.at_rest_m or sigmas < settings.at_rest_sigmas
+                converged = length_m < AT_REST_M or sigmas < AT_REST_SIGMAS
                 break
             here = there
-            converged = length_m < settings.settled_m or sigmas < settings.settled_sigmas
+            converged = length_m < SETTLED_M or sigmas < SETTLED_SIGMAS
             if converged:
                 break
         point = here.point
@@ -286,7 +309,6 @@ class _Cost:
             matches=matches,
             model=self.model,
             scale_m=self.scale_m,
-            settings=self.scene.settings.solver,
         )
 
     def step(self, here: _Here) -> tuple[Floats, list[Floats], float]:
@@ -305,14 +327,14 @@ class _Cost:
 
 def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT001
     """Return the evidence at a point."""
-    across, settings = here.families[0], cost.scene.settings.solver
+    across = here.families[0]
     effects = here.point.effects
     normal = assemble(here.families, effects, curved=True)
     # where the curvature is no minimum's, a small part of the information of known faces counts
     known = assemble(here.families, effects).information + cost.prior.information
     information = at_least(
         normal.information + cost.prior.information,
-        settings.least_curvature * known + settings.floor * np.eye(len(known)),
+        LEAST_CURVATURE * known + FLOOR * np.eye(len(known)),
     )
     street, count = _streets(cost.scene, here.matches)
     gradients = [sums(street, offsets, count) for offsets in normal.offsets]
@@ -327,7 +349,7 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         loss=across.weight * across.loss,
         aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],
         costs=_costs(cost.scene.samples, here),
-        on_lane=across.loss < settings.no_vehicle - np.log(2.0),
+        on_lane=across.loss < NO_VEHICLE - np.log(2.0),
         matches=here.matches,
         converged=converged,
         effects=here.point.effects,
@@ -381,14 +403,23 @@ def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
     """Return for each track the number of the street section that it drives on most."""
     lanes, samples = scene.lanes, scene.samples
     lane = matches.lane[matches.found]
-    way = direction_bin(lanes.along[lane], lanes.settings.bins) // 2
-    cell = np.floor(lanes.points[lane, :2] / scene.settings.answer.street_m).astype(np.int64)
+    way = direction_bin(lanes.along[lane], LANE_BINS) // 2
+    cell = np.floor(lanes.points[lane, :2] / STREET_M).astype(np.int64)
     low = cell.min(axis=0, initial=0)
     span = cell.max(axis=0, initial=0) - low + 1
-    keys = np.ravel_multi_index((*(cell - low).T, way), (*span, lanes.settings.bins))
+    keys = np.ravel_multi_index((*(cell - low).T, way), (*span, LANE_BINS))
     _, number = np.unique(keys, return_inverse=True)
     count = int(number.max(initial=-1)) + 2
     votes = np.bincount(
         samples.track[matches.found] * count + number, minlength=samples.tracks * count
     )
     return votes.reshape(samples.tracks, count).argmax(axis=1), count
+
+
+def at_least(information: Floats, floor: Floats) -> Floats:
+    """Return an information that in no direction is below a positive definite floor."""
+    root = np.linalg.cholesky((floor + floor.T) / 2.0)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ (information + information.T) @ inverse.T / 2.0)
+    wide = root @ vectors
+    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)

@@ -1,11 +1,11 @@
-"""StillTargets: what stands still around a sensor, as a change detector of its small moves.
+"""Detect small moves of a sensor by the stationary targets around it.
 
 Walls, posts, signs, kerbs and parked cars return in frame after frame. Where such a target stands
 in the sensor's own frame changes only if the sensor does: a move by `d` and a turn by `w` put what
 was at `a` to `a - d - w x a`. Each target wanders by itself, too, over seconds (neighbours and the
-ground add to its angles), and it may be a car that leaves. So targets are the units: how far each
-has gone that no common move explains is the noise of all, whatever its cause and however long it
-lasts. It is measured in the very comparison that it decides.
+ground add to its angles), and it may be a car that leaves. So targets are the units: the part of
+their displacements that no common move explains is their noise, whatever its cause and duration,
+and is measured in the same comparison.
 
 Memory is that of a block of detections, a map of hits in range and azimuth, and some hundred
 targets.
@@ -13,6 +13,7 @@ targets.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, replace
 
@@ -21,12 +22,49 @@ from scipy.ndimage import maximum_filter, uniform_filter
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.alarm import Displacement
-from gis_radar.calibration.monitor_settings import (
+from gis_radar.calibration.settings import (
     HOUR_S,
     MONITOR,
     MonitorSettings,
-    StillTargetSettings,
 )
+
+# Hits are mapped by range and azimuth up to there, in such cells: finer than a target's wander.
+REACH_M = 300.0
+CELL_M = 0.2
+CELL_RAD = math.radians(0.4)
+FIRST_SEARCH = 6  # blocks after which targets are looked for: two minutes
+# Hits a frame that make a target. Recorded: cells hit in half of the frames or more hold 46 to 84
+# % of the still detections.
+LEAST_RATE = 0.3
+# How far from its mean a detection is still of a target: three times its wander and the wanted
+# move, to either side; across it is the wanted move more.
+GATE_M = 0.7
+GATE_RAD = math.radians(1.0)
+# Targets stand at least so far apart: gates do not overlap at 100 m, and a parked car is two
+# targets at most.
+APART_M = 3.0
+LEAST_SHARE = 0.5  # a target is seen in a block with that share of its usual hits
+GONE_BLOCKS = 180  # a target that was not seen for so many blocks, an hour, is dropped
+LEAST_AGE = 6  # blocks in a mean that counts; no verdict before seven minutes
+# So many tests in a row find a move that is one; the scatter of some dozen targets is a rough
+# figure, and in one test in some thousands far too small.
+LASTING_BLOCKS = 3
+# A smaller share of all targets contradicts nothing: in snow, or after a blow that puts all beyond
+# their gates.
+LEAST_PRESENT = 0.5
+# Recorded; only where the search for the common move begins.
+WANDER_M = 0.1
+WANDER_RAD = (math.radians(0.15), math.radians(1.0))
+# No target repeats better than that, range, azimuth and elevation; what is recorded is stored in
+# steps of that size.
+LEAST_SCATTER = (0.004, math.radians(0.005), math.radians(0.02))
+# From so many times the scatter on a target counts less (Cauchy's weight): a car that came where
+# another left.
+OUTLIER = 2.0
+ROUNDS = 10  # of weights and scatter; both are settled after seven
+# Where a standard deviation is over that share of the move to be noticed, in the plane or of an
+# angle, vehicles are asked, too.
+SURE = 0.34
 
 NONE = -1
 PLANE_AND_ANGLES = [0, 1, 3, 4, 5]  # of a move: height alone moves nothing off its lane
@@ -86,8 +124,8 @@ def by_move(polar: Floats) -> Floats:
     return np.stack([np.hstack([-way, -np.cross(arm, way)]) for way in ways], axis=1)
 
 
-class StillTargets:
-    """Learns persistent still targets of one sensor, and compares their newest places with before.
+class StationaryTargets:
+    """Finds stationary targets of one sensor, and compares their newest places with earlier ones.
 
     Detections are pushed; every `block_s` seconds a block ends with the median place of each
     target. The newest blocks wait, up to the longest that is tested; then they join the mean. What
@@ -101,18 +139,18 @@ class StillTargets:
     """
 
     def __init__(self, settings: MonitorSettings = MONITOR) -> None:
-        self._settings, self._of = settings, settings.still
-        self._batches: list[Floats] = []  # still detections since the last block: polar
+        self._settings, self._of = settings, settings.stationary
+        self._batches: list[Floats] = []  # stationary detections since the last block: polar
         self._frames = self._searched = self._blocks = 0  # of this block, of the map, ended
-        cells = (round(self._of.reach_m / self._of.cell_m), round(2 * np.pi / self._of.cell_rad))
+        cells = (round(REACH_M / CELL_M), round(2 * np.pi / CELL_RAD))
         self._hits = np.zeros(cells, dtype=np.int64)
         self._recent: deque[Floats] = deque()  # places in the newest blocks, not yet in the mean
         self.tested: list[Verdict] = []  # at the end of the last block
-        self._scores = {n: deque[float](maxlen=self._of.lasting_blocks) for n in self._of.blocks}
+        self._scores = {n: deque[float](maxlen=LASTING_BLOCKS) for n in self._of.blocks}
         self.know(np.empty((0, 3)), np.empty(0))
 
     def know(self, place: Floats, rate: Floats) -> None:
-        """Set the targets of this sensor; their mean places are still to be learnt.
+        """Set the targets of this sensor; their mean places follow from what comes.
 
         What was seen of others is forgotten.
 
@@ -152,7 +190,7 @@ class StillTargets:
         """
         still = np.abs(range_rate) <= self._settings.localization.traces.min_speed_mps
         polar = polar_of(points[still & np.isfinite(points).all(axis=1)])
-        self._batches.append(polar[(polar[:, 0] > 0.0) & (polar[:, 0] < self._of.reach_m)])
+        self._batches.append(polar[(polar[:, 0] > 0.0) & (polar[:, 0] < REACH_M)])
         self._frames += len(np.unique(time))
 
     def end_block(self) -> None:
@@ -182,12 +220,12 @@ class StillTargets:
         while len(self._recent) > min(held, self._of.blocks[-1]):
             self._learn(self._recent.popleft())
         self.tested = [each for each in map(self._lasting, self._of.blocks) if each is not None]
-        first = self._blocks == self._of.first_search
+        first = self._blocks == FIRST_SEARCH
         if first or self._blocks % self._of.search_blocks == 0:
             self._search()
 
     def _cells(self, polar: Floats) -> tuple[Integers, Integers]:
-        size = [self._of.cell_m, self._of.cell_rad]
+        size = [CELL_M, CELL_RAD]
         cell = ((polar[:, :2] + [0.0, np.pi]) / size).astype(np.int64)
         far, round_ = self._hits.shape
         return np.minimum(cell[:, 0], far - 1), cell[:, 1] % round_
@@ -196,7 +234,7 @@ class StillTargets:
         found, mine = np.full((len(self), 3), np.nan), label != NONE
         polar, label = polar[mine], label[mine]
         count = np.bincount(label, minlength=len(self))
-        enough = count > np.maximum(self._of.least_share * self.rate * frames, 1.0)
+        enough = count > np.maximum(LEAST_SHARE * self.rate * frames, 1.0)
         middle = (np.cumsum(count) - count + count // 2)[enough]
         for k in range(3):
             found[enough, k] = polar[np.lexsort((polar[:, k], label)), k][middle]
@@ -210,11 +248,11 @@ class StillTargets:
 
     def _search(self) -> None:
         """Drop targets that have left, and add frequently hit places apart from others."""
-        kept = self._absent < self._of.gone_blocks
+        kept = self._absent < GONE_BLOCKS
         old = int(kept.sum())
-        found, hits = _peaks(self._hits, self._of.least_rate * self._searched, self._of)
+        found, hits = _peaks(self._hits, LEAST_RATE * self._searched)
         place = np.vstack([self.place[kept], found])
-        free = _apart(place, old, self._of.apart_m)
+        free = _apart(place, old, APART_M)
         new = free[old:]
         none, nothing = np.zeros(int(new.sum())), np.full((int(new.sum()), 3), np.nan)
         self._recent = deque(np.vstack([block[kept], nothing]) for block in self._recent)
@@ -230,10 +268,10 @@ class StillTargets:
         """Return the target that each cell of range and azimuth belongs to."""
         label = np.full(self._hits.shape, NONE)
         rows, columns = self._cells(self.place)
-        high = round(self._of.gate_m / self._of.cell_m)
+        high = round(GATE_M / CELL_M)
         for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
-            across = self._of.gate_rad + self._of.wanted_m / self.place[number, 0]
-            wide = round(across / self._of.cell_rad)
+            across = GATE_RAD + self._of.wanted_m / self.place[number, 0]
+            wide = round(across / CELL_RAD)
             beside = np.arange(column - wide, column + wide + 1) % label.shape[1]
             label[max(row - high, 0) : row + high + 1, beside] = number
         return label
@@ -260,9 +298,9 @@ class StillTargets:
             return None
         newest = np.array(list(self._recent)[-blocks:])
         there = np.isfinite(newest[..., 0])
-        old = self._age >= self._of.least_age
+        old = self._age >= LEAST_AGE
         good = old & (2 * there.sum(axis=0) >= blocks) & there.any(axis=0)
-        if good.sum() < max(self._of.least_targets, self._of.least_present * old.sum()):
+        if good.sum() < max(self._of.least_targets, LEAST_PRESENT * old.sum()):
             return None
         gap = np.nanmean(newest[:, good], axis=0) - self.place[good]
         move, covariance = self._move(self.place[good], gap)
@@ -286,18 +324,18 @@ class StillTargets:
         return Verdict(
             found=found,
             targets=count,
-            sees=bool((sigma < self._of.sure * wanted).all()),
-            rests=score < self._of.gate and bool((sigma < self._of.sure * blow).all()),
+            sees=bool((sigma < SURE * wanted).all()),
+            rests=score < self._of.gate and bool((sigma < SURE * blow).all()),
         )
 
     def _move(self, place: Floats, gap: Floats) -> tuple[Floats, Floats]:
         """Return the common move and its covariance; targets that go elsewhere weigh little."""
-        sigma = np.array([self._of.wander_m, *self._of.wander_rad])
-        least = np.array(self._of.least_scatter)
+        sigma = np.array([WANDER_M, *WANDER_RAD])
+        least = np.array(LEAST_SCATTER)
         prior = np.diag(np.square(self._settings.knock) ** -1.0)
         design = by_move(place).reshape(-1, len(prior))
         weight = np.ones(gap.shape)
-        for _ in range(self._of.rounds):
+        for _ in range(ROUNDS):
             precision = weight / sigma**2
             weighted = design.T * precision.ravel()
             covariance = np.linalg.inv(weighted @ design + prior)
@@ -305,13 +343,13 @@ class StillTargets:
             rest = gap - (design @ move).reshape(gap.shape)
             # normalised median of absolute deviations
             sigma = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), least)
-            weight = 1.0 / (1.0 + np.square(rest / (self._of.outlier * sigma)))
+            weight = 1.0 / (1.0 + np.square(rest / (OUTLIER * sigma)))
         return move, covariance
 
 
-def _peaks(hits: Integers, least: float, of: StillTargetSettings) -> tuple[Floats, Floats]:
+def _peaks(hits: Integers, least: float) -> tuple[Floats, Floats]:
     """Return places and hits of the maxima of a map of hits, strongest first."""
-    window = 2 * round(of.gate_m / of.cell_m / 2) + 1
+    window = 2 * round(GATE_M / CELL_M / 2) + 1
     near = uniform_filter(hits.astype(np.float64), (window, window), mode=("constant", "wrap"))
     near = near * window**2
     top = (near == maximum_filter(near, (window, window), mode=("constant", "wrap"))) & (
@@ -321,7 +359,7 @@ def _peaks(hits: Integers, least: float, of: StillTargetSettings) -> tuple[Float
     order = np.argsort(-near[row, column], kind="stable")
     row, column = row[order], column[order]
     place = np.column_stack(
-        [(row + 0.5) * of.cell_m, (column + 0.5) * of.cell_rad - np.pi, np.zeros(len(row))]
+        [(row + 0.5) * CELL_M, (column + 0.5) * CELL_RAD - np.pi, np.zeros(len(row))]
     )
     return place, near[row, column]
 

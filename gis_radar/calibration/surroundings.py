@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.scan_check_settings import SCAN_CHECK, ScanCheckSettings
 from gis_radar.grid import CELL_M, Grid
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
@@ -23,6 +22,71 @@ from gis_radar.recordings.recording import RangeCounts, Recording, as_recording
 from gis_radar.recordings.window import RollingWindow
 from gis_radar.scans.columns import Columns, ground_under, nearest_known, read_columns
 from gis_radar.scans.scan import box_with_margin, open_scan
+
+SPANS = 20  # equal parts of the window, in which hits of a cell are looked for
+PATCH_M = 8.0  # side of the squares that vote as one: a tree, or a piece of wall
+JUMP_CELLS = 3  # window in which the step is looked for, cells of 0.5 m
+GAP_CELLS = 3  # holes of the scan up to so many cells are filled
+GROUND_CELLS = 4  # side of a cell of the ground, cells of 0.5 m
+WIDEST_ROOF_M = 40.0  # in scans without classes: opening that removes roofs from the ground
+LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanCheckSettings:
+    """How still detections are compared with an airborne scan.
+
+    Sensitivity (`bench/mask.py --sensitivity`, a sensor of a simulated town, at its true pose and
+    3.5 m beside it): with `close_m`, `tall_m`, `overhead_m` or `least_spans` halved or doubled the
+    verdicts stay `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and
+    beside it by up to 0.10, with `close_m` doubled by 0.24.
+
+    Parameters
+    ----------
+    frames : int
+        Window at the end of the recording, 100 s at 20 Hz (the paper's n_f).
+    slow_mps : float
+        Largest absolute range rate: leaves rustle up to here.
+    still_mps : float
+        Up to here nothing moves (the paper's Doppler threshold); leaves do.
+    least_spans : int
+        In so many of the 20 equal parts of the window a cell that stands is hit at least: what
+        waits or passes is not.
+    overhead_m : float
+        Height over the ground from which on a detection counts: over parked cars, people, shrubs.
+    tall_m : float
+        Height from which on a step in the scan is a wall or a crown: over vans and hedges.
+    close_m : float
+        Standard deviation of a detection's distance from its structure: a radar sees a wall, the
+        scan the edge of its roof.
+    lane_m, askew_deg : float
+        From here on a pose is another one: a lane's width.
+    better_sigmas : float
+        By so much another pose must be better for `doubts`; chance is one in 700.
+    clear_sigmas : float
+        By so much the pose must be better than all others for `confirms`; chance is one in 40.
+    least_cells : int
+        With fewer cells there is nothing to compare.
+    least_covered : float
+        Share of the cells that the scan must cover.
+    """
+
+    frames: int = 2000
+    slow_mps: float = 1.0
+    still_mps: float = 0.15
+    least_spans: int = 8
+    overhead_m: float = 2.0
+    tall_m: float = 2.5
+    close_m: float = 0.75
+    lane_m: float = 3.0
+    askew_deg: float = 3.0
+    better_sigmas: float = 3.0
+    clear_sigmas: float = 2.0
+    least_cells: int = 60
+    least_covered: float = 0.5
+
+
+SCAN_CHECK = ScanCheckSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +180,7 @@ class Standing:
 
     points: Floats
     rustles: Floats
-    patch_m: float = SCAN_CHECK.patch_m
+    patch_m: float = PATCH_M
 
     def __len__(self) -> int:
         return len(self.points)
@@ -165,7 +229,7 @@ def read_slow(
     return Slow(
         points=as_recorded,
         rustles=np.abs(slow.range_rate.astype(np.float32)) > settings.still_mps,
-        span=frame * settings.spans // len(window),
+        span=frame * SPANS // len(window),
         frames=len(window),
         range_m=ranges.reached_m(),
     )
@@ -202,7 +266,7 @@ def standing(
     tall = ~(np.abs(over) < settings.overhead_m)
     points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
     cells, place = np.unique(rows[tall] * len(ground) + columns[tall], return_inverse=True)
-    hit = np.zeros((len(cells), settings.spans), bool)
+    hit = np.zeros((len(cells), SPANS), bool)
     hit[place, span] = True
     kept = hit.sum(axis=1) >= settings.least_spans
     counts = np.bincount(place, minlength=len(cells))[kept]
@@ -210,7 +274,7 @@ def standing(
         np.bincount(place, values, minlength=len(cells))[kept] / counts
         for values in (*points.T, rustles)
     ]
-    return Standing(points=np.column_stack(means[:3]), rustles=means[3], patch_m=settings.patch_m)
+    return Standing(points=np.column_stack(means[:3]), rustles=means[3], patch_m=PATCH_M)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,28 +352,30 @@ def read_structure(
     grounds = read_columns(opened, [window], box, level.pose.crs, reporter=reporter)
     if window.points == 0:
         return None
-    return _structure(window, settings, classified=grounds >= settings.least_ground)
+    return _structure(window, settings, classified=grounds >= LEAST_GROUND)
 
 
 def _structure(tops: Columns, settings: ScanCheckSettings, *, classified: bool) -> Structure:
-    tall_m, jump = settings.tall_m, settings.jump_cells
+    tall_m, jump = settings.tall_m, JUMP_CELLS
     away, index = nearest_known(np.isfinite(tops.top))
     top, plants, building = (
-        np.where(away <= settings.gap_cells, grid[index], np.nan)
+        np.where(away <= GAP_CELLS, grid[index], np.nan)
         for grid in (tops.top, tops.plants, tops.building)
     )
     ground = ground_under(
         np.minimum(tops.ground, tops.deck) if classified else tops.low,
         cell_m=CELL_M,
-        coarse_cells=settings.ground_cells,
-        widest_roof_m=settings.widest_roof_m,
+        coarse_cells=GROUND_CELLS,
+        widest_roof_m=WIDEST_ROOF_M,
         classified=classified,
     )
-    below = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
-    low = ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
+    below = scipy.ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
+    low = scipy.ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
     high = _solid(np.nan_to_num(top - low, nan=0.0) > tall_m)
     # the wall itself runs between the last high cell and the first low one
-    edge = high | (ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > tall_m))
+    edge = high | (
+        scipy.ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > tall_m)
+    )
     canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > tall_m)
     roof = _solid(np.isfinite(building))
     # a tree over a roof's edge is seen, one over the middle of a roof is taken for a roof
@@ -321,5 +387,7 @@ def _structure(tops: Columns, settings: ScanCheckSettings, *, classified: bool) 
 
 def _solid(cells: Booleans) -> Booleans:
     """Return cells that are no strays: three or more of nine around."""
-    around = ndimage.convolve(cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
+    around = scipy.ndimage.convolve(
+        cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant"
+    )
     return np.asarray(cells & (around >= 3))

@@ -4,116 +4,45 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.settings import LOCALIZATION
-from gis_radar.calibration.trace_settings import TraceSettings
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import open_recording
-from gis_radar.recordings.window import RollingWindow
+from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.settings import LOCALIZATION, TraceSettings
 
-STAGE = "reading traces"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moving:
-    """The moving detections of a window.
-
-    Parameters
-    ----------
-    time : (n,) array
-        UNIX seconds, ascending.
-    points : (n, 3) array
-        Sensor frame, metres.
-    range_rate : (n,) array
-        m/s, positive when receding.
-    frames, detections : int
-        How many frames and detections, still ones too, the window holds.
-    begin, end : float
-        UNIX seconds of its first and last frame.
-    """
-
-    time: Floats
-    points: Floats
-    range_rate: Floats
-    frames: int
-    detections: int
-    begin: float
-    end: float
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-
-class MovingWindow(RollingWindow):
-    """The last frames of a stream of detections, of which the moving ones are kept.
-
-    Parameters
-    ----------
-    frames : int
-        Length of the window.
-    min_speed : float
-        Least absolute range rate of a moving detection, m/s.
-    """
-
-    def __init__(
-        self,
-        *,
-        frames: int = LOCALIZATION.traces.frames,
-        min_speed: float = LOCALIZATION.traces.min_speed_mps,
-    ) -> None:
-        super().__init__(frames=frames, keep=lambda batch: np.abs(batch.range_rate) > min_speed)
-
-    def moving(self) -> Moving:
-        """Return what moved in the window."""
-        found = self.content()
-        return Moving(
-            time=found.time,
-            points=found.points,
-            range_rate=found.range_rate,
-            frames=len(self),
-            detections=found.detections,
-            begin=self.begin,
-            end=float(found.frame_times[-1]) if len(self) else float("nan"),
-        )
-
-
-def read_moving(
-    path: str | Path,
-    *,
-    frames: int = LOCALIZATION.traces.frames,
-    min_speed: float = LOCALIZATION.traces.min_speed_mps,
-    reporter: Reporter = QUIET,
-) -> Moving:
-    """Read what moved in the last frames of a recording, in bounded memory.
-
-    Parameters
-    ----------
-    path : str or Path
-        A recording.
-    frames : int
-        Length of the window.
-    min_speed : float
-        Least absolute range rate, m/s.
-    reporter : Reporter
-        Receives progress.
-
-    Raises
-    ------
-    InputError
-        If the recording cannot be read.
-    """
-    recording, done = open_recording(path), 0
-    window = MovingWindow(frames=frames, min_speed=min_speed)
-    for batch in recording.read():
-        window.push(batch)
-        done += len(batch)
-        reporter.progress(STAGE, done, recording.rows)
-    return window.moving()
+LINK_S = 0.35  # longest gap in a track: a far vehicle is hit in every fourth frame or so
+RANGE_M = 1.5  # largest disagreement of range and Doppler: between the faces of one vehicle
+# Largest step across the sight: a vehicle's size, and a crossing speed the Doppler misses.
+ACROSS_M = 1.5
+ACROSS_MPS = 6.0
+RATE_MPS = 1.5  # largest difference of range rates in a track: a vehicle that turns
+# A track of fewer is a false alarm, a slow track of a shorter path is a leaf.
+MIN_POINTS = 6
+MIN_PATH_M = 3.0
+SURE_MPS = 1.5  # median range rate that leaves stay below
+# Tracks no faster than one walks are left out where they are more than that share of all: up to
+# 0.11 in a gridlock, 0.2 and more with 48 walkers in view; as many as the fit takes for strays do
+# no harm.
+CREEPING = 0.15
+# Voxels wider than a vehicle, in which so many samples keep its faces' proportion.
+VOXEL_M = 6.0
+PER_VOXEL = 8
+CROWD_M = 10.0  # length over which the samples of a vehicle share its swaying (`Model.wander`)
+# A track that begins where the last one of a hidden vehicle would be by then, within its length
+# and a growing error, is of the same vehicle.
+HIDDEN_S = 6.0
+VEHICLE_M = 5.0
+STRAY_MPS = 1.0
+# Where a track begins and how it goes is taken over so long; of one vehicle's tracks the range
+# rates differ by no more: more than RATE_MPS, as it may turn while it is hidden.
+PACE_S = 0.5
+PACE_MPS = 3.0
+PACE_POINTS = 4  # fewer detections in PACE_S are no pace: of three the middle one may be a limb
+# Time over which they share an error of elevation (`Model.bent`), much shorter than the time in
+# which it changes.
+SPELL_S = 1.0
 
 
 NONE = -1
@@ -150,9 +79,9 @@ class Samples:
     track: Integers
     tracks: int
     elevation: float
-    crowd_m: float = LOCALIZATION.traces.crowd_m
+    crowd_m: float = CROWD_M
     spell: Integers | None = None
-    spell_s: float = LOCALIZATION.traces.spell_s
+    spell_s: float = SPELL_S
     vehicle: Integers | None = None
 
     @cached_property
@@ -237,8 +166,7 @@ def link_tracks(moving: Moving, settings: TraceSettings = LOCALIZATION.traces) -
     time = moving.time - moving.time[0]
     x, y = moving.points[:, 0], moving.points[:, 1]
     reach = np.linalg.norm(moving.points, axis=1)
-    s = settings
-    limits = np.array([s.link_s, s.rate_mps, s.range_m, s.across_m, s.across_mps])
+    limits = np.array([LINK_S, RATE_MPS, RANGE_M, ACROSS_M, ACROSS_MPS])
     root = _link(limits, time, reach, np.arctan2(y, x), moving.range_rate)
     table = pd.DataFrame({"root": root, "segment": (time / settings.segment_s).astype(np.int64)})
     number = np.asarray(table.groupby(["root", "segment"], sort=True).ngroup(), dtype=np.int64)
@@ -263,33 +191,31 @@ def _goes_somewhere(
     early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
     path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
     extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
-    least_m = settings.min_path_m
+    least_m = MIN_PATH_M
     goes = (path >= least_m) & (path >= 0.5 * extent)
-    streams = (rows["rate"].median() >= settings.sure_mps) & (extent >= least_m)
-    good = (rows.size() >= settings.min_points) & (goes | streams)
-    pace, steady = (way(number, time, moving, settings) for way in (_pace, _steady_speed))
+    streams = (rows["rate"].median() >= SURE_MPS) & (extent >= least_m)
+    good = (rows.size() >= MIN_POINTS) & (goes | streams)
+    pace, steady = (way(number, time, moving) for way in (_pace, _steady_speed))
     drives = good & (np.maximum(pace, steady) > settings.walk_mps)
     # walkers keep to kerbs, not to lanes; but in a queue vehicles creep
     walkers = 1.0 - drives.sum() / max(good.sum(), 1)
-    return np.asarray(drives if walkers > settings.creeping else good)
+    return np.asarray(drives if walkers > CREEPING else good)
 
 
-def _pace(number: Integers, time: Floats, moving: Moving, settings: TraceSettings) -> Floats:
-    """Return the fastest range rate of each track that lasts, m/s: a median over `pace_s`.
+def _pace(number: Integers, time: Floats, moving: Moving) -> Floats:
+    """Return the fastest range rate of each track that lasts, m/s: a median over `PACE_S`.
 
     A walker's limbs swing at up to two and a half times his speed, most of him goes on as he does.
     """
     rate = pd.Series(np.abs(moving.range_rate))
-    spell = np.floor(time / settings.pace_s).astype(np.int64)
+    spell = np.floor(time / PACE_S).astype(np.int64)
     by_spell = rate.groupby([number, spell])
-    lasting = by_spell.median().where(by_spell.size() >= settings.pace_points)
+    lasting = by_spell.median().where(by_spell.size() >= PACE_POINTS)
     fastest = lasting.groupby(level=0).max().fillna(rate.groupby(number).median())
     return np.asarray(fastest, dtype=np.float64)
 
 
-def _steady_speed(
-    number: Integers, time: Floats, moving: Moving, settings: TraceSettings
-) -> Floats:
+def _steady_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
     """Return the speed of the straight line that fits a track, m/s; 0 where none does.
 
     What crosses the sight shows no Doppler; people behind each other make no line.
@@ -301,7 +227,7 @@ def _steady_speed(
     slopes = [np.bincount(number, t * way) / spread for way in (east, north)]
     speed = np.hypot(*slopes)
     left = np.bincount(number, east**2 + north**2) / count - speed**2 * spread / count
-    return np.where(np.sqrt(np.maximum(left, 0.0)) < settings.across_m, speed, 0.0)
+    return np.where(np.sqrt(np.maximum(left, 0.0)) < ACROSS_M, speed, 0.0)
 
 
 def thin(
@@ -327,11 +253,9 @@ def thin(
     rng = np.random.default_rng(seed)
     on = np.flatnonzero(tracks != NONE)
     on = on[rng.permutation(len(on))]
-    cells = np.floor(moving.points[on, :2] / settings.voxel_m).astype(np.int64)
+    cells = np.floor(moving.points[on, :2] / VOXEL_M).astype(np.int64)
     frame = pd.DataFrame({"k": tracks[on], "i": cells[:, 0], "j": cells[:, 1]})
-    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < settings.per_voxel).to_numpy()][
-        : settings.most
-    ]
+    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][: settings.most]
     keep.sort()
     return Samples(
         points=moving.points[keep],
@@ -339,16 +263,14 @@ def thin(
         track=tracks[keep],
         tracks=int(tracks.max(initial=NONE)) + 1,
         elevation=_elevation(moving.points),
-        crowd_m=settings.crowd_m,
-        spell=_spells(moving.time[keep], tracks[keep], settings.spell_s),
-        spell_s=settings.spell_s,
-        vehicle=vehicles_of(moving, tracks, settings),
+        crowd_m=CROWD_M,
+        spell=_spells(moving.time[keep], tracks[keep], SPELL_S),
+        spell_s=SPELL_S,
+        vehicle=vehicles_of(moving, tracks),
     )
 
 
-def vehicles_of(
-    moving: Moving, tracks: Integers, settings: TraceSettings = LOCALIZATION.traces
-) -> Integers:
+def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
     """Return which tracks are of one vehicle: hidden for a while, or with faces linked apart.
 
     A track that begins where another one is at that time, or would be by then, and goes away as
@@ -360,8 +282,6 @@ def vehicles_of(
         Of one window.
     tracks : (n,) array
         As from :func:`link_tracks`.
-    settings : TraceSettings
-        How far a vehicle reaches.
 
     Returns
     -------
@@ -375,11 +295,11 @@ def vehicles_of(
         return np.empty(0, dtype=np.int64)
     limits = np.array(
         [
-            settings.hidden_s,
-            settings.vehicle_m,
-            settings.stray_mps,
-            settings.pace_s,
-            settings.pace_mps,
+            HIDDEN_S,
+            VEHICLE_M,
+            STRAY_MPS,
+            PACE_S,
+            PACE_MPS,
         ]
     )
     parent = _join(

@@ -1,4 +1,4 @@
-"""Watch: both change detectors of small moves, what stands still and where vehicles drive."""
+"""Both change detectors of small moves: stationary targets, and where vehicles drive."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ import numpy as np
 
 from gis_radar.calibration.alarm import Alarm, Displacement
 from gis_radar.calibration.lane_places import Cells, cells_along, lane_places
-from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
+from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import StillTargets, Verdict
+from gis_radar.calibration.stationary_targets import StationaryTargets, Verdict
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
 from gis_radar.recordings.recording import Detections
+
+# Newest blocks that exclude a blow; and those that show how far a move went.
+BLOW_BLOCKS = 1
+LATEST_BLOCKS = 3
 
 
 def decided(
@@ -23,21 +27,21 @@ def decided(
 ) -> Displacement | None:
     """Return the move that is beyond chance, or none.
 
-    Where enough stands still to show a move of the wanted size, that alone decides: it is known to
-    centimetres and hundredths of degrees, where vehicles in ten minutes are to decimetres, and
+    Where there are enough stationary targets to show a move of the wanted size, they alone decide:
+    they fix it to centimetres and hundredths of degrees, vehicles in ten minutes to decimetres, and
     drivers change their habits. Elsewhere either change detector reports a move.
 
     Parameters
     ----------
     verdicts : sequence of Verdict
-        Of what stands still.
+        Of stationary targets.
     driven : Displacement or None
         Of vehicles.
     settings : MonitorSettings
         Both gates.
     """
     found = max((each.found for each in verdicts), key=lambda f: f.score, default=None)
-    if found is not None and found.score > settings.still.gate:
+    if found is not None and found.score > settings.stationary.gate:
         return found
     if driven is None or any(each.sees for each in verdicts):
         return None
@@ -63,17 +67,17 @@ class Watch:
         """Reset what was learnt: the sensor was moved."""
         self._cells: Cells | None = None
         self._since = np.nan
-        self._still = StillTargets(self._settings)
+        self._still = StationaryTargets(self._settings)
         self._block_since = np.nan
         self._newest: Verdict | None = None
 
     def push(self, batch: Detections) -> None:
-        """Take the next detections, those that stand still, too."""
+        """Take the next detections, stationary ones, too."""
         self._still.push(batch.time, batch.points, batch.range_rate)
 
     @property
     def unmoved(self) -> bool:
-        """Whether what stands still shows that the sensor was not moved, up to the last block."""
+        """Whether stationary targets show that the sensor was not moved, up to the last block."""
         return self._newest is not None and self._newest.rests
 
     def look(self, traffic: WindowTraffic | None, state: State, time: float) -> Displacement | None:
@@ -96,21 +100,21 @@ class Watch:
         if found is None or found is driven:
             return found
         # blocks from before the move make it too small where it has just begun
-        latest = self._still.verdict(self._settings.still.latest_blocks)
+        latest = self._still.verdict(LATEST_BLOCKS)
         if latest is not None:
             found = replace(found, move=latest.found.move, covariance=latest.found.covariance)
         return found.turned(state.R_map_sensor)
 
     def _still_block(self, time: float) -> bool:
-        """Compare what stands still, at the end of a block."""
-        of = self._settings.still
+        """Compare stationary targets, at the end of a block."""
+        of = self._settings.stationary
         if np.isnan(self._block_since):
             self._block_since = time
         if time - self._block_since < of.block_s:
             return False
         self._block_since = time
         self._still.end_block()
-        self._newest = self._still.verdict(of.blow_blocks)
+        self._newest = self._still.verdict(BLOW_BLOCKS)
         return True
 
     def _by_vehicles(
@@ -118,7 +122,7 @@ class Watch:
     ) -> Displacement | None:
         alarm = self._settings.alarm
         if self._cells is None:
-            self._cells = cells_along(self._fitter.lanes(traffic.samples()), alarm)
+            self._cells = cells_along(self._fitter.lanes(traffic.samples()))
             self._state, self._since = state, time
             self._alarm = Alarm(self._cells, state.position[:2], self._settings)
         if time - self._since < alarm.block_s:
@@ -130,7 +134,6 @@ class Watch:
             since=self._since - alarm.settle_s,
             until=time - alarm.settle_s,
             traces=self._settings.localization.traces,
-            settings=alarm,
         )
         self._since = time
         return self._alarm.push(seen, time)

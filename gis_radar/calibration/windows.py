@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,18 +16,36 @@ from gis_radar.calibration.certainty import advantage, certainty
 from gis_radar.calibration.hypotheses import find_hypotheses, prior_at, rough
 from gis_radar.calibration.kalman_filter import Estimate, Measurement, covariance_from_angles
 from gis_radar.calibration.lane_method import lanes_around
-from gis_radar.calibration.lanes import Lanes
-from gis_radar.calibration.matching import Scene
+from gis_radar.calibration.lanes import Lanes, Scene
 from gis_radar.calibration.model import MODEL
-from gis_radar.calibration.monitor_settings import MONITOR, MonitorSettings
+from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.result import Problem
-from gis_radar.calibration.settings import Schedule
+from gis_radar.calibration.settings import MONITOR, MonitorSettings, Schedule, TraceSettings
 from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
-from gis_radar.calibration.trace_settings import TraceSettings
-from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
+from gis_radar.calibration.traces import Samples, link_tracks, thin, vehicles_of
 from gis_radar.errors import NoAnswerError
 from gis_radar.progress import QUIET, Reporter
+
+# 1 sigma of the prior under which a window is fitted: around the expected pose, wide.
+NEAR = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))
+WINDOW = Schedule(
+    scales_m=(0.3, 0.1, 0.0), rounds=12
+)  # fit of a window: it starts within decimetres
+# Information of the data below that share of the prior's is none, and counts as UNKNOWN.
+LEAST_KNOWN = 0.05
+UNKNOWN = 1e-4
+# Lanes are sampled so many times as far as the traces reach, so that it is done rarely.
+REACH_GROWS = 1.2
+# A pose a lane off refutes the start where the vehicles prefer it by so many standard deviations
+# (one more than separates two answers of a localization), and it is so far off.
+OTHER_LANE = 3.5
+OTHER_LANE_M = 1.0
+# Of a first fit from a lane off: most come back, half of OTHER_LANE_M near, and are fitted no
+# further.
+LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
+# Where no near fit lies on lanes, the pose is searched within so many sigmas of a blow.
+FARTHEST = 4.0
 
 
 def data_alone(fit: Fit, prior: Prior, settings: MonitorSettings = MONITOR) -> Measurement:
@@ -53,14 +72,14 @@ def data_alone(fit: Fit, prior: Prior, settings: MonitorSettings = MONITOR) -> M
     )
     values, vectors = np.linalg.eigh(np.linalg.inv(whole))
     data = values - 1.0
-    seen = data > settings.least_known
+    seen = data > LEAST_KNOWN
     away = fit.state.difference(prior.mean)[POSE] / unit
     farther = np.where(seen, values / np.where(seen, data, 1.0), 0.0)
     step = np.zeros(SIZE)
     step[POSE] = unit * (vectors @ (farther * (vectors.T @ away)))
     there = prior.mean.moved(step)
     # what is common to all windows grows not where this one sees nothing
-    noise_grows = np.sqrt(values / np.where(seen, data, settings.unknown))
+    noise_grows = np.sqrt(values / np.where(seen, data, UNKNOWN))
     common_grows = np.where(seen, noise_grows, 1.0)
     noise, common = (
         _stretched(part, vectors * grows @ vectors.T, unit)
@@ -126,7 +145,7 @@ class WindowTraffic:
     @cached_property
     def vehicles(self) -> int:
         """How many vehicles there are: the parts of a track that is cut count as one."""
-        return len(np.unique(vehicles_of(self.moving, self.number, self.settings)))
+        return len(np.unique(vehicles_of(self.moving, self.number)))
 
     def samples(self) -> Samples:
         """Return the detections that a registration works on."""
@@ -192,7 +211,7 @@ class WindowFitter:
         """Return the lanes within reach of samples."""
         reach_m = float(np.percentile(np.hypot(*samples.points[:, :2].T), 99.5))
         if self._lanes is None or reach_m > self._reach_m:
-            grow, reporter = self.settings.reach_grows, self._reporter
+            grow, reporter = REACH_GROWS, self._reporter
             self._reach_m, self._reporter = grow * reach_m, QUIET  # remarks only once
             self._lanes = lanes_around(
                 self._problem, samples, reporter, grow=grow, settings=self.settings.localization
@@ -235,9 +254,9 @@ class WindowFitter:
         if traffic.vehicles < settings.localization.answer.least_tracks:
             return None
         samples = traffic.samples()
-        prior = self._prior(centre.state(like), np.array(near or settings.near))
+        prior = self._prior(centre.state(like), np.array(near or NEAR))
         begin = prior.mean if start is None else start
-        schedule = schedule or settings.window
+        schedule = schedule or WINDOW
         fit = solve(self.scene(samples), begin, prior, schedule=schedule, model=self._model)
         return WindowFit(
             measurement=data_alone(fit, prior, settings),
@@ -261,7 +280,7 @@ class WindowFitter:
         heading = float(state.yaw_pitch_roll[0]), tolerance
         for tried in find_hypotheses(self.scene(samples), heading=heading):
             away = tried.fit.state.difference(state)[POSE] / np.array(near)
-            if np.abs(away).max() < self.settings.farthest:
+            if np.abs(away).max() < FARTHEST:
                 found = self.fit(traffic, centre, like, near=near, start=tried.fit.state)
                 return found if found is not None and found.trusted else None
         return None
@@ -305,14 +324,14 @@ class WindowFitter:
         def apart_m(one: Fit, other: Fit) -> float:
             return float(np.hypot(*one.state.difference(other.state)[:2]))
 
-        back = at(here, settings.lane_off)
-        tried = [(state, at(state, settings.lane_off)) for state in _a_lane_off(part, found.fit)]
-        away = [state for state, fit in tried if apart_m(fit, back) > settings.other_lane_m / 2.0]
+        back = at(here, LANE_OFF)
+        tried = [(state, at(state, LANE_OFF)) for state in _a_lane_off(part, found.fit)]
+        away = [state for state, fit in tried if apart_m(fit, back) > OTHER_LANE_M / 2.0]
         first = at(here) if away else back
         for other in map(at, away):
             away_m = apart_m(other, first)
             z_score = advantage(other, first, part.samples)
-            if z_score > settings.other_lane and away_m > settings.other_lane_m:
+            if z_score > OTHER_LANE and away_m > OTHER_LANE_M:
                 raise NoAnswerError(
                     f"{self._problem.name}: the traffic fits clearly better with the sensor "
                     f"{away_m:.1f} m from its start pose",

@@ -49,7 +49,7 @@ from gis_radar.progress import Reporter
 )  # fmt: skip
 @click.option(
     "--together", is_flag=True,
-    help="Several sensors, tied by the vehicles they share: a RECORDING and --guess each; "
+    help="Several sensors, related by the vehicles they share: a RECORDING and --guess each; "
     "-o is a folder of SENSOR.json.",
 )  # fmt: skip
 @origin
@@ -59,7 +59,7 @@ from gis_radar.progress import Reporter
 )  # fmt: skip
 @click.option(
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
-    help="Airborne scan to check the pose: what stands against canopy and walls. May be repeated.",
+    help="Airborne scan to check each pose: what stands against canopy and walls. May be repeated.",
 )  # fmt: skip
 @scan_crs
 @click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")
@@ -86,12 +86,12 @@ def localize(
     if headings and compasses:
         raise UsageError("both --heading and --compass are given", hint="give one of them")
     if together:
-        if scans or figure or options.pop("method") != "lane" or options.pop("scan_crs"):
-            raise UsageError("--scan, --figure and --method icp are for one sensor")
-        _check_folder(output, recordings, map_path, road)
+        if figure or options.pop("method") != "lane":
+            raise UsageError("--figure and --method icp are for one sensor")
+        _check_folder(output, recordings, map_path, road, *scans)
         several = gr.localize_together(
             recordings, map_path, road, guesses=guesses, headings=headings or None,
-            compasses=compasses or None, reporter=reporter, **options,
+            compasses=compasses or None, scans=scans, reporter=reporter, **options,
         )  # fmt: skip
         made = several.write(output)
         return Result(outputs=made, summary=several.figures(), failure=several.failure)

@@ -140,15 +140,8 @@ class ForwardFilter:
 
     def _push(self, detections: MapDetections) -> tuple[Integers, Floats]:
         number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
-        seen = np.column_stack(
-            [
-                detections.points,
-                detections.range_rate,
-                detections.sight,
-                detections.range_m,
-                detections.time,
-            ]
-        )
+        columns = ("points", "range_rate", "sight", "range_m", "time")
+        seen = np.column_stack([getattr(detections, name) for name in columns])
         count = len(detections) + SPARE
         past = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((4 * count, 8)))
         self._counts[BASE], self._counts[KEPT] = self._counts[BRANCHES], 0

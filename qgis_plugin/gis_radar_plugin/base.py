@@ -36,7 +36,6 @@ SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
 # Figures of hits, for diagnosis: where there is occupancy they would be taken for it.
 _OF_HITS = {"hits", "tiles hit", "occupied s"}
-_UNKNOWN = "No such command {name}."
 ALL_STAGES = "all stages"  # as a site's run calls them
 SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"
 
@@ -243,15 +242,7 @@ class WorkerAlgorithm(Algorithm):
         """
         python = self._python()
         with one_sentence(), claimed(outputs):
-            unknown = _UNKNOWN, tr(_UNKNOWN)  # an older worker's, and one's in the user's language
-            try:
-                answer = run_worker(python, words, WorkerFeedback(feedback))
-            except WorkerError as error:
-                if any(str(error).startswith(each.format(name=repr(words[0]))) for each in unknown):
-                    text = tr("This worker cannot do '{command}' yet:").format(command=words[0])
-                    again = tr("run 'Set up the worker' again.")
-                    raise WorkerError(f"{text} {again}") from error
-                raise
+            answer = run_worker(python, words, WorkerFeedback(feedback))
         for line in summary_lines(answer.summary):
             feedback.pushInfo(line)
         return answer

@@ -169,22 +169,6 @@ def test_with_a_worker(provider, name):
     assert algorithm(name).canExecute() == (True, "")
 
 
-@pytest.mark.parametrize(
-    ("name", "command"), [("convertrecordings", "convert"), ("runsite", "run")]
-)
-def test_a_command_that_the_worker_has_not(run, site, tmp_path, fake_worker, name, command):
-    fake_worker(
-        f"say(event='error', code=2, message=\"No such command '{command}'.\", hint='try')\n"
-        "sys.exit(2)"
-    )
-    parameters, _ = parameters_of(name, site, tmp_path)
-    results, heard = run(name, parameters)
-    assert results is None
-    assert one_sentence(heard) == (
-        f"This worker cannot do '{command}' yet: run 'Set up the worker' again."
-    )
-
-
 def test_hits_only_give_a_map_of_the_hit_share(run, site, tmp_path):
     """Two sensors, one after the other, into one dataset."""
     parameters, _ = parameters_of("measure", site, tmp_path)

@@ -119,8 +119,15 @@ def test_a_folder_with_other_files_is_not_replaced(run, site, tmp_path):
     assert (tmp_path / "map" / "thesis.odt").exists()
 
 
+LOCK = (
+    "import sqlite3, sys\n"
+    "editor = sqlite3.connect(sys.argv[1], isolation_level=None)\n"
+    "editor.execute('BEGIN EXCLUSIVE')\nprint('locked', flush=True)\nsys.stdin.read()"
+)
+
+
 def test_an_output_that_is_open_in_qgis(run, site, tmp_path):
-    """It is replaced as a whole, and the layer shows what is there now."""
+    """It is replaced as a whole, and the layer shows what is there now; not while others write."""
     parameters, made = parameters_of("heatmap", site, tmp_path)
     _, heard = run("heatmap", dict(parameters), load=True)
     assert heard.errors == []
@@ -132,32 +139,16 @@ def test_an_output_that_is_open_in_qgis(run, site, tmp_path):
     layer = layer_called("Occupancy by interval")  # still one: it was not loaded twice
     assert sum(1 for _ in layer.getFeatures()) == 2 * 5387
     assert layer.featureCount() == 2 * 5387
-    QgsProject.instance().clear()
+    QgsProject.instance().clear()  # or the file is in use, and cannot be locked
     assert is_whole(made)
     assert sorted(path.name for path in made.parent.iterdir()) == [
         "heatmap.gpkg", "heatmap.parquet", "heatmap.png", "heatmap.qml", "heatmap.tif", "hits.tif",
     ]  # fmt: skip
-
-
-LOCK = (
-    "import sqlite3, sys\n"
-    "editor = sqlite3.connect(sys.argv[1], isolation_level=None)\n"
-    "editor.execute('BEGIN EXCLUSIVE')\nprint('locked', flush=True)\nsys.stdin.read()"
-)
-
-
-def test_an_output_that_another_program_writes(run, site, tmp_path):
-    """Nothing of it is replaced, and one sentence says what to do; QGIS itself only shows it."""
-    parameters, made = parameters_of("heatmap", site, tmp_path)
-    _, heard = run("heatmap", dict(parameters), load=True)
-    assert heard.errors == []
     before = made.read_bytes()
     words = ["/usr/bin/python3", "-c", LOCK, str(made)]
-    QgsProject.instance().clear()  # or the file is in use, and cannot be locked
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as editor:
         assert editor.stdout.readline() == b"locked\n"
-        refused(run, "heatmap", parameters | {"INTERVAL": "50s"}, "another program has it locked",
-                "try again")  # fmt: skip
+        refused(run, "heatmap", parameters, "another program has it locked", "try again")
         editor.stdin.close()
     assert made.read_bytes() == before
     assert leftovers(tmp_path) == []

@@ -247,7 +247,7 @@ def test_the_sensor_comes_with_view_and_ellipse(run, site, tmp_path, fake_worker
         f"import shutil\nif words[0] != 'localize':\n"
         f"    os.execv({WORKER!r}, [{WORKER!r}, *sys.argv[1:]])\n"
         f"found = {str(site / 'sensors' / 'R1')!r}\n"
-        "assert words[words.index('--heading') + 1] == '20.0', words\n"
+        "assert words[words.index('--heading') + 1] == '20', words\n"
         "shutil.copy(found + '/pose.json', words[words.index('-o') + 1])\n"
         "shutil.copy(found + '/localization.png', words[words.index('--figure') + 1])\n"
         "say(event='result', outputs=[], summary={'fitness': 0.97})"

@@ -1,4 +1,4 @@
-"""What several sensors saw while most of them recorded."""
+"""What moved before a sensor: in the last frames of a recording, or while several recorded."""
 
 from __future__ import annotations
 
@@ -11,14 +11,111 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Floats
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.lanes import Lanes, sample_lanes
-from gis_radar.calibration.settings import LocalizationSettings
-from gis_radar.calibration.traces import Moving, MovingWindow
+from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.errors import InputError
-from gis_radar.lanelets import LaneletMap
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.window import RollingWindow
 
+STAGE = "reading traces"
 RIGHT = SensorClock(offset_s=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moving:
+    """The moving detections of a window.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, ascending.
+    points : (n, 3) array
+        Sensor frame, metres.
+    range_rate : (n,) array
+        m/s, positive when receding.
+    frames, detections : int
+        How many frames and detections, still ones too, the window holds.
+    begin, end : float
+        UNIX seconds of its first and last frame.
+    """
+
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    frames: int
+    detections: int
+    begin: float
+    end: float
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+class MovingWindow(RollingWindow):
+    """The last frames of a stream of detections, of which the moving ones are kept.
+
+    Parameters
+    ----------
+    frames : int
+        Length of the window.
+    min_speed : float
+        Least absolute range rate of a moving detection, m/s.
+    """
+
+    def __init__(
+        self,
+        *,
+        frames: int = LOCALIZATION.traces.frames,
+        min_speed: float = LOCALIZATION.traces.min_speed_mps,
+    ) -> None:
+        super().__init__(frames=frames, keep=lambda batch: np.abs(batch.range_rate) > min_speed)
+
+    def moving(self) -> Moving:
+        """Return what moved in the window."""
+        found = self.content()
+        return Moving(
+            time=found.time,
+            points=found.points,
+            range_rate=found.range_rate,
+            frames=len(self),
+            detections=found.detections,
+            begin=self.begin,
+            end=float(found.frame_times[-1]) if len(self) else float("nan"),
+        )
+
+
+def read_moving(
+    path: str | Path,
+    *,
+    frames: int = LOCALIZATION.traces.frames,
+    min_speed: float = LOCALIZATION.traces.min_speed_mps,
+    reporter: Reporter = QUIET,
+) -> Moving:
+    """Read what moved in the last frames of a recording, in bounded memory.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording.
+    frames : int
+        Length of the window.
+    min_speed : float
+        Least absolute range rate, m/s.
+    reporter : Reporter
+        Receives progress.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read.
+    """
+    recording, done = open_recording(path), 0
+    window = MovingWindow(frames=frames, min_speed=min_speed)
+    for batch in recording.read():
+        window.push(batch)
+        done += len(batch)
+        reporter.progress(STAGE, done, recording.rows)
+    return window.moving()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,33 +230,3 @@ def read_until(
                 window.push(kept)
         last = max(last, span.end)
     return window.moving()
-
-
-def lanes_of_all(
-    moving: Sequence[Moving],
-    places: Floats,
-    roads: LaneletMap,
-    road_points: Floats,
-    settings: LocalizationSettings,
-) -> Lanes:
-    """Return the lanes that any of several sensors sees.
-
-    Parameters
-    ----------
-    moving : sequence of Moving
-        What they saw.
-    places : (n, 2) array
-        Where they may stand.
-    roads, road_points
-        As for :func:`gis_radar.localize`.
-    settings : LocalizationSettings
-        How finely lanes are sampled.
-    """
-    middle = places.mean(axis=0)
-    flat = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
-    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
-    spread_m = float(np.hypot(*(places - middle).T).max())
-    return sample_lanes(
-        roads.lanelets, road_points,
-        place=middle, reach_m=spread_m + seen_m + settings.lanes.margin_m, settings=settings.lanes,
-    )  # fmt: skip

@@ -14,11 +14,18 @@ from scipy.spatial.transform import Rotation
 from gis_radar.calibration import MONITOR
 from gis_radar.calibration.alarm import Displacement
 from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import StillTargets, Verdict, by_move, polar_of
-from gis_radar.calibration.watch import Watch, decided
+from gis_radar.calibration.stationary_targets import (
+    GONE_BLOCKS,
+    LEAST_AGE,
+    StationaryTargets,
+    Verdict,
+    by_move,
+    polar_of,
+)
+from gis_radar.calibration.watch import BLOW_BLOCKS, Watch, decided
 from gis_radar.recordings.recording import Detections
 
-OF = MONITOR.still
+OF = MONITOR.stationary
 FRAME_S, FRAMES = 0.5, 40  # one frame of ten
 SETTLED = 60  # blocks
 
@@ -86,7 +93,7 @@ MOVES = {
 @pytest.fixture(scope="module")
 def taught():
     yard = Yard()
-    return yard, yard.feed(StillTargets(), SETTLED)
+    return yard, yard.feed(StationaryTargets(), SETTLED)
 
 
 def again(taught, seed):
@@ -133,7 +140,7 @@ def test_targets_are_learnt_again_after_others_have_left(taught):
     points[:30, 1] += 9.0
     yard.feed(targets, 6, points=points)
     assert targets.verdict(6) is None  # most have gone: nothing is said
-    yard.feed(targets, OF.gone_blocks + 40, points=points)
+    yard.feed(targets, GONE_BLOCKS + 40, points=points)
     told = targets.verdict(6)
     assert told.sees
     assert told.found.score < OF.gate
@@ -154,9 +161,9 @@ def test_nothing_is_said_after_a_blow_in_snow_or_of_few_targets(taught, move, co
 
 
 def test_seven_minutes_are_enough():
-    yard, targets = Yard(seed=5), StillTargets()
+    yard, targets = Yard(seed=5), StationaryTargets()
     yard.feed(targets, 19)
-    assert targets.verdict(OF.blow_blocks).rests
+    assert targets.verdict(BLOW_BLOCKS).rests
     yard.feed(targets, 2)
     assert all(each.sees and each.found.score < OF.gate for each in targets.tested)
     yard.feed(targets, 8, np.array(MOVES["pitch"]))
@@ -170,7 +177,7 @@ def test_targets_that_are_told_later_begin_anew(taught):
     targets.know(polar_of(yard.points[:30]), np.full(30, 0.9))
     assert targets.tested == []
     assert targets.verdict(1) is None
-    yard.feed(targets, OF.blocks[-1] + OF.least_age)
+    yard.feed(targets, OF.blocks[-1] + LEAST_AGE)
     assert len(targets) >= 30
     told = targets.verdict(6)
     assert told.targets >= 30
@@ -178,7 +185,7 @@ def test_targets_that_are_told_later_begin_anew(taught):
 
 
 def test_without_still_returns_or_frames_there_is_no_target():
-    targets = StillTargets()
+    targets = StationaryTargets()
     for block in range(40):
         targets.push(np.array([20.0 * block]), np.full((1, 3), np.nan), np.array([np.nan]))
         targets.end_block()
@@ -189,7 +196,7 @@ def test_without_still_returns_or_frames_there_is_no_target():
 
 
 def test_what_drives_or_stands_for_a_while_is_no_target():
-    yard, targets = Yard(3), StillTargets()
+    yard, targets = Yard(3), StationaryTargets()
     queue = np.array([[30.0, 2.0, -4.0]])
     for block in range(30):
         points = np.vstack([yard.points, queue + [0.4 * block, 0, 0]]) if block % 6 == 0 else None
