@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
+
+from gis_radar.texts import Text
 
 Level = Literal["info", "warning"]
 
@@ -32,6 +34,10 @@ class Reporter:
     def log(self, message: str, level: Level = "info") -> None:
         """Report one line to the user."""
         _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, one_line(message))
+
+    def warn(self, template: str, /, *values: Any) -> None:
+        """Report one line that the user should not miss, with values for its holes."""
+        self.log(Text(template, *values), "warning")
 
 
 class Silent(Reporter):
