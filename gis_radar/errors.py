@@ -33,7 +33,8 @@ class GisRadarError(Exception):
     def __init__(self, template: str, /, *values: Any, hint: str = "") -> None:
         message = Text(template, *values)
         if len(message.splitlines()) > 1:
-            message = message.changed(_one_line) if message.values else Text(_one_line(message))
+            flat = map(_one_line, message.values)
+            message = Text(message.template, *flat) if message.values else Text(_one_line(message))
         super().__init__(message)
         self.message = message
         self._hint = ""
@@ -52,7 +53,8 @@ class GisRadarError(Exception):
 
 
 def _one_line(value: Any) -> Any:
-    return " ".join(value.split()) if isinstance(value, str) else value
+    lines = value.splitlines() if isinstance(value, str) else ()
+    return " ".join(value.split()) if len(lines) > 1 else value
 
 
 class UsageError(GisRadarError):
@@ -101,7 +103,7 @@ def first_line(error: Exception) -> str:
     return str(error).partition("\n")[0] or type(error).__name__
 
 
-LOCALIZE = "pip install gis_radar[localize]"
+LOCALIZE = Text("pip install gis_radar[localize]")
 PDF = "pip install gis_radar[pdf]"
-NOTEBOOKS = "pip install gis_radar[notebooks]"
-TRAJECTORIES = "pip install gis_radar[trajectories]"
+NOTEBOOKS = Text("pip install gis_radar[notebooks]")
+TRAJECTORIES = Text("pip install gis_radar[trajectories]")

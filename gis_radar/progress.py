@@ -73,6 +73,6 @@ def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:
         for text in dict.fromkeys(warnings):
             stages.setdefault(text, []).append(name)
     return [
-        text if len(names) > MOST_NAMES else f"{', '.join(names)}: {text}"
+        text if len(names) > MOST_NAMES else Text("{}: {}", Text(", ").join(names), text)
         for text, names in stages.items()
     ]

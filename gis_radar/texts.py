@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from numbers import Integral, Real
 from pathlib import PurePath
 from typing import Any, Self
@@ -40,9 +40,9 @@ class Text(str):
     def __new__(cls, template: str, /, *values: Any) -> Self:
         """Fill in the values; a finished text stays what it is."""
         self = super().__new__(cls, template.format(*values) if values else template)
-        finished = isinstance(template, Text) and not values
-        self.template = template.template if finished else template
-        self.values = template.values if finished else tuple(map(_lasting, values))
+        self.template, self.values = template, tuple(map(_lasting, values))
+        if isinstance(template, Text) and not values:
+            self.template, self.values = template.template, template.values
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -51,12 +51,10 @@ class Text(str):
     def __str__(self) -> str:
         return self  # of an error, too: `str(error)` keeps the template
 
-    def changed(self, change: Callable[[Any], Any]) -> Text:
-        """Return the text with each of its values changed, those of inner texts too."""
-        values = (
-            each.changed(change) if isinstance(each, Text) else change(each) for each in self.values
-        )
-        return Text(self.template, *values)
+    def join(self, parts: Iterable[str], /) -> Text:
+        """Return texts as one, with this one between them."""
+        values = tuple(parts)
+        return Text(str.__str__(self).join("{}" for _ in values), *values)
 
     def removeprefix(self, prefix: str, /) -> str:
         """Return the text without a name and a colon at its begin; what is left is a text, too."""
@@ -73,18 +71,6 @@ def _lasting(value: Any) -> Any:
     if isinstance(value, Real):  # NumPy's
         return int(value) if isinstance(value, Integral) else float(value)
     return str(value)
-
-
-def joined(separator: str, parts: Iterable[str]) -> Text:
-    """Return texts as one, with a separator between them.
-
-    Examples
-    --------
-    >>> joined("; ", ["no rows", "no columns"])
-    'no rows; no columns'
-    """
-    values = tuple(parts)
-    return Text(separator.join("{}" for _ in values), *values)
 
 
 def with_texts(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -131,4 +117,6 @@ def _with_known(value: Any, known: Mapping[Any, Any]) -> Any:
         return known.get(value, value)
     if isinstance(value, dict):
         return {name: _with_known(each, known) for name, each in value.items()}
-    return [_with_known(each, known) for each in value] if isinstance(value, list) else value
+    if isinstance(value, list | tuple):
+        return [_with_known(each, known) for each in value]
+    return value
