@@ -11,12 +11,13 @@ from pyproj.exceptions import CRSError as ProjError
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import CrsError
+from gis_radar.texts import Text
 from gis_radar.words import WINDS
 
 SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
 _OUTSIDE_DEG = 10.0  # beyond the area of use: sites at its edge pass, other continents do not
 _SHORT_M = 100.0  # step that measures a scale: longer than rounding, shorter than its change
-_FITTING = "use the UTM zone or the national grid of the site"
+_FITTING = Text("use the UTM zone or the national grid of the site")
 
 Box: TypeAlias = tuple[float, float, float, float]
 """West, south, east, north."""
@@ -44,29 +45,39 @@ def metric_crs(crs: Any, *, what: str) -> CRS:
         north; in which order they are listed does not matter.
     """
     if crs is None or crs == "":
-        raise CrsError(f"{what}: has no coordinate system", hint="state it, e.g. EPSG:25832")
+        raise CrsError("{}: has no coordinate system", what, hint="state it, e.g. EPSG:25832")
     try:
         parsed = CRS.from_user_input(crs)
     except (ProjError, UnicodeError) as error:
         raise CrsError(
-            f"{what}: {crs!r} is not a known coordinate system", hint="e.g. EPSG:25832"
+            "{}: {} is not a known coordinate system", what, repr(crs), hint="e.g. EPSG:25832"
         ) from error
     flat = horizontal(parsed)
     if not flat.is_projected:
         kind = "geographic" if flat.is_geographic else flat.type_name.lower()
         raise CrsError(
-            f"{what}: {flat.name} ({name_of(flat)}) is {kind}, a projected one in metres is needed",
+            "{}: {} ({}) is {}, a projected one in metres is needed",
+            what,
+            flat.name,
+            name_of(flat),
+            kind,
             hint="use the site's UTM zone, e.g. EPSG:25832",
         )
     if any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
         raise CrsError(
-            f"{what}: {flat.name} is in {flat.axis_info[0].unit_name}, metres are needed",
+            "{}: {} is in {}, metres are needed",
+            what,
+            flat.name,
+            flat.axis_info[0].unit_name,
             hint="use the site's UTM zone, e.g. EPSG:25832",
         )
     axes = [axis.direction for axis in flat.axis_info]
     if sorted(axes) != ["east", "north"]:
         raise CrsError(
-            f"{what}: {_called(flat)} has axes that point {' and '.join(axes)}, not east and north",
+            "{}: {} has axes that point {}, not east and north",
+            what,
+            _called(flat),
+            " and ".join(axes),
             hint="use the site's UTM zone, e.g. EPSG:25832",
         )
     return flat
@@ -98,12 +109,15 @@ def require_true_scale(crs: CRS, easting: float, northing: float, *, what: str) 
     )
     # Some projections are true to scale once more, on the far side of the globe.
     if not _in_area_of_use(crs, longitude[0], latitude[0]):
-        raise CrsError(f"{what}: the site lies far outside the area of {name}", hint=_FITTING)
+        raise CrsError("{}: the site lies far outside the area of {}", what, name, hint=_FITTING)
     scales = _scales(crs, longitude, latitude)
     worst = scales[np.argmax(np.abs(scales - 1.0))]
     if abs(worst - 1.0) > SCALE_TOLERANCE:
         raise CrsError(
-            f"{what}: {name} is not true to scale at the site: {worst:.3f} m for each metre",
+            "{}: {} is not true to scale at the site: {:.3f} m for each metre",
+            what,
+            name,
+            worst,
             hint=_FITTING,
         )
 
@@ -129,7 +143,11 @@ def require_on_earth(crs: CRS, easting: float, northing: float, *, what: str) ->
     again = project(*project(easting, northing, inverse=True))
     if not math.dist(again, (easting, northing)) < 1.0:
         raise CrsError(
-            f"{what}: easting {easting:g}, northing {northing:g} is no place in {_called(crs)}"
+            "{}: easting {:g}, northing {:g} is no place in {}",
+            what,
+            easting,
+            northing,
+            _called(crs),
         )
 
 
@@ -194,7 +212,11 @@ def require_same(crs: CRS, other: CRS, *, what: str, other_what: str) -> None:
     """
     if not same_plane(crs, other):
         raise CrsError(
-            f"{what} is in {name_of(crs)}, but {other_what} in {name_of(other)}",
+            "{} is in {}, but {} in {}",
+            what,
+            name_of(crs),
+            other_what,
+            name_of(other),
             hint="bring both into one coordinate system",
         )
 
@@ -244,10 +266,10 @@ def moved_position(position: tuple[float, ...], source: Any, target: CRS) -> tup
     CrsError
         If `source` is no projected, metric coordinate system, or does not reach there.
     """
-    metric = metric_crs(source, what="CRS of the guess")
+    metric = metric_crs(source, what=Text("CRS of the guess"))
     east, north = transformer(metric, target).transform(position[0], position[1])
     if not np.isfinite([east, north]).all():
-        raise CrsError(f"{metric.name} does not reach into the area of {target.name}")
+        raise CrsError("{} does not reach into the area of {}", metric.name, target.name)
     return (float(east), float(north), *position[2:])
 
 
@@ -269,7 +291,7 @@ def moved_box(box: Box, source: CRS, target: CRS) -> Box:
     # Straight edges become curves: look at many points of them.
     west, south, east, north = transformer(source, target).transform_bounds(*box, densify_pts=21)
     if not np.isfinite([west, south, east, north]).all():
-        raise CrsError(f"{source.name} does not reach into the area of {target.name}")
+        raise CrsError("{} does not reach into the area of {}", source.name, target.name)
     return west, south, east, north
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar
+from typing import Any, ClassVar
+
+from gis_radar.texts import Text
 
 
 class GisRadarError(Exception):
@@ -12,18 +14,27 @@ class GisRadarError(Exception):
 
     Parameters
     ----------
-    message : str
-        What is wrong, and in which file or value; what it quotes may have line ends, the error has
-        none.
+    template : str
+        What is wrong, and in which file or value, with a hole `{}` for each value; what it quotes
+        may have line ends, the error has none.
+    *values
+        For the holes of the template.
     hint : str, optional
         One line: what to do about it.
+
+    Examples
+    --------
+    >>> GisRadarError("{}: row {} has no time", "R1.csv", 3).message
+    'R1.csv: row 3 has no time'
     """
 
     exit_code: ClassVar[int] = 3
 
-    def __init__(self, message: str, *, hint: str = "") -> None:
+    def __init__(self, template: str, /, *values: Any, hint: str = "") -> None:
+        message = Text(template, *values)
         if len(message.splitlines()) > 1:
-            message = " ".join(message.split())
+            flat = map(_one_line, message.values)
+            message = Text(message.template, *flat) if message.values else Text(_one_line(message))
         super().__init__(message)
         self.message = message
         self._hint = ""
@@ -39,6 +50,11 @@ class GisRadarError(Exception):
         others = getattr(self, "__notes__", [])[bool(self._hint) :]
         self._hint = hint
         self.__notes__ = [hint, *others] if hint else others
+
+
+def _one_line(value: Any) -> Any:
+    lines = value.splitlines() if isinstance(value, str) else ()
+    return " ".join(value.split()) if len(lines) > 1 else value
 
 
 class UsageError(GisRadarError):
@@ -79,7 +95,7 @@ def placed(where: str) -> Iterator[None]:
     except InputError as error:
         if error.message.startswith(where):
             raise
-        raise type(error)(f"{where}: {error.message}", hint=error.hint) from error
+        raise type(error)("{}: {}", where, error.message, hint=error.hint) from error
 
 
 def first_line(error: Exception) -> str:
@@ -87,7 +103,7 @@ def first_line(error: Exception) -> str:
     return str(error).partition("\n")[0] or type(error).__name__
 
 
-LOCALIZE = "pip install gis_radar[localize]"
+LOCALIZE = Text("pip install gis_radar[localize]")
 PDF = "pip install gis_radar[pdf]"
-NOTEBOOKS = "pip install gis_radar[notebooks]"
-TRAJECTORIES = "pip install gis_radar[trajectories]"
+NOTEBOOKS = Text("pip install gis_radar[notebooks]")
+TRAJECTORIES = Text("pip install gis_radar[trajectories]")

@@ -28,6 +28,7 @@ from gis_radar.leftovers import (
     private_pattern,
 )
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 
 WRITTEN = date(2000, 1, 1)
 """The day on which all files were written that must name one: the same work, the same bytes."""
@@ -65,7 +66,7 @@ def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
             place.samefile(part) for part in (source, *source.resolve().parents)
         ):
             raise OutputError(
-                f"{output}: would replace the input {source}", hint="name another output"
+                "{}: would replace the input {}", output, source, hint="name another output"
             )
 
 
@@ -84,7 +85,7 @@ def require_folder(output: str | Path) -> None:
     """
     folder = Path(output).absolute().parent
     if not folder.is_dir():
-        raise OutputError(f"{output}: cannot be written: there is no folder {folder}")
+        raise OutputError("{}: cannot be written: there is no folder {}", output, folder)
 
 
 @contextmanager
@@ -107,7 +108,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         If the folder around it does not exist, or the place cannot be written.
     """
     if path.is_dir():
-        raise OutputError(f"{path}: is a folder", hint="name a file for the output")
+        raise OutputError("{}: is a folder", path, hint="name a file for the output")
     with atomic_writes(path) as (private, places):
         places[private / path.name] = path
         yield private / path.name
@@ -139,7 +140,7 @@ def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
         yield private, places
         for place in places.values():
             if place.is_dir():
-                raise OutputError(f"{place}: is a folder", hint="name a file for the output")
+                raise OutputError("{}: is a folder", place, hint="name a file for the output")
         # The file that names the others comes last; a killed run's moves are ended by the next.
         order = sorted(places.items(), key=lambda each: each[1] == path)
         if len(order) > 1:
@@ -217,7 +218,8 @@ def _refuse_here(path: Path) -> None:
     here = Path.cwd()
     if path == here or path in here.parents:
         raise OutputError(
-            f"{path}: is the folder you are in, which cannot be replaced",
+            "{}: is the folder you are in, which cannot be replaced",
+            path,
             hint="name a folder in it, such as result",
         )
 
@@ -225,14 +227,18 @@ def _refuse_here(path: Path) -> None:
 def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
     """Refuse a folder with files of others, whose names do not begin like our own, or a file."""
     if not path.is_dir():
-        raise OutputError(f"{path}: is a file", hint="name a folder for the output")
+        raise OutputError("{}: is a file", path, hint="name a folder for the output")
     clear_abandoned(path, PRIVATE)
     foreign = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(owned))
     if foreign and PRIVATE.fullmatch(foreign[0]):
-        raise OutputError(f"{path}: another run is writing into it", hint="wait for it, or stop it")
+        raise OutputError(
+            "{}: another run is writing into it", path, hint="wait for it, or stop it"
+        )
     if foreign:
         raise OutputError(
-            f"{path}: holds {foreign[0]!r}, which is not part of such a result",
+            "{}: holds {}, which is not part of such a result",
+            path,
+            repr(foreign[0]),
             hint="name a new or an empty folder",
         )
 
@@ -241,7 +247,7 @@ def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
 def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
     """Yield a private folder on the same file system as `path`; it is gone afterwards."""
     if any("\ud800" <= letter <= "\udfff" for letter in str(path)):
-        raise OutputError(f"{path}: the name is not UTF-8, which libraries need to write it")
+        raise OutputError("{}: the name is not UTF-8, which libraries need to write it", path)
     clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
     private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
     # Entered before it exists: an interruption may come at any moment, in the clearing up too.
@@ -310,10 +316,10 @@ def writing_errors(path: Path) -> Iterator[None]:
         told = any(text in str(error).lower() for text in _FULL_TEXTS)
         if number in FULL or told or (ours and _is_full(path)):
             raise OutputError(
-                f"{path}: cannot be written: the disk is full", hint="nothing was left behind"
+                "{}: cannot be written: the disk is full", path, hint="nothing was left behind"
             ) from error
         if ours:
-            raise OutputError(f"{path}: cannot be written: {reason}") from error
+            raise OutputError("{}: cannot be written: {}", path, reason) from error
         raise
 
 
@@ -359,7 +365,7 @@ def output_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
-        raise OutputError(f"{path}: cannot be written: {reason}") from error
+        raise OutputError("{}: cannot be written: {}", path, reason) from error
 
 
 @contextmanager
@@ -412,15 +418,17 @@ def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
         try:
             free = lock_descriptor(handle, blocking=False)
         except OSError as error:
-            reporter.log(f"{path}: cannot be locked: {error.strerror}", "warning")
+            reporter.warn("{}: cannot be locked: {}", path, error.strerror)
             return handle
         if not free:
             os.lseek(handle, 1, os.SEEK_SET)
             holder = os.read(handle, 20).decode(errors="replace").strip()
             os.close(handle)
-            who = f" (process {holder})" if holder else ""
+            who = Text(" (process {})", holder) if holder else ""
             raise OutputError(
-                f"{path}: another run is writing it{who}",
+                "{}: another run is writing it{}",
+                path,
+                who,
                 hint="wait for it, stop it, or name another output",
             )
         with suppress(OSError):

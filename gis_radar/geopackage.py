@@ -23,6 +23,7 @@ from pyproj.exceptions import ProjError
 from gis_radar.errors import InputError, OutputError, first_line
 from gis_radar.files import WRITTEN
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 
 GPKG_VERSION = "1.2"
 """The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
@@ -109,12 +110,12 @@ def opened_package(
         in an archive.
     """
     if not Path(path).is_file():
-        raise InputError(f"{path}: no such file", hint=hint)
+        raise InputError("{}: no such file", path, hint=hint)
     with library_errors(path, what=what, hint=hint, reporter=reporter):
         with Path(path).open("rb") as file:
             head = file.read(100)
         if not head.startswith(SQLITE) or head[_KIND_AT : _KIND_AT + 4] not in _KINDS:
-            raise InputError(f"{path}: not {what}: it is no GeoPackage", hint=hint)
+            raise InputError("{}: not {}: it is no GeoPackage", path, what, hint=hint)
         yield plain_place(path)
 
 
@@ -129,7 +130,8 @@ def plain_place(path: str | Path) -> Path:
     place = Path(path).resolve()
     if _is_in_archive(place) or place.suffix.lower() == ".zip":
         raise InputError(
-            f"{path}: cannot be read under this name, which stands for a file in an archive",
+            "{}: cannot be read under this name, which stands for a file in an archive",
+            path,
             hint="rename it, or its folder: no .zip at the end, no ! and no ;",
         )
     return place
@@ -162,11 +164,13 @@ def library_errors(
             yield
         except DAMAGE as error:
             if _LOCKED in str(error):
-                raise InputError(f"{path}: {_HELD}", hint=_HELD_HINT) from error
-            wrong = f"not {what}" if isinstance(error, _OTHER) else "damaged"
-            raise InputError(f"{path}: {wrong}: {first_line(error)}", hint=hint) from error
+                raise InputError(
+                    "{}: another program has it locked", path, hint=_HELD_HINT
+                ) from error
+            wrong = Text("not {}", what) if isinstance(error, _OTHER) else "damaged"
+            raise InputError("{}: {}: {}", path, wrong, first_line(error), hint=hint) from error
     for text in dict.fromkeys(str(each.message).partition("\n")[0] for each in caught):
-        reporter.log(f"{path}: {text}", "warning")
+        reporter.warn("{}: {}", path, text)
 
 
 _FIELDS = """
@@ -320,7 +324,7 @@ def _refuse_locked(path: Path) -> None:
             database.execute("ROLLBACK")
     except sqlite3.Error as error:
         if _LOCKED in str(error):
-            raise OutputError(f"{path}: {_HELD}", hint=_HELD_HINT) from error
+            raise OutputError("{}: another program has it locked", path, hint=_HELD_HINT) from error
 
 
 def _owner(qml: str) -> str:

@@ -53,11 +53,13 @@ def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
         return parsed_json(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot be read: {reason}", hint=hint) from error
+        raise InputError("{}: cannot be read: {}", path, reason, hint=hint) from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not {what}: not UTF-8 text", hint=hint) from error
+        raise InputError("{}: not {}: not UTF-8 text", path, what, hint=hint) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not {what}: not JSON: {first_line(error)}", hint=hint) from error
+        raise InputError(
+            "{}: not {}: not JSON: {}", path, what, first_line(error), hint=hint
+        ) from error
 
 
 def json_text(

@@ -115,7 +115,7 @@ def run_child(
                 waiting(time.monotonic() - start)
                 continue
             if isinstance(ended, OSError):
-                raise GisRadarError(f"{command[0]}: does not start: {ended.strerror}") from ended
+                raise GisRadarError("{}: does not start: {}", command[0], ended.strerror) from ended
             if isinstance(ended, Exception):
                 raise ended
             return ended

@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
+
+from gis_radar.texts import Text
 
 Level = Literal["info", "warning"]
 
@@ -32,6 +34,10 @@ class Reporter:
     def log(self, message: str, level: Level = "info") -> None:
         """Report one line to the user."""
         _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, one_line(message))
+
+    def warn(self, template: str, /, *values: Any) -> None:
+        """Report one line that the user should not miss, with values for its holes."""
+        self.log(Text(template, *values), "warning")
 
 
 class Silent(Reporter):
@@ -67,6 +73,6 @@ def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:
         for text in dict.fromkeys(warnings):
             stages.setdefault(text, []).append(name)
     return [
-        text if len(names) > MOST_NAMES else f"{', '.join(names)}: {text}"
+        text if len(names) > MOST_NAMES else Text("{}: {}", Text(", ").join(names), text)
         for text, names in stages.items()
     ]

@@ -44,7 +44,7 @@ def csv_for(locale: str) -> Iterator[None]:
     """
     if locale not in CSV_LOCALES:
         expected = ", ".join(CSV_LOCALES)
-        raise UsageError(f"csv_locale is {locale!r}, expected one of {expected}")
+        raise UsageError("csv_locale is {}, expected one of {}", repr(locale), expected)
     token = _csv_locale.set(locale)
     try:
         yield

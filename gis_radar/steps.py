@@ -14,6 +14,7 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError, UsageError
+from gis_radar.texts import Text
 from gis_radar.words import MINUS, long_day, short_day, tr, weekday
 
 STEP_US = 50_000  # the nominal cycle of the sensors, 20 Hz
@@ -21,14 +22,14 @@ STEP_S = 0.05
 STEPS_PER_SECOND = 20
 
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
-CYCLE_HINT = (
+CYCLE_HINT = Text(
     "a cycle is stated, such as 150ms, and never measured; without one, frames are valid for 100 ms"
 )
 
 # Nanosecond time stamps hold 1677 to 2262; the longest interval fits in on either side.
 FIRST_YEAR, LAST_YEAR = 1800, 2150
 LONGEST_INTERVAL_YEARS = 100
-UNIX_SECONDS_HINT = "times are UNIX seconds (UTC), not milli-, micro- or nanoseconds"
+UNIX_SECONDS_HINT = Text("times are UNIX seconds (UTC), not milli-, micro- or nanoseconds")
 
 CLOCK_SET_S = 631_152_000.0  # 1990-01-01: earlier times count from when the sensor was switched on
 GPS_EPOCH_S = 315_964_800  # 1980-01-06
@@ -71,7 +72,10 @@ def step_of(time: Floats) -> Integers:
     known = in_known_years(time)
     if not known.all():
         raise InputError(
-            f"time {time[~known].flat[0]:g} is outside the years {FIRST_YEAR} to {LAST_YEAR}",
+            "time {:g} is outside the years {} to {}",
+            time[~known].flat[0],
+            FIRST_YEAR,
+            LAST_YEAR,
             hint=UNIX_SECONDS_HINT,
         )
     return np.rint(time * 1e6).astype(np.int64) // STEP_US
@@ -123,10 +127,12 @@ def seconds_from_iso(text: str, *, what: str) -> float:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
         raise InputError(
-            f"{what} is {text!r}, expected a time such as 2026-11-20T09:00:00Z"
+            "{} is {}, expected a time such as 2026-11-20T09:00:00Z", what, repr(text)
         ) from error
     if moment.tzinfo is None:
-        raise InputError(f"{what} is {text!r}, which names no time zone", hint="add Z for UTC")
+        raise InputError(
+            "{} is {}, which names no time zone", what, repr(text), hint="add Z for UTC"
+        )
     return (moment - _EPOCH) / timedelta(seconds=1)
 
 
@@ -155,15 +161,19 @@ def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
         in_utc = both[0].astimezone(UTC)
     except (ValueError, OverflowError) as error:  # the latter at both ends of the calendar
         raise UsageError(
-            f"{what} is {str(value)!r}, expected a time such as 2026-11-20 09:00"
+            "{} is {}, expected a time such as 2026-11-20 09:00", what, repr(str(value))
         ) from error
     if both[0].utcoffset() != both[1].utcoffset():
         there = in_utc.astimezone(zone).replace(tzinfo=None) == moment
-        how = "is twice" if there else "is left out"
+        how = Text("is twice") if there else Text("is left out")
         earlier, later = (_offset(each)[3:].replace(MINUS, "-") for each in both)  # to be typed
         raise UsageError(
-            f"{what} is {moment}, which {how} that day in {zone}",
-            hint=f"add the offset, {earlier} or {later}",
+            "{} is {}, which {} that day in {}",
+            what,
+            moment,
+            how,
+            zone,
+            hint=Text("add the offset, {} or {}", earlier, later),
         )
     return in_utc
 
@@ -189,7 +199,7 @@ def duration_s(text: str, *, what: str = "time") -> float:
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", text.lower())
     if match is None or match[2] not in _UNITS_S:
-        raise UsageError(f"{what} {text!r} is no duration", hint="e.g. 20s, 15min, 1h")
+        raise UsageError("{} {} is no duration", what, repr(text), hint="e.g. 20s, 15min, 1h")
     return float(match[1]) * _UNITS_S[match[2]]
 
 
@@ -203,10 +213,10 @@ def interval_steps(text: str) -> int:
     """
     seconds = duration_s(text, what="interval")
     if seconds > _LONGEST_INTERVAL_S:
-        raise UsageError(f"interval {text!r} is longer than {LONGEST_INTERVAL_YEARS} years")
+        raise UsageError("interval {} is longer than {} years", repr(text), LONGEST_INTERVAL_YEARS)
     steps = seconds * STEPS_PER_SECOND
     if steps < 1 or abs(steps - round(steps)) > 1e-6:
-        raise UsageError(f"interval {text!r} is not a whole number of 50 ms steps")
+        raise UsageError("interval {} is not a whole number of 50 ms steps", repr(text))
     return round(steps)
 
 
@@ -222,7 +232,7 @@ def zone_of(name: str) -> ZoneInfo:
         return ZoneInfo(name)
     except (KeyError, ValueError, OSError) as error:
         raise UsageError(
-            f"there is no time zone {name!r}", hint="a name such as Europe/Berlin or UTC"
+            "there is no time zone {}", repr(name), hint="a name such as Europe/Berlin or UTC"
         ) from error
 
 
@@ -341,6 +351,9 @@ class Clock:
 
     def localised(self, text: str) -> str:
         """Return a text with the times in it, which are UTC and end in Z, as times of the site."""
+        if isinstance(text, Text) and text.values:
+            values = (self.localised(v) if isinstance(v, str) else v for v in text.values)
+            return Text(text.template, *values)
         return _UTC_TEXT.sub(lambda found: self._in_text(found[0]), text)
 
     def _in_text(self, text: str) -> str:

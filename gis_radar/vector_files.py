@@ -20,6 +20,7 @@ import shapely
 from gis_radar.errors import CrsError, InputError
 from gis_radar.geopackage import SQLITE, library_errors, opened_package, plain_place
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 
 FORMATS = "GeoPackage, GeoJSON, shapefile or FlatGeobuf"
 _SHAPEFILE, _FLATGEOBUF = b"\0\0\x27\x0a", b"fgb\x03fgb"  # how they begin
@@ -65,12 +66,12 @@ def read_vector(
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    with library_errors(path, what=f"a readable {what}", reporter=reporter):
+        raise InputError("{}: no such file", path)
+    with library_errors(path, what=Text("a readable {}", what), reporter=reporter):
         with path.open("rb") as file:
             head = file.read(512)
         if head.startswith(SQLITE):
-            with opened_package(path, what=f"a readable {what}"):
+            with opened_package(path, what=Text("a readable {}", what)):
                 return _read_by_gdal(path, choose, columns)
         # GDAL looks for the marks of its drivers up to the first zero byte: one must come early.
         flat = head.startswith(_FLATGEOBUF) and 0 in head[:12]
@@ -79,8 +80,14 @@ def read_vector(
         if head.removeprefix(_BYTE_ORDER_MARK).lstrip().startswith(b"{"):
             table = _read_geojson(path)
             return table if columns is None else table[[*columns, "geometry"]]
-    wrong = f"{path}: not a readable {what}: the format is not known"
-    raise InputError(wrong, hint=f"use {FORMATS}, or for a Lanelet2 map a name that ends in .osm")
+    wrong = Text("{}: not a readable {}: the format is not known", path, what)
+    raise InputError(
+        wrong,
+        hint=Text(
+            "use GeoPackage, GeoJSON, shapefile or FlatGeobuf, or for a Lanelet2 map a name "
+            "that ends in .osm"
+        ),
+    )
 
 
 def _read_by_gdal(path: Path, choose: Any, columns: Sequence[str] | None) -> gpd.GeoDataFrame:
@@ -88,11 +95,11 @@ def _read_by_gdal(path: Path, choose: Any, columns: Sequence[str] | None) -> gpd
     if callable(choose):
         layers = {str(name): str(kind or "") for name, kind in pyogrio.list_layers(place)}
         if not layers:
-            raise InputError(f"{path}: has no layer")
+            raise InputError("{}: has no layer", path)
         choose = choose(layers, path)
     table = pyogrio.read_dataframe(place, layer=choose, columns=columns)
     if not isinstance(table, gpd.GeoDataFrame):
-        raise InputError(f"{path}: has no geometry")
+        raise InputError("{}: has no geometry", path)
     return table
 
 
@@ -103,7 +110,7 @@ def _read_geojson(path: Path) -> gpd.GeoDataFrame:
     if (stated := document.get("crs")) is not None:
         crs = stated["properties"]["name"] if stated["type"] == "name" else ""
         if not _CRS_NAME.fullmatch(crs):
-            raise CrsError(f"{path}: its coordinate system is a link, or no known name")
+            raise CrsError("{}: its coordinate system is a link, or no known name", path)
     bare = {"type": "Feature", "properties": {}, "geometry": document}
     features = document.get("features", [document if document["type"] == "Feature" else bare])
     features = [each for each in features if each["geometry"] is not None]

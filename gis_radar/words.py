@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from datetime import datetime
-from functools import cache
-from itertools import count
+from string import Formatter
+from typing import Any
 
 from gis_radar.errors import UsageError
-from gis_radar.languages import LANGUAGES, catalogue, messages
-from gis_radar.languages.site_keys import keys_for_options
+from gis_radar.languages import LANGUAGES, catalogue
+from gis_radar.texts import Text
 
 NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
 THIN = "\u202f"  # narrow, and no line ends there
@@ -24,15 +22,6 @@ _MONTHS = (
     "October", "November", "December",
 )  # fmt: skip
 _WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
-_HOLE = re.compile(r"\{\w*\}")
-# What stands before a message and is no name of a file or a sensor: verdicts, and stages of a run,
-# which begin so.
-_VERDICTS = frozenset({"confirms", "doubts", "alone", "refused"})
-_STAGES = frozenset({
-    "road", "mask", "convert", "localize", "poses", "pose", "tiles", "measure",
-    "heat", "QGIS", "report",
-})  # fmt: skip
-
 # Not an argument of each function: what writes a number is ten calls below who knows the language.
 _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
@@ -61,9 +50,8 @@ def speak(language: str) -> None:
 def known_language(language: str) -> str:
     """Return a language; refuse one that there are no words of."""
     if language not in LANGUAGES:
-        raise UsageError(
-            f"there is no language {language!r}", hint=f"known are {', '.join(LANGUAGES)}"
-        )
+        known = Text("known are {}", ", ".join(LANGUAGES))
+        raise UsageError("there is no language {}", repr(language), hint=known)
     return language
 
 
@@ -73,164 +61,30 @@ def current_language() -> str:
 
 
 def tr(text: str, /, **values: object) -> str:
-    """Return a text in the current language, with values in its holes."""
-    found = catalogue(_CURRENT.get()).get(text, text)
-    return found.format(**values) if values else found
+    """Return a text in the current language, with its values or those given in its holes."""
+    known = catalogue(_CURRENT.get())
+    if isinstance(text, Text) and text.values and known:
+        return _Speaker().format(known.get(text.template, text.template), *text.values)
+    found = known.get(text, text)
+    return found.format(**values) if values else str.__str__(found)
+
+
+class _Speaker(Formatter):
+    """A formatter that writes values as the current language does."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a number with the language's signs; a text or several words translated."""
+        if isinstance(value, Text) or (isinstance(value, str) and " " in value):
+            return tr(value)
+        text = format(value, format_spec)
+        if isinstance(value, float) or (isinstance(value, int) and format_spec):
+            return decimal(text.replace(",", THIN).replace("%", f"{THIN}%"))
+        return text
 
 
 def plural(amount: int, one: str, many: str) -> str:
     """Return an amount with its noun: texts with a hole `{n}`."""
     return tr(one if amount == 1 else many, n=figure_text(amount))
-
-
-def tr_message(text: str) -> str:
-    """Return a finished message in the current language, its values taken over.
-
-    The messages of all rooms are English; those with holes in the catalogues are known again by
-    what stands between their values. What stands before a colon may be the name of a file, a stage
-    or a sensor; several messages are joined by semicolons.
-    """
-    if not messages(_CURRENT.get()):
-        return text
-    parts = text.split("; ")
-    if len(parts) > 1:
-        if found := _after_names(text, most=len(parts) - 1):
-            return found
-        if all(translated := [_after_names(each) for each in parts]):
-            return "; ".join(translated)
-    return _after_names(text) or text
-
-
-def _after_names(text: str, *, most: int = 0) -> str:
-    """Return a message in the current language, names before it kept; nothing if not known.
-
-    With `most` only one that has so many semicolons of its own.
-    """
-    head, rest = "", text
-    while not (found := _known(rest, most)) and ": " in rest:
-        before, _, rest = rest.partition(": ")
-        head += f"{_before(before)}: "
-    return head + found if found else ""
-
-
-def _before(text: str) -> str:
-    """Return what stands before a message in the current language; a name as it is."""
-    known = catalogue(_CURRENT.get())
-    words = text.split(" ")
-    if words[0].rstrip(",") in _STAGES:
-        return ", ".join(map(stage_words, text.split(", ")))
-    return known.get(text, text) if len(words) > 1 or text in _VERDICTS else text
-
-
-def stage_words(stage: str) -> str:
-    """Return a stage of a run in the current language: `localize R1` has a name in it."""
-    known, words = catalogue(_CURRENT.get()), stage.split(" ")
-    for most in range(len(words), 0, -1):
-        if work := known.get(" ".join(words[:most])):
-            return " ".join([work, *words[most:]])
-    return stage
-
-
-def _known(text: str, semicolons: int = 0) -> str:
-    language = _CURRENT.get()
-    if exact := _messages(language).get(text) or catalogue(language).get(text):
-        return exact
-    for each in _with_holes(language):
-        values = each.values_in(text) if each.text.count("; ") >= semicolons else []
-        if values and (each.sure or all(map(_is_ours, values))):
-            return each.filled(values)
-    return ""
-
-
-def _is_ours(value: str) -> bool:
-    return " " not in value or bool(_after_names(value))
-
-
-@dataclass(frozen=True)
-class _Message:
-    """A message with holes, and its translation."""
-
-    text: str
-    translation: str
-
-    @property
-    def sure(self) -> bool:
-        """Whether it is known by its words: `{} and {}` is part of many sentences."""
-        whole = self.text[0] == "{" and self.text[-1] == "}"
-        return not whole or _own_letters(self.text) >= _LEAST_LETTERS
-
-    def values_in(self, text: str) -> list[str]:
-        """Return the values in a finished message; none if it is another."""
-        first, *between, last = _HOLE.split(self.text)
-        # Cheap and sure: few of hundreds are compiled.
-        if not (text.startswith(first) and text.endswith(last) and all(p in text for p in between)):
-            return []
-        match = _pattern(self.text).fullmatch(text)
-        if not match or (not first and ": " in match[1]):  # a name before it is none of its values
-            return []
-        return list(match.groups())
-
-    def filled(self, values: list[str]) -> str:
-        """Return the translation with values in its holes."""
-        names = [hole[1:-1] or str(place) for place, hole in enumerate(_HOLE.findall(self.text))]
-        known = dict(zip(names, map(_own_value, values), strict=True))
-        return _HOLE.sub(
-            lambda hole: _figure(known[hole[0][1:-1]], self.translation[hole.end() :]),
-            self.translation,
-        )
-
-
-@cache
-def _pattern(text: str) -> re.Pattern[str]:
-    return re.compile("(.*?)".join(map(re.escape, _HOLE.split(text))), re.DOTALL)
-
-
-@cache
-def _messages(language: str) -> dict[str, str]:
-    """Return the messages with their translations, also those in the words of the site file."""
-    known = messages(language)
-    # Holes are numbered first: a key may stand before a value that its option stands behind.
-    numbered = {_numbered(text): found for text, found in known.items()}
-    in_keys = {keys_for_options(text): keys_for_options(numbered[text]) for text in numbered}
-    return {text: in_keys[text] for text in in_keys.keys() - numbered.keys()} | known
-
-
-def _numbered(text: str) -> str:
-    numbers = count()
-    return re.sub(r"\{\}", lambda _: f"{{{next(numbers)}}}", text)
-
-
-@cache
-def _with_holes(language: str) -> list[_Message]:
-    """Return the messages with holes, those with the most letters of their own first."""
-    told = [(text, found) for text, found in _messages(language).items() if _HOLE.search(text)]
-    told += [
-        (text, found) for text, found in catalogue(language).items()
-        if _HOLE.search(text) and _own_letters(text) >= _LEAST_LETTERS
-    ]  # fmt: skip
-    return [_Message(*each) for each in sorted(told, key=lambda each: -_own_letters(each[0]))]
-
-
-_LEAST_LETTERS = 8  # a text that is no message and has fewer of its own would be seen in others
-
-
-def _own_letters(text: str) -> int:
-    return len(re.sub(r"\{\w*\}|[^A-Za-z]", "", text))
-
-
-def _own_value(value: str) -> str:
-    """Return a value in the current language: a word of its own is a name, unless a direction."""
-    return tr_message(value) if " " in value or value in WINDS else value
-
-
-def _figure(value: str, after: str) -> str:
-    """Return a value as numbers are written, where a unit comes after it or it is a share."""
-    if re.fullmatch(r"-?\d+(\.\d+)?%", value):
-        return decimal(f"{value[:-1]}{THIN}%")
-    if re.fullmatch(r"[+-]?\d{1,3}(,\d{3})+", value):
-        return value.replace(",", THIN)
-    measured = re.match(r" (%|m|km|ms|s|h|Grad|ppm|MiB)\b| %", after)
-    return decimal(value) if measured and re.fullmatch(r"-?\d+\.\d+", value) else value
 
 
 def decimal(text: str) -> str:

@@ -22,6 +22,7 @@ from gis_radar.tiles import fingerprint
 
 FETCHED = Path(__file__).parents[1] / ".pdal" / "bin" / "pdal"
 NONE = "none was found, and `make pdal` fetched none"
+os.environ["LANGUAGE"] = "en"  # whatever this machine speaks
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,11 @@
 """The pages of the documentation as tests see them: their code, and what the package can say."""
 
-import ast
 import re
 import shlex
 from functools import cache
 from pathlib import Path
+
+from tools.catalogue import shown
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -27,20 +28,7 @@ def commands(page):
 
 @cache
 def sayings():
-    """Give a pattern for each text of the package, in which any value may stand for a field."""
-    found = set()
-    for path in sorted((ROOT / "gis_radar").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            parts = _parts(node)
-            if len("".join(part for part in parts if part is not None)) >= 9:
-                found.add("".join(".+?" if part is None else re.escape(part) for part in parts))
+    """Give a pattern for each text of the package, in which any value may stand in a hole."""
+    parts = [re.split(r"\{[^}]*\}", text) for text in shown()[0]]
+    found = {".+?".join(map(re.escape, each)) for each in parts if len("".join(each)) >= 9}
     return [re.compile(pattern, flags=re.DOTALL) for pattern in sorted(found)]
-
-
-def _parts(node):
-    """Give the fixed parts of a text, None for each field."""
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return [node.value]
-    if isinstance(node, ast.JoinedStr):
-        return [part.value if isinstance(part, ast.Constant) else None for part in node.values]
-    return []

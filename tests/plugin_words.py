@@ -9,7 +9,6 @@ from gis_radar.heatmap import style
 
 FOLDER = Path(__file__).parents[1] / "qgis_plugin" / "gis_radar_plugin"
 PACKAGE = Path(__file__).parents[1] / "gis_radar"
-CATALOGUES = PACKAGE / "languages"
 CLASS_TEXTS = ("TITLE", "SUBTITLE", "HELP")
 CONSTANTS = (
     "SITE", "TRAFFIC", "RESULTS", "SET_UP", "WINDS", "_GONE",

@@ -17,6 +17,7 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.cli.console import JsonConsole, Result, TerminalConsole
+from gis_radar.texts import Text
 
 COMMANDS = sorted(group.commands)
 
@@ -380,7 +381,7 @@ def test_lines_of_progress_are_german_for_who_wants_it(capfd, clock, monkeypatch
     with TerminalConsole() as console:
         console.progress("all stages", 1, 4)
         clock[0] += 31.0
-        console.progress("localize R1", 50, 100)
+        console.progress(Text("localize {}", "R1"), 50, 100)
     told = "alle Schritte 25 %, Standort und Ausrichtung suchen: R1 50 %\n"
     assert capfd.readouterr().err == told
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import ast
+import json
+import pickle
 import re
-import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pypdf
 import pytest
-from message_templates import message_templates, plain
 from report_site import Page, write_results, write_run
 
 import gis_radar as gr
 from gis_radar.heatmap import MapLabels
-from gis_radar.languages import catalogue, messages
+from gis_radar.languages import catalogue, users_language
+from gis_radar.texts import Text, restored, with_texts
 from gis_radar.words import (
     figure_text,
     listed,
@@ -24,13 +25,11 @@ from gis_radar.words import (
     plural,
     seconds_text,
     speaking,
-    stage_words,
     tr,
-    tr_message,
 )
+from tools import catalogue as tool
 
-PACKAGE = Path(gr.__file__).parent
-PLACES = {"tr": slice(0, 1), "plural": slice(1, 3)}
+HOLE = re.compile(r"\{(\w*)((?::[^}]*)?)\}")
 # Read as they are in both languages: names of the data, of files and of places, units, signs.
 SAME = re.compile(
     r".*\.(csv|osm|parquet|laz)\b.*|R\d|Sensors?|Software|Scan|Radar.*|gis_radar.*|[0-9a-f]{32,}|"
@@ -39,74 +38,121 @@ SAME = re.compile(
 )
 
 
-def asked_for():
-    """Return the texts in calls of `tr` and `plural`, in templates and in the definitions."""
-    found = set()
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in PLACES:
-                for each in node.args[PLACES[node.func.id]]:
-                    parts = [each.body, each.orelse] if isinstance(each, ast.IfExp) else [each]
-                    found |= {part.value for part in parts if isinstance(part, ast.Constant)}
-    for path in (
-        PACKAGE / "report/page.html",
-        PACKAGE / "site/summary.md.jinja",
-        PACKAGE / "live/web/page.html",
-    ):
-        found |= set(re.findall(r'tr\("([^"]+)"', path.read_text(encoding="utf-8")))
-    text = (PACKAGE / "report" / "definitions.toml").read_text(encoding="utf-8")
-    for group in tomllib.loads(text).values():
-        found |= {*group, *group.values()}
-    return found
+def test_each_text_has_its_german_and_no_german_is_left_of_old_ones():
+    asked, german = tool.asked(), catalogue("de")
+    assert len(asked) > 1000
+    assert {text: where for text, where in asked.items() if not german.get(text)} == {}
+    assert tool.unused(set(german)) == []
 
 
-def test_no_text_that_is_asked_for_lacks_its_german():
-    assert len(asked_for()) > 200
-    assert sorted(asked_for() - set(catalogue("de"))) == []
+def test_no_text_is_finished_where_a_user_is_told_it():
+    finished = [f"{where}: {text}" for where, text in tool.told() if text[:2] in {"f'", 'f"'}]
+    assert [each for each in finished if re.search("[A-Za-z]{2} ", each.partition(": ")[2])] == []
 
 
-def test_each_error_hint_and_warning_has_its_german_and_no_german_is_left_of_old_ones():
-    asked = message_templates()
-    elsewhere = {plain(re.sub(r"\{\w*\}", "{}", text)) for text in catalogue("de")}
-    german = set(messages("de"))
-    assert len(asked) > 700
-    missing = {each: where for each, where in asked.items() if each not in elsewhere | german}
-    assert missing == {}
-    assert sorted(german - set(asked)) == []
+def test_the_catalogue_is_as_the_tool_writes_it():
+    """And read without Babel as Babel reads it."""
+    before = tool.GERMAN.read_text(encoding="utf-8")
+    assert tool.read() == catalogue("de")
+    tool.write(tool.read())
+    assert tool.GERMAN.read_text(encoding="utf-8") == before
 
 
-def test_each_german_message_is_found_again_with_the_values_of_the_english_one():
-    assert len(messages("de")) > 700
-    wrong = {}
-    with speaking("de"):
-        for text, german in messages("de").items():
-            values = [f"V{place}" for place in range(text.count("{}"))]
-            told, expected = text, german
-            for place, value in enumerate(values):
-                told = told.replace("{}", value, 1)
-                expected = expected.replace(f"{{{place}}}", value)
-            if tr_message(f"R1: {told}") != f"R1: {expected}":
-                wrong[told] = tr_message(f"R1: {told}")
-    assert wrong == {}
+def test_the_tool_names_what_lacks_german(monkeypatch, tmp_path, capsys):
+    known = tool.read()
+    del known["{}: no such file"]
+    monkeypatch.setattr(tool, "GERMAN", tmp_path / "gis_radar.po")
+    tool.write({**known, "of a text that is gone": "von einem Text, den es nicht mehr gibt"})
+    tool.main()
+    told = capsys.readouterr().out
+    assert ".py: {}: no such file\n" in told
+    assert "1 are gone" in told
+    assert tool.read() == {**known, "{}: no such file": ""}
+
+
+def test_holes_of_a_translation_are_those_of_its_text():
+    for text, german in catalogue("de").items():
+        holes = re.findall(HOLE, text.replace("{{", "").replace("}}", ""))
+        asked = [name or str(place) for place, (name, _) in enumerate(holes)]
+        given = re.findall(HOLE, german)
+        assert sorted(name for name, _ in given) == sorted(asked), text
+        assert sorted(spec for _, spec in given) == sorted(spec for _, spec in holes), text
+
+
+def test_texts_pass_between_processes_and_through_files():
+    inner = Text("{}: {:,} rows", Path("R1.parquet"), np.int64(12_000))
+    error = gr.InputError("{}: {}", "R1", inner, hint=Text("at least {:g}", np.float32(0.5)))
+    back = pickle.loads(pickle.dumps(error))  # noqa: S301 - our own
+    document = {"told": [error.message, "as it is"], "by": {"R1": error.hint}}
+    read = restored(json.loads(json.dumps(with_texts(document))))
+    assert read == document
+    for told in (error.message, back.message, str(back), read["told"][0]):
+        assert told == "R1: R1.parquet: 12,000 rows"
+        assert (told.template, told.values[1].template) == ("{}: {}", "{}: {:,} rows")
+    assert (back.hint.values, read["by"]["R1"].values) == ((0.5,), (0.5,))
+    assert with_texts({"a": "no text"}) == {"a": "no text"}
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [["{} {}", 1], ["{0.__class__}", 1], ["{:999999999}", 1], ["{:{}}", 1, 2], ["{x}", 1], {}, 3],
+)
+def test_what_a_file_claims_to_be_a_text_is_none(entry):
+    """A record may be anybody's: its templates look into nothing and fill no memory."""
+    read = restored({"told": "as it is", "texts": {"as it is": entry}})
+    assert read == {"told": "as it is"}
+    assert not isinstance(read["told"], Text)
+
+
+def test_a_name_before_a_text_is_taken_off():
+    reason = Text("{} frames, at least {} are needed", 3, 20)
+    assert Text("{}: {}", "R1", reason).removeprefix("R1: ") is reason
+    left = Text("{}: {} gives no pose", "R1", "a").removeprefix("R1: ")
+    assert (left, left.template) == ("a gives no pose", "{} gives no pose")
+    assert Text("R1: as it is").removeprefix("R1: ") == "as it is"
 
 
 @pytest.mark.parametrize(
     ("told", "german"),
     [
-        ("a/b: c.parquet: recording without rows", "a/b: c.parquet: Aufzeichnung ohne Zeilen"),
-        ("the scans lie 1.25 m over the map's heights: another vertical datum?",
+        (Text("{}: recording without rows", Path("a/b: c.parquet")),
+         "a/b: c.parquet: Aufzeichnung ohne Zeilen"),
+        (Text("the scans lie {:.2f} m over the map's heights: another vertical datum?", 1.25),
          "die Laserscans liegen 1,25 m über den Höhen der Karte: ein anderes Höhensystem?"),
-        ("R1: no usable frame in the inputs; R2: 3 frames, at least 20 are needed",
+        (Text("; ").join([Text("{}: {}", "R1", Text("no usable frame in the inputs")),
+                       Text("{}: {} frames, at least {} are needed", "R2", 3, 20)]),
          ("R1: kein brauchbarer Messzyklus in den Eingaben; "
           "R2: 3 Messzyklen, nötig sind mindestens 20")),
-        ("clock of R2: their clocks run apart by 12.5%",
+        (Text("clock of {}: {}", "R2", Text("their clocks run apart by {:.1%}", 0.125)),
          "Uhr von R2: ihre Uhren laufen um 12,5\u202f% auseinander"),
+        (Text("{}: {:,} fragmented datagrams are not complete", "a.pcap", 12_000),
+         "a.pcap: 12\u202f000 zerlegte Datagramme sind unvollständig"),
         ("this and that of a library", "this and that of a library"),
+        (Text("{}: {}", "R1", "this and that of a library"), "R1: this and that of a library"),
+        # names of sensors and files are no words of the catalogue
+        (Text("no tile lies in the view of {}", "Map"), "keine Kachel liegt im Sichtfeld von Map"),
     ],
 )  # fmt: skip
 def test_errors_are_german_wherever_they_stand(told, german):
+    assert tr(told) == told
     with speaking("de"):
-        assert tr_message(told) == german
+        assert tr(told) == german
+
+
+@pytest.mark.parametrize(
+    ("variables", "language"),
+    [({}, "en"), ({"LANG": "de_DE.UTF-8"}, "de"), ({"LANG": "fr_FR.UTF-8"}, "en"),
+     ({"LC_MESSAGES": "de_AT", "LANG": "en_US"}, "de"), ({"LC_ALL": "C", "LANG": "de_DE"}, "en"),
+     ({"LANGUAGE": "fr:de:en", "LC_ALL": "en_GB"}, "de"), ({"LANGUAGE": "", "LANG": "de"}, "de"),
+     ({"GIS_RADAR_LANGUAGE": "en", "LANG": "de_DE"}, "en")],
+)  # fmt: skip
+def test_the_terminal_speaks_the_language_of_the_user(monkeypatch, variables, language):
+    for name in ("GIS_RADAR_LANGUAGE", "LANGUAGE", "LC_ALL", "LC_MESSAGES", "LANG"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert users_language() == language
+    assert users_language(chosen_only=True) == "en"
 
 
 @pytest.fixture(scope="module")
@@ -189,52 +235,9 @@ def test_durations(seconds, text):
     assert seconds_text(seconds).replace("\u202f", " ") == text
 
 
-def test_a_finished_sentence_is_known_again_with_its_values():
-    told = "The pose of sensor R2 is in EPSG:25833, the map in EPSG:25832: it is left out."
-    with speaking("de"):
-        german = "Der Standort von Sensor R2 ist in EPSG:25833 angegeben, die Karte in EPSG:25832:"
-        assert tr_message(told).startswith(german)
-        assert tr_message("no sentence of ours") == "no sentence of ours"
-    assert tr_message(told) == told
-
-
-@pytest.mark.parametrize(
-    ("told", "german"),
-    [
-        ("the scan covers 96% of the view of R2: what it does not cover counts as in sight",
-         "der Scan deckt 96 % des Sichtfelds von R2 ab: Was er nicht abdeckt, zählt als einsehbar"),
-        ("R1: frozen: 3 % of the frames repeat the last (in 2 of its hours, first in that from x)",
-         ("R1: eingefroren: 3 % der Messzyklen wiederholen den vorigen (in 2 seiner Stunden, "
-         "zuerst in der ab x)")),
-        (("localize R1: scan check: confirms: 93% of what stands lies on the scan's canopy and "
-          "walls, by chance 19%; most of all 0.1 m and 0.2 deg away"),
-         ("Standort und Ausrichtung suchen: R1: Gegenprobe mit dem Laserscan: bestätigt: 93\u202f% "
-          "dessen, was steht, liegt im Laserscan auf Kronen und Wänden, zufällig wären es "
-          "19\u202f%; am besten passt es 0,1 m und 0,2 Grad entfernt")),
-        ("localize R1, tiles: a.osm: 4 lanelets repaired, see layer problems",
-         ("Standort und Ausrichtung suchen: R1, Kacheln: a.osm: 4 Lanelets ausgebessert, siehe "
-          "Layer „problems“")),
-        ("poses together: R2: alone: no other sensor sees enough of the same vehicles",
-         ("Standorte und Ausrichtungen gemeinsam: R2: allein: kein anderer Sensor sieht genug von "
-          "denselben Fahrzeugen")),
-        ("report: Recorded were 100 s only: a few cycles of a signal, and no usual day",
-         ("Bericht: Aufgezeichnet sind nur 100 s: wenige Umläufe einer Ampel, kein gewöhnlicher "
-          "Tag")),
-        (("a.parquet: 99.9 % of the detections lie within 120 m, but the view of R1 reaches 300 m: "
-         "what lies beyond reads as observed and empty; set max_range_m in [sensor.view]"),
-         ("a.parquet: 99,9 % der Detektionen liegen innerhalb von 120 m, aber das Sichtfeld von R1 "
-         "reicht 300 m weit: Was dahinter liegt, erscheint beobachtet und leer; max_range_m in "
-         "[sensor.view] setzen")),
-    ],
-)  # fmt: skip
-def test_warnings_of_a_run_are_german(told, german):
-    with speaking("de"):
-        assert tr_message(told) == german
-
-
 def test_one_german_word_for_each_word_of_the_data():
     """A frame is a Messzyklus, a detection a Detektion; Messung is neither, nor a recording."""
-    told = {**catalogue("de"), **messages("de")}
+    told = catalogue("de")
     others = re.compile(r"(sensor|map) frame|^frames: ")  # of coordinates; a file
     wrong = [
         (text, german) for text, german in told.items()
@@ -244,29 +247,6 @@ def test_one_german_word_for_each_word_of_the_data():
         or re.search(r"\b[Mm]essung", german)
     ]  # fmt: skip
     assert wrong == []
-
-
-def test_each_stage_of_a_run_has_its_german():
-    tree = ast.parse((PACKAGE / "site" / "plan.py").read_text(encoding="utf-8"))
-    named = [
-        word.value for node in ast.walk(tree) if isinstance(node, ast.Call)
-        and getattr(node.func, "id", "") == "Stage" for word in node.keywords if word.arg == "name"
-    ]  # fmt: skip
-    firsts = [each.values[0] if isinstance(each, ast.JoinedStr) else each for each in named]
-    begins = {each.value.strip() for each in firsts if isinstance(each, ast.Constant)}
-    assert len(begins) > 9
-    with speaking("de"):
-        assert [each for each in begins if stage_words(f"{each} R1") == f"{each} R1"] == []
-        assert [
-            each for each in begins
-            if tr_message(f"{each}: no usable frame in the inputs").startswith(f"{each}:")
-        ] == []  # fmt: skip
-
-
-def test_names_of_sensors_are_no_words_of_the_catalogue():
-    told = "the scan covers 96% of the view of Map: what it does not cover counts as in sight"
-    with speaking("de"):
-        assert "Sichtfelds von Map ab" in tr_message(told)
 
 
 def test_a_language_that_is_none(tmp_path):

@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # Lowest first. A module imports only what stands before it. "gis_radar" is the package's own front,
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
-    errors arrays languages progress processes words
+    texts errors arrays languages progress processes words
     crs grid sample steps spreadsheets leftovers files json_documents geopackage vector_files
     notebooks
     poses

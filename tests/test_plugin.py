@@ -16,12 +16,13 @@ from pathlib import Path
 
 import pytest
 from plugin_words import (
-    CATALOGUES,
     FOLDER,
     errors_with_values_inside,
     project_texts,
     texts,
 )
+
+from gis_radar.languages import catalogue
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="the stand-in for a worker is a script")
@@ -238,36 +239,25 @@ def test_versions_of_one_series_work_together(plugin):
     assert not same_series("0.8.0", "0.7.9")
 
 
-@pytest.mark.parametrize("path", sorted(CATALOGUES.glob("??.json")), ids=lambda p: p.stem)
-def test_a_translation_is_complete(path):
-    known = json.loads(path.read_text(encoding="utf-8"))
-    missing = [text for text in (*texts(), *project_texts()) if text not in known]
-    assert missing == []
+def test_a_translation_is_complete():
+    assert [text for text in (*texts(), *project_texts()) if text not in catalogue("de")] == []
+
+
+@pytest.mark.usefixtures("plugin")
+def test_the_plugin_reads_the_catalogue_of_the_package():
+    from gis_radar_plugin.words import dictionary
+
+    assert dictionary("de") == catalogue("de")
+    assert dictionary("fr") == {}
 
 
 def test_the_page_on_qgis_gives_its_names_in_german():
     page = (ROOT / "docs" / "qgis.md").read_text(encoding="utf-8")
     table = page.split("<!-- names in German -->")[1].split("<!-- end of names in German -->")[0]
     rows = dict(re.findall(r"\| \*([^*]+)\* \| \*([^*]+)\* \|", table))
-    german = json.loads((CATALOGUES / "de.json").read_text(encoding="utf-8"))
+    german = catalogue("de")
     assert len(rows) == 10
     assert rows == {name: german[name] for name in rows}
-
-
-@pytest.mark.parametrize("path", sorted(CATALOGUES.glob("*.json")), ids=lambda p: p.stem)
-def test_a_catalogue_is_well_formed(path):
-    known = json.loads(path.read_text(encoding="utf-8"))
-    assert list(known) == sorted(known)  # so that two who add a text rarely meet
-    holes = re.compile(r"\{(\w*)\}")
-    for text, translated in known.items():
-        asked = [name or str(place) for place, name in enumerate(holes.findall(text))]
-        assert sorted(holes.findall(translated)) == sorted(asked), text
-        assert text.count("\n") == translated.count("\n"), text
-        assert translated.strip(), text
-
-
-def test_german_is_there():
-    assert (CATALOGUES / "de.json").is_file()
 
 
 def test_the_texts_are_found():
@@ -348,8 +338,9 @@ def test_the_zip(tmp_path):
     assert not [name for name in names if re.search(r"__pycache__|\.pyc$|/\.|tests?/", name)]
     for name in ("metadata.txt", "LICENSE", "__init__.py", f"worker/{wheel.name}"):
         assert f"gis_radar_plugin/{name}" in names
+    catalogue_files = ("po.py", "de/LC_MESSAGES/gis_radar.po")
     shared = {name.partition("/resources/")[2] for name in names if "/resources/" in name}
-    assert shared == documents_of_the_plugin() | {"languages/de.json"}
+    assert shared == documents_of_the_plugin() | {f"languages/{name}" for name in catalogue_files}
     fields = dict(line.split("=", 1) for line in metadata.splitlines() if re.match(r"\w+=", line))
     assert fields["version"] == builder.project()["version"]
     assert fields["hasProcessingProvider"] == "yes"

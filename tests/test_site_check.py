@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.cli.console import in_users_language
+from gis_radar.cli.console import JsonConsole, TerminalConsole
 
 ODD_ZONE = (
     "timezone Asia/Tokyo is 8 hours from the sun at the site: "
@@ -172,25 +172,19 @@ def test_short_and_foreign_recordings(place, tmp_path):
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "german"),
-    [
-        ("R1: 30 s in one recording rarely suffice to find its pose, 100 s are a good length",
-         "R1: 30 s in einer Aufzeichnung reichen selten"),
-        ("SITE.toml:7: map.file: /x/y.osm: no such file",
-         "SITE.toml:7: map.file: /x/y.osm: Datei nicht gefunden"),
-        ("R1 and R2 never recorded at the same time", "R1 und R2 haben nie gleichzeitig"),
-        (ODD_ZONE, "Die Zeitzone Asia/Tokyo liegt 8 Stunden neben"),
-        ("nobody knows: this sentence", "nobody knows: this sentence"),
-    ],
-)  # fmt: skip
-def test_messages_in_the_language_of_the_user(monkeypatch, text, german):
-    assert in_users_language(text) == text
+@pytest.mark.parametrize("console", [JsonConsole, TerminalConsole])
+def test_messages_in_the_language_that_is_asked_for(monkeypatch, console):
+    assert console().said("warning") == "warning"
     monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")
-    assert in_users_language(text).startswith(german)
-    assert in_users_language("warning") == "Warnung"
+    assert console().said("warning") == "Warnung"
     monkeypatch.setenv("GIS_RADAR_LANGUAGE", "C")
-    assert in_users_language(text) == text
+    assert console().said("warning") == "warning"
+
+
+def test_programs_get_english_in_any_country(monkeypatch):
+    monkeypatch.setenv("LANGUAGE", "de")
+    assert JsonConsole().said("warning") == "warning"
+    assert TerminalConsole().said("warning") == "Warnung"
 
 
 def test_an_error_of_a_command_in_german(place, monkeypatch):
@@ -198,7 +192,7 @@ def test_an_error_of_a_command_in_german(place, monkeypatch):
     site = place(("690356.0, 5336183.0", "691356.0, 5336183.0"))
     with pytest.raises(gr.InputError) as caught:
         gr.check_site(site)
-    german = in_users_language(caught.value.message)
+    german = TerminalConsole().said(caught.value.message)
     assert german.startswith("R1 steht ")
     assert german.endswith(" m vom nächsten Fahrstreifen der Karte entfernt")
-    assert in_users_language(caught.value.hint).startswith("die Position gilt im")
+    assert TerminalConsole().said(caught.value.hint).startswith("die Position gilt im")

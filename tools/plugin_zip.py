@@ -22,7 +22,12 @@ NAME = "gis_radar_plugin"
 SOURCE = ROOT / "qgis_plugin" / NAME
 KINDS = (".py", ".svg", ".json")
 # Of the package, used by the plugin too.
-SHARED = ("heatmap/ground.qml", "qgis/sheet.qpt", "languages/de.json")
+SHARED = (
+    "heatmap/ground.qml",
+    "qgis/sheet.qpt",
+    "languages/po.py",
+    "languages/de/LC_MESSAGES/gis_radar.po",
+)
 REQUIRED = (
     "name", "qgisMinimumVersion", "description", "about", "version", "author", "email",
     "repository", "tracker",

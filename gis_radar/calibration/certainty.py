@@ -17,6 +17,7 @@ from gis_radar.calibration.state import POSE, SIZE, State, angles_from_turn
 from gis_radar.calibration.traces import Samples
 from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import COMPONENTS, Pose
+from gis_radar.texts import Text
 
 VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
 # Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
@@ -321,7 +322,9 @@ def stated_covariance(pose: Pose) -> Floats:
     covariance = pose.parsed_evidence().covariance
     if covariance is None:
         raise NoAnswerError(
-            f"{pose.sensor}: its pose states no covariance", hint="localize it with --method lane"
+            "{}: its pose states no covariance",
+            pose.sensor,
+            hint=Text("localize it with {} lane", "--method"),
         )
     return covariance
 

@@ -224,10 +224,10 @@ def fine_offset(
         start = values + change
         values, sigma, pairs = _fit(one, other, start, at, ODD_DRIFT_SIGMA, settings)
         if abs(values[1]) > MOST_DRIFT:
-            raise NoAnswerError(f"their clocks run apart by {abs(values[1]):.1%}")
+            raise NoAnswerError("their clocks run apart by {:.1%}", abs(values[1]))
     vehicles = pairs.vehicles
     if not sigma[0] <= settings.max_sigma_s:
-        raise NoAnswerError(f"their common traffic gives the offset only to {sigma[0]:.2g} s")
+        raise NoAnswerError("their common traffic gives the offset only to {:.2g} s", sigma[0])
     if abs(values[0] - rough_s) > MAX_CHANGE_S:
         raise NoAnswerError("their common traffic fits no single offset")
     return ClockOffset(
@@ -245,7 +245,7 @@ def _fit(
     for turn in range(PAIRING_ROUNDS):
         pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)], settings)
         if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
-            raise NoAnswerError(f"only {pairs.vehicles} vehicles are seen by both")
+            raise NoAnswerError("only {} vehicles are seen by both", pairs.vehicles)
         change, sigma = _solve(pairs, values[1], drift_sigma)
         values = values + change
         if turn >= len(gaps_m) and abs(change[0]) < CONVERGED_S:

@@ -39,6 +39,7 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
 from gis_radar.steps import seconds_from_iso
+from gis_radar.texts import Text
 
 # A drift below so many of its sigmas counts as none: over hours it would only carry noise.
 DRIFT_SIGMAS = 3.0
@@ -71,10 +72,10 @@ class SensorClock:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.offset_s) and math.isfinite(self.at)):
-            raise InputError(f"clock offset is {self.offset_s} s, expected a number")
+            raise InputError("clock offset is {} s, expected a number", self.offset_s)
         if not abs(self.drift_ppm) <= MOST_DRIFT_PPM:
             raise InputError(
-                f"clock drift is {self.drift_ppm} ppm, expected at most {MOST_DRIFT_PPM:g}"
+                "clock drift is {} ppm, expected at most {:g}", self.drift_ppm, MOST_DRIFT_PPM
             )
 
     def corrected(self, time: Floats) -> Floats:
@@ -132,12 +133,19 @@ class Clocks:
         lines = {"reference": self.reference}
         for sensor, clock in self.clocks.items():
             if sensor != self.reference:
-                drift = f"drift {clock.drift_ppm:+.0f} ppm" if clock.drift_ppm else "no drift"
-                lines[sensor] = (
-                    f"{clock.offset_s:+.3f} s (sigma {clock.sigma_s:.3f}), {drift} "
-                    f"(sigma {clock.drift_sigma_ppm:.0f} ppm)"
+                drift = (
+                    Text("drift {:+.0f} ppm", clock.drift_ppm)
+                    if clock.drift_ppm
+                    else Text("no drift")
                 )
-        return lines | {sensor: f"no answer: {why}" for sensor, why in self.refused.items()}
+                lines[sensor] = Text(
+                    "{:+.3f} s (sigma {:.3f}), {} (sigma {:.0f} ppm)",
+                    clock.offset_s,
+                    clock.sigma_s,
+                    drift,
+                    clock.drift_sigma_ppm,
+                )
+        return lines | {sensor: Text("no answer: {}", why) for sensor, why in self.refused.items()}
 
     def write(self, path: str | Path) -> Path:
         """Write a file of clocks (JSON), which `measure` corrects times by."""
@@ -173,30 +181,30 @@ def read_clocks(path: str | Path) -> dict[str, SensorClock]:
     InputError
         If it cannot be read, or a clock in it has impossible values.
     """
-    hint = "make one with: gis-radar clocks"
+    hint = Text("make one with: gis-radar clocks")
     record = read_json(path, what="a file of clocks", hint=hint)
     try:
         clocks = dict(record["clocks"])
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a file of clocks", hint=hint) from error
+        raise InputError("{}: not a file of clocks", path, hint=hint) from error
     return {str(sensor): _clock_of(entry, f"{path}: {sensor}") for sensor, entry in clocks.items()}
 
 
 def _clock_of(entry: Any, what: str) -> SensorClock:
     if not isinstance(entry, dict) or "offset_s" not in entry:
-        raise InputError(f"{what}: lacks offset_s")
+        raise InputError("{}: lacks offset_s", what)
     numbers = {name: entry[name] for name in NUMBERS if name in entry}
     for name, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{what}: {name} is {value!r}, expected a number")
+            raise InputError("{}: {} is {}, expected a number", what, name, repr(value))
     drifts = numbers.get("drift_ppm", 0.0) != 0.0
     if drifts and "at" not in entry:
-        raise InputError(f"{what}: has a drift but not the time `at` which its offset holds")
+        raise InputError("{}: has a drift but not the time `at` which its offset holds", what)
     at = seconds_from_iso(str(entry["at"]), what=f"{what}: at") if "at" in entry else 0.0
     try:
         return SensorClock(at=at, **numbers)
     except InputError as error:
-        raise InputError(f"{what}: {error.message}") from error
+        raise InputError("{}: {}", what, error.message) from error
 
 
 def measure_clocks(
@@ -247,17 +255,17 @@ def measure_clocks(
         If no clock can be compared with the reference.
     """
     if len(recordings) != len(poses) or not recordings:
-        raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
+        raise UsageError("{} recordings, but {} poses", len(recordings), len(poses))
     tracks = [as_track(pose) for pose in poses]
     sensors = sorted({track.sensor for track in tracks})  # in whatever order they were given
     if len(sensors) < 2 or (reference or sensors[0]) not in sensors:
-        raise UsageError(
-            f"the poses are of {', '.join(sensors)}: "
-            + ("clocks need two sensors" if len(sensors) < 2 else f"there is no {reference}")
-        )
+        why = Text("clocks need two sensors")
+        if len(sensors) > 1:
+            why = Text("there is no {}", reference)
+        raise UsageError("the poses are of {}: {}", ", ".join(sensors), why)
     crs = metric_crs(tiles.crs, what="tiles")
     for track in tracks:
-        what = f"the pose of {track.sensor}"
+        what = Text("the pose of {}", track.sensor)
         require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
     opened = [as_recording(recording) for recording in recordings]
     seen = _read_all(opened, tracks, LaneMatcher(tiles, settings), reporter)
@@ -266,16 +274,19 @@ def measure_clocks(
     clocks, misfit = adjust_network(edges, reference, DRIFT_SIGMAS)
     refused = {sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in clocks}
     if len(clocks) < 2:
-        why = "; ".join(f"{a} and {b}: {error.message}" for (a, b), error in reasons.items())
+        pairs = reasons.items()
+        why = Text("; ").join((Text("{} and {}: {}", a, b, e.message) for (a, b), e in pairs))
         raise NoAnswerError(
-            f"no clock can be compared with that of {reference}: {why}",
+            "no clock can be compared with that of {}: {}",
+            reference,
+            why,
             hint="sensors must see the same moving traffic; longer recordings help",
         )
     if misfit > settings.contradiction_sigmas:
-        reporter.log(
-            "the offsets of the pairs contradict each other by "
-            f"{misfit:.1f} standard deviations: is a pose wrong?",
-            "warning",
+        reporter.warn(
+            "the offsets of the pairs contradict each other by {:.1f} standard "
+            "deviations: is a pose wrong?",
+            misfit,
         )
     return Clocks(
         reference=reference, clocks=clocks, refused=refused, pairs=edges, settings=settings
@@ -322,7 +333,7 @@ def _reason(sensor: str, reasons: Reasons) -> str:
     mine = {pair: why for pair, why in reasons.items() if sensor in pair}
     pair = max(mine, key=lambda each: not isinstance(mine[each], NoCommonTrafficError))
     other = pair[1] if pair[0] == sensor else pair[0]
-    return f"with {other}: {mine[pair].message}"
+    return Text("with {}: {}", other, mine[pair].message)
 
 
 def adjust_network(

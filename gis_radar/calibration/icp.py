@@ -219,7 +219,7 @@ def by_icp(
     reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + guess_m
     local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
     if len(local) == 0:
-        raise NoAnswerError(f"{problem.name}: no road within {reach_m:.0f} m of the guess")
+        raise NoAnswerError("{}: no road within {:.0f} m of the guess", problem.name, reach_m)
     reporter.progress(STAGE, 2, 3)
     height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
     starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
@@ -227,7 +227,9 @@ def by_icp(
     away = float(np.hypot(*fit.state.position[:2]))
     if away > FARTHEST * guess_m:
         raise NoAnswerError(
-            f"{problem.name}: the registration went {away:.0f} m from the guess",
+            "{}: the registration went {:.0f} m from the guess",
+            problem.name,
+            away,
             hint="guess closer",
         )
     reporter.progress(STAGE, 3, 3)

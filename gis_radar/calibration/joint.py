@@ -38,6 +38,7 @@ from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Level, Reporter
 from gis_radar.scans.scan import read_road, road_crs
+from gis_radar.texts import Text
 
 # Of the recordings of several days, the seconds in which most sensors recorded: 2000 frames.
 COMMON_S = 100.0
@@ -75,12 +76,12 @@ class JointCalibration:
             why if name in why.partition(":")[0].split() else f"{name}: {why}": None
             for name, why in self.refused.items()
         }
-        return NoAnswerError("; ".join(whys), hint="the other sensors have their poses")
+        return NoAnswerError(Text("; ").join(whys), hint="the other sensors have their poses")
 
     def figures(self) -> dict[str, str]:
         """Return a line a sensor."""
         lines = {name: _line(found.pose) for name, found in self.found.items()}
-        return lines | {name: f"no answer: {why}" for name, why in self.refused.items()}
+        return lines | {name: Text("no answer: {}", why) for name, why in self.refused.items()}
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write a pose file for each sensor into a folder, all or none, and return them."""
@@ -229,10 +230,12 @@ def locate_all(
     )  # fmt: skip
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
     if not solved.poses:
-        raise NoAnswerError("; ".join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT)
+        raise NoAnswerError(
+            Text("; ").join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT
+        )
     for name, reason in solved.unmatched.items():
         if name in solved.poses and len(used) > 1:
-            reporter.log(f"{name}: {reason}", "warning")
+            reporter.warn("{}: {}", name, reason)
     placed = {
         name: _with_pose(answers[name][solved.chosen[name]], solved.poses[name])
         for name in used if name in solved.poses
@@ -269,7 +272,7 @@ def _alone(
             refused[recording.stem] = error
     reporter.progress(STAGE, len(recordings), len(recordings) + 1)
     if all(name in refused for name in answers):
-        raise NoAnswerError("; ".join(error.message for error in refused.values()),
+        raise NoAnswerError(Text("; ").join(error.message for error in refused.values()),
                             hint="at least one sensor must have an answer of its own")  # fmt: skip
     return answers, refused
 
@@ -285,7 +288,7 @@ class _Named(Reporter):
         self.reporter.progress(stage, done, total)
 
     def log(self, message: str, level: Level = "info") -> None:
-        self.reporter.log(f"{self.name}: {message}", level)
+        self.reporter.log(Text("{}: {}", self.name, message), level)
 
 
 def _look(
@@ -358,7 +361,7 @@ def adjust_poses(
     lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
     solved = solve_network(stations, lanes, settings)
     for remark in solved.remarks:
-        reporter.log(remark, "warning")
+        reporter.warn(remark)
     unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}
     return replace(solved, unmatched=unmatched)
 
@@ -416,7 +419,9 @@ def _check_counts(
 ) -> None:
     if len(paths) < 2:
         raise UsageError(
-            f"{len(paths)} recording, at least two are needed", hint="leave out --together"
+            "{} recording, at least two are needed",
+            len(paths),
+            hint=Text("leave out {}", "--together"),
         )
     if headings is not None and compasses is not None:
         raise UsageError("both heading and compass are given", hint="give one of them")
@@ -424,13 +429,13 @@ def _check_counts(
     for what, values in given.items():
         if values is not None and len(values) != len(paths):
             raise UsageError(
-                f"{len(paths)} recordings, but {len(values)} {what}", hint="one each, in order"
+                "{} recordings, but {} {}", len(paths), len(values), what, hint="one each, in order"
             )
     names = [path.stem for path in paths]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise UsageError(
-            f"two recordings are of {twice}", hint="sensors are named after their files"
+            "two recordings are of {}", twice, hint="sensors are named after their files"
         )
 
 
@@ -447,13 +452,17 @@ def _line(pose: Pose) -> str:
 def gain_line(pose: Pose) -> str:
     """Return a line of a pose's certainty and of its correspondences, by its evidence."""
     sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
-    after = f"position \u00b1 {np.hypot(sigma['easting'], sigma['northing']):.2f} m"
-    turn = f"yaw \u00b1 {sigma['yaw']:.2f} deg"
+    after = Text("position ± {:.2f} m", np.hypot(sigma["easting"], sigma["northing"]))
+    turn = Text("yaw ± {:.2f} deg", sigma["yaw"])
     if together is None:
-        return f"{after}, {turn}; alone"
+        return Text("{}, {}; alone", after, turn)
     before = {name: value["before"] for name, value in together["gained"].items()}
-    return (
-        f"{after} (alone {np.hypot(before['easting'], before['northing']):.2f}), "
-        f"{turn} (alone {before['yaw']:.2f}); {together['pairs']} vehicles shared with "
-        f"{', '.join(together['sensors'])}"
+    return Text(
+        "{} (alone {:.2f}), {} (alone {:.2f}); {} vehicles shared with {}",
+        after,
+        np.hypot(before["easting"], before["northing"]),
+        turn,
+        before["yaw"],
+        together["pairs"],
+        ", ".join(together["sensors"]),
     )

@@ -11,6 +11,7 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections, Recording
+from gis_radar.texts import Text
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
@@ -209,7 +210,7 @@ def read_lane_detections(
     for batch in recording.read():
         begin_s = float(batch.time[0]) if done == 0 else begin_s
         done += len(batch)
-        reporter.progress(f"{STAGE}: {recording.path.name}", done, recording.rows)
+        reporter.progress(Text("{}: {}", STAGE, recording.path.name), done, recording.rows)
         if batch.time[0] > max(latest_s, begin_s) + after_s:
             break
         keep = np.abs(batch.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2

@@ -28,6 +28,7 @@ from gis_radar.calibration.traces import Samples, link_tracks, thin
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.poses.pose import COMPONENTS
 from gis_radar.progress import Reporter
+from gis_radar.texts import Text
 
 # Squared standard deviations within which two answers are one (99.9 %, 3 components).
 SAME_CHI2 = 16.0
@@ -50,8 +51,11 @@ def by_lanes(
     least = settings.answer.least_tracks
     if samples.tracks < least:
         raise NoAnswerError(
-            f"{problem.name}: {samples.tracks} moving vehicles in {moving.frames} frames, at least "
-            f"{least} are needed",
+            "{}: {} moving vehicles in {} frames, at least {} are needed",
+            problem.name,
+            samples.tracks,
+            moving.frames,
+            least,
             hint="record while traffic flows",
         )
     reporter.progress(STAGE, 1, 5)
@@ -121,13 +125,12 @@ def lanes_around(
     )
     if lanes.scanned < LEAST_SCANNED:
         raise InputError(
-            f"the road's points lie on {lanes.scanned:.0%} of the lanes around the guess",
+            "the road's points lie on {:.0%} of the lanes around the guess",
+            lanes.scanned,
             hint="take the mask of a scan of this place, in the map's coordinate system",
         )
     if not lanes.directed:
-        reporter.log(
-            "most lanes have no direction: the sign of the Doppler does not help", "warning"
-        )
+        reporter.warn("most lanes have no direction: the sign of the Doppler does not help")
     return lanes
 
 
@@ -143,8 +146,10 @@ def _refuse_mirrored(
     z_score = advantage(other.fit, best.fit, part)
     if z_score > settings.clear and other.fit.fitness > settings.least_fitness:
         raise NoAnswerError(
-            f"the recording fits the lanes only when mirrored ({other.fit.fitness:.0%} of the "
-            f"traces, {best.fit.fitness:.0%} as it is)",
+            "the recording fits the lanes only when mirrored ({:.0%} of the traces, "
+            "{:.0%} as it is)",
+            other.fit.fitness,
+            best.fit.fitness,
             hint="the y axis of the sensor frame must point to the left; change the sign of y",
         )
 
@@ -181,8 +186,10 @@ def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> 
         and advantage(answers[0].fit, inside[0].fit, scene.samples) > settings.clear
     ):
         raise NoAnswerError(
-            f"{problem.name}: the fit went {away[0]:.0f} m from the guess, which is too far off",
-            hint=f"guess within {guess_m:.0f} m",
+            "{}: the fit went {:.0f} m from the guess, which is too far off",
+            problem.name,
+            away[0],
+            hint=Text("guess within {:.0f} m", guess_m),
         )
     return inside
 
@@ -191,12 +198,15 @@ def _refuse_unfit(problem: Problem, answer: Hypothesis, settings: LocalizationSe
     guess_m = settings.search.guess_m
     if answer.fit.fitness < settings.answer.least_fitness:
         raise NoAnswerError(
-            f"{problem.name}: no pose within {guess_m:.0f} m of the guess puts the traffic on the "
-            f"lanes; the best one {answer.fit.fitness:.0%} of it",
+            "{}: no pose within {:.0f} m of the guess puts the traffic on the lanes; the "
+            "best one {:.0%} of it",
+            problem.name,
+            guess_m,
+            answer.fit.fitness,
             hint="check the guess, the map, and that the recording's y axis points to the left",
         )
     if not answer.fit.converged:
-        raise NoAnswerError(f"{problem.name}: the fit did not come to rest")
+        raise NoAnswerError("{}: the fit did not come to rest", problem.name)
 
 
 def _one_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
@@ -221,10 +231,16 @@ def _ambiguous(
 ) -> AmbiguousError:
     gap = rival.fit.state.difference(answer.fit.state)
     return AmbiguousError(
-        f"{problem.name}: ambiguous, two poses {float(np.hypot(*gap[:2])):.1f} m and "
-        f"{abs(math.degrees(gap[5])):.1f} deg apart put {answer.fit.fitness:.0%} and "
-        f"{rival.fit.fitness:.0%} of the traffic on lanes",
-        hint="record longer, give a heading, or a scan (--scan): what stands may decide",
+        "{}: ambiguous, two poses {:.1f} m and {:.1f} deg apart put {:.0%} and {:.0%} of "
+        "the traffic on lanes",
+        problem.name,
+        float(np.hypot(*gap[:2])),
+        abs(math.degrees(gap[5])),
+        answer.fit.fitness,
+        rival.fit.fitness,
+        hint=Text(
+            "record longer, give a heading, or a scan ({}): what stands may decide", "--scan"
+        ),
         answers=answers,
     )
 

@@ -118,8 +118,10 @@ def sample_lanes(
     table = lanelets[np.asarray(driven) & close.to_numpy()]
     if table.empty:
         raise NoAnswerError(
-            f"no lane for vehicles within {reach_m:.0f} m of the guess "
-            f"{place[0]:.1f},{place[1]:.1f}",
+            "no lane for vehicles within {:.0f} m of the guess {:.1f},{:.1f}",
+            reach_m,
+            place[0],
+            place[1],
             hint="check the guess, its coordinate system, and that the map is the right one",
         )
     parts = [_sampled(line, LANE_STEP_M) for line in table["centre"]]

@@ -32,6 +32,7 @@ from gis_radar.recordings.recording import open_recording
 from gis_radar.recordings.units import compare_speeds
 from gis_radar.scans.scan import read_road, road_crs
 from gis_radar.sight import Sight, SightScan, SightTiles, find_sight
+from gis_radar.texts import Text
 from gis_radar.tiles.lookup import with_road_heights
 from gis_radar.tiles.tiles import make_tiles
 
@@ -87,17 +88,21 @@ def localize(
         answers, a mirrored recording.
     """
     if method not in METHODS:
-        raise UsageError(f"method is {method!r}, expected one of {', '.join(METHODS)}")
+        raise UsageError("method is {}, expected one of {}", repr(method), ", ".join(METHODS))
     if len(guess) not in {2, 3}:
-        raise UsageError(f"guess has {len(guess)} numbers, expected easting, northing[, height]")
+        raise UsageError("guess has {} numbers, expected easting, northing[, height]", len(guess))
     if not all(math.isfinite(number) for number in guess) or (
         heading is not None and not math.isfinite(heading)
     ):
         raise UsageError("guess and heading must be finite numbers")
     if looks_like_degrees(*guess[:2]):
         raise UsageError(
-            f"guess {guess[0]:g}, {guess[1]:g} looks like degrees",
-            hint="give metres in the CRS of the map; --guess-crs takes another metric one",
+            "guess {:g}, {:g} looks like degrees",
+            guess[0],
+            guess[1],
+            hint=Text(
+                "give metres in the CRS of the map; {} takes another metric one", "--guess-crs"
+            ),
         )
     open_recording(recording).require_elevation("its height, pitch and roll cannot be found")
     traces = settings.traces
@@ -106,7 +111,10 @@ def localize(
     )
     if moving.frames < traces.least_frames:
         raise NoAnswerError(
-            f"{recording}: {moving.frames} frames, at least {traces.least_frames} are needed",
+            "{}: {} frames, at least {} are needed",
+            recording,
+            moving.frames,
+            traces.least_frames,
             hint="record longer: 100 s are a good length",
         )
     problem = Problem(
@@ -133,7 +141,9 @@ def _refuse_units(recording: str | Path, moving: Moving) -> None:
     odd = compare_speeds(moving.time, moving.points, moving.range_rate)
     if odd:
         raise InputError(
-            f"{recording}: no pose follows: {odd}",
+            "{}: no pose follows: {}",
+            recording,
+            odd,
             hint="x, y and z are metres, range_rate is m/s and positive when receding",
         )
 
@@ -259,7 +269,7 @@ def _sight(
     try:
         return find_sight(pose, tiles, SightScan(scans, tiles, scan_crs=scan_crs)), tiles
     except InputError as error:
-        reporter.log(f"the figure does not show what {pose.sensor} sees: {error}", "warning")
+        reporter.warn("the figure does not show what {} sees: {}", pose.sensor, error)
         return None
 
 
@@ -274,7 +284,7 @@ def _first_answer(
         except NoAnswerError as error:
             refusals.append(error)
             if len(recordings) > 1:
-                reporter.log(f"{recording.name} gives no pose: {error.message}")
+                reporter.log(Text("{} gives no pose: {}", recording.name, error.message))
     raise refusals[0]
 
 
@@ -309,7 +319,7 @@ def decided_by_scan(
         confirmed = [a for a in refusal.answers if look_at(recording, a.pose).verdict == "confirms"]
         if len(confirmed) != 1:
             raise
-        reporter.log(f"{refusal.message}; what stands in the scan confirms one of them", "warning")
+        reporter.warn("{}; what stands in the scan confirms one of them", refusal.message)
         return confirmed[0]
 
 

@@ -42,6 +42,7 @@ from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, Recording, as_recording
 from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso, step_of
+from gis_radar.texts import Text
 
 LEAST_CYCLE = 0.5  # a last cycle shorter than that share of one gives no pose
 # Least sigma of a start pose; keeps the covariance regular.
@@ -52,7 +53,7 @@ NOISE_SHARE = 0.3
 
 STAGE = "following the pose"
 SAME_MAP = ("lane", "track")  # methods that share the map's errors with ours
-HINT = "find the pose with gis-radar localize"
+HINT = Text("find the pose with gis-radar localize")
 
 
 def track(
@@ -197,7 +198,7 @@ def _sees(evidence: Evidence, time: float, sensor: str) -> bool:
     """Return whether a pose was found from data after a time."""
     if not evidence.time:
         return True
-    found = seconds_from_iso(evidence.time, what=f"pose of {sensor}: time")
+    found = seconds_from_iso(evidence.time, what=Text("pose of {}: time", sensor))
     return found > time + STEP_S
 
 
@@ -383,10 +384,12 @@ class Follower:
 
     def _warn(self, new: Estimate, move: Floats) -> None:
         when = iso_from_step(int(step_of(np.array(new.time))))
-        self._reporter.log(
-            f"{self._name} was moved by about {np.linalg.norm(move[:3]):.2f} m and "
-            f"{np.degrees(np.linalg.norm(move[3:])):.2f} deg around {when}",
-            "warning",
+        self._reporter.warn(
+            "{} was moved by about {:.2f} m and {:.2f} deg around {}",
+            self._name,
+            np.linalg.norm(move[:3]),
+            np.degrees(np.linalg.norm(move[3:])),
+            when,
         )
 
     def _restart(self, change: Change, time: float) -> None:
@@ -451,29 +454,37 @@ class Follower:
         least = traces.least_frames
         if len(self._window) < least:
             raise NoAnswerError(
-                f"{name}: {len(self._window)} frames, at least {least} are needed",
-                hint=f"record longer: {traces.frames} frames are a good length",
+                "{}: {} frames, at least {} are needed",
+                name,
+                len(self._window),
+                least,
+                hint=Text("record longer: {} frames are a good length", traces.frames),
             )
         if self._seen:
             self._refuse_start(self._seen)
         least = self._settings.localization.answer.least_tracks
         raise NoAnswerError(
-            f"{name}: {self._vehicles} moving vehicles in the window, at least {least} are needed "
-            "to confirm the start pose",
+            "{}: {} moving vehicles in the window, at least {} are needed to confirm the "
+            "start pose",
+            name,
+            self._vehicles,
+            least,
             hint="record while traffic flows",
         )
 
     def _refuse_start(self, seen: WindowFit) -> None:
         if not seen.trusted:
             raise NoAnswerError(
-                f"at the start pose only {seen.fit.fitness:.0%} of the traffic lie on lanes",
+                "at the start pose only {:.0%} of the traffic lie on lanes",
+                seen.fit.fitness,
                 hint=HINT,
             )
         gap: Floats = innovation(self.rows[0].estimate, seen.measurement).gap
         raise NoAnswerError(
-            f"the traffic puts the sensor {np.linalg.norm(gap[:3]):.2f} m and "
-            f"{np.degrees(np.linalg.norm(gap[3:])):.2f} deg from its start pose, more than that "
-            "pose's sigma allows",
+            "the traffic puts the sensor {:.2f} m and {:.2f} deg from its start pose, "
+            "more than that pose's sigma allows",
+            np.linalg.norm(gap[:3]),
+            np.degrees(np.linalg.norm(gap[3:])),
             hint=HINT,
         )
 

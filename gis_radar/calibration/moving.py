@@ -180,7 +180,10 @@ def common_time(recordings: Sequence[Path]) -> float:
     first = min(spans, key=lambda each: each.end)
     if last.begin >= first.end:
         raise InputError(
-            f"{first.path} ends {last.begin - first.end:.0f} s before {last.path} begins",
+            "{} ends {:.0f} s before {} begins",
+            first.path,
+            last.begin - first.end,
+            last.path,
             hint="give recordings of the same time",
         )
     return first.end

@@ -50,6 +50,7 @@ from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import link_tracks
 from gis_radar.poses.pose import Pose
+from gis_radar.texts import Text
 
 # Standard deviations by which vehicles must prefer a lag to another place of the sensor.
 LAG_CLEAR = 2.0
@@ -61,7 +62,7 @@ FIXED_M = 1.0  # a pose less certain along its weakest direction is looked for a
 PAIRING_ROUNDS = 6  # of pairing and fitting; two or three are enough
 
 AT_REST = 1e-4  # a step of the adjustment, metres and radians
-CLASH_HINT = "check both guesses, and the clocks of both sensors: gis-radar clocks"
+CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -418,18 +419,26 @@ class _Network:
 
     def clock_remarks(self, correspondences: Mapping[Names, Correspondences]) -> list[str]:
         """Return which clocks are apart by more than the correspondences take for granted."""
-        remarks = []
+        remarks: list[str] = []
         for pair, matched in correspondences.items():
             one, other = (self.all[name] for name in pair)
             if not (one.free or other.free):
                 continue
             ahead_s = other.lag.offset_s - one.lag.offset_s + self._clock_gap(pair, matched)[0]
             fast = other.lag.rate - one.lag.rate
-            runs = f", and runs {abs(fast):.1%} {'fast' if fast > 0.0 else 'slow'}"
+            runs = Text(
+                ", and runs {:.1%} {}", abs(fast), Text("fast") if fast > 0.0 else Text("slow")
+            )
             remarks.append(
-                f"the clock of {pair[1]} is {abs(ahead_s):.2f} s "
-                f"{'ahead of' if ahead_s > 0.0 else 'behind'} that of {pair[0]}"
-                f"{runs if fast else ''}: the poses allow for it, gis-radar clocks measures it"
+                Text(
+                    "the clock of {} is {:.2f} s {} that of {}{}: the poses allow for it, "
+                    "gis-radar clocks measures it",
+                    pair[1],
+                    abs(ahead_s),
+                    Text("ahead of") if ahead_s > 0.0 else Text("behind"),
+                    pair[0],
+                    runs if fast else "",
+                )
             )
         return remarks
 
@@ -444,10 +453,12 @@ class _Network:
         if mine:
             pair = max(mine, key=lambda each: mine[each])
             other = pair[1] if name == pair[0] else pair[0]
-            return f"{mine[pair]} vehicles shared with {other} confirm its pose, too few to move it"
+            return Text(
+                "{} vehicles shared with {} confirm its pose, too few to move it", mine[pair], other
+            )
         if name in self.unclear and name not in self.placed:
-            return "its vehicles fit those of others in several places"
-        return "no other sensor sees enough of the same vehicles"
+            return Text("its vehicles fit those of others in several places")
+        return Text("no other sensor sees enough of the same vehicles")
 
     def solved(
         self, adjusted: Adjusted, correspondences: Mapping[Names, Correspondences]
@@ -478,9 +489,13 @@ class _Network:
 
 
 def _contradiction(names: Names, vehicles: int, gap_m: float) -> str:
-    return (
-        f"{names[0]} and {names[1]}: their poses contradict each other: {vehicles} vehicles "
-        f"that both see lie {gap_m:.1f} m apart"
+    return Text(
+        "{} and {}: their poses contradict each other: {} vehicles that both see lie "
+        "{:.1f} m apart",
+        names[0],
+        names[1],
+        vehicles,
+        gap_m,
     )
 
 

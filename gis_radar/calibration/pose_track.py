@@ -170,7 +170,9 @@ class Track:
             If there is no such component.
         """
         if component not in COMPONENTS:
-            raise UsageError(f"component is {component!r}, expected one of {', '.join(COMPONENTS)}")
+            raise UsageError(
+                "component is {}, expected one of {}", repr(component), ", ".join(COMPONENTS)
+            )
         ax = axes_or_new(ax, (8.0, 3.5))
         self._draw(component, ax)
         label_times(ax)

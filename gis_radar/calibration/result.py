@@ -194,16 +194,17 @@ class AmbiguousError(NoAnswerError):
 
     Parameters
     ----------
-    message, hint : str
+    template, *values, hint
         As for every error.
     answers : tuple of Localization
         The poses, each as if it were the answer; the best first.
     """
 
     def __init__(  # by the message alone, too: so errors come back from worker processes
-        self, message: str, *, hint: str = "", answers: tuple[Localization, ...] = ()
-    ) -> None:
-        super().__init__(message, hint=hint)
+        self, template: str, /, *values: Any, hint: str = "",
+        answers: tuple[Localization, ...] = (),
+    ) -> None:  # fmt: skip
+        super().__init__(template, *values, hint=hint)
         self.answers = answers
 
 

@@ -34,6 +34,7 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
 from gis_radar.scans.scan import box_with_margin, open_scan
+from gis_radar.texts import Text
 
 COARSE_CELLS = 2  # the search over all headings has cells so many times wider
 # Its step of heading, degrees, and its reach ahead and aside, metres.
@@ -51,7 +52,8 @@ LEAST_REACH_M = 60.0
 MOST_REACH_M = 300.0
 MARGIN_M = 20.0  # scan read beyond that radius: reach of the search (14 m) and of the walls
 
-CONFIRMS, DOUBTS, UNCLEAR = "confirms", "doubts", "nothing to compare"
+CONFIRMS, DOUBTS = Text("confirms"), Text("doubts")
+UNCLEAR = Text("nothing to compare")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +87,7 @@ class PoseOffset:
 
     def words(self) -> str:
         """Return shift and turn as text."""
-        return f"{self.shift_m:.1f} m and {abs(self.turn_deg):.1f} deg away"
+        return Text("{:.1f} m and {:.1f} deg away", self.shift_m, abs(self.turn_deg))
 
     def beyond(self, shift_m: float, turn_deg: float) -> bool:
         """Return whether it is moved or turned so far."""
@@ -366,9 +368,16 @@ def _elsewhere(
 ) -> InputError:
     names = ", ".join(str(scan) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
     return InputError(
-        f"{names}: no point within {reach_m:.0f} m of {what}",
-        hint=f"it stands at {place[0]:.0f} {place[1]:.0f} in {crs.name}; "
-        "take the scan of that place",
+        "{}: no point within {:.0f} m of {}",
+        names,
+        reach_m,
+        what,
+        hint=Text(
+            "it stands at {:.0f} {:.0f} in {}; take the scan of that place",
+            place[0],
+            place[1],
+            crs.name,
+        ),
     )
 
 
@@ -430,7 +439,7 @@ def check_against_scan(
         pose=pose, standing=found, structure=structure, range_m=slow.range_m, settings=settings,
         **compared,
     )  # fmt: skip
-    text = f"scan check: {look.verdict}: {look.reason}"
+    text = Text("scan check: {}: {}", look.verdict, look.reason)
     reporter.log(text, "warning" if look.verdict == DOUBTS else "info")
     return look
 
@@ -442,7 +451,7 @@ def _too_little(
     if len(slow.points) == 0:
         return "the recording has no still detections with an elevation"
     if len(found) < settings.least_cells or found.patches < LEAST_PATCHES:
-        return f"little stands in view: {len(found)} cells in {found.patches} places"
+        return Text("little stands in view: {} cells in {} places", len(found), found.patches)
     if not structure.visible.any():
         return "the scan shows neither canopy nor walls here"
     return ""
@@ -472,15 +481,17 @@ def _verdict(
     alignment: Alignment, best: PoseOffset, rival: PoseOffset | None, chance: float, covered: float
 ) -> tuple[str, str]:
     here, limits = alignment.here, alignment.settings
-    fits = f"{here.score:.0%} of what stands lies on the scan's canopy and walls"
+    fits = Text("{:.0%} of what stands lies on the scan's canopy and walls", here.score)
     elsewhere = best.beyond(SAME_M, SAME_DEG)
     other = best if elsewhere else rival
     if elsewhere and alignment.z_score(best, here) >= limits.better_sigmas:
-        return DOUBTS, f"{fits}, but {best.score:.0%} {best.words()}"
+        return DOUBTS, Text("{}, but {:.0%} {}", fits, best.score, best.words())
     if covered < limits.least_covered:
-        return UNCLEAR, f"the scan covers {covered:.0%} of what stands in view"
+        return UNCLEAR, Text("the scan covers {:.0%} of what stands in view", covered)
     if alignment.over(chance) < limits.better_sigmas:
-        return DOUBTS, f"{fits}, hardly more than by chance ({chance:.0%})"
+        return DOUBTS, Text("{}, hardly more than by chance ({:.0%})", fits, chance)
     if other is not None and (elsewhere or alignment.z_score(best, other) < limits.clear_sigmas):
-        return UNCLEAR, f"{fits}, and {other.score:.0%} {other.words()}: both may be right"
-    return CONFIRMS, f"{fits}, by chance {chance:.0%}; most of all {best.words()}"
+        return UNCLEAR, Text(
+            "{}, and {:.0%} {}: both may be right", fits, other.score, other.words()
+        )
+    return CONFIRMS, Text("{}, by chance {:.0%}; most of all {}", fits, chance, best.words())

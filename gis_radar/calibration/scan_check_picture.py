@@ -17,7 +17,7 @@ from gis_radar.calibration.scan_check import SHIFT_M, ScanCheck
 from gis_radar.calibration.surroundings import Structure
 from gis_radar.grid import CELL_M
 from gis_radar.notebooks import label_map, legend_below, picture_file
-from gis_radar.words import tr, tr_message
+from gis_radar.words import tr
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
@@ -75,8 +75,7 @@ def draw_surroundings(ax: Axes, look: ScanCheck) -> None:
 
 
 def _title(look: ScanCheck) -> str:
-    parts = (tr_message(part) for part in look.reason.split("; "))
-    reason = ";\n".join(fill(part, LINE) for part in parts)
+    reason = ";\n".join(fill(part, LINE) for part in tr(look.reason).split("; "))
     verdict = tr(
         "{sensor}, scan check: {verdict}", sensor=look.pose.sensor, verdict=tr(look.verdict)
     )

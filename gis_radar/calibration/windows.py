@@ -333,8 +333,10 @@ class WindowFitter:
             z_score = advantage(other, first, part.samples)
             if z_score > OTHER_LANE and away_m > OTHER_LANE_M:
                 raise NoAnswerError(
-                    f"{self._problem.name}: the traffic fits clearly better with the sensor "
-                    f"{away_m:.1f} m from its start pose",
+                    "{}: the traffic fits clearly better with the sensor {:.1f} m from "
+                    "its start pose",
+                    self._problem.name,
+                    away_m,
                     hint="find the pose with gis-radar localize",
                 )
 

@@ -20,14 +20,16 @@ import click
 import rich.console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
-from rich.text import Text
+from rich.text import Text as Cell
 
+from gis_radar.cli.usage import told
 from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
 from gis_radar.json_documents import json_text
-from gis_radar.languages import LANGUAGES
+from gis_radar.languages import users_language
 from gis_radar.processes import free_address_space, watch_input
 from gis_radar.progress import LETTERS_OF_AN_ERROR, Level, Reporter, one_line
-from gis_radar.words import speaking, stage_words, tr_message
+from gis_radar.texts import Text
+from gis_radar.words import decimal, speaking, tr
 
 WIDE = 160
 FOR_PROGRAMS = {"settings", "found"}  # constants in effect, what `remarks` repeats: for --json
@@ -63,22 +65,15 @@ class Result:
     rows: Sequence[Mapping[str, Any]] | None = None
 
 
-LANGUAGE = "GIS_RADAR_LANGUAGE"  # of remarks and errors; in QGIS the plugin sets it
-
-
-def in_users_language(text: str) -> str:
-    """Return a remark or an error in the language that the environment names, else in English."""
-    with speaking(_users_language()):
-        return tr_message(text)
-
-
-def _users_language() -> str:
-    language = os.environ.get(LANGUAGE, "en")
-    return language if language in LANGUAGES else "en"
-
-
 class Console(Reporter):
-    """Destination of a command's progress, result and errors."""
+    """Destination of a command's progress, result and errors, in the user's language."""
+
+    language: str
+
+    def said(self, text: str) -> str:
+        """Return a text in the user's language."""
+        with speaking(self.language):
+            return tr(text)
 
     def __enter__(self) -> Self:
         return self
@@ -96,15 +91,18 @@ class Console(Reporter):
 
 
 class JsonConsole(Console):
-    """One JSON object a line on standard output."""
+    """One JSON object a line on standard output: for programs, in English if not asked else."""
+
+    def __init__(self) -> None:
+        self.language = users_language(chosen_only=True)
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
         """Write the progress of a stage."""
-        self._write(event="progress", stage=stage, done=done, total=total)
+        self._write(event="progress", stage=self.said(stage), done=done, total=total)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Write a remark."""
-        text = one_line(in_users_language(message))
+        text = one_line(self.said(message))
         self._write(event="log", level=level, message=text)
 
     def result(self, result: Result) -> None:
@@ -115,8 +113,8 @@ class JsonConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
-        message = one_line(in_users_language(error.message), LETTERS_OF_AN_ERROR)
-        hint = in_users_language(error.hint)
+        message = one_line(self.said(error.message), LETTERS_OF_AN_ERROR)
+        hint = self.said(error.hint)
         self._write(event="error", code=error.exit_code, message=message, hint=hint)
 
     @staticmethod
@@ -131,6 +129,7 @@ class TerminalConsole(Console):
     """Bars and remarks on standard error, the result on standard output."""
 
     def __init__(self) -> None:
+        self.language = users_language()
         self._rich = rich.console.Console(stderr=True)
         self._bars = Progress(
             TextColumn("{task.description}"),
@@ -157,7 +156,7 @@ class TerminalConsole(Console):
         if not self._rich.is_terminal:
             self._tell(stage, done, total)
         if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(stage, total=total)
+            self._tasks[stage] = self._bars.add_task(self.said(stage), total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
         if done == total and len(self._tasks) > MOST_BARS:
             self._bars.update(self._tasks[stage], visible=False)
@@ -169,8 +168,7 @@ class TerminalConsole(Console):
             self._shares[stage] = f" {100 * done // total} %" if total else ""
         if self._shares and monotonic() - self._told_at >= SILENT_S:
             self._told_at = monotonic()
-            with speaking(_users_language()):
-                shares = [f"{stage_words(name)}{each}" for name, each in self._shares.items()]
+            shares = [f"{self.said(name)}{each}" for name, each in self._shares.items()]
             self._shares.clear()  # one that failed or has no end would stay for ever
             text = one_line(", ".join(shares))
             self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -178,12 +176,16 @@ class TerminalConsole(Console):
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
         self._told_at = monotonic()
-        prefix = f"{in_users_language('warning')}: " if level == "warning" else ""
-        text = one_line(in_users_language(message))
+        prefix = f"{self.said('warning')}: " if level == "warning" else ""
+        text = one_line(self.said(message))
         self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)
 
     def result(self, result: Result) -> None:
         """Print the figures as a table, then the outputs."""
+        with speaking(self.language):
+            self._print(result)
+
+    def _print(self, result: Result) -> None:
         out = rich.console.Console()
         table = Table(show_header=False, box=None, pad_edge=False)
         tables = []
@@ -196,21 +198,21 @@ class TerminalConsole(Console):
                 # A number that is cut short is a wrong number: rather a line too long.
                 rich.console.Console(width=max(out.width, WIDE)).print(_grid(name, value))
             else:
-                table.add_row(name.replace("_", " "), Text(_lines(name, value)))
+                table.add_row(_title(name), Cell(_lines(name, value)))
         out.print(table)
         for name, rows in tables:
             out.print(_rows(name, rows))
         if result.rows:
             rich.console.Console(width=max(out.width, WIDE)).print(_answer(result.rows))
         for path in result.outputs:
-            out.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+            out.print(tr("wrote {path}", path=path), markup=False, highlight=False, soft_wrap=True)
         if result.advice:
-            out.print(result.advice, markup=False, highlight=False, soft_wrap=True)
+            out.print(tr(result.advice), markup=False, highlight=False, soft_wrap=True)
 
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
-        hint = f" ({in_users_language(error.hint)})" if error.hint else ""
-        text = f"gis-radar: {one_line(in_users_language(error.message), LETTERS_OF_AN_ERROR)}{hint}"
+        hint = f" ({self.said(error.hint)})" if error.hint else ""
+        text = f"gis-radar: {one_line(self.said(error.message), LETTERS_OF_AN_ERROR)}{hint}"
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -251,14 +253,18 @@ def _lines(name: str, value: Any) -> str:
     return _readable(value)
 
 
+def _title(name: str) -> str:
+    return tr(name.replace("_", " "))
+
+
 def _rows(name: str, rows: list[list[Any]]) -> Table:
     """Return rows below their head as a table that wraps."""
     head, *rest = rows
-    table = Table(box=None, pad_edge=False, title=name.replace("_", " "), title_justify="left")
+    table = Table(box=None, pad_edge=False, title=_title(name), title_justify="left")
     for title in head:
-        table.add_column(Text(str(title)), overflow="fold")  # nothing is cut
+        table.add_column(Cell(str(title)), overflow="fold")  # nothing is cut
     for row in rest:
-        table.add_row(*(Text(_readable(each)) for each in row))
+        table.add_row(*(Cell(_readable(each)) for each in row))
     return table
 
 
@@ -266,11 +272,11 @@ def _answer(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the rows of an answer as a table, whole numbers as they are."""
     table = Table(box=None, pad_edge=False)
     for name in rows[0] if rows else ():
-        table.add_column(Text(name), overflow="fold")
+        table.add_column(Cell(name), overflow="fold")
     for row in rows:
         texts = (_number(each) if isinstance(each, float) else each for each in row.values())
         table.add_row(
-            *(Text("" if each is None else one_line(str(each), sys.maxsize)) for each in texts)
+            *(Cell("" if each is None else one_line(str(each), sys.maxsize)) for each in texts)
         )
     return table
 
@@ -286,30 +292,35 @@ def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
     columns = list(dict.fromkeys(column for row in fullest_first for column in row))
     table = Table(box=None, pad_edge=False)
     for title in (name, *columns):
-        table.add_column(
-            Text(title.replace("_", " ")), justify="left" if title == name else "right"
-        )
+        table.add_column(Cell(_title(title)), justify="left" if title == name else "right")
     for key, row in rows.items():
         cells = [row.get(column, "") for column in columns]
-        texts = [f"{c:.3f}" if isinstance(c, float) else _readable(c) for c in cells]
-        table.add_row(Text(key), *map(Text, texts))
+        texts = [decimal(f"{c:.3f}") if isinstance(c, float) else _cell(c) for c in cells]
+        table.add_row(Cell(key), *map(Cell, texts))
     return table
+
+
+def _cell(value: Any) -> str:
+    """Return a value of a table: a single word is a state, not a name."""
+    return tr(value) if isinstance(value, str) else _readable(value)
 
 
 def _readable(value: Any) -> str:
     if value is None:
-        return "not known"
+        return tr("not known")
     if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.2f}"
+        return decimal(f"{value:.4g}") if abs(value) < 1000 else f"{value:,.2f}"
     if isinstance(value, list | tuple):
         return ", ".join(_readable(item) for item in value)
-    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{value:,}"
+    return tr(value) if isinstance(value, Text) or " " in str(value) else str(value)
 
 
 TRACEBACK = "GIS_RADAR_TRACEBACK"
 """The environment variable that shows the traceback of an error that nobody foresaw."""
 UNFORESEEN = "unforeseen"
-NO_MEMORY = "there is not enough memory"
+NO_MEMORY = Text("there is not enough memory")
 LEAST_FREE_BYTES = 64 << 20  # with 100 MiB the commands work or say so; with 30 GDAL aborts
 # Of the loader, of threads and of LLVM, which raise no MemoryError.
 _NO_MEMORY_TEXTS = (
@@ -345,7 +356,9 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
                     # click takes every broken pipe for standard output's, and stays silent.
                     if not _output_is_open():
                         raise
-                    raise OutputError(f"a program that was started ended early: {error}") from error
+                    raise OutputError(
+                        "a program that was started ended early: {}", error
+                    ) from error
             console.result(result)
             if result.failure is not None:
                 raise result.failure
@@ -385,8 +398,8 @@ def run_group(group: click.Group) -> NoReturn:
             click.echo(error.format_message(), err=True)  # the help of a bare `gis-radar`
             sys.exit(error.exit_code)
         context = getattr(error, "ctx", None)
-        hint = f"try {context.command_path} --help" if context else ""
-        _fail(console, UsageError(error.format_message(), hint=hint))
+        hint = Text("try {} --help", context.command_path) if context else ""
+        _fail(console, UsageError(told(error.format_message(), error.message), hint=hint))
     except GisRadarError as error:
         _fail(console, error)
     except (KeyboardInterrupt, click.Abort):
@@ -406,7 +419,7 @@ def _error_of(error: Exception) -> GisRadarError:
         if not _output_is_open():
             _exit_without_output()
         where = f"{error.filename}: " if error.filename else ""
-        return OutputError(f"{where}{error.strerror or error}")
+        return OutputError("{}{}", where, error.strerror or error)
     if isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY_TEXTS):
         return OutputError(NO_MEMORY, hint="take smaller parts")
     if os.environ.get(TRACEBACK):
@@ -415,8 +428,15 @@ def _error_of(error: Exception) -> GisRadarError:
     for frame, number in traceback.walk_tb(error.__traceback__):
         if frame.f_globals.get("__name__", "").startswith("gis_radar"):
             place, line = frame.f_globals["__name__"], number
-    hint = f"an input may be damaged; please report it, with what {TRACEBACK}=1 prints"
-    text = f"{UNFORESEEN} {type(error).__name__} in {place}, line {line}: {first_line(error)[:200]}"
+    hint = Text("an input may be damaged; please report it, with what {}=1 prints", TRACEBACK)
+    text = Text(
+        "{} {} in {}, line {}: {}",
+        UNFORESEEN,
+        type(error).__name__,
+        place,
+        line,
+        first_line(error)[:200],
+    )
     return GisRadarError(text, hint=hint)
 
 
@@ -424,7 +444,7 @@ def _fail(console: Console, error: GisRadarError) -> NoReturn:
     cause = error.__cause__
     while cause is not None:
         if isinstance(cause, MemoryError):  # which a reader takes for a damaged file
-            error.hint = f"{NO_MEMORY}, or the file claims too much"
+            error.hint = Text("{}, or the file claims too much", NO_MEMORY)
         cause = cause.__cause__
     try:
         console.error(error)

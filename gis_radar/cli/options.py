@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import click
 
 from gis_radar.errors import UsageError
+from gis_radar.texts import Text
 
 FILE = click.Path(path_type=Path)
 Verb = TypeVar("Verb", bound=Callable[..., Any])
@@ -52,7 +53,7 @@ def _numbers(names: str, text: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{text!r} is not {names}: {count} numbers with commas")
+        raise ValueError(Text("{} is not {}: {} numbers with commas", repr(text), names, count))
     return numbers
 
 
@@ -61,7 +62,7 @@ def _position(text: str) -> tuple[float, ...]:
 
     numbers = _numbers("E,N,H" if text.count(",") == 2 else "E,N", text)
     if looks_like_degrees(*numbers[:2]):
-        raise ValueError(f"{text!r} looks like degrees: metres of the map are needed")
+        raise ValueError(Text("{} looks like degrees: metres of the map are needed", repr(text)))
     return numbers
 
 
@@ -72,21 +73,21 @@ def _bearing(text: str) -> float:
     try:
         return bearing_of(text)
     except ValueError:
-        expected = f"neither degrees nor one of {', '.join(WINDS)}"
-        raise ValueError(f"{text!r} is {expected}") from None
+        expected = Text("neither degrees nor one of {}", ", ".join(WINDS))
+        raise ValueError(Text("{} is {}", repr(text), expected)) from None
 
 
 def _words(text: str) -> tuple[str, ...]:
     words = tuple(word.strip() for word in text.split(",") if word.strip())
     if not words:
-        raise ValueError("expected one or more words with commas between them")
+        raise ValueError(Text("expected one or more words with commas between them"))
     return words
 
 
 def _pairs(text: str) -> dict[str, str]:
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
     if not pairs or any(not (name.strip() and stands.strip()) for name, _, stands in pairs):
-        raise ValueError(f"{text!r} is not {PAIRS.name}")
+        raise ValueError(Text("{} is not {}", repr(text), PAIRS.name))
     return {name.strip(): stands.strip() for name, _, stands in pairs}
 
 
@@ -103,16 +104,16 @@ def _cycles(text: str) -> dict[str, float]:
     from gis_radar.steps import CYCLE_HINT, duration_s  # noqa: PLC0415 - NumPy
 
     if text == "auto":
-        raise ValueError(f"'auto' is none: {CYCLE_HINT}")
+        raise ValueError(Text("'auto' is none: {}", CYCLE_HINT))
     cycles: dict[str, float] = {}
     for part in text.split(","):
         sensor, _, time = part.rpartition("=")
         try:
             cycles[sensor.strip()] = duration_s(time)
         except UsageError as error:
-            raise ValueError(f"{part!r}: {error.message}") from error
+            raise ValueError(Text("{}: {}", repr(part), error.message)) from error
         if not sensor.strip():
-            raise ValueError(f"{part!r} names no sensor, expected such as R3=57ms")
+            raise ValueError(Text("{} names no sensor, expected such as R3=57ms", repr(part)))
     return cycles
 
 

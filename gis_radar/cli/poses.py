@@ -25,6 +25,7 @@ from gis_radar.cli.options import (
 from gis_radar.errors import OutputError, UsageError
 from gis_radar.files import refuse_inputs, require_folder
 from gis_radar.progress import Reporter
+from gis_radar.texts import Text
 
 
 @command(
@@ -87,7 +88,7 @@ def localize(
         raise UsageError("both --heading and --compass are given", hint="give one of them")
     if together:
         if figure or options.pop("method") != "lane":
-            raise UsageError("--figure and --method icp are for one sensor")
+            raise UsageError("--figure and {} icp are for one sensor", "--method")
         _check_folder(output, recordings, map_path, road, *scans)
         several = gr.localize_together(
             recordings, map_path, road, guesses=guesses, headings=headings or None,
@@ -99,7 +100,12 @@ def localize(
              "--compass": compasses}  # fmt: skip
     for name, values in given.items():
         if len(values) > 1:
-            raise UsageError(f"{len(values)} times {name}", hint="--together takes several sensors")
+            raise UsageError(
+                "{} times {}",
+                len(values),
+                name,
+                hint=Text("{} takes several sensors", "--together"),
+            )
     _check_outputs(output, figure, *recordings, map_path, road, *scans)
     found = gr.localize_files(
         recordings[0], map_path, road, guess=guesses[0], heading=next(iter(headings), None),
@@ -137,7 +143,7 @@ def track(
 ) -> Result:
     """Follow a sensor's pose through a recording: a corrected pose every 5 s (CSV)."""
     if output.suffix.lower() != ".csv":
-        raise UsageError(f"{output}: a pose track is a CSV file", hint="name it track.csv")
+        raise UsageError("{}: a pose track is a CSV file", output, hint="name it track.csv")
     _check_outputs(output, figure, recording, map_path, road, pose)
     from gis_radar.scans.scan import road_crs  # noqa: PLC0415 - --help needs no NumPy
 
@@ -193,7 +199,7 @@ def sight(
 
     refuse_inputs(output, *poses, tiles_path, *scans, *recordings)
     if not scans:
-        raise UsageError("no scan is given", hint="name one with --scan; see --help")
+        raise UsageError("no scan is given", hint=Text("name one with {}; see --help", "--scan"))
     tracks = [gr.read_track(path) for path in poses]
     figures = see_tiles(
         tracks, tiles_path, output, scans=scans, recordings=recordings, reporter=reporter, **options
@@ -205,7 +211,7 @@ def _check_folder(output: Path, recordings: tuple[Path, ...], *inputs: Path) -> 
     """Refuse a folder for poses that cannot be written, before any work."""
     require_folder(output)
     if output.is_file():
-        raise OutputError(f"{output}: is a file", hint="name a folder for the poses")
+        raise OutputError("{}: is a file", output, hint="name a folder for the poses")
     for recording in recordings:
         refuse_inputs(output / f"{recording.stem}.json", *recordings, *inputs)
 
@@ -217,8 +223,8 @@ def _check_outputs(output: Path, figure: Path | None, *inputs: Path) -> None:
     if figure is None:
         return
     if figure.suffix.lower() != ".png":
-        raise UsageError(f"{figure}: a figure is a PNG file", hint="name it figure.png")
+        raise UsageError("{}: a figure is a PNG file", figure, hint="name it figure.png")
     require_folder(figure)
     if figure.resolve() == output.resolve():
-        raise UsageError(f"{figure}: figure and output are the same file", hint="name two files")
+        raise UsageError("{}: figure and output are the same file", figure, hint="name two files")
     refuse_inputs(figure, *inputs)

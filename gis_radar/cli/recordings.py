@@ -102,7 +102,7 @@ def measure(
         filters={name: options.pop(name) for name in names}, reporter=reporter, **options,
     )  # fmt: skip
     for line in gr.measure_quality(found).warnings():
-        reporter.log(line, "warning")
+        reporter.warn(line)
     return Result(outputs=[output], summary=found.figures())
 
 
@@ -130,7 +130,7 @@ def _seeing(
         raise gr.UsageError(error.message) from error
     own = [pose.view for pose in track.poses if pose.view is not None]
     if any(getattr(each, name) != value for each in own for name, value in given.items()):
-        reporter.log(f"the pose of {track.sensor} has a view, which counts", "warning")
+        reporter.warn("the pose of {} has a view, which counts", track.sensor)
     return track.with_view(view)
 
 

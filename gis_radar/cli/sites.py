@@ -13,6 +13,7 @@ from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, csv_locale, output
 from gis_radar.files import atomic_folder, refuse_inputs
 from gis_radar.progress import Reporter
+from gis_radar.texts import Text
 
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
 
@@ -47,10 +48,9 @@ def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Resu
 
 def _to_open(outputs: list[Path]) -> str:
     """Return what to open of a run, and with what."""
-    pages = [f"{path} in a browser" for path in outputs if path.suffix == ".html"]
-    projects = [f"{path} in QGIS" for path in outputs if path.suffix == ".qgz"]
-    found = [*pages, *projects]
-    return f"open {', or '.join(found)}" if found else ""
+    pages = [Text("open {} in a browser", path) for path in outputs if path.suffix == ".html"]
+    projects = [Text("open {} in QGIS", path) for path in outputs if path.suffix == ".qgz"]
+    return Text("; ").join([*pages, *projects])
 
 
 @command(example="gis-radar check SITE.toml")
@@ -63,7 +63,7 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     found = gr.check_site(site, reporter=reporter)
     return Result(
         outputs=[], summary=found.figures(), timezone=found.site.timezone,
-        advice=f"the site can be run: gis-radar run {site}",
+        advice=Text("the site can be run: gis-radar run {}", site),
     )  # fmt: skip
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
+from gis_radar.texts import Text
+
 CLICK_TEXTS = (
     "Missing argument {}.",
     "Missing option {}.",
@@ -22,3 +26,16 @@ CLICK_TEXTS = (
     "{} is not one of {}.",
 )
 """What click says, with a hole for each value; a test calls for each."""
+
+
+def told(text: str, ours: str = "") -> Text:
+    """Return a sentence of click as a template and its values; another one as it stands.
+
+    `ours` is a text of this package that it may hold.
+    """
+    if isinstance(ours, Text) and text == ours:
+        return ours
+    for template in CLICK_TEXTS:
+        if found := re.fullmatch("(.+)".join(map(re.escape, template.split("{}"))), text):
+            return Text(template, *(told(value, ours) for value in found.groups()))
+    return Text(text)

@@ -108,7 +108,7 @@ def write_answer(schema: pa.Schema, batches: Iterable[pa.RecordBatch], path: Pat
         ".parquet": pq.ParquetWriter,
     }
     if path.suffix.lower() not in kinds:
-        raise UsageError(f"{path}: an answer is written as .csv or .parquet")
+        raise UsageError("{}: an answer is written as .csv or .parquet", path)
     as_read = texts if path.suffix.lower() == ".csv" else plain
     written = as_read(plain(schema.empty_table())).schema
     rows = 0

@@ -120,7 +120,9 @@ class Dataset:
         for record in found.values():
             if record.origin.fingerprint != self.manifest.fingerprint:
                 raise InputError(
-                    f"{self.folder}: {hour_text(record.hour)} was made from other tiles",
+                    "{}: {} was made from other tiles",
+                    self.folder,
+                    hour_text(record.hour),
                     hint=MEASURE_AGAIN,
                 )
         return found
@@ -138,7 +140,7 @@ class Dataset:
         first, after = (self._step(each, what) for each, what in ((begin, "begin"), (end, "end")))
         span = (0 if first is None else first, (_LAST_STEP if after is None else after) - 1)
         if span[0] > span[1]:
-            raise UsageError(f"end {end} is not after begin {begin}")
+            raise UsageError("end {} is not after begin {}", end, begin)
         return span
 
     def batches(
@@ -185,12 +187,12 @@ class Dataset:
             first, last = (rows[name].to_numpy() for name in ("first_step", "last_step"))
             if len(last) and np.max(last - first) > LONGEST_VALID_STEPS:
                 raise InputError(
-                    f"{self.folder}: frames are valid for too long", hint=MEASURE_AGAIN
+                    "{}: frames are valid for too long", self.folder, hint=MEASURE_AGAIN
                 )
             parts.append(union([Runs(first=first, last=last if valid else first)]))
         found = union(parts) if parts else None
         if found is None or not len(found):
-            raise InputError(f"{self.folder}: holds no frame", hint="were the recordings empty?")
+            raise InputError("{}: holds no frame", self.folder, hint="were the recordings empty?")
         return found
 
     def tiles(self) -> gpd.GeoDataFrame:
@@ -393,8 +395,10 @@ class Dataset:
         tiles = read_tiles(self.folder / TILES)
         if (got := fingerprint(tiles)) != self.manifest.fingerprint:
             raise InputError(
-                f"{self.folder / TILES}: has tiles {got}, the dataset is of "
-                f"{self.manifest.fingerprint}",
+                "{}: has tiles {}, the dataset is of {}",
+                self.folder / TILES,
+                got,
+                self.manifest.fingerprint,
                 hint="bring back the file that measure wrote",
             )
         return tiles
@@ -445,9 +449,10 @@ def open_dataset(path: str | Path, *, reporter: Reporter = QUIET) -> Dataset:
     """
     dataset = Dataset(folder=Path(path), manifest=Manifest.read(path))
     if len(methods := dataset.methods) > 1:
-        reporter.log(
-            f"{path}: its hours were made by methods {', '.join(map(str, methods))}, whose "
-            "results do not compare; measure the older hours again",
-            "warning",
+        reporter.warn(
+            "{}: its hours were made by methods {}, whose results do not compare; "
+            "measure the older hours again",
+            path,
+            ", ".join(map(str, methods)),
         )
     return dataset

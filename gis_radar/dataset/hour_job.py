@@ -302,8 +302,12 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
                 for each in (one, other)
             )
             raise InputError(
-                f"{second.recording.path}: {len(same):,} frames of {other.sensor} are those of "
-                f"{one.sensor} in {first.recording.path}",
+                "{}: {:,} frames of {} are those of {} in {}",
+                second.recording.path,
+                len(same),
+                other.sensor,
+                one.sensor,
+                first.recording.path,
                 hint="give each sensor its own recording",
             )
 

@@ -31,13 +31,16 @@ from gis_radar.files import only_writer, output_errors, refuse_foreign, require_
 from gis_radar.measures.hour import HourWindow
 from gis_radar.processes import stop_workers, watch_parent
 from gis_radar.progress import Reporter
+from gis_radar.texts import Text
 
 OWNED = (  # how the names of files begin that a making which was killed may have left
     "map.osm", "tiles.gpkg", "recordings.parquet", "poses.parquet", "sights.parquet", ".",
 )  # fmt: skip
 STAGE = "measuring"
 NOTED_EVERY_S = 2.0  # of a year of many sensors the registry has many rows
-RELINK = "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
+RELINK = Text(
+    "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
+)
 
 
 @contextmanager
@@ -171,8 +174,11 @@ def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
     for record in records:
         if record.dropped:
             raise InputError(
-                f"{folder}: {hour_text(record.hour)} takes no recordings any more: its "
-                f"{record.dropped[0]} were deleted after the time to keep them",
+                "{}: {} takes no recordings any more: its {} were deleted after the time "
+                "to keep them",
+                folder,
+                hour_text(record.hour),
+                record.dropped[0],
                 hint="leave such recordings away, or measure that time into another dataset",
             )
 
@@ -187,12 +193,12 @@ def _require_recordings(
             continue
         path = Path(each.path)
         if not path.is_file():
-            what = "is not there"
+            what = Text("is not there")
         elif digest_of(path) != each.digest:
-            what = "has changed since it was measured"
+            what = Text("has changed since it was measured")
         else:
             continue
-        raise InputError(f"{path}: {what}, and {hour_text(touched[0])} needs it", hint=RELINK)
+        raise InputError("{}: {}, and {} needs it", path, what, hour_text(touched[0]), hint=RELINK)
 
 
 def _check(site: HourSite, hour: int, placings: Sequence[Placing]) -> None:

@@ -15,10 +15,11 @@ from gis_radar.dataset.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.errors import InputError
 from gis_radar.files import output_errors, writing_errors
 from gis_radar.json_documents import read_json
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import write_tiles
 
 MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
-MAKE_ONE = "a folder that gis-radar measure wrote is needed"
+MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
 _OLD = "manifest.json"  # of the folders of version 0.1
 
 
@@ -78,26 +79,30 @@ class Manifest:
         if not path.is_file():
             if (path.parent / _OLD).is_file():
                 raise InputError(
-                    f"{folder}: was made by version 0.1, which knew no datasets",
+                    "{}: was made by version 0.1, which knew no datasets",
+                    folder,
                     hint="measure its recordings again: gis-radar measure",
                 )
-            raise InputError(f"{folder}: is no dataset: lacks {MANIFEST}", hint=MAKE_ONE)
+            raise InputError("{}: is no dataset: lacks {}", folder, MANIFEST, hint=MAKE_ONE)
         document = read_json(path, what="the manifest of a dataset", hint=MAKE_ONE)
         try:
             if document["schema"] > SCHEMA:
                 raise InputError(
-                    f"{folder}: has schema {document['schema']}, newer than {SCHEMA}",
+                    "{}: has schema {}, newer than {}",
+                    folder,
+                    document["schema"],
+                    SCHEMA,
                     hint="update gis_radar",
                 )
             easting, northing = map(int, document["origin"])
             manifest = cls(**{**document, "origin": (easting, northing)})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{path}: damaged: {error!r:.200}", hint=MAKE_ONE) from error
+            raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MAKE_ONE) from error
         for name in ("map", "fingerprint", "crs", "timezone"):
             if not isinstance(getattr(manifest, name), str):
-                raise InputError(f"{path}: damaged: {name} is no text", hint=MAKE_ONE)
+                raise InputError("{}: damaged: {} is no text", path, name, hint=MAKE_ONE)
         if not isinstance(manifest.settings, dict):
-            raise InputError(f"{path}: damaged: settings are none", hint=MAKE_ONE)
+            raise InputError("{}: damaged: settings are none", path, hint=MAKE_ONE)
         return manifest
 
 
@@ -170,6 +175,10 @@ def require_same_site(
     for what, mine, other in pairs:
         if mine != other:
             raise InputError(
-                f"{folder}: was made with another {what}: {mine}, not {other}",
+                "{}: was made with another {}: {}, not {}",
+                folder,
+                what,
+                mine,
+                other,
                 hint="name the dataset's own, or another folder",
             )

@@ -40,6 +40,7 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
 from gis_radar.sight import Sight, SightTiles, describe_sight, open_sight
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint
 from gis_radar.tracking.map_check import map_of_tiles
 
@@ -162,7 +163,7 @@ def measure(
     ['R1']
     """
     if len(recordings) != len(poses) or not recordings:
-        raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
+        raise UsageError("{} recordings, but {} poses", len(recordings), len(poses))
     if map is None and not hits_only:
         raise UsageError("vehicles need the map that the tiles were made from")
     if settings is None:
@@ -233,13 +234,14 @@ def _refuse_clearance(
     if np.isnan(road.height).all():
         raise InputError(
             "the tiles have no road heights, which the clearance filter needs",
-            hint="make the tiles with --road, or from a map with ele",
+            hint=Text("make the tiles with {}, or from a map with ele", "--road"),
         )
     for each in entries:
         if not each.has_elevation:
             raise InputError(
-                f"{each.path}: the sensor measures no elevation (z is empty): a clearance means "
+                "{}: the sensor measures no elevation (z is empty): a clearance means "
                 "nothing for it",
+                each.path,
                 hint="leave the clearance away",
             )
 
@@ -254,10 +256,12 @@ def _each_once(entries: Sequence[RecordingEntry], reporter: Reporter) -> list[Re
         if other is not each:
             if not other.made_alike(each):
                 raise InputError(
-                    f"{each.path}: is given twice for {each.sensor}, with different poses",
+                    "{}: is given twice for {}, with different poses",
+                    each.path,
+                    each.sensor,
                     hint="give it once",
                 )
-            reporter.log(f"{each.path}: is the same as {other.path}: it counts once", "warning")
+            reporter.warn("{}: is the same as {}: it counts once", each.path, other.path)
     return list(known.values())
 
 
@@ -275,10 +279,10 @@ def _lanes(
         reason = error.message
     without = [each.path for each in entries if not each.has_rates]
     if without:
-        reason = f"{without[0]}: has no range rates, by which vehicles are found"
+        reason = Text("{}: has no range rates, by which vehicles are found", without[0])
     if not reason:
         return graph, settings
-    reporter.log(f"{reason}: only hits are measured", "warning")
+    reporter.warn("{}: only hits are measured", reason)
     return None, replace(settings, vehicles=None)
 
 
@@ -329,9 +333,11 @@ def _remark_on_changes(
     known = {each.digest: each for each in before.entries}
     for each in given.entries:
         if (earlier := known.get(each.digest)) is not None and not earlier.made_alike(each):
-            reporter.log(f"{each.path}: is placed or timed otherwise than before: made again")
+            reporter.log(
+                Text("{}: is placed or timed otherwise than before: made again", each.path)
+            )
     if given.manifest.timezone not in {manifest.timezone, "UTC"}:
-        reporter.log(f"the dataset stays in the time zone {manifest.timezone}", "warning")
+        reporter.warn("the dataset stays in the time zone {}", manifest.timezone)
 
 
 def _layers(roads: LaneletMap | None) -> dict[str, gpd.GeoDataFrame]:
@@ -358,7 +364,9 @@ def _require_same(folder: Path, found: Manifest, given: _Given) -> None:
     for name in mine.settings:
         if found.settings.get(name) != mine.settings[name]:
             raise InputError(
-                f"{folder}: was measured with other settings: {name}",
+                "{}: was measured with other settings: {}",
+                folder,
+                name,
                 hint="name the same filters, scans and options, or another folder",
             )
 

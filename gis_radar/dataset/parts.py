@@ -19,11 +19,12 @@ from gis_radar.dataset.tables import SCHEMA, TableSchema
 from gis_radar.errors import InputError, first_line
 from gis_radar.files import output_errors, writing_errors
 from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.texts import Text
 
 STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
 HOURS_PER_DAY = 24
 ROWS_IN_GROUP = 131_072
-MEASURE_AGAIN = "remove its hour's file in hours/ and measure again; the hour is made anew"
+MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")
 Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
 """Arrays by column."""
 
@@ -297,10 +298,10 @@ def opened_part(
     """
     hint = _remedy(table)
     if not path.is_file():
-        hint = "measure again; the hour is made anew" if table.period == "hour" else hint
-        raise InputError(f"{path}: is missing", hint=hint)
+        hint = Text("measure again; the hour is made anew") if table.period == "hour" else hint
+        raise InputError("{}: is missing", path, hint=hint)
     if digest is not None and (size := path.stat().st_size) != digest.size:
-        raise InputError(f"{path}: has {size} bytes, not {digest.size}", hint=hint)
+        raise InputError("{}: has {} bytes, not {}", path, size, digest.size, hint=hint)
     with (
         _damage_as_input_error(path, hint),
         pq.ParquetFile(path, page_checksum_verification=True) as file,
@@ -320,16 +321,16 @@ def _damage_as_input_error(path: Path, hint: str) -> Iterator[None]:
     except InputError:
         raise
     except (pa.ArrowException, OSError, KeyError) as error:
-        raise InputError(f"{path}: damaged: {first_line(error)}", hint=hint) from error
+        raise InputError("{}: damaged: {}", path, first_line(error), hint=hint) from error
 
 
 def _remedy(table: TableSchema) -> str:
     """Return what to do about a damaged file of a table."""
     hint = MEASURE_AGAIN
     if table.period == "day":
-        hint = "remove it: the next run counts that day again"
+        hint = Text("remove it: the next run counts that day again")
     if table.period == "dataset":
-        hint = "bring it back, or measure into a new folder"
+        hint = Text("bring it back, or measure into a new folder")
     return hint
 
 
@@ -338,23 +339,27 @@ def _check_metadata(path: Path, file: pq.ParquetFile, expected: dict[str, str], 
     for name, wanted in expected.items():
         got = found.get(name.encode(), b"").decode(errors="replace")
         if got != wanted:
-            raise InputError(f"{path}: is of {name} {got!r}, not {wanted!r}", hint=hint)
+            raise InputError(
+                "{}: is of {} {}, not {}", path, name, repr(got), repr(wanted), hint=hint
+            )
 
 
 def _check_columns(table: TableSchema, path: Path, file: pq.ParquetFile) -> None:
     schema, hint = file.schema_arrow, _remedy(table)
     for column in table.columns:
         if column.name not in schema.names:
-            raise InputError(f"{path}: lacks the column {column.name}", hint=hint)
+            raise InputError("{}: lacks the column {}", path, column.name, hint=hint)
         if (got := schema.field(column.name).type) != column.type:
-            raise InputError(f"{path}: column {column.name} is {got}, not {column.type}", hint=hint)
+            raise InputError(
+                "{}: column {} is {}, not {}", path, column.name, got, column.type, hint=hint
+            )
         if column.nullable or pa.types.is_nested(column.type):
             continue
         place = schema.names.index(column.name)
         groups = (file.metadata.row_group(each) for each in range(file.num_row_groups))
         known = (group.column(place).statistics for group in groups)
         if any(each is not None and each.null_count for each in known):
-            raise InputError(f"{path}: damaged: a value of {column.name} is missing", hint=hint)
+            raise InputError("{}: damaged: a value of {} is missing", path, column.name, hint=hint)
 
 
 def _check_span(table: TableSchema, path: Path, file: pq.ParquetFile, hour: str) -> None:
@@ -370,4 +375,4 @@ def _check_span(table: TableSchema, path: Path, file: pq.ParquetFile, hour: str)
                 or not known.has_min_max
                 or not begin <= known.min <= known.max < begin + STEPS_PER_HOUR
             ):
-                raise InputError(f"{path}: {name} lies outside its hour", hint=MEASURE_AGAIN)
+                raise InputError("{}: {} lies outside its hour", path, name, hint=MEASURE_AGAIN)

@@ -72,7 +72,7 @@ def run_query(dataset: Source, sql: str, *, timeout_s: float, memory: str) -> It
             _refuse_same_names(answer.schema.names)
             yield answer.schema, work.batches(answer)
     if _states(dataset.folder) != before:
-        raise InputError(f"{dataset.folder}: hours were made again meanwhile", hint="ask again")
+        raise InputError("{}: hours were made again meanwhile", dataset.folder, hint="ask again")
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,8 @@ class _Work:
             is_late = self._end(future)
         if is_late:
             raise UsageError(
-                f"the query was given up after {self.timeout_s:g} s",
+                "the query was given up after {:g} s",
+                self.timeout_s,
                 hint="ask for less, or raise --timeout",
             )
         with _errors_of(self.folder):
@@ -118,13 +119,13 @@ def _connected(memory: str) -> duckdb.DuckDBPyConnection:
     try:
         return duckdb.connect(":memory:", config={**_CONFIG, "memory_limit": memory})
     except duckdb.Error as error:
-        raise UsageError(f"memory is {memory!r}", hint="e.g. 500MB, 2GB") from error
+        raise UsageError("memory is {}", repr(memory), hint="e.g. 500MB, 2GB") from error
 
 
 def _refuse_same_names(names: list[str]) -> None:
     """Refuse an answer with two columns of one name, which no file and no JSON holds."""
     if twice := [name for place, name in enumerate(names) if name in names[:place]]:
-        raise UsageError(f"the query has two columns {twice[0]!r}", hint="name one with AS")
+        raise UsageError("the query has two columns {}", repr(twice[0]), hint="name one with AS")
 
 
 def _lock(asked: duckdb.DuckDBPyConnection, paths: list[Path], timezone: str) -> None:
@@ -159,5 +160,5 @@ def _errors_of(folder: Path) -> Iterator[None]:
                 hint="ask for less, or raise --memory",
             ) from error
         if isinstance(error, duckdb.IOException) or ".parquet" in str(error):
-            raise InputError(f"{folder}: {first_line(error)}", hint=MEASURE_AGAIN) from error
-        raise UsageError(f"the query fails: {first_line(error)}", hint=ASK_ONE) from error
+            raise InputError("{}: {}", folder, first_line(error), hint=MEASURE_AGAIN) from error
+        raise UsageError("the query fails: {}", first_line(error), hint=ASK_ONE) from error

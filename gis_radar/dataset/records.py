@@ -70,12 +70,16 @@ class HourRecord:
         path = part_path(folder, table, self.hour)
         if table.name in self.dropped:
             raise InputError(
-                f"{path}: was deleted after the time to keep exact tables",
+                "{}: was deleted after the time to keep exact tables",
+                path,
                 hint="only tile_counts of that time are left, as they were counted then",
             )
         if table.name not in self.parts:
             raise InputError(
-                f"{folder}: the hour {hour_text(self.hour)} has no {table.name}",
+                "{}: the hour {} has no {}",
+                folder,
+                hour_text(self.hour),
+                table.name,
                 hint="it was measured without vehicles: for hits only, or without range rates",
             )
         metadata = self.origin.metadata(table, self.hour)
@@ -93,7 +97,7 @@ class HourRecord:
         path = part_path(folder, table, self.hour)
         with self.opened(folder, table), path.open("rb") as file:
             if hashlib.file_digest(file, "sha256").hexdigest() != self.parts[table.name].sha256:
-                raise InputError(f"{path}: its bytes have changed", hint=MEASURE_AGAIN)
+                raise InputError("{}: its bytes have changed", path, hint=MEASURE_AGAIN)
 
 
 def record_path(folder: Path, hour: int) -> Path:
@@ -149,7 +153,10 @@ def _read(path: Path) -> HourRecord | None:
     try:
         if document["schema"] > SCHEMA:
             raise InputError(
-                f"{path}: has schema {document['schema']}, newer than {SCHEMA}",
+                "{}: has schema {}, newer than {}",
+                path,
+                document["schema"],
+                SCHEMA,
                 hint="update gis_radar",
             )
         record = HourRecord(
@@ -159,9 +166,11 @@ def _read(path: Path) -> HourRecord | None:
             dropped=tuple(document["dropped"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: damaged: {error!r:.200}", hint=MEASURE_AGAIN) from error
+        raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MEASURE_AGAIN) from error
     if record.hour != _hour_of_path(path):
-        raise InputError(f"{path}: is the record of {hour_text(record.hour)}", hint=MEASURE_AGAIN)
+        raise InputError(
+            "{}: is the record of {}", path, hour_text(record.hour), hint=MEASURE_AGAIN
+        )
     return record
 
 

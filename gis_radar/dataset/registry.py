@@ -30,6 +30,7 @@ from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.recordings.recording import Recording, open_recording
 from gis_radar.steps import STEP_US, iso_from_step, step_of
+from gis_radar.texts import Text
 
 LONGEST_GAP_S = 24 * 3600.0
 """A longer time without frames within a recording is that of a clock that was set."""
@@ -211,7 +212,7 @@ class Registry:
             book = _poses_from(poses, sights, folder)
             book.of(each.pose for each in entries)  # all are there
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{folder}: damaged: {error!r:.200}") from error
+            raise InputError("{}: damaged: {}", folder, f"{error!r:.200}") from error
         entries.sort(key=attrgetter("key"))
         return cls(folder=folder, fingerprint=fingerprint, entries=tuple(entries), poses=book)
 
@@ -308,9 +309,13 @@ def validity_by_sensor(entries: Iterable[RecordingEntry]) -> dict[str, float]:
         other = known.setdefault(each.sensor, each)
         if other.validity_s != each.validity_s:
             raise InputError(
-                f"{each.path}: frames of {each.sensor} are valid for {1000 * each.validity_s:g} "
-                f"ms, those of {other.path} for {1000 * other.validity_s:g} ms",
-                hint="state the same --cycle for all recordings of a sensor, or none",
+                "{}: frames of {} are valid for {:g} ms, those of {} for {:g} ms",
+                each.path,
+                each.sensor,
+                1000 * each.validity_s,
+                other.path,
+                1000 * other.validity_s,
+                hint=Text("state the same {} for all recordings of a sensor, or none", "--cycle"),
             )
     return {sensor: each.validity_s for sensor, each in known.items()}
 
@@ -324,7 +329,11 @@ def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
         Always.
     """
     raise InputError(
-        f"{one.path}: is given for {one.sensor}, and for {other.sensor} as {other.path}",
+        "{}: is given for {}, and for {} as {}",
+        one.path,
+        one.sensor,
+        other.sensor,
+        other.path,
         hint="give each sensor its own recording",
     )
 
@@ -381,7 +390,10 @@ def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
 def _refuse_gap(recording: Recording, last: float, then: float) -> None:
     before, after = (iso_from_step(int(step)) for step in step_of(np.array([last, then])))
     raise InputError(
-        f"{recording.path}: its times jump from {before} to {after}",
+        "{}: its times jump from {} to {}",
+        recording.path,
+        before,
+        after,
         hint="the sensor's clock was set: cut the recording there, or mend its times",
     )
 

@@ -30,6 +30,7 @@ from gis_radar.sight import (
 )
 from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
 from gis_radar.steps import STEP_US, iso_from_step
+from gis_radar.texts import Text
 from gis_radar.tracking.batches import warn_of_poses
 from gis_radar.tracking.settings import VehicleSettings
 
@@ -80,12 +81,12 @@ def remark_on_recordings(
         judged = [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
         report_contradictions(find_contradictions(judged, book.road), reporter)
     if gaps := gap_warning(find_gaps(hits, book.road)):
-        reporter.log(gaps, "warning")
+        reporter.warn(gaps)
     for each in examined:
         for line in _recording_warnings(each, book, settings):
-            reporter.log(line, "warning")
+            reporter.warn(line)
     for line in _time_warnings([each.entry for each in examined]):
-        reporter.log(line, "warning")
+        reporter.warn(line)
 
 
 def remark_on_vehicles(
@@ -93,9 +94,9 @@ def remark_on_vehicles(
 ) -> None:
     """Warn where no vehicle moves, or vehicles drive beside the lanes."""
     if count == 0:
-        reporter.log("no vehicle moves in these recordings: the occupancy is zero", "warning")
+        reporter.warn("no vehicle moves in these recordings: the occupancy is zero")
     for line in warn_of_poses(on_lanes, settings.batches):
-        reporter.log(line, "warning")
+        reporter.warn(line)
 
 
 def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> list[MovingHits]:
@@ -123,37 +124,60 @@ def _recording_warnings(each: Examined, book: ViewBook, settings: HitSettings) -
     reached_m, cycle_us = ranges.reached_m(settings.range_share), evidence.times.cycle_us
     view = each.source.track.poses[0].view or View()
     if evidence.hits == 0:
-        yield (
-            f"{file}: no detection of {sensor} lies on a tile: all reads as observed and "
-            "empty; do pose, tiles and filters fit the recording, and are its positions metres?"
+        yield Text(
+            "{}: no detection of {} lies on a tile: all reads as observed and empty; do "
+            "pose, tiles and filters fit the recording, and are its positions metres?",
+            file,
+            sensor,
         )
+    limit = Text("the view's max_range_m or {}", "--max-range")
     if 0 < reached_m < settings.reach_share * view.max_range_m:
-        yield (
-            f"{file}: {100 * settings.range_share:g} % of the detections lie within "
-            f"{reached_m:.0f} m, but the view of {sensor} reaches {view.max_range_m:g} m: what "
-            "lies beyond reads as observed and empty; set the view's max_range_m or --max-range"
+        yield Text(
+            "{}: {:g} % of the detections lie within {:.0f} m, but the view of {} "
+            "reaches {:g} m: what lies beyond reads as observed and empty; set {}",
+            file,
+            100 * settings.range_share,
+            reached_m,
+            sensor,
+            view.max_range_m,
+            limit,
         )
     if odd := odd_speeds(each.source.recording):
-        yield f"{file}: {odd}; vehicles and poses need metres and m/s, positive when receding"
+        yield Text(
+            "{}: {}; vehicles and poses need metres and m/s, positive when receding", file, odd
+        )
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
     if settings.slow_cycle * valid_us < cycle_us < np.inf:
         cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - valid_us / cycle_us)
-        yield (
-            f"{file}: {sensor} delivers every {cycle_ms} ms, and a frame is valid for "
-            f"{1000 * validity_s:g} ms: {empty:.0f} % of the 50 ms steps read as not observed "
-            f"by it; --cycle {sensor}={cycle_ms}ms makes a frame valid for its whole cycle"
+        stated = Text("--cycle {}={}ms", sensor, cycle_ms)
+        yield Text(
+            "{}: {} delivers every {} ms, and a frame is valid for {:g} ms: {:.0f} % of "
+            "the 50 ms steps read as not observed by it; {} makes a frame valid for its "
+            "whole cycle",
+            file,
+            sensor,
+            cycle_ms,
+            1000 * validity_s,
+            empty,
+            stated,
         )
     if evidence.level:
         heights = sorted({f"{book.road_m[sensor, name]:.1f}" for name in each.source.views})
-        yield (
-            f"{file}: {sensor} measures no elevation: its detections are placed at the height "
-            f"of the road near it ({', '.join(heights)} m)"
+        yield Text(
+            "{}: {} measures no elevation: its detections are placed at the height of "
+            "the road near it ({} m)",
+            file,
+            sensor,
+            ", ".join(heights),
         )
     if each.entry.first_time < settings.clock_set_s:
         begin = iso_from_step(evidence.times.first_us // STEP_US)
-        yield (
-            f"{file}: times begin at {begin}: the clock of {sensor} may count since it was "
-            "switched on; gis-radar clocks finds its offset"
+        yield Text(
+            "{}: times begin at {}: the clock of {} may count since it was switched on; "
+            "gis-radar clocks finds its offset",
+            file,
+            begin,
+            sensor,
         )
 
 
@@ -171,8 +195,11 @@ def _time_warnings(entries: Sequence[RecordingEntry]) -> Iterator[str]:
     }
     for (one, (begin_s, end_s)), (other, (first_s, last_s)) in combinations(whole.items(), 2):
         if (apart_s := max(first_s - end_s, begin_s - last_s)) > 0:
-            yield (
-                f"{one} and {other} have no time in common: {apart_s:,.0f} s lie between "
-                "them; if they were recorded together, a clock is off: gis-radar clocks finds by "
-                "how much"
+            yield Text(
+                "{} and {} have no time in common: {:,.0f} s lie between them; if they "
+                "were recorded together, a clock is off: gis-radar clocks finds by how "
+                "much",
+                one,
+                other,
+                apart_s,
             )

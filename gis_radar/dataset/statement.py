@@ -10,10 +10,11 @@ import duckdb
 
 from gis_radar.dataset.tables import TABLES
 from gis_radar.errors import UsageError, first_line
+from gis_radar.texts import Text
 
 LAYERS = ("tiles", "lanes", "stop_lines")
 ASKABLE = (*TABLES, *LAYERS)
-ASK_ONE = f"ask one SELECT of the tables {', '.join(ASKABLE)}"
+ASK_ONE = Text("ask one SELECT of the tables {}", ", ".join(ASKABLE))
 # Whatever else stands in a tree may write: DuckDB takes COPY in a WITH, to any file it may read.
 _NODES = {"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"}
 _TABLE_FUNCTIONS = {"range", "generate_series", "unnest"}
@@ -44,7 +45,7 @@ def tables_of(asked: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
         if kind == "BASE_TABLE" and name in ASKABLE:
             found.add(name)
         elif (kind == "BASE_TABLE" and name not in own) or (kind == "SHOW_REF" and name):
-            raise UsageError(f"the query names {name!r}, which is no table here", hint=ASK_ONE)
+            raise UsageError("the query names {}, which is no table here", repr(name), hint=ASK_ONE)
     return found
 
 
@@ -53,13 +54,13 @@ def _tree(asked: duckdb.DuckDBPyConnection, sql: str) -> Any:
         ((answer,),) = asked.execute("SELECT json_serialize_sql(?)", [sql]).fetchall()
         tree = json.loads(answer)
     except (duckdb.Error, ValueError, RecursionError) as error:
-        raise UsageError(f"the query cannot be read: {first_line(error)}", hint=ASK_ONE) from error
+        raise UsageError("the query cannot be read: {}", first_line(error), hint=ASK_ONE) from error
     if tree.get("error_type") == "not implemented":
         raise UsageError("the query is no SELECT", hint=ASK_ONE)
     if tree["error"]:
-        raise UsageError(f"the query cannot be read: {tree['error_message']}", hint=ASK_ONE)
+        raise UsageError("the query cannot be read: {}", tree["error_message"], hint=ASK_ONE)
     if (count := len(tree["statements"])) != 1:
-        raise UsageError(f"the query has {count} statements, one is needed", hint=ASK_ONE)
+        raise UsageError("the query has {} statements, one is needed", count, hint=ASK_ONE)
     return tree
 
 
@@ -80,10 +81,10 @@ def _refuse_odd(node: dict[str, Any]) -> None:
     kind, function = str(node.get("type")), node.get("function")
     if kind.endswith("_NODE") and kind not in _NODES:
         what = kind.partition("_")[0]
-        raise UsageError(f"the query holds {what}, which could write", hint=ASK_ONE)
+        raise UsageError("the query holds {}, which could write", what, hint=ASK_ONE)
     called = function.get("function_name") if isinstance(function, dict) else None
     name = node.get("function_name")
     if (kind == "TABLE_FUNCTION" and called not in _TABLE_FUNCTIONS) or name in _NO_FUNCTIONS:
         raise UsageError(
-            f"the query calls {called or name}, which reaches out of the tables", hint=ASK_ONE
+            "the query calls {}, which reaches out of the tables", called or name, hint=ASK_ONE
         )

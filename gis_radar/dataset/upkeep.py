@@ -21,6 +21,7 @@ from gis_radar.errors import InputError
 from gis_radar.lanelets.graph import lane_graph
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import FORMATS
+from gis_radar.texts import Text
 from gis_radar.tracking.map_check import map_of_tiles
 
 
@@ -55,7 +56,7 @@ def withdraw(
     try:
         settings = MeasureSettings.from_dict(dataset.manifest.settings)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / MANIFEST}: damaged: {error!r:.200}") from error
+        raise InputError("{}: damaged: {}", folder / MANIFEST, f"{error!r:.200}") from error
     with writing(folder, reporter):
         before = Registry.read(folder, dataset.manifest.fingerprint)
         gone = [_named(before, each) for each in recordings]
@@ -99,7 +100,7 @@ def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET
     """
     folder = Path(folder)
     if not Path(search).is_dir():
-        raise InputError(f"{search}: is no folder", hint="name one to look for recordings in")
+        raise InputError("{}: is no folder", search, hint="name one to look for recordings in")
     dataset = open_dataset(folder, reporter=reporter)
     with writing(folder, reporter):
         registry = Registry.read(folder, dataset.manifest.fingerprint)
@@ -118,7 +119,7 @@ def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET
         replace(registry, entries=entries).write_recordings()
     for digest, entry in lost.items():
         if digest not in found:
-            reporter.log(f"{entry.path}: is not in {search}", "warning")
+            reporter.warn("{}: is not in {}", entry.path, search)
     return len(found)
 
 
@@ -136,4 +137,6 @@ def _named(registry: Registry, recording: str | Path) -> RecordingEntry:
         return same[0]
     names = ", ".join(each.path for each in same or registry.entries)
     what = "has no recording" if not same else "has several recordings"
-    raise InputError(f"{registry.folder}: {what} {recording}", hint=f"name one of {names}")
+    raise InputError(
+        "{}: {} {}", registry.folder, what, recording, hint=Text("name one of {}", names)
+    )

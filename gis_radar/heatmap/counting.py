@@ -34,6 +34,7 @@ from gis_radar.heatmap.occupancy import (
 from gis_radar.measures.validity import Runs
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US, STEPS_PER_SECOND, Clock, iso_from_step, zone_of
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import own_columns
 
 DEFINITIONS = {
@@ -186,7 +187,7 @@ class Tally:
             exact = not _of_quarters(cut, steps)
             over = _sums(dataset, ids[seen], cut, reporter, of_quarters=not exact)
         if not sums["hit_steps"].any():
-            reporter.log("no tile was hit while it was observed: the map shows zeros", "warning")
+            reporter.warn("no tile was hit while it was observed: the map shows zeros")
         return cls(
             tiles=tiles if chosen is None else tiles.iloc[chosen].reset_index(drop=True),
             fingerprint=dataset.manifest.fingerprint,
@@ -294,7 +295,7 @@ class Tally:
         if measure == "occupancy" and known is not None:
             return known.occupancy
         if measure not in self.further:
-            raise UsageError(f"the heat map has no {measure}")
+            raise UsageError("the heat map has no {}", measure)
         asked = self.chosen(interval)
         rows = slice(asked) if asked is None else asked
         part, whole = (
@@ -411,7 +412,7 @@ def positions(tile_ids: Integers, wanted: Integers) -> Integers:
     known = position < len(tile_ids)
     known[known] = tile_ids[position[known]] == wanted[known]
     if not known.all():
-        raise InputError(f"the dataset names tile {wanted[~known][0]}, which its tiles lack")
+        raise InputError("the dataset names tile {}, which its tiles lack", wanted[~known][0])
     return position
 
 
@@ -422,7 +423,9 @@ SHARES = TILE_COUNTS.shares
 def _require_share(name: str) -> None:
     """Refuse a column that is no share of another one."""
     if name not in SHARES:
-        raise UsageError(f"no map shows {name!r}", hint=f"choose one of {', '.join(SHARES)}")
+        raise UsageError(
+            "no map shows {}", repr(name), hint=Text("choose one of {}", ", ".join(SHARES))
+        )
 
 
 def _sums(

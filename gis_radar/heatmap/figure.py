@@ -445,6 +445,7 @@ def show_in_browser(
         return tiles[[*popup, name, "geometry"]].round(4).explore(**chosen | options)
     except ImportError as error:
         raise InputError(
-            f"explore needs folium and mapclassify: {error.name or 'one'} is missing",
+            "explore needs folium and mapclassify: {} is missing",
+            error.name or "one",
             hint=NOTEBOOKS,
         ) from error

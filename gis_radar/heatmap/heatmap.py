@@ -39,6 +39,7 @@ from gis_radar.measures.validity import Runs
 from gis_radar.notebooks import card, small_picture
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US, iso_from_step, step_at, zone_of
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 MOST_MIB = 1024.0  # of a cube
 LANELET, START = "lanelet of the tile", "start of the tile along its lanelet"
 CELL_BYTES = 7 * 4 + 4  # of a tile and interval: seven numbers, and the count they come from
-NO_OCCUPANCY = "occupancy is missing: no vehicles were measured; the map shows the hit share"
+NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # A report of it may stand there; it goes when the heat map does.
 OWNED = (
@@ -160,7 +161,8 @@ class HeatMap(Tally):
         folder = Path(folder)
         if fingerprint(self.tiles) != self.fingerprint:
             raise UsageError(
-                f"{folder}: a heat map of some tiles is not written",
+                "{}: a heat map of some tiles is not written",
+                folder,
                 hint="make it without tile_ids; wide() and long() give its tables",
             )
         writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
@@ -290,11 +292,11 @@ def _within(runs: Runs, first: int | None, after: int | None) -> Runs:
     high = int(runs.last[-1]) + 1 if after is None else after
     if not low < high:
         begin, end = (iso_from_step(step) for step in (low, high))
-        raise UsageError(f"begin and end are {begin} and {end}, expected ascending times")
+        raise UsageError("begin and end are {} and {}, expected ascending times", begin, end)
     inside = runs.within(low, high - 1)
     if len(inside) == 0:
         begin, end = (iso_from_step(step) for step in (low, high))
-        raise InputError(f"no sensor delivered a frame from {begin} to {end}")
+        raise InputError("no sensor delivered a frame from {} to {}", begin, end)
     return inside
 
 
@@ -341,7 +343,11 @@ def require_room(tiles: int, intervals: int, most_mib: float) -> None:
     mib = tiles * intervals * CELL_BYTES / 2**20
     if mib > most_mib:
         raise UsageError(
-            f"{tiles} tiles in {intervals} intervals take {mib:.0f} MiB, over {most_mib:g} MiB",
+            "{} tiles in {} intervals take {:.0f} MiB, over {:g} MiB",
+            tiles,
+            intervals,
+            mib,
+            most_mib,
             hint="take a longer interval, fewer tiles (tile_ids), a part of the time (begin, end), "
             "or raise most_mib",
         )
@@ -374,5 +380,5 @@ def _chosen(all_ids: Integers, tile_ids: ArrayLike) -> Integers:
     if len(wanted) == 0:
         raise UsageError("tile_ids names no tile")
     if unknown := np.setdiff1d(wanted, all_ids).tolist():
-        raise InputError(f"tile_ids names tile {unknown[0]}, which the tiles lack")
+        raise InputError("tile_ids names tile {}, which the tiles lack", unknown[0])
     return positions(all_ids, wanted)

@@ -28,6 +28,7 @@ from gis_radar.steps import (
     step_of,
     zone_of,
 )
+from gis_radar.texts import Text
 from gis_radar.words import known_language
 
 
@@ -192,12 +193,14 @@ def intervals_at(
     if not isinstance(interval, str | datetime | np.datetime64):
         number, count = index(interval), len(timeline)
         if not -count <= number < count:
-            raise UsageError(f"interval {number} of {count}", hint=f"from 0 to {count - 1}")
+            raise UsageError(
+                "interval {} of {}", number, count, hint=Text("from 0 to {}", count - 1)
+            )
         return number
     moment = moment_in(interval, zone, what="interval")
     found = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
     if found < 0:
-        raise _none_there(timeline, zone, f"no interval holds {moment.astimezone(zone)}")
+        raise _none_there(timeline, zone, Text("no interval holds {}", moment.astimezone(zone)))
     return found
 
 
@@ -216,13 +219,13 @@ def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
         last = int(np.searchsorted(timeline.end, step, side="right"))
     if first >= last:
         since, until = (each.astimezone(zone) if each else "..." for each in (low, high))
-        raise _none_there(timeline, zone, f"no interval lies between {since} and {until}")
+        raise _none_there(timeline, zone, Text("no interval lies between {} and {}", since, until))
     return slice(first, last)
 
 
 def _none_there(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
     first, last = (each.astimezone(zone) for each in (timeline.span(0)[0], timeline.span(-1)[1]))
-    return UsageError(what, hint=f"they go from {first} to {last} ({zone})")
+    return UsageError(what, hint=Text("they go from {} to {} ({})", first, last, zone))
 
 
 QUARTER = 900 * STEPS_PER_SECOND
@@ -298,8 +301,10 @@ def whole_of(runs: Runs, at: str | None) -> Timeline:
         nearest = runs.nearest(first)
         if nearest != first:
             raise InputError(
-                f"no sensor delivered a frame at {at}, in the step from {iso_from_step(first)}",
-                hint=f"the nearest step with a frame begins at {iso_from_step(nearest)}",
+                "no sensor delivered a frame at {}, in the step from {}",
+                at,
+                iso_from_step(first),
+                hint=Text("the nearest step with a frame begins at {}", iso_from_step(nearest)),
             )
     return Timeline(begin=np.array([first]), end=np.array([last + 1]))
 
@@ -330,14 +335,18 @@ def intervals_of(
         filled = len(local)
     if filled * tiles > SETTINGS.most_rows:
         raise UsageError(
-            f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
+            "{} intervals of {} for {} tiles are more than a heat map can hold",
+            filled,
+            interval,
+            tiles,
             hint="use a longer interval",
         )
-    note = f"only the {filled} intervals in which a sensor delivered a frame are kept"
+    note = Text("only the {} intervals in which a sensor delivered a frame are kept", filled)
     if filled > SETTINGS.most_columns:
-        note += (
-            f"; more than {SETTINGS.most_columns}, so they are rows of by_interval, "
-            "not columns and bands"
+        note = Text(
+            "{}; more than {}, so they are rows of by_interval, not columns and bands",
+            note,
+            SETTINGS.most_columns,
         )
     reporter.log(note)
     return aligned_with(runs, steps) if zone is None or follows_utc(steps) else local

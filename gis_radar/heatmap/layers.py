@@ -48,6 +48,7 @@ from gis_radar.heatmap.wide_table import (
 )
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_of
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import COLUMNS, FIELDS, LANE, fingerprint, own_columns
 
 FILE = "heatmap.gpkg"
@@ -214,7 +215,7 @@ def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
     }  # fmt: skip
 
 
-_HINT = "make one with: gis-radar heatmap"
+_HINT = Text("make one with: gis-radar heatmap")
 
 
 def read_package(path: Path) -> dict[str, Any]:
@@ -272,7 +273,7 @@ def _labels_of(text: str, path: Path) -> MapLabels:
     try:
         return MapLabels(**json.loads(text))
     except (TypeError, ValueError, UsageError) as error:
-        raise InputError(f"{path}: its labels cannot be read: {error}", hint=_HINT) from error
+        raise InputError("{}: its labels cannot be read: {}", path, error, hint=_HINT) from error
 
 
 def _occupancy_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Occupancy | None:
@@ -293,15 +294,17 @@ def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -
     missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
     if missing or not isinstance(tiles, gpd.GeoDataFrame):
         lacking = ", ".join(missing) or "geometry"
-        raise InputError(f"{path}: lacks {lacking}", hint="make it again")
+        raise InputError("{}: lacks {}", path, lacking, hint="make it again")
     if fingerprint(tiles) != notes["fingerprint"]:
-        raise InputError(f"{path}: its tiles were changed since it was made", hint="make it again")
+        raise InputError("{}: its tiles were changed since it was made", path, hint="make it again")
     begin, end = (_steps_of([notes[name]], path) for name in ("begin", "end"))
     return Timeline(begin=begin, end=end)
 
 
 def _steps_of(times: list[str], path: Path) -> Integers:
-    return step_of(np.array([seconds_from_iso(each, what=f"{path}: time") for each in times]))
+    return step_of(
+        np.array([seconds_from_iso(each, what=Text("{}: time", path)) for each in times])
+    )
 
 
 def _read_counts(path: Path, tile_ids: Integers, intervals: int, names: list[str]) -> Counted:
@@ -323,5 +326,7 @@ def _read_counts(path: Path, tile_ids: Integers, intervals: int, names: list[str
                 read = batch[name].to_numpy(zero_copy_only=False)
                 values[place] = read if name == ERROR else np.nan_to_num(read)
     if done != rows or not rows:
-        raise InputError(f"{path}: {STEPS} is damaged: not one row a tile and interval", hint=_HINT)
+        raise InputError(
+            "{}: {} is damaged: not one row a tile and interval", path, STEPS, hint=_HINT
+        )
     return {name: values.reshape(intervals, len(tile_ids)) for name, values in counts.items()}

@@ -208,8 +208,9 @@ def _check_crs(path: Path) -> None:
     with rasterio.open(path) as raster:
         if raster.crs is None or not raster.crs.is_projected:
             raise OutputError(
-                f"{path.name}: its coordinate system cannot be written, because the environment "
+                "{}: its coordinate system cannot be written, because the environment "
                 "points to a PROJ database of another version",
+                path.name,
                 hint="unset PROJ_DATA and PROJ_LIB",
             )
 

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.texts import Text
 
 
 class CannotMendError(Exception):
@@ -162,7 +163,7 @@ def sound_rungs(left: Floats, right: Floats, slice_m: float) -> tuple[Floats, Fl
         pair = rungs(left, right, n)
         if sound(*pair).all():
             return pair
-    raise CannotMendError("it cannot be cut into sound tiles")
+    raise CannotMendError(Text("it cannot be cut into sound tiles"))
 
 
 def _growing(n: int, most: int) -> Iterator[int]:

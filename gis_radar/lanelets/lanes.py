@@ -199,9 +199,8 @@ def lanes(
     number = {ref: min(chain) for chain in chains for ref in chain}
     after = _lanelets_after(table)
     if len(table) > 1 and not any(after.values()):
-        reporter.log(
+        reporter.warn(
             "no lanelet of the map follows another: each is a lane of its own, without turns",
-            "warning",
         )
     lines = [_centre_line([table.at[ref, "centre"] for ref in chain]) for chain in chains]
     turns = _lane_turns(chains, table, after)

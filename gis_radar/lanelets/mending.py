@@ -25,6 +25,7 @@ from gis_radar.lanelets.bounds import (
     turn,
     without_repeats,
 )
+from gis_radar.texts import Text
 
 NO_WIDTH_M = 0.01  # maps are drawn to centimetres
 NO_LENGTH_M = 0.01  # as NO_WIDTH_M
@@ -87,7 +88,7 @@ def mend(left: Floats, right: Floats) -> Mended:
     left, right = _without_fold_backs(left, right, repairs)
     _require_extent(left, right)
     if not is_sound(left, right):
-        raise CannotMendError("its outline crosses itself and cannot be mended")
+        raise CannotMendError(Text("its outline crosses itself and cannot be mended"))
     return Mended(left=left, right=right, repairs=tuple(repairs))
 
 
@@ -115,13 +116,15 @@ def is_sound(left: Floats, right: Floats) -> bool:
 def _require_extent(left: Floats, right: Floats) -> None:
     for side, bound in (("left", left), ("right", right)):
         if len(bound) < 2 or length(bound) < NO_LENGTH_M:
-            raise CannotMendError(f"the {side} bound has no length")
+            raise CannotMendError(Text("the {} bound has no length", Text(side)))
         if length(bound) > MOST_LENGTH_M:
-            far = f"{length(bound) / 1000.0:.0f} km long"
-            raise CannotMendError(f"the {side} bound is {far}: a node is in the wrong place")
+            far = Text("{:.0f} km long", length(bound) / 1000.0)
+            raise CannotMendError(
+                Text("the {} bound is {}: a node is in the wrong place", Text(side), far)
+            )
     mean_length = (length(left) + length(right)) / 2.0
     if abs(signed_area(left, right)) < NO_WIDTH_M * mean_length:
-        raise CannotMendError("it has no width: its bounds lie on each other, or cross")
+        raise CannotMendError(Text("it has no width: its bounds lie on each other, or cross"))
 
 
 def _closed(bound: Floats) -> bool:
@@ -133,7 +136,7 @@ def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Flo
     for side, bound in (("left", left), ("right", right)):
         cleaned.append(without_loops(bound, side))
         if cleaned[-1] is not bound:
-            repairs.append(f"a loop of the {side} bound cut off")
+            repairs.append(Text("a loop of the {} bound cut off", Text(side)))
     return cleaned[0], cleaned[1]
 
 
@@ -162,7 +165,7 @@ def _start_parted(left: Floats, right: Floats) -> tuple[Floats, Floats]:
         middle = (left[i, :2] + right[i, :2]) / 2.0
         along = _heading(left, i) + _heading(right, i)
         if np.hypot(*along) < _OPPOSITE:
-            raise CannotMendError("its bounds leave a common end in opposite directions")
+            raise CannotMendError(Text("its bounds leave a common end in opposite directions"))
         across = np.array([-along[1], along[0]]) / np.hypot(*along) * NO_WIDTH_M / 2.0
         left[i, :2], right[i, :2] = middle + across, middle - across
     return left, right
@@ -206,7 +209,7 @@ def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tupl
             break
     for side, before, after in zip(("left", "right"), (left, right), forward, strict=True):
         if after is not before:
-            repairs.append(f"fold-back of the {side} bound taken out")
+            repairs.append(Text("fold-back of the {} bound taken out", Text(side)))
     return forward
 
 
@@ -292,7 +295,7 @@ def without_loops(bound: Floats, side: str) -> Floats:
         if LineString(bound[:, :2]).is_simple:
             return bound
         bound = _first_loop_cut(bound, side)
-    raise CannotMendError(f"the {side} bound crosses itself again and again")
+    raise CannotMendError(Text("the {} bound crosses itself again and again", Text(side)))
 
 
 def _first_loop_cut(bound: Floats, side: str) -> Floats:
@@ -300,14 +303,14 @@ def _first_loop_cut(bound: Floats, side: str) -> Floats:
     on_first, on_second = _crossings(bound[:, :2], i, j)
     hits = np.flatnonzero(np.isfinite(on_first))
     if not len(hits):
-        raise CannotMendError(f"the {side} bound touches itself")
+        raise CannotMendError(Text("the {} bound touches itself", Text(side)))
     first, second = int(i[hits[0]]), int(j[hits[0]])
     t, u = on_first[hits[0]], on_second[hits[0]]
     along = arc_lengths(bound)
     start = along[first] + t * (along[first + 1] - along[first])
     stop = along[second] + u * (along[second + 1] - along[second])
     if stop - start > _LOOP_SHARE * along[-1]:
-        raise CannotMendError(f"the {side} bound crosses itself in a large loop")
+        raise CannotMendError(Text("the {} bound crosses itself in a large loop", Text(side)))
     knot = bound[first] + t * (bound[first + 1] - bound[first])
     return without_repeats(np.concatenate([bound[: first + 1], knot[None], bound[second + 1 :]]))
 
@@ -371,8 +374,8 @@ def part_at_crossings(left: Floats, right: Floats, repairs: list[str]) -> tuple[
             right = _cut_start(right[::-1], _along(right[::-1], here))[::-1]
             repairs.append("bounds that crossed at the end cut there")
         else:
-            raise CannotMendError("its bounds cross or meet between its ends")
-    raise CannotMendError("its bounds cross again and again")
+            raise CannotMendError(Text("its bounds cross or meet between its ends"))
+    raise CannotMendError(Text("its bounds cross again and again"))
 
 
 def _meeting_places(left: Floats, right: Floats) -> Floats:

@@ -14,6 +14,7 @@ import numpy as np
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import InputError
+from gis_radar.texts import Text
 
 NODE_TAGS = ("ele", "local_x", "local_y")
 LONGEST_TAG = 1 << 20  # bytes; the longest of a map are texts of some kilobytes
@@ -130,7 +131,7 @@ def read_osm(path: str | Path) -> OsmMap:
         with Path(path).open("rb") as file:
             _parse(parser, file, collector)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError("{}: cannot be read: {}", path, error.strerror or error) from error
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise InputError(_not_xml(path, error, parser.CurrentLineNumber)) from error
     return collector.finished()
@@ -144,7 +145,7 @@ def _parse(parser: expat.XMLParserType, file: BinaryIO, collector: _Collector) -
         read += len(batch)
         # Expat looks through an open tag from its begin on, again with every batch.
         if read - max(parser.CurrentByteIndex, 0) > LONGEST_TAG + _BYTES_AT_ONCE:
-            collector.refuse(f"a tag of over {LONGEST_TAG >> 20} MiB, a map has none")
+            collector.refuse(Text("a tag of over {} MiB, a map has none", LONGEST_TAG >> 20))
     parser.Parse(b"", True)
 
 
@@ -152,10 +153,10 @@ def _not_xml(path: str | Path, error: Exception, line: int) -> str:
     """Explain why the parser gave up, for a person who may have sent the wrong file."""
     reason = str(error).split(":")[0]
     if Path(path).stat().st_size == 0:
-        return f"{path}: the file is empty"
+        return Text("{}: the file is empty", path)
     if reason in {"no element found", "unclosed token", "unclosed CDATA section"}:
-        return f"{path}: line {line}: the file ends early: truncated XML"
-    return f"{path}: line {line}: not XML: {reason}"
+        return Text("{}: line {}: the file ends early: truncated XML", path, line)
+    return Text("{}: line {}: not XML: {}", path, line, reason)
 
 
 class _Collector:
@@ -209,7 +210,7 @@ class _Collector:
 
     def refuse(self, reason: str) -> NoReturn:
         """Refuse what the parser is at."""
-        raise InputError(f"{self.path}: line {self.parser.CurrentLineNumber}: {reason}")
+        raise InputError("{}: line {}: {}", self.path, self.parser.CurrentLineNumber, reason)
 
     def _refuse(self, *_: object) -> None:
         self.refuse("document types and entities are refused, a Lanelet2 map has none")
@@ -217,9 +218,9 @@ class _Collector:
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         self.depth += 1
         if self.depth > DEEPEST:
-            self.refuse(f"elements are nested {DEEPEST} deep, a map's are three")
+            self.refuse(Text("elements are nested {} deep, a map's are three", DEEPEST))
         if self.depth == 1 and name != "osm":
-            raise InputError(f"{self.path}: not OSM: its root is <{name}>, expected <osm>")
+            raise InputError("{}: not OSM: its root is <{}>, expected <osm>", self.path, name)
         if name == "tag":
             self.tags[attributes.get("k", "")] = attributes.get("v", "")
         elif name == "nd":
@@ -263,8 +264,11 @@ class _Collector:
             number = _IDS.stop
         if number not in _IDS:
             raise InputError(
-                f"{self.path}: line {self.parser.CurrentLineNumber}: <{name}> has the id {text!r},"
-                " expected an integer of 64 bits"
+                "{}: line {}: <{}> has the id {}, expected an integer of 64 bits",
+                self.path,
+                self.parser.CurrentLineNumber,
+                name,
+                repr(text),
             )
         return number
 

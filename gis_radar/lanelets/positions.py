@@ -17,6 +17,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import metric_crs, name_of, require_true_scale, transformer, utm_zone
 from gis_radar.errors import CrsError, InputError, UsageError
 from gis_radar.lanelets.osm import OsmMap
+from gis_radar.texts import Text
 
 WIDEST_DEG = 0.5  # of longitude, from the middle of a map; what is farther is misplaced
 SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM is as far off at the edge of its zone
@@ -78,16 +79,18 @@ def place_nodes(
         If `origin` is given for a map without local metres, or is not finite.
     """
     if origin is not None and not np.all(np.isfinite(origin)):
-        raise UsageError(f"--origin is {origin}, expected two numbers: easting,northing")
+        raise UsageError("{} is {}, expected two numbers: easting,northing", "--origin", origin)
     target = None if crs is None else metric_crs(crs, what="--crs")
     geographic = _has(osm.geographic) & used & _spread(osm.geographic[used])
     local = _has(osm.local) & used
     if not (geographic.any() or local.any()):
-        raise InputError(f"{osm.path}: no lanelet has a node with usable coordinates")
+        raise InputError("{}: no lanelet has a node with usable coordinates", osm.path)
     if origin is not None and not local.any():
         raise UsageError(
-            f"{osm.path}: --origin given, but the map has no local_x and local_y",
-            hint="leave --origin out",
+            "{}: {} given, but the map has no local_x and local_y",
+            osm.path,
+            "--origin",
+            hint=Text("leave {} out", "--origin"),
         )
     if not geographic.any():
         plane, target, remarks = _without_geographic(osm, target, origin)
@@ -99,8 +102,8 @@ def place_nodes(
             if crs is not None:
                 raise
             wrong = error.message.removeprefix("--crs: ")
-            hint = "are the latitudes and longitudes of its nodes true?"
-            raise CrsError(f"{osm.path}: {wrong}", hint=hint) from error
+            hint = Text("are the latitudes and longitudes of its nodes true?")
+            raise CrsError("{}: {}", osm.path, wrong, hint=hint) from error
         if crs is None:
             remarks += _border_remarks(osm.geographic[geographic], target)
     if crs is not None:
@@ -108,8 +111,15 @@ def place_nodes(
     heights, more = _heights(osm, used)
     if osm.odd_heights:
         node, text = osm.odd_heights[0]
-        count = f"heights of {len(osm.odd_heights)} nodes are not used"
-        more += (f"{count}: ele is no number of metres, such as {text[:20]!r} of node {node}",)
+        count = Text("heights of {} nodes are not used", len(osm.odd_heights))
+        more += (
+            Text(
+                "{}: ele is no number of metres, such as {} of node {}",
+                count,
+                repr(text[:20]),
+                node,
+            ),
+        )
     return Positions(xyz=np.column_stack([plane, heights]), crs=target, remarks=remarks + more)
 
 
@@ -126,7 +136,13 @@ def _border_remarks(geographic: Floats, chosen: CRS) -> tuple[str, ...]:
         return ()
     whole = name_of(chosen)
     return (
-        f"lies on the border of {one} and {other}, all of it is in {whole}; --crs names another",
+        Text(
+            "lies on the border of {} and {}, all of it is in {}; {} names another",
+            one,
+            other,
+            whole,
+            "--crs",
+        ),
     )
 
 
@@ -164,14 +180,17 @@ def _zone(geographic: Floats) -> CRS:
 def _without_geographic(
     osm: OsmMap, target: CRS | None, origin: tuple[float, float] | None
 ) -> tuple[Floats, CRS, tuple[str, ...]]:
-    what = f"{osm.path}: its latitudes and longitudes are empty"
+    what = Text("{}: its latitudes and longitudes are empty", osm.path)
     if origin is None:
         raise InputError(
-            f"{what}, so where its local_x and local_y lie is not known",
-            hint="say where local (0, 0) lies: --origin E,N",
+            "{}, so where its local_x and local_y lie is not known",
+            what,
+            hint=Text("say where local (0, 0) lies: {} E,N", "--origin"),
         )
     if target is None:
-        raise InputError(f"{what}, so its zone is not known", hint="give it, e.g. --crs EPSG:25832")
+        raise InputError(
+            "{}, so its zone is not known", what, hint=Text("give it, e.g. {} EPSG:25832", "--crs")
+        )
     return osm.local + np.asarray(origin), target, ("placed by local_x, local_y and --origin",)
 
 
@@ -189,7 +208,7 @@ def _with_geographic(
     # Judged in the site's own zone: a --crs with a scale of its own is no disagreement.
     off = _scale_error(osm.local[both], _project(osm.geographic[both], _zone(osm.geographic[both])))
     if off > SCALE_TOLERANCE:
-        reason = f"latitudes and longitudes differ from them in scale by {100.0 * off:.2g} %"
+        reason = Text("latitudes and longitudes differ from them in scale by {:.2g} %", 100.0 * off)
         return _local_wins(osm.local, projected[both] - osm.local[both], origin, reason)
     _require_fit(target, projected[geographic])
     fit = _similarity(osm.local[both], projected[both])
@@ -213,27 +232,30 @@ def _lone_kind(
     both = geographic & local
     if origin is None and not both.any():
         raise InputError(
-            f"{osm.path}: {local.sum()} nodes have only local_x and local_y, and where these lie"
-            " is not known",
-            hint="say where local (0, 0) lies: --origin E,N",
+            "{}: {} nodes have only local_x and local_y, and where these lie is not known",
+            osm.path,
+            local.sum(),
+            hint=Text("say where local (0, 0) lies: {} E,N", "--origin"),
         )
     shifts = projected[both] - osm.local[both]
     return _local_wins(osm.local, shifts, origin, "most nodes have nothing else")
 
 
 def _unused(origin: tuple[float, float] | None, reason: str) -> tuple[str, ...]:
-    return () if origin is None else (f"--origin is not used: {reason}, which decide",)
+    return () if origin is None else (Text("{} is not used: {}, which decide", "--origin", reason),)
 
 
 def _local_wins(
     local: Floats, shifts: Floats, origin: tuple[float, float] | None, reason: str
 ) -> tuple[Floats, tuple[str, ...]]:
-    by = f"placed by local_x, local_y ({reason})"
+    by = Text("placed by local_x, local_y ({})", reason)
     if origin is not None:
-        return local + np.asarray(origin), (f"{by} and --origin",)
+        return local + np.asarray(origin), (Text("{} and {}", by, "--origin"),)
     shift = np.mean(shifts, axis=0)
-    shifted = f"{by}, moved by the best-fit shift ({shift[0]:.3f}, {shift[1]:.3f})"
-    return local + shift, (f"{shifted}; say where local (0, 0) truly lies with --origin E,N",)
+    shifted = Text("{}, moved by the best-fit shift ({:.3f}, {:.3f})", by, shift[0], shift[1])
+    return local + shift, (
+        Text("{}; say where local (0, 0) truly lies with {} E,N", shifted, "--origin"),
+    )
 
 
 def _project(geographic: Floats, target: CRS) -> Floats:
@@ -282,7 +304,11 @@ def _heights(osm: OsmMap, used: Booleans) -> tuple[Floats, tuple[str, ...]]:
     if share >= _MOST_HEIGHTS or not tagged:
         return osm.elevation, ()
     if share < KNOWN_HEIGHTS and (not len(given) or np.ptp(given) <= _EQUAL_M):
-        few = f"only {tagged} of {len(used)} nodes have an ele tag, all equal"
-        return np.full_like(osm.elevation, np.nan), (f"heights are treated as unknown: {few}",)
-    some = f"only {len(given)} of {used.sum()} nodes have a height"
-    return osm.elevation, (f"{some}: interpolated along bounds, unknown where a lanelet has none",)
+        few = Text("only {} of {} nodes have an ele tag, all equal", tagged, len(used))
+        return np.full_like(osm.elevation, np.nan), (
+            Text("heights are treated as unknown: {}", few),
+        )
+    some = Text("only {} of {} nodes have a height", len(given), used.sum())
+    return osm.elevation, (
+        Text("{}: interpolated along bounds, unknown where a lanelet has none", some),
+    )

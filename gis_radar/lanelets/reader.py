@@ -43,6 +43,7 @@ from gis_radar.lanelets.tagging import (
 )
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 
 STAGE = "reading lanelets"
 REPAIRED, LEFT_OUT, DOUBTFUL = "repaired", "left out", "doubtful"
@@ -164,17 +165,20 @@ def read_map(
     osm = read_osm(path)
     relations = dict(sorted(osm.relations_of("lanelet")))
     if not relations:
-        raise InputError(f"{path}: holds no lanelets", hint="a Lanelet2 map in OSM XML is needed")
+        raise InputError("{}: holds no lanelets", path, hint="a Lanelet2 map in OSM XML is needed")
     places = place_nodes(osm, _used(osm, relations), crs=crs, origin=origin)
     lanelets, problems = _assembled(osm, relations, places.xyz, reporter)
     if not lanelets:
         raise InputError(
-            f"{path}: none of its {len(relations)} lanelets can be read: "
-            f"lanelet {problems[0].id}: {problems[0].reason}"
+            "{}: none of its {} lanelets can be read: lanelet {}: {}",
+            path,
+            len(relations),
+            problems[0].id,
+            problems[0].reason,
         )
     remarks = (*places.remarks, *_remarks(osm, problems))
     for remark in remarks:
-        reporter.log(f"{Path(path).name}: {remark}", "warning")
+        reporter.warn("{}: {}", Path(path).name, remark)
     return LaneletMap(
         lanelets=_lanelet_table(osm, lanelets, places.crs),
         regulatory=regulatory_table(osm, places.xyz, places.crs),
@@ -229,8 +233,8 @@ def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]
         if not out:
             kept.append(lanelet)
         if out or width_m > WIDE_M:
-            far = f"it lies {off_m / 1000.0:.0f} km from the middle of the map"
-            reason = far if off_m > STRAY_M else f"its bounds are {width_m:.0f} m apart"
+            far = Text("it lies {:.0f} km from the middle of the map", off_m / 1000.0)
+            reason = far if off_m > STRAY_M else Text("its bounds are {:.0f} m apart", width_m)
             action = LEFT_OUT if out else DOUBTFUL
             shape = outline(left, right)
             problems.append(_Problem(id=lanelet.id, action=action, reason=reason, shape=shape))
@@ -336,11 +340,15 @@ def _remarks(osm: OsmMap, problems: list[_Problem]) -> tuple[str, ...]:
         "areas skipped": areas,
         "elements skipped whose id had been used before": len(osm.doubled),
     }
-    remarks = [f"{what}: {count}" for what, count in skipped.items() if count]
+    remarks = [Text("{}: {}", what, count) for what, count in skipped.items() if count]
     for action in (REPAIRED, LEFT_OUT, DOUBTFUL):
         count = sum(problem.action == action for problem in problems)
         if count:
-            remarks.append(f"{count} lanelet{'s'[: count > 1]} {action}, see layer problems")
+            remarks.append(
+                Text("{} lanelets {}, see layer problems", count, Text(action))
+                if count > 1
+                else Text("{} lanelet {}, see layer problems", count, Text(action))
+            )
     return tuple(remarks)
 
 
@@ -392,13 +400,15 @@ def chain_of(osm: OsmMap, ways: tuple[int, ...], xyz: Floats, side: str) -> Chai
         If the bound is missing, its ways form no chain, or under two usable points are left.
     """
     if not ways:
-        raise CannotMendError(f"the {side} bound is missing")
+        raise CannotMendError(Text("the {} bound is missing", Text(side)))
     absent = [way for way in ways if way not in osm.ways]
     if absent:
-        raise CannotMendError(f"the {side} bound is missing: way {absent[0]} is not in the file")
+        raise CannotMendError(
+            Text("the {} bound is missing: way {} is not in the file", Text(side), absent[0])
+        )
     nodes = joined([osm.ways[way].nodes for way in dict.fromkeys(ways)])
     if nodes is None:
-        raise CannotMendError(f"the ways of the {side} bound do not form a chain")
+        raise CannotMendError(Text("the ways of the {} bound do not form a chain", Text(side)))
     rows = np.array([osm.node_index.get(node, -1) for node in nodes], dtype=np.int64)
     usable = rows >= 0
     usable[usable] = np.isfinite(xyz[rows[usable], :2]).all(axis=1)
@@ -406,12 +416,17 @@ def chain_of(osm: OsmMap, ways: tuple[int, ...], xyz: Floats, side: str) -> Chai
     lost = len(nodes) - int(usable.sum())
     if len(points) < 2 or len(without_repeats(points)) < 2:
         why = (
-            f"{lost} of its {len(nodes)} nodes are missing"
+            Text("{} of its {} nodes are missing", lost, len(nodes))
             if lost
-            else "it has not two distinct points"
+            else Text("it has not two distinct points")
         )
-        raise CannotMendError(f"the {side} bound has no length: {why}")
-    lost_nodes = f"{lost} of {len(nodes)} nodes of the {side} bound are missing or have no position"
+        raise CannotMendError(Text("the {} bound has no length: {}", Text(side), why))
+    lost_nodes = Text(
+        "{} of {} nodes of the {} bound are missing or have no position",
+        lost,
+        len(nodes),
+        Text(side),
+    )
     kept = tuple(node for node, here in zip(nodes, usable, strict=True) if here)
     return Chain(nodes=kept, points=points, repairs=(lost_nodes,) if lost else ())
 

@@ -16,6 +16,7 @@ from gis_radar.arrays import Floats
 from gis_radar.errors import CrsError, InputError
 from gis_radar.lanelets.tagging import STREET
 from gis_radar.progress import Reporter
+from gis_radar.texts import Text
 from gis_radar.vector_files import read_vector
 from gis_radar.words import wind_of
 
@@ -82,9 +83,10 @@ def _known_streets(
     name = _field_of(table, field, what)
     if name is None:
         usual = ", ".join(NAME_FIELDS[:4])
-        reporter.log(
-            f"{what}: no column of names ({usual}, ...); lanes stay without names of streets",
-            "warning",
+        reporter.warn(
+            "{}: no column of names ({}, ...); lanes stay without names of streets",
+            what,
+            usual,
         )
         return _no_streets(crs)
     named = {STREET: table[name].to_numpy()}
@@ -106,11 +108,11 @@ def _read(streets: gpd.GeoDataFrame | str | Path, what: str) -> gpd.GeoDataFrame
         table = read_vector(streets, what="layer of streets", columns=None)
     kinds = set(table.geom_type.dropna()) if isinstance(table, gpd.GeoDataFrame) else set()
     if not kinds & {"LineString", "MultiLineString"}:
-        has = ", ".join(sorted(kinds)) or "no geometry"
-        raise InputError(f"{what}: streets are lines, the layer has {has}")
+        has = ", ".join(sorted(kinds)) or Text("no geometry")
+        raise InputError("{}: streets are lines, the layer has {}", what, has)
     if table.crs is None:
         raise CrsError(
-            f"{what}: states no coordinate system", hint="save the layer with its CRS in QGIS"
+            "{}: states no coordinate system", what, hint="save the layer with its CRS in QGIS"
         )
     return table
 
@@ -120,7 +122,9 @@ def _field_of(table: gpd.GeoDataFrame, field: str | None, what: str) -> str | No
     texts = [str(name) for name in table.columns if name != table.geometry.name]
     if field is not None and field not in texts:
         listed = ", ".join(texts) or "none"
-        raise InputError(f"{what}: has no column {field!r}", hint=f"its columns: {listed}")
+        raise InputError(
+            "{}: has no column {}", what, repr(field), hint=Text("its columns: {}", listed)
+        )
     usual = {name.casefold(): name for name in reversed(texts)}
     return field or next((usual[name] for name in NAME_FIELDS if name in usual), None)
 
@@ -128,7 +132,7 @@ def _field_of(table: gpd.GeoDataFrame, field: str | None, what: str) -> str | No
 def _moved(table: gpd.GeoDataFrame, crs: Any, what: str) -> gpd.GeoDataFrame:
     moved = table.to_crs(crs)
     if len(moved) and not np.isfinite(moved.total_bounds).all():
-        raise CrsError(f"{what}: lies outside the area of the map's coordinate system")
+        raise CrsError("{}: lies outside the area of the map's coordinate system", what)
     return moved.reset_index(drop=True)
 
 
@@ -177,8 +181,12 @@ def _tell_bare(lanes: gpd.GeoDataFrame, prefix: str, reporter: Reporter) -> None
     bare = int(lanes[STREET].isna().sum())
     if bare:
         reporter.log(
-            f"{prefix}{bare} of {len(lanes)} lanes run along none of its streets with a name and "
-            "stay without",
+            Text(
+                "{}{} of {} lanes run along none of its streets with a name and stay without",
+                prefix,
+                bare,
+                len(lanes),
+            ),
             "warning" if bare == len(lanes) else "info",
         )
 
@@ -196,9 +204,11 @@ def _parts_of(
         if len(set(pieces)) > 1:
             words = _told_apart(lanes.geometry.array[mine], pieces)
             parts[mine] = [words[piece] for piece in pieces]
-            reporter.log(
-                f"{prefix}{len(words)} streets are called {name}; their lanes differ by number",
-                "warning",
+            reporter.warn(
+                "{}{} streets are called {}; their lanes differ by number",
+                prefix,
+                len(words),
+                name,
             )
     return parts.tolist()
 

@@ -1,37 +1,43 @@
 """The words that people read in their language: English in the code, others from a catalogue.
 
-There is one catalogue for the package and the QGIS plugin, `de.json`, by English text and sorted.
-Errors, hints and warnings, which the package alone says, have one of their own,
-`de_messages.json`: by the English text with a hole `{}` for each value; in the translation `{0}`
-is the first of them.
+There is one catalogue a language for the package and the QGIS plugin, in gettext's format:
+`de/LC_MESSAGES/gis_radar.po`, by English text and sorted. Errors, hints and warnings have a hole
+`{}` for each value; in the translation `{0}` is the first of them.
 """
 
 from __future__ import annotations
 
-import json
+import os
+from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
+
+from gis_radar.languages.po import read_catalogue
 
 LANGUAGES = ("en", "de")
-
-
-def catalogue(language: str) -> dict[str, str]:
-    """Return the translations into a language by English text; none for English itself."""
-    return _read(f"{language}.json")
-
-
-def messages(language: str) -> dict[str, str]:
-    """Return the translations of errors, hints and warnings by English text with holes."""
-    return _read(f"{language}_messages.json")
+CHOSEN = "GIS_RADAR_LANGUAGE"  # the environment variable that the plugin sets for its worker
+_OF_THE_SYSTEM = ("LANGUAGE", "LC_ALL", "LC_MESSAGES", "LANG")  # as gettext asks them
 
 
 @cache
-def _read(name: str) -> dict[str, str]:
-    path = files(__package__) / name
-    if not path.is_file():
-        return {}
-    words: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
-    return words
+def catalogue(language: str) -> Mapping[str, str]:
+    """Return the translations into a language by English text; none for English itself."""
+    path = Path(__file__).with_name(language) / "LC_MESSAGES" / "gis_radar.po"
+    return read_catalogue(path) if path.is_file() else {}
+
+
+def users_language(*, chosen_only: bool = False) -> str:
+    """Return the language that the environment names; English where there are no words of it.
+
+    Parameters
+    ----------
+    chosen_only : bool
+        Whether only `GIS_RADAR_LANGUAGE` counts, and not the language of the system.
+    """
+    names = (CHOSEN,) if chosen_only else (CHOSEN, *_OF_THE_SYSTEM)
+    wanted = next((os.environ[name] for name in names if os.environ.get(name)), "")
+    short = (each[:2] for each in wanted.split(":"))
+    return next((each for each in short if each in LANGUAGES), LANGUAGES[0])
 
 
 def translated(text: str, language: str) -> str:

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 from gis_radar.errors import GisRadarError, InputError, UsageError
 from gis_radar.live.payload import MOST_BYTES
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -83,7 +84,9 @@ class BrokerAddress:
             fits = False
         if not fits:
             raise UsageError(
-                f"{address!r} is no address of a broker", hint="such as mqtts://broker.example:8883"
+                "{} is no address of a broker",
+                repr(address),
+                hint="such as mqtts://broker.example:8883",
             )
         return cls(host=parts.hostname or "", port=port, tls=parts.scheme == "mqtts", **options)
 
@@ -226,30 +229,39 @@ class Link:
     def _say(self, text: str) -> None:
         if text != self._said:  # once, however often it is tried again
             self._said = text
-            self._reporter.log(f"{self._name}: {text}", "info" if self._connected else "warning")
+            self._reporter.log(
+                Text("{}: {}", self._name, text), "info" if self._connected else "warning"
+            )
 
     # What paho calls, in its thread.
 
     def _on_connect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
         self._refusing = bool(reason.is_failure)
         if self._refusing:
-            self._say(f"the broker at {self._address} refuses the link: {reason}; trying on")
+            self._say(
+                Text("the broker at {} refuses the link: {}; trying on", self._address, reason)
+            )
             return
         if self._topics:
             self._client.subscribe([(topic, 1) for topic in self._topics])
         self._connected, self._since = True, time.monotonic()
         self.connections += 1
-        self._say(f"linked to the broker at {self._address}")
+        self._say(Text("linked to the broker at {}", self._address))
 
     def _on_connect_fail(self, _c: Any, _u: Any) -> None:
         # paho calls this while it handles what went wrong, and hands no reason over
-        self._say(f"{_why_no_link(sys.exc_info()[1], self._address)}; trying on")
+        self._say(Text("{}; trying on", _why_no_link(sys.exc_info()[1], self._address)))
 
     def _on_disconnect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
         was, self._connected = self._connected, False
         if not was and _code(reason) and not self._refusing:
-            self._say(f"the broker at {self._address} ends the link at once: does it speak "
-                      f"{'mqtt' if self._address.tls else 'mqtts'}://? trying on")  # fmt: skip
+            self._say(
+                Text(
+                    "the broker at {} ends the link at once: does it speak {}://? trying on",
+                    self._address,
+                    Text("mqtt") if self._address.tls else Text("mqtts"),
+                )
+            )
         self._refusing = False
         if not was or not _code(reason):
             return
@@ -263,7 +275,7 @@ class Link:
             self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
             self._say("the broker ends each link soon: has another program the same name?")
             return
-        self._say(f"the link to the broker is lost: {reason}; trying on")
+        self._say(Text("the link to the broker is lost: {}; trying on", reason))
 
     def _on_message(self, _c: Any, _u: Any, message: Any) -> None:
         self._received.put(
@@ -273,17 +285,19 @@ class Link:
     def _on_publish(self, _c: Any, _u: Any, _mid: int, reason: Any, _p: Any) -> None:
         if _code(reason) in _REFUSED:
             self.refused += 1
-            self._say(f"the broker does not take a message: {reason}")
+            self._say(Text("the broker does not take a message: {}", reason))
 
 
 def _why_no_link(error: BaseException | None, address: BrokerAddress) -> str:
     """Return why a link could not be made: no answer, or a certificate that is not trusted."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"the certificate of the broker at {address} is refused: {error.verify_message}"
+        return Text(
+            "the certificate of the broker at {} is refused: {}", address, error.verify_message
+        )
     if isinstance(error, ssl.SSLError):
         reason = error.reason or str(error)
-        return f"the broker at {address} does not speak TLS as expected: {reason}"
-    return f"no broker answers at {address}"
+        return Text("the broker at {} does not speak TLS as expected: {}", address, reason)
+    return Text("no broker answers at {}", address)
 
 
 def _code(reason: Any) -> int:
@@ -295,7 +309,7 @@ def _tls_context(authority: Path | None) -> ssl.SSLContext:
     try:
         context = ssl.create_default_context(cafile=authority)
     except (OSError, ssl.SSLError) as error:
-        raise InputError(f"{authority}: no certificate of an authority: {error}") from error
+        raise InputError("{}: no certificate of an authority: {}", authority, error) from error
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     return context
 

@@ -15,6 +15,7 @@ from typing import NamedTuple, Self
 
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.live.payload import STREAM_BYTES, VERSION
+from gis_radar.texts import Text
 
 LOCK_S = 1.0  # for another program to let go of the file
 ROW_BYTES = 24  # that SQLite takes beside the content of a message; measured
@@ -127,7 +128,8 @@ class DiskBuffer:
                     _raise_of_the_place(error)
         if foreign:
             raise InputError(
-                f"{self.path}: is no disk buffer of a sensor",
+                "{}: is no disk buffer of a sensor",
+                self.path,
                 hint="name another file, or move this one away",
             )
 
@@ -194,7 +196,9 @@ class DiskBuffer:
         """
         if self._appended % CHECK_EVERY == 0 and self.bytes_used > self._most_bytes:
             raise FullError(
-                f"{self.path}: the buffer is full ({self.bytes_used / 1e6:,.0f} MB)",
+                "{}: the buffer is full ({:,.0f} MB)",
+                self.path,
+                self.bytes_used / 1000000.0,
                 hint="fusion has not acknowledged; what comes now is lost",
             )
         with _errors(self.path):
@@ -276,4 +280,4 @@ def _errors(path: Path) -> Iterator[None]:
         kind = FullError if full else OutputError
         reason = "the disk is full" if full else str(error)
         hint = "what comes now is lost" if full else "is another edge running with this buffer?"
-        raise kind(f"{path}: cannot be written: {reason}", hint=hint) from error
+        raise kind(Text("{}: cannot be written: {}", path, reason), hint=hint) from error

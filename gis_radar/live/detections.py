@@ -197,13 +197,13 @@ def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...
     read = Numbers(content, 0)
     pose, count = read.bytes(POSE_BYTES), read.take()
     if not 0 < count <= MOST_FRAMES:
-        raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
+        raise InputError("a message of {} frames, expected 1 to {}", count, MOST_FRAMES)
     data, frames, time_us = np.frombuffer(content, np.uint8), [], 0
     for _ in range(count):
         time_us += read.take()
         size = read.take()
         if size > min(MOST_DETECTIONS, 8 * (len(content) - read.at)):
-            raise InputError(f"a frame of {size} detections in {len(content)} bytes")
+            raise InputError("a frame of {} detections in {} bytes", size, len(content))
         columns = np.empty((_COLUMNS, size), np.int64)
         for column in columns if size else ():
             read.at = _unpack_column(data, read.at, column)
@@ -224,7 +224,7 @@ def first_time_us(content: bytes) -> int:
 def _frame_of(time_us: int, columns: Integers) -> FrameDetections:
     """Return a frame of its columns; refuse what no radar measures."""
     if columns.size and (columns.min() < -FARTHEST or columns.max() > FARTHEST):
-        raise InputError(f"a frame with a detection beyond {FARTHEST / (1000 * UNITS):g} km")
+        raise InputError("a frame with a detection beyond {:g} km", FARTHEST / (1000 * UNITS))
     level = columns[2] == UNKNOWN_Z
     if level.any() and not level.all():
         raise InputError("a frame in which some detections have a height and others none")

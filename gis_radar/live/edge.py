@@ -39,6 +39,7 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.sight import SightTiles, find_sight
 from gis_radar.steps import STEP_US
+from gis_radar.texts import Text
 from gis_radar.tiles import read_tiles
 
 
@@ -83,7 +84,7 @@ class Edge:
         if self._file.pose is None:
             return None
         pose = read_track(self._file.pose).poses[-1]
-        what = f"the pose of {pose.sensor}"
+        what = Text("the pose of {}", pose.sensor)
         require_same(pose.crs, tiles.crs, what=what, other_what="the tiles")
         view = view_of(self._file)
         pose = replace(pose, sensor=self._file.sensor)
@@ -110,7 +111,7 @@ class Edge:
             file.buffer_path, most_bytes=most, fingerprint=self._road.fingerprint
         ) as buffer:
             if buffer.put_aside:
-                self._reporter.log(f"{buffer.put_aside}: {buffer.why}, and is put aside", "warning")
+                self._reporter.warn("{}: {}, and is put aside", buffer.put_aside, buffer.why)
             will = status_message(OFFLINE, stream=buffer.stream.hex())
             link = Link(
                 file.address(), name=f"{file.site}-{file.sensor}", topics=(topics.of("ack"),),
@@ -223,7 +224,7 @@ class Edge:
             pose = find_own_pose(self._file, self._gathered, reporter=self._reporter)
         except NoAnswerError as error:
             self._try_at = AGAIN_FRAMES
-            self._reporter.log(f"no pose yet: {error.message}; trying on", "warning")
+            self._reporter.warn("no pose yet: {}; trying on", error.message)
             return False
         self._next = Followed(pose=pose)
         return True
@@ -261,7 +262,7 @@ class Edge:
     def _take_over(self, found: Followed) -> None:
         """Select by a pose from now on, and tell fusion of it."""
         if found.refused and self._trusted:
-            self._reporter.log(f"the pose is not confirmed: {found.refused}", "warning")
+            self._reporter.warn("the pose is not confirmed: {}", found.refused)
         same = self._pose is not None and _is_same(self._pose, found.pose)
         if same and found.trusted == self._trusted:
             return

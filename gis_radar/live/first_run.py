@@ -49,7 +49,7 @@ def compile_first(work: Callable[[], object], stop: Event, reporter: Reporter) -
     try:
         run_unless_stopped(work, stop)
     except (GisRadarError, OSError) as error:
-        reporter.log(NOT_COMPILED.format(error), "warning")
+        reporter.warn(NOT_COMPILED.format(error))
 
 
 class SampleSensor:

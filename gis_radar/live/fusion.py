@@ -38,6 +38,7 @@ from gis_radar.measures.views import ViewBook
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import SightTiles, open_sight
 from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, interval_steps
+from gis_radar.texts import Text
 from gis_radar.tiles import read_tiles
 from gis_radar.tracking.map_check import map_of_tiles
 
@@ -86,8 +87,9 @@ class Fusion:
         filters = site.filters()
         if filters.clearance is not None and np.isnan(road.height).all():
             raise InputError(
-                f"{site.live.tiles}: the tiles have no road heights, which clearance needs",
-                hint="make them with --road, or from a map with ele",
+                "{}: the tiles have no road heights, which clearance needs",
+                site.live.tiles,
+                hint=Text("make them with {}, or from a map with ele", "--road"),
             )
         scans = site.scan.files if site.scan is not None else ()
         scan_crs = site.scan.crs if site.scan is not None else None
@@ -188,7 +190,7 @@ class Fusion:
         self._link = link
         server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
-            self._reporter.log(f"the page is at {self._page.open()}")
+            self._reporter.log(Text("the page is at {}", self._page.open()))
         self._export(self.state())  # the first takes long, before frames come
         gc.collect()
         gc.freeze()  # what is there now stays: to look through it holds frames up for 0.3 s
@@ -232,7 +234,7 @@ class Fusion:
         while not (ready.done() or stop.wait(READY_S)):
             pass
         if ready.done() and (error := ready.exception()) is not None:
-            self._reporter.log(NOT_COMPILED.format(error), "warning")
+            self._reporter.warn(NOT_COMPILED.format(error))
 
     def _take(self, link: Link) -> None:
         message = link.take(WAIT_S)
@@ -386,7 +388,7 @@ class Fusion:
         if now - self._said.get(error.message, -SAID_S) >= SAID_S:
             self._said[error.message] = now
             hint = f" ({error.hint})" if error.hint else ""
-            self._reporter.log(error.message + hint, "warning")
+            self._reporter.warn(error.message + hint)
 
 
 def _state(word: str) -> bytes:
@@ -404,7 +406,7 @@ def _vehicles(
     try:
         graph = lane_graph(roads.lanelets)
     except NoAnswerError as error:
-        reporter.log(f"vehicles are not followed: {error.message}", "warning")
+        reporter.warn("vehicles are not followed: {}", error.message)
         return None
     return LiveVehicles(graph, names, tiles.crs, reporter=reporter)
 

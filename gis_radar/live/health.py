@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.progress import LETTERS_OF_AN_ERROR, QUIET, Reporter, one_line
+from gis_radar.texts import Text
 
 if TYPE_CHECKING:
     from prometheus_client import Metric
@@ -81,12 +82,12 @@ class SensorHealth:
         if text is None:
             self.raised_s.pop(kind, None)
             if self.alarms.pop(kind, None) is not None:
-                self.reporter.log(f"{self.name}: over: {ALARMS[kind]}")
+                self.reporter.log(Text("{}: over: {}", self.name, ALARMS[kind]))
             return
         new = kind not in self.alarms
         self.alarms[kind], self.raised_s[kind] = one_line(text, LETTERS_OF_AN_ERROR), time.time()
         if new:
-            self.reporter.log(f"{self.name}: {ALARMS[kind]}: {text}", "warning")
+            self.reporter.warn("{}: {}: {}", self.name, ALARMS[kind], text)
 
     def heard(self, arrival_s: float, frame_s: float, *, live: bool) -> None:
         """Record the arrival of a frame; only live ones, not those from disk, test the clock."""
@@ -101,7 +102,7 @@ class SensorHealth:
         offset_s = self.clock_offset_s
         most_s = self.settings.clock_alarm_s
         wrong = offset_s > most_s or offset_s < -most_s
-        text = f"frames come {1000 * offset_s:+,.0f} ms after their time at the least"
+        text = Text("frames come {:+,.0f} ms after their time at the least", 1000 * offset_s)
         self.alarm("clock", text if wrong else None)
 
     @property
@@ -121,7 +122,7 @@ class SensorHealth:
             if now_s - self.raised_s.get(kind, now_s) > self.settings.over_s:
                 self.alarm(kind, None)
         silent = quiet_s > self.settings.silent_s
-        self.alarm("silent", f"for {quiet_s:.0f} s" if silent else None)
+        self.alarm("silent", Text("for {:.0f} s", quiet_s) if silent else None)
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
             if found:
                 site.measure(found, site.dataset, before_hour=before_hour, reporter=done)
         except InputError as error:  # the recordings stay; other hours are made all the same
-            done.log(f"{hour_text(hour)} is not measured: {error.message}", "warning")
+            done.warn("{} is not measured: {}", hour_text(hour), error.message)
     _read_day(site, done)
     for path in (site.folder / PROVISIONAL).glob("2*"):
         if time_of_name(path.name) // HOUR_US < before_hour:
@@ -194,9 +194,10 @@ def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: Done) -> Pat
     if known and path.resolve().as_posix() in set(open_dataset(site.dataset).recordings()["path"]):
         parts = parts_of_hour(site.folder, sensor, hour)
         if parts:
-            done.log(
-                f"{sensor}: frames of {path.stem} came after its recording was removed: left out",
-                "warning",
+            done.warn(
+                "{}: frames of {} came after its recording was removed: left out",
+                sensor,
+                path.stem,
             )
         for each in parts:
             each.unlink()
@@ -257,6 +258,7 @@ def refuse_other_tiles(dataset: Path, fingerprint: str) -> None:
     """
     if Manifest.is_there(dataset) and Manifest.read(dataset).fingerprint != fingerprint:
         raise OutputError(
-            f"{dataset}: was measured with other tiles",
+            "{}: was measured with other tiles",
+            dataset,
             hint="name another folder in [live], or move this one away",
         )

@@ -45,6 +45,7 @@ from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.steps import STEP_US, iso_from_step
+from gis_radar.texts import Text
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns
@@ -244,9 +245,7 @@ class Intake:
         if sensor is None:
             if name not in {"", FUSION, *self.unknown}:
                 self.unknown.add(name)
-                self._reporter.log(
-                    f"{name}: no sensor of this site: what it sends is left out", "warning"
-                )
+                self._reporter.warn("{}: no sensor of this site: what it sends is left out", name)
             return
         sensor.health.counts["messages"] += 1
         try:
@@ -265,13 +264,15 @@ class Intake:
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
         record = read_record(message.payload, what="a status", version=VERSION)
         online = record.get("state") == ONLINE
-        sensor.health.alarm("offline", None if online else "the broker lost it, or it was stopped")
+        sensor.health.alarm(
+            "offline", None if online else Text("the broker lost it, or it was stopped")
+        )
         lost = record.get("lost")
         if isinstance(lost, int) and 0 <= lost < MOST_LOST:
             sensor.health.lost = lost
-            sensor.health.alarm("lost", f"{lost} messages" if lost > 0 else None)
+            sensor.health.alarm("lost", Text("{} messages", lost) if lost > 0 else None)
         trusted = record.get("trusted") is not False
-        sensor.health.alarm("moved", None if trusted else "its pose is not known")
+        sensor.health.alarm("moved", None if trusted else Text("its pose is not known"))
         stream = record.get("stream")
         if online and not message.retained and isinstance(stream, str) and STREAM.fullmatch(stream):
             self._use_stream(sensor, stream)
@@ -281,7 +282,9 @@ class Intake:
             return
         now = time.monotonic()
         if sensor.other[0] == stream and now - sensor.other[1] < TWINS_WITHIN_S:
-            sensor.health.alarm("twins", f"streams {sensor.stream} and {stream} take turns")
+            sensor.health.alarm(
+                "twins", Text("streams {} and {} take turns", sensor.stream, stream)
+            )
         sensor.other = (sensor.stream, now)
         sensor.stream, sensor.refused, sensor.due = stream, "", True
         sensor.marks[stream] = sensor.marks.pop(stream, Mark())
@@ -308,9 +311,11 @@ class Intake:
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
         elif known.other_tiles:
             expected = self._book.road.fingerprint
-            self._refuse(sensor, f"tiles {known.other_tiles}, expected {expected}")
+            self._refuse(sensor, Text("tiles {}, expected {}", known.other_tiles, expected))
         elif known.pose is None:
-            self._pass_over(sensor, message, envelope, content, "damaged", "its pose is damaged")
+            self._pass_over(
+                sensor, message, envelope, content, "damaged", Text("its pose is damaged")
+            )
         else:
             self._take_frames(sensor, message, envelope, content, key, frames)
 
@@ -325,12 +330,12 @@ class Intake:
             return True
         most = mark.received + MOST_AHEAD if mark.received else MOST_NUMBER
         if number > most:
-            raise InputError(f"a message of number {number:,} after {mark.received:,}")
+            raise InputError("a message of number {:,} after {:,}", number, mark.received)
         if not envelope.first:
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
             return False
         if mark.received:  # of a disk of fusion that is older than what it acknowledged
-            lost = f"{number - 1 - mark.received:,} messages that the sensor no longer has"
+            lost = Text("{:,} messages that the sensor no longer has", number - 1 - mark.received)
             sensor.health.alarm("lost", lost)
         return True
 
@@ -340,12 +345,12 @@ class Intake:
         if any(one >= other for one, other in pairwise(times)):
             raise InputError("a message whose frames do not ascend in time")
         if times[-1] - times[0] > LONGEST_MESSAGE_US:
-            return f"a message over {(times[-1] - times[0]) / HOUR_US:.0f} h"
+            return Text("a message over {:.0f} h", (times[-1] - times[0]) / HOUR_US)
         for each in (times[0], times[-1]):
             if not (now_s - self._oldest_s) * 1e6 <= each <= (now_s + AHEAD_S) * 1e6:
                 known = each < 1 << 62 and each // STEP_US < _LAST_STEP
                 when = iso_from_step(each // STEP_US) if known else f"{each} us"
-                return f"frames of {when}, {abs(each / 1e6 - now_s):,.0f} s from now"
+                return Text("frames of {}, {:,.0f} s from now", when, abs(each / 1000000.0 - now_s))
         return ""
 
     def _ask(self, sensor: SensorState, *, again: bool = False) -> bool:
@@ -371,7 +376,7 @@ class Intake:
     ) -> None:  # fmt: skip
         """Go past a message that cannot be taken: it would come again for ever."""
         sensor.health.counts["damaged"] += kind == "damaged"
-        sensor.health.alarm(kind, f"number {envelope.number}: {reason}")
+        sensor.health.alarm(kind, Text("number {}: {}", envelope.number, reason))
         self._received(sensor, SpooledFrames(sensor.health.name, b"", message.payload),
                        envelope, content)  # fmt: skip
 
@@ -408,14 +413,14 @@ class Intake:
             self._forget(sensor, next(iter(sensor.poses)))
 
     def _known(self, name: str, found: PoseContent) -> KnownPose:
-        what = f"the pose of {name}"
+        what = Text("the pose of {}", name)
         pose = pose_from_dict(found.pose, what=what)
         if pose.sensor != name:
-            raise InputError(f"{what}: it is that of {pose.sensor:.40}")
+            raise InputError("{}: it is that of {}", what, f"{pose.sensor:.40}")
         require_same(pose.crs, self._book.road.crs, what=what, other_what="the tiles")
         apart: Floats = self._book.road.centres[:, :2] - pose.position[:2]
         if not np.hypot(*apart.T).min() <= FARTHEST_M:
-            raise InputError(f"{what}: it is over {FARTHEST_M / 1000:g} km from the tiles")
+            raise InputError("{}: it is over {:g} km from the tiles", what, FARTHEST_M / 1000)
         view = self._book.see(pose)
         if view not in self._map.views:
             mask: Booleans = np.isin(self._book.road.tile_id, self._book.tiles[view])

@@ -150,10 +150,11 @@ class HourJobs:
         self.behind_s = now_s - end_of_hour_s(due[0]) if due else 0.0
         if self.behind_s >= self._told_s:
             self._told_s = 2.0 * self.behind_s
-            self._reporter.log(
-                f"measuring is behind: {hour_text(due[0])} waits for {self.behind_s / 60:.0f} min: "
-                "the machine has too few cores for its sensors",
-                "warning",
+            self._reporter.warn(
+                "measuring is behind: {} waits for {:.0f} min: the machine has too few "
+                "cores for its sensors",
+                hour_text(due[0]),
+                self.behind_s / 60,
             )
         elif not due:
             self._told_s = BEHIND_S
@@ -203,7 +204,7 @@ class HourJobs:
             words = " ".join(word for word in line.split() if not word[0].isdigit())
             if words not in self._said:
                 self._said = {words} if len(self._said) >= MOST_SAID else self._said | {words}
-                self._reporter.log(line, "warning")
+                self._reporter.warn(line)
 
     def finish(self, spooled: Sequence[Path]) -> None:
         """Make recordings of what is there, and measure the hours that are over."""

@@ -21,6 +21,7 @@ from gis_radar.live.snapshot import Place
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.site.live_table import SensorThingsTable
 from gis_radar.steps import STEP_S, interval_steps, iso_from_step
+from gis_radar.texts import Text
 
 FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0
 MOST_WAITING = 50_000  # measures: ten days of 50 lanes by 15 minutes
@@ -151,7 +152,7 @@ class LanePush:
         self._waiting = [each for each in self._waiting if each not in sent]
         self._keep()
         if refused:
-            self._reporter.log(f"the server of lane measures refuses {refused} of them", "warning")
+            self._reporter.warn("the server of lane measures refuses {} of them", refused)
         if self._said:
             self._reporter.log("the server of lane measures takes them again")
         self._patience_s, self._said = FIRST_RETRY_S, ""
@@ -163,17 +164,17 @@ class LanePush:
         if isinstance(error, GisRadarError):
             message = error.message
         else:
-            message = f"lane measures cannot be pushed: {type(error).__name__}: {error}"
+            message = Text("lane measures cannot be pushed: {}: {}", type(error).__name__, error)
         if message != self._said:
             self._said = message
-            self._reporter.log(f"{message}; trying on", "warning")
+            self._reporter.warn("{}; trying on", message)
 
     def _keep(self) -> None:
         try:
             with atomic_write(self._path) as part:
                 part.write_text(json.dumps(self._waiting), encoding="utf-8")
         except GisRadarError as error:
-            self._reporter.log(error.message, "warning")
+            self._reporter.warn(error.message)
 
 
 def _read(path: Path, reporter: Reporter) -> list[LaneMeasure]:
@@ -190,10 +191,12 @@ def _read(path: Path, reporter: Reporter) -> list[LaneMeasure]:
     aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     with suppress(OSError):  # else it is replaced once there is something that waits
         path.rename(aside)
-    reporter.log(
-        f"{path}: it is damaged: put aside as {aside.name}; of the lane measures that waited "
-        f"{len(sound)} are sound and wait on",
-        "warning",
+    reporter.warn(
+        "{}: it is damaged: put aside as {}; of the lane measures that waited {} are "
+        "sound and wait on",
+        path,
+        aside.name,
+        len(sound),
     )
     return sound
 

@@ -80,7 +80,7 @@ class Outbox:
         """Add a message; return whether it is not lost: too long, or the buffer full."""
         if len(content) > MOST_CONTENT:  # the broker would cut the link, again and again
             if not self._too_long:
-                self._reporter.log(f"a message of {len(content):,} bytes is too long", "warning")
+                self._reporter.warn("a message of {:,} bytes is too long", len(content))
             self._too_long = True
             self.lost += 1
             return False
@@ -98,7 +98,7 @@ class Outbox:
             write()
         except OutputError as error:
             if not self._full:
-                self._reporter.log(f"{error.message}: {error.hint}", "warning")
+                self._reporter.warn("{}: {}", error.message, error.hint)
             self._full = True
             return False
         self._full = False
@@ -171,7 +171,7 @@ class Outbox:
         except OutputError as error:
             if error.message != self._undropped:
                 self._undropped = error.message
-                self._reporter.log(f"{error.message}; trying on", "warning")
+                self._reporter.warn("{}; trying on", error.message)
             return
         self._dropped, self._undropped = self.stored, ""
 
@@ -179,12 +179,12 @@ class Outbox:
         try:
             found = Acknowledgement.unpack(payload)
         except InputError as error:
-            self._reporter.log(f"fusion sends {error.message}", "warning")
+            self._reporter.warn("fusion sends {}", error.message)
             return
         if found.stream != self._buffer.stream.hex():
             return
         if found.refused and found.refused != self._refused:
-            self._reporter.log(f"fusion refuses what is sent: {found.refused}", "warning")
+            self._reporter.warn("fusion refuses what is sent: {}", found.refused)
         self._refused = found.refused
         if found.stored > self.stored:
             if not self._is_ours(found):
@@ -209,9 +209,8 @@ class Outbox:
 
     def _begin_anew(self) -> None:
         """Send all that waits as a new stream: another program, or an older copy, used this one."""
-        self._reporter.log(
+        self._reporter.warn(
             "fusion has stored other messages of this stream: all that waits is sent as a new one",
-            "warning",
         )
         self._buffer.renew()
         self._reported = 0.0

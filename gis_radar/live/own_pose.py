@@ -64,7 +64,7 @@ def find_own_pose(file: EdgeFile, frames: deque[Detections], *, reporter: Report
         If no trustworthy pose follows from them.
     """
     if file.map is None or file.road is None or file.guess is None:
-        raise NoAnswerError(f"{file.path}: there is nothing to find the pose by")
+        raise NoAnswerError("{}: there is nothing to find the pose by", file.path)
     with scratch_folder() as folder:
         path = folder / f"{file.sensor}.parquet"
         time = np.concatenate([each.time for each in frames])
@@ -212,6 +212,6 @@ class PoseFollower:
 
 def _map_of(file: EdgeFile, pose: Pose) -> tuple[LaneletMap, Floats]:
     if file.map is None or file.road is None:
-        raise NoAnswerError(f"{file.path}: there is nothing to follow the pose by")
+        raise NoAnswerError("{}: there is nothing to follow the pose by", file.path)
     roads = read_map(file.map.file, crs=file.map.crs or pose.crs, origin=file.map.origin)
     return roads, read_road(file.road, roads.crs)

@@ -38,7 +38,7 @@ from gis_radar.live.features import feature_routes
 from gis_radar.live.health import ALARMS, METRICS_TYPE
 from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
 from gis_radar.steps import step_begin
-from gis_radar.words import speaking, street_label, tr, tr_message
+from gis_radar.words import speaking, street_label, tr
 
 _LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
@@ -309,7 +309,7 @@ def in_each_language(text: str) -> dict[str, str]:
     texts = {}
     for language in LANGUAGES:
         with speaking(language):
-            texts[language] = tr_message(text)
+            texts[language] = tr(text)
     return texts
 
 

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 from gis_radar.errors import InputError
 from gis_radar.json_documents import parsed_json
+from gis_radar.texts import Text
 
 VERSION = 2
 DETECTIONS, POSE = "detections", "pose"  # topics
@@ -68,14 +69,16 @@ def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
         If it is too long or too short, or of another version.
     """
     if len(data) > MOST_BYTES:
-        raise InputError(f"a message of {len(data):,} bytes, expected {MOST_BYTES:,} at most")
+        raise InputError("a message of {:,} bytes, expected {:,} at most", len(data), MOST_BYTES)
     if not data or data[0] != VERSION:
         raise VersionError(
-            f"a message of version {data[0] if data else 'none'}, expected {VERSION}",
+            "a message of version {}, expected {}",
+            data[0] if data else Text("none"),
+            VERSION,
             hint="sensor and fusion need the same version of gis_radar",
         )
     if len(data) < _HEAD.size:
-        raise InputError(f"a message of {len(data)} bytes")
+        raise InputError("a message of {} bytes", len(data))
     _, flags, stream = _HEAD.unpack_from(data)
     read = Numbers(data, _HEAD.size)
     envelope = Envelope(
@@ -128,7 +131,7 @@ class Numbers:
     def __init__(self, data: bytes, at: int) -> None:
         self._data, self.at = data, at
         if at > len(data):
-            raise InputError(f"a message ends after {len(data)} bytes")
+            raise InputError("a message ends after {} bytes", len(data))
 
     def take(self) -> int:
         """Take a number."""
@@ -141,19 +144,19 @@ class Numbers:
             value |= (byte & 0x7F) << shift
             if byte < 0x80:
                 return value
-        raise InputError(f"a message ends within a number, after {len(self._data)} bytes")
+        raise InputError("a message ends within a number, after {} bytes", len(self._data))
 
     def bytes(self, size: int) -> bytes:
         """Take so many bytes."""
         if size > len(self._data) - self.at:
-            raise InputError(f"a message ends too soon, after {len(self._data)} bytes")
+            raise InputError("a message ends too soon, after {} bytes", len(self._data))
         self.at += size
         return self._data[self.at - size : self.at]
 
     def end(self) -> None:
         """Refuse what is left."""
         if self.at != len(self._data):
-            raise InputError(f"a message has {len(self._data) - self.at} bytes too many")
+            raise InputError("a message has {} bytes too many", len(self._data) - self.at)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,11 +187,13 @@ class PoseContent:
         InputError
             If it is none, or of another version.
         """
-        record = read_record(content, what="a pose", version=VERSION)
+        record = read_record(content, what=Text("a pose"), version=VERSION)
         kinds = {"pose": dict, "fingerprint": str}
         odd = [name for name, kind in kinds.items() if not isinstance(record.get(name), kind)]
         if odd:
-            raise InputError(f"a message with a pose: {odd[0]} is {record.get(odd[0])!r:.80}")
+            raise InputError(
+                "a message with a pose: {} is {}", odd[0], f"{record.get(odd[0])!r:.80}"
+            )
         return cls(**{name: record[name] for name in kinds})
 
 
@@ -242,7 +247,7 @@ class Acknowledgement:
         odd = [name for name in texts if not isinstance(record.get(name), str)]
         odd += [name for name in numbers if not isinstance(record.get(name), int)]
         if odd:
-            raise InputError(f"an acknowledgement: {odd[0]} is {record.get(odd[0])!r:.80}")
+            raise InputError("an acknowledgement: {} is {}", odd[0], f"{record.get(odd[0])!r:.80}")
         return cls(**{name: record[name] for name in (*texts, *numbers)})
 
 
@@ -264,13 +269,15 @@ def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[s
         If it is no table, too long, or of another version.
     """
     if len(data) > MOST_BYTES:
-        raise InputError(f"{what}: {len(data):,} bytes, expected {MOST_BYTES:,} at most")
+        raise InputError("{}: {:,} bytes, expected {:,} at most", what, len(data), MOST_BYTES)
     try:
         record = parsed_json(data.decode())
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{what}: no JSON") from error
+        raise InputError("{}: no JSON", what) from error
     if not isinstance(record, dict):
-        raise InputError(f"{what}: no table")
+        raise InputError("{}: no table", what)
     if version is not None and record.get("version") != version:
-        raise VersionError(f"{what} of version {record.get('version')!r:.20}, expected {version}")
+        raise VersionError(
+            "{} of version {}, expected {}", what, f"{record.get('version')!r:.20}", version
+        )
     return record

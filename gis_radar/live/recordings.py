@@ -34,6 +34,7 @@ from gis_radar.poses.pose import pose_from_dict
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.steps import STEP_US, step_begin
+from gis_radar.texts import Text
 
 HOUR_US = 3_600_000_000
 CUT_US = MARGIN_STEPS * STEP_US  # after the full hour
@@ -233,7 +234,7 @@ class JoinedRows:
         poses, since, last = [], list[int](), None
         for key, step in zip(keys, (frames.time_us // STEP_US).tolist(), strict=True):
             if key != last and key in self.poses and (not since or step > since[-1]):
-                poses.append(pose_from_dict(self.poses[key], what=f"the pose of {sensor}"))
+                poses.append(pose_from_dict(self.poses[key], what=Text("the pose of {}", sensor)))
                 since.append(step)
                 last = key
         times = np.array([step_begin(step).timestamp() for step in since])
@@ -260,10 +261,12 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
         return path if there else None
     rows = JoinedRows([*there, *parts])
     if rows.differing:
-        reporter.log(
-            f"{sensor}: {rows.differing:,} frames differ from others of the same time and are "
-            f"left out of {path.name}: has another program the same name?",
-            "warning",
+        reporter.warn(
+            "{}: {:,} frames differ from others of the same time and are left out of {}: "
+            "has another program the same name?",
+            sensor,
+            rows.differing,
+            path.name,
         )
     rows.write(path)
     for each in parts:
@@ -274,7 +277,7 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
             pass
     except InputError as error:
         aside = path.with_suffix(".refused")
-        reporter.log(f"{error.message}: put aside as {aside.name}", "warning")
+        reporter.warn("{}: put aside as {}", error.message, aside.name)
         path.replace(aside)
         return None
     return path
@@ -303,8 +306,9 @@ def remove_old(folder: Path, *, keep_s: float, most_bytes: float, reporter: Repo
             with output_errors(each):
                 each.unlink(missing_ok=True)
     if crowded:
-        reporter.log(
-            f"{folder / RECORDINGS}: {crowded} recordings are removed before their time, as they "
-            f"take over {most_bytes / 1e9:g} GB",
-            "warning",
+        reporter.warn(
+            "{}: {} recordings are removed before their time, as they take over {:g} GB",
+            folder / RECORDINGS,
+            crowded,
+            most_bytes / 1000000000.0,
         )

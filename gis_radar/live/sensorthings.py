@@ -106,7 +106,7 @@ class Service:
             try:
                 secret = path.read_text(encoding="utf-8").strip()
             except (OSError, UnicodeDecodeError) as error:
-                raise InputError(f"{path}: cannot be read: {error}") from error
+                raise InputError("{}: cannot be read: {}", path, error) from error
             if path == table.password_file:
                 both = base64.b64encode(f"{table.user or ''}:{secret}".encode()).decode()
                 headers["Authorization"] = f"Basic {both}"
@@ -137,25 +137,27 @@ class Service:
             raise self._refusal(path.partition("?")[0], error) from error
         except (OSError, ValueError, http.client.HTTPException) as error:
             reason = getattr(error, "reason", error)
-            raise ServerError(f"{self.root}: cannot be reached: {reason}") from error
+            raise ServerError("{}: cannot be reached: {}", self.root, reason) from error
         try:
             return json.loads(text) if text.strip() else None
         except (ValueError, RecursionError) as error:
             raise ServerError(
-                f"{self.root}: answers no JSON to {path.partition('?')[0]}"
+                "{}: answers no JSON to {}", self.root, path.partition("?")[0]
             ) from error
 
     def _refusal(self, path: str, error: urllib.error.HTTPError) -> ServerError:
         location = error.headers.get("Location") if 300 <= error.code < 400 else None
         if location is None:
-            return ServerError(f"{self.root}: answers {error.code} to {path}", hint=str(error.code))
+            return ServerError(
+                "{}: answers {} to {}", self.root, error.code, path, hint=str(error.code)
+            )
         place = urljoin(f"{self.root}/{path}", location).partition("?")[0].removesuffix(f"/{path}")
-        return ServerError(f"{self.root}: has moved; the address to use is {place}")
+        return ServerError("{}: has moved; the address to use is {}", self.root, place)
 
     def odd(self, path: str) -> ServerError:
         """Return the error of an answer that is not what the standard says."""
         return ServerError(
-            f"{self.root}: its answer to {path.partition('?')[0]} is none of SensorThings"
+            "{}: its answer to {} is none of SensorThings", self.root, path.partition("?")[0]
         )
 
     def rows(self, path: str) -> tuple[list[dict[str, Any]], bool]:
@@ -272,7 +274,7 @@ class LaneServer:
                 self._service.post("Things", self._thing(lane, name))
                 found = self._service.find("Datastreams", name)
             if found is None:
-                raise ServerError(f"{self._service.root}: does not keep what is made there")
+                raise ServerError("{}: does not keep what is made there", self._service.root)
             self._streams[lane] = found
         return self._streams[lane]
 

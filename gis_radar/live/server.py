@@ -134,10 +134,10 @@ def read_token(path: Path) -> str:
     try:
         token = path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+        raise InputError("{}: cannot be read: {}", path, error) from error
     if not token or not token.isascii() or not token.isprintable() or " " in token:
         raise InputError(
-            f"{path}: holds no token", hint="a token is one word of visible ASCII characters"
+            "{}: holds no token", path, hint="a token is one word of visible ASCII characters"
         )
     return token
 

@@ -21,12 +21,13 @@ from gis_radar.site.values import (
     Position,
     Recordings,
     Switch,
-    Text,
+    TextValue,
     TomlTable,
     Unfit,
     key,
     within,
 )
+from gis_radar.texts import Text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +89,9 @@ DEFAULTS = LiveSettings()
 class SourceTable(TomlTable):
     """Where the frames come from."""
 
-    address: Text | None = key('"udp://224.0.2.2:42102"', None, "none")
+    address: TextValue | None = key('"udp://224.0.2.2:42102"', None, "none")
     """The radar's, or a capture (pcap)."""
-    sensor: Text | None = key('"10.13.1.113"', None, "the only one")
+    sensor: TextValue | None = key('"10.13.1.113"', None, "the only one")
     """Which sensor, where the network has several."""
     recording: File | None = key('"R1.parquet"', None, "none")
     """A recording that is replayed instead."""
@@ -103,14 +104,14 @@ class SourceTable(TomlTable):
     def _has_one_source(self) -> Self:
         if (self.address is None) == (self.recording is None):
             both = "both address and recording are" if self.address else "neither is"
-            raise Unfit(message=f"{both} given", hint="give one of address and recording")
+            raise Unfit(message=Text("{} given", both), hint="give one of address and recording")
         return self
 
 
 class BufferTable(TomlTable):
     """The disk buffer: frames wait in it until fusion has stored them."""
 
-    file: Text | None = key('"R1.buffer"', None, "SENSOR.buffer, beside this file")
+    file: TextValue | None = key('"R1.buffer"', None, "SENSOR.buffer, beside this file")
     """Where it is."""
     megabytes: Annotated[float, Meaning("megabytes, 1 or more"), within(1.0, 1e7)] = key(800.0)
     """How large it may become: 800 hold a day of a radar at 20 Hz."""
@@ -157,7 +158,7 @@ class EdgeFile(TomlTable):
     def _fits_together(self) -> Self:
         if (self.guess is None) == (self.pose is None):
             both = "both guess and pose" if self.pose else "neither guess nor pose"
-            raise Unfit(message=f"has {both}", hint="give one of them")
+            raise Unfit(message=Text("has {}", both), hint=Text("give one of them"))
         if self.guess is not None and (self.map is None or self.road is None):
             raise Unfit(
                 message="its pose is to be found, which needs lanes and road",
@@ -205,9 +206,11 @@ class LiveSite(Site):
         for place, name in enumerate(names):
             at = ("sensor", place, "name")
             if name in names[:place]:
-                raise Unfit(message=f"two sensors are called {name!r}", at=at)
+                raise Unfit(message=Text("two sensors are called {}", repr(name)), at=at)
             if name == FUSION:
-                raise Unfit(message=f"{name!r} is no sensor: fusion itself logs in as it", at=at)
+                raise Unfit(
+                    message=Text("{} is no sensor: fusion itself logs in as it", repr(name)), at=at
+                )
         return self
 
     @property
@@ -248,17 +251,18 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
             password = table.password_file.read_text(encoding="utf-8").strip()
         except FileNotFoundError as error:
             raise InputError(
-                f"{table.password_file}: no such file",
+                "{}: no such file",
+                table.password_file,
                 hint="the files written for the broker hold one for each",
             ) from error
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{table.password_file}: cannot be read: {error}") from error
+            raise InputError("{}: cannot be read: {}", table.password_file, error) from error
     name = (table.user or user) if password else ""
     return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
 
 
-_HINT = "begin with: gis-radar edge --template > SENSOR.toml"
-_SITE_HINT = "begin with: gis-radar run --template > SITE.toml, and fill in [live]"
+_HINT = Text("begin with: gis-radar edge --template > SENSOR.toml")
+_SITE_HINT = Text("begin with: gis-radar run --template > SITE.toml, and fill in [live]")
 _HEAD = """\
 # A sensor of gis_radar's live system. Lines without # must be filled in.
 # Paths are relative to the folder of this file. Positions are metres of the map frame.

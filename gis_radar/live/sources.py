@@ -169,7 +169,7 @@ class Radar:
             return None
         if back_s > 0.0:  # else all would be left out until it is as late again
             self.counts["clock_set_back"] += 1
-            self.reporter.log(f"{self.source}: the clock was set back by {back_s:.1f} s", "warning")
+            self.reporter.warn("{}: the clock was set back by {:.1f} s", self.source, back_s)
         self._last_us = time_us
         points = sound.points.astype(np.float64)
         if len(points) == 0:
@@ -186,13 +186,13 @@ class Radar:
         theirs, ours = frame.sensor_time, frame.recorder_time
         if ours is None or (self._by_recorder is False and _is_right(frame)):
             if theirs is None:
-                raise NoAnswerError(f"{self.source}: frames without any time")
+                raise NoAnswerError("{}: frames without any time", self.source)
             return theirs
         if not self._by_recorder:
             self._by_recorder = True
-            self.reporter.log(
-                f"{self.source}: the sensor's clock is not set: times are those of arrival",
-                "warning",
+            self.reporter.warn(
+                "{}: the sensor's clock is not set: times are those of arrival",
+                self.source,
             )
         return ours
 

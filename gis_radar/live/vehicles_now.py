@@ -190,10 +190,9 @@ class LiveVehicles:
         """Go on without the process for a while."""
         self.restarts += 1
         reason = error.message if isinstance(error, GisRadarError) else type(error).__name__
-        self._reporter.log(
-            f"the process that follows the vehicles of now has ended ({reason}); a new one begins "
-            "anew",
-            "warning",
+        self._reporter.warn(
+            "the process that follows the vehicles of now has ended ({}); a new one begins anew",
+            reason,
         )
         self.close()
         self._start_at = time.monotonic() + AGAIN_S

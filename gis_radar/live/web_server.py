@@ -112,7 +112,9 @@ class WebServer:
             self._socket = socket.create_server((host, int(port)), family=family, backlog=BACKLOG)
         except OSError as error:
             raise OutputError(
-                f"{address}: cannot be served: {error.strerror}",
+                "{}: cannot be served: {}",
+                address,
+                error.strerror,
                 hint="another program may use the address",
             ) from error
         self._thread = Thread(

@@ -341,7 +341,10 @@ def _refuse_difference(part: _Reading, earlier: Sequence[_Reading]) -> None:
         if len(each.frames) and each.frames.time_us[0] <= at_us
     )  # fmt: skip
     raise InputError(
-        f"{part.source.recording.path}: differs from {other} at "
-        f"{iso_from_step(at_us // STEP_US)}: both are of {part.source.track.sensor}",
+        "{}: differs from {} at {}: both are of {}",
+        part.source.recording.path,
+        other,
+        iso_from_step(at_us // STEP_US),
+        part.source.track.sensor,
         hint="leave one of them away, or cut it where the other begins",
     )

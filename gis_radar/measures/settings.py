@@ -97,14 +97,16 @@ class Filters:
 
     def __post_init__(self) -> None:
         if self.min_speed is not None and not self.min_speed >= 0.0:
-            raise UsageError(f"least speed is {self.min_speed} m/s, expected 0 or more")
+            raise UsageError("least speed is {} m/s, expected 0 or more", self.min_speed)
         if self.min_rcs is not None and not math.isfinite(self.min_rcs):
-            raise UsageError(f"least cross section is {self.min_rcs} dBm2, expected a number")
+            raise UsageError("least cross section is {} dBm2, expected a number", self.min_rcs)
         if self.clearance is not None and not self.clearance[0] < self.clearance[1]:
             low, high = self.clearance
-            raise UsageError(f"clearance is {low} to {high} m, expected lowest before highest")
+            raise UsageError("clearance is {} to {} m, expected lowest before highest", low, high)
         if not 0.0 <= self.elevation_error_deg < 45.0:
-            raise UsageError(f"elevation error is {self.elevation_error_deg} deg, expected 0 to 45")
+            raise UsageError(
+                "elevation error is {} deg, expected 0 to 45", self.elevation_error_deg
+            )
 
     @property
     def widening(self) -> float:

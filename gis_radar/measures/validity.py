@@ -44,16 +44,19 @@ def validity_of(
         If a cycle is no duration of 1 ms to 2 s, or of a sensor that is not there.
     """
     if isinstance(cycles, str):
-        raise UsageError(f"cycles is {cycles!r}, expected seconds by sensor", hint=CYCLE_HINT)
+        raise UsageError("cycles is {}, expected seconds by sensor", repr(cycles), hint=CYCLE_HINT)
     validity = dict.fromkeys(sensors, settings.validity_s)
     for sensor, cycle_s in (cycles or {}).items():
         if sensor not in validity:
             others = ", ".join(validity)
-            raise UsageError(f"a cycle is given for {sensor}, but the poses are of {others}")
+            raise UsageError("a cycle is given for {}, but the poses are of {}", sensor, others)
         if not SHORTEST_CYCLE_S <= cycle_s <= LONGEST_CYCLE_S:
             raise UsageError(
-                f"the cycle of {sensor} is {cycle_s} s, "
-                f"expected {SHORTEST_CYCLE_S:g} to {LONGEST_CYCLE_S:g}",
+                "the cycle of {} is {} s, expected {:g} to {:g}",
+                sensor,
+                cycle_s,
+                SHORTEST_CYCLE_S,
+                LONGEST_CYCLE_S,
                 hint="the time from one of its frames to the next, such as 150ms",
             )
         validity[sensor] = round(settings.cycles_valid * cycle_s, 6)

@@ -31,13 +31,13 @@ from gis_radar.sight import (
     HIDDEN,
     IN_SIGHT,
     OUT_OF_VIEW,
-    VIEW_ONLY,
     Sight,
     SightSource,
     SightTiles,
     find_sight,
     report_uncovered,
 )
+from gis_radar.texts import Text
 
 
 def name_of_view(tiles: Integers) -> str:
@@ -111,11 +111,12 @@ class ViewBook:
         ]
         if len(blind) == len(tracks):
             raise NoAnswerError(
-                f"no tile lies in the view of {', '.join(blind)}",
+                "no tile lies in the view of {}",
+                ", ".join(blind),
                 hint="poses, heights and tiles do not fit each other",
             )
         for sensor in blind:
-            reporter.log(f"no tile lies in the view of {sensor}", "warning")
+            reporter.warn("no tile lies in the view of {}", sensor)
         return [views[id(track)] for track in tracks]
 
     def keep(self, views: Collection[tuple[str, str]]) -> None:
@@ -129,14 +130,17 @@ class ViewBook:
         """Report that there is no scan, or what it does not cover."""
         if self.scan is None:
             reporter.log(
-                f"sight: {VIEW_ONLY}: houses hide no tile; with --scan, what stands in a scan does"
+                Text(
+                    "sight: view only: houses hide no tile; with {}, what stands in a scan does",
+                    "--scan",
+                )
             )
             return
         report_uncovered(self.sights.values(), reporter, self.scan.settings)
         if np.isnan(self.road.height).all():
-            reporter.log(
+            reporter.warn(
                 "the tiles have no heights: those of the scan's ground count, and levels one above "
-                "another are not distinguished", "warning",
+                "another are not distinguished",
             )  # fmt: skip
 
     def _name(self, pose: Pose) -> str:
@@ -229,7 +233,7 @@ def place_recordings(
         If no sensor sees any tile.
     """
     for track in tracks:
-        what = f"the pose of {track.sensor}"
+        what = Text("the pose of {}", track.sensor)
         require_same(track.poses[0].crs, book.road.crs, what=what, other_what="the tiles")
     views = book.enter_all(tracks, reporter)
     return [

@@ -22,6 +22,7 @@ from gis_radar.json_documents import read_json
 from gis_radar.notebooks import table_card
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
 from gis_radar.steps import iso_from_step, seconds_from_iso, step_of
+from gis_radar.texts import Text
 
 VIEW_FIELDS = tuple(View.__dataclass_fields__)
 SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
@@ -119,7 +120,7 @@ def read_pose(path: str | Path) -> Pose:
     """
     record = read_json(path, what="a pose")
     if not isinstance(record, dict):
-        raise InputError(f"{path}: not a pose: expected a JSON object with its fields")
+        raise InputError("{}: not a pose: expected a JSON object with its fields", path)
     return pose_from_dict(record, what=str(path))
 
 
@@ -187,19 +188,20 @@ def read_track(path: str | Path) -> PoseTrack:
     rows = _rows_of(Path(path))
     shared: dict[str, CRS] = {}
     poses = tuple(
-        _pose_of_row(row, f"{path}: row {i}", shared) for i, row in enumerate(rows, start=1)
+        _pose_of_row(row, Text("{}: row {}", path, i), shared)
+        for i, row in enumerate(rows, start=1)
     )
     since = np.array(
         [
-            seconds_from_iso(row.get("time") or "", what=f"{path}: row {i}: time")
+            seconds_from_iso(row.get("time") or "", what=Text("{}: row {}: time", path, i))
             for i, row in enumerate(rows, start=1)
         ]
     )
     if len({(pose.sensor, pose.crs.to_wkt()) for pose in poses}) != 1:
-        raise InputError(f"{path}: a pose track has one sensor and one coordinate system")
+        raise InputError("{}: a pose track has one sensor and one coordinate system", path)
     if np.any(np.diff(since) <= 0.0):
         late = int(np.flatnonzero(np.diff(since) <= 0.0)[0]) + 2
-        raise InputError(f"{path}: row {late}: times of a pose track must ascend")
+        raise InputError("{}: row {}: times of a pose track must ascend", path, late)
     return PoseTrack(poses=poses, since=since)
 
 
@@ -209,13 +211,13 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
     try:
         header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
     except csv.Error as error:
-        raise InputError(f"{path}: not a pose track: {error}") from error
+        raise InputError("{}: not a pose track: {}", path, error) from error
     if not rows:
-        raise InputError(f"{path}: pose track without rows")
+        raise InputError("{}: pose track without rows", path)
     for number, row in enumerate(rows, start=1):
         if len(row) != len(header):
             raise InputError(
-                f"{path}: row {number} has {len(row)} cells, the header {len(header)}"
+                Text("{}: row {} has {} cells, the header {}", path, number, len(row), len(header))
                 + (": cut off?" if number == len(rows) else "")
             )
     # A line end at the end is not required (RFC 4180), but without it the last number may be cut:
@@ -223,7 +225,7 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
     of_view = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS and header[-1] in VIEW_FIELDS
     same = any(row[-1] == rows[-1][-1] for row in rows[:-1])
     if of_view and not same and not text.endswith("\n"):
-        raise InputError(f"{path}: row {len(rows)} does not end: cut off?")
+        raise InputError("{}: row {} does not end: cut off?", path, len(rows))
     return [dict(zip(header, row, strict=True)) for row in rows]
 
 
@@ -256,12 +258,12 @@ def _parsed(text: str, what: str, kind: Callable[[str], Any] = float) -> Any:
     try:
         return kind(text)
     except ValueError as error:
-        raise InputError(f"{what} is {text!r}, expected a number") from error
+        raise InputError("{} is {}, expected a number", what, repr(text)) from error
 
 
 def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot be read: {reason}") from error
+        reason = getattr(error, "strerror", None) or Text("not UTF-8 text")
+        raise InputError("{}: cannot be read: {}", path, reason) from error

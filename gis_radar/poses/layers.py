@@ -43,7 +43,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
-        raise UsageError(f"{path}: sensors are written as GeoPackage", hint="end it in .gpkg")
+        raise UsageError("{}: sensors are written as GeoPackage", path, hint="end it in .gpkg")
     if not poses:
         raise UsageError("there is no pose to write")
     for pose in poses[1:]:

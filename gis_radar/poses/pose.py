@@ -16,6 +16,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import metric_crs, name_of, require_on_earth
 from gis_radar.errors import InputError, placed
 from gis_radar.notebooks import axes_or_new, card, label_map
+from gis_radar.texts import Text
 from gis_radar.words import tr
 
 ANGLES = ("yaw", "pitch", "roll")
@@ -52,13 +53,15 @@ class View:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.azimuth_deg <= 360.0:
-            raise InputError(f"view: azimuth_deg is {self.azimuth_deg}, expected 0 to 360")
+            raise InputError("view: azimuth_deg is {}, expected 0 to 360", self.azimuth_deg)
         if not 0.0 < self.elevation_deg <= 180.0:
-            raise InputError(f"view: elevation_deg is {self.elevation_deg}, expected 0 to 180")
+            raise InputError("view: elevation_deg is {}, expected 0 to 180", self.elevation_deg)
         if not 0.0 <= self.min_range_m < self.max_range_m <= MOST_RANGE_M:
             raise InputError(
-                f"view: range is {self.min_range_m} to {self.max_range_m} m, expected ascending "
-                f"numbers up to {MOST_RANGE_M:.0f}"
+                "view: range is {} to {} m, expected ascending numbers up to {:.0f}",
+                self.min_range_m,
+                self.max_range_m,
+                MOST_RANGE_M,
             )
 
     def sees(self, points: Floats) -> Booleans:
@@ -118,8 +121,8 @@ class Pose:
     def __post_init__(self) -> None:
         for name in (*POSITION, *ANGLES):
             if not math.isfinite(getattr(self, name)):
-                raise InputError(f"pose of {self.sensor}: {name} is {getattr(self, name)}")
-        crs = metric_crs(self.crs, what=f"pose of {self.sensor}")
+                raise InputError("pose of {}: {} is {}", self.sensor, name, getattr(self, name))
+        crs = metric_crs(self.crs, what=Text("pose of {}", self.sensor))
         object.__setattr__(self, "crs", crs)
 
     @property
@@ -226,7 +229,7 @@ class Pose:
             If the covariance is not 6 x 6 finite numbers, symmetric and positive, or a sigma is not
             a number from 0.
         """
-        what, stated = f"pose of {self.sensor}", self.evidence
+        what, stated = Text("pose of {}", self.sensor), self.evidence
         return Evidence(
             sigma=_parse_sigma(stated.get("sigma"), what),
             covariance=_parse_covariance(stated.get("covariance"), what),
@@ -303,22 +306,22 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
     """
     missing = [name for name in REQUIRED if record.get(name) is None]
     if missing:
-        raise InputError(f"{what}: pose lacks {', '.join(missing)}")
+        raise InputError("{}: pose lacks {}", what, ", ".join(missing))
     numbers = {name: _number(record[name], f"{what}: {name}") for name in (*POSITION, *ANGLES)}
     known = {*REQUIRED, "quaternion", "view"}
     sensor = record["sensor"]
     if not isinstance(sensor, str) or not sensor.strip() or not sensor.isprintable():
-        raise InputError(f"{what}: sensor is {sensor!r}, expected a name")
+        raise InputError("{}: sensor is {}, expected a name", what, repr(sensor))
     pose = Pose(
         sensor=sensor,
-        crs=metric_crs(record["crs"], what=f"{what}: crs"),
+        crs=metric_crs(record["crs"], what=Text("{}: crs", what)),
         **numbers,
         view=_view(record.get("view"), what),
         evidence={name: value for name, value in record.items() if name not in known},
     )
     require_on_earth(pose.crs, pose.easting, pose.northing, what=what)
     if abs(pose.height) > MOST_HEIGHT_M:
-        raise InputError(f"{what}: height is {pose.height:g}, expected metres")
+        raise InputError("{}: height is {:g}, expected metres", what, pose.height)
     _check_quaternion(pose, record.get("quaternion"), what)
     with placed(what):
         pose.parsed_evidence()
@@ -327,7 +330,7 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
 
 def _number(value: Any, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{what} is {value!r}, expected a finite number")
+        raise InputError("{} is {}, expected a finite number", what, repr(value))
     return float(value)
 
 
@@ -337,8 +340,10 @@ def _view(record: Any, what: str) -> View | None:
     names = View.__dataclass_fields__
     if not isinstance(record, dict) or (unknown := record.keys() - names.keys()):
         bad = record if not isinstance(record, dict) else sorted(unknown)
-        raise InputError(f"{what}: view has {bad!r}, expected {', '.join(names)}")
-    values = {name: _number(value, f"{what}: view.{name}") for name, value in record.items()}
+        raise InputError("{}: view has {}, expected {}", what, repr(bad), ", ".join(names))
+    values = {
+        name: _number(value, Text("{}: view.{}", what, name)) for name, value in record.items()
+    }
     with placed(what):
         return View(**values)
 
@@ -347,16 +352,18 @@ def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
     if quaternion is None:
         return
     if not isinstance(quaternion, list | tuple) or len(quaternion) != 4:
-        raise InputError(f"{what}: quaternion is {quaternion!r}, expected [x, y, z, w]")
-    values = [_number(value, f"{what}: quaternion") for value in quaternion]
+        raise InputError("{}: quaternion is {}, expected [x, y, z, w]", what, repr(quaternion))
+    values = [_number(value, Text("{}: quaternion", what)) for value in quaternion]
     if abs(math.hypot(*values) - 1.0) > 1e-3:
-        raise InputError(f"{what}: quaternion has length {math.hypot(*values):.4f}, expected 1")
+        raise InputError("{}: quaternion has length {:.4f}, expected 1", what, math.hypot(*values))
     rotation = scipy.spatial.transform.Rotation
     turn = rotation.from_quat(values).inv() * rotation.from_matrix(pose.R_map_sensor)
     apart_deg = math.degrees(turn.magnitude())
     if apart_deg > QUATERNION_TOLERANCE_DEG:
         raise InputError(
-            f"{what}: quaternion and angles differ by {apart_deg:.3f} deg",
+            "{}: quaternion and angles differ by {:.3f} deg",
+            what,
+            apart_deg,
             hint="angles are intrinsic Z-Y-X, the quaternion is x, y, z, w; drop one of them",
         )
 
@@ -451,12 +458,14 @@ def _parse_sigma(stated: Any, what: str) -> dict[str, float]:
     if stated is None:
         return {}
     if not isinstance(stated, Mapping):
-        raise InputError(f"{what}: sigma is {stated!r}, expected a number by component")
+        raise InputError("{}: sigma is {}, expected a number by component", what, repr(stated))
     known = {name: stated[name] for name in COMPONENTS if stated.get(name) is not None}
     for name, value in known.items():
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not 0.0 <= value < math.inf:
-            raise InputError(f"{what}: sigma of {name} is {value!r}, expected a number from 0")
+            raise InputError(
+                "{}: sigma of {} is {}, expected a number from 0", what, name, repr(value)
+            )
     return {name: float(value) for name, value in known.items()}
 
 
@@ -468,9 +477,9 @@ def _parse_covariance(stated: Any, what: str) -> Floats | None:
     except (TypeError, ValueError):
         covariance = np.empty(0)
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-        raise InputError(f"{what}: covariance is not 6 x 6 finite numbers")
+        raise InputError("{}: covariance is not 6 x 6 finite numbers", what)
     scale = np.sqrt(np.abs(np.diag(covariance))) + 1e-12
     lowest = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
     if not np.allclose(covariance, covariance.T) or lowest < LEAST_EIGENVALUE:
-        raise InputError(f"{what}: covariance is not symmetric and positive")
+        raise InputError("{}: covariance is not symmetric and positive", what)
     return covariance

@@ -112,7 +112,7 @@ def write_footprints(
     """
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
-        raise UsageError(f"{path}: footprints are written as GeoPackage", hint="end it in .gpkg")
+        raise UsageError("{}: footprints are written as GeoPackage", path, hint="end it in .gpkg")
     require_vehicles(dataset)
     rows = _Rows(dataset, settings, reporter)
     with atomic_write(path) as part:
@@ -131,7 +131,7 @@ def require_vehicles(dataset: Dataset) -> None:
     """Refuse a dataset in which vehicles were not looked for."""
     if not dataset.has_vehicles:
         raise InputError(
-            f"{dataset.folder}: holds no vehicles", hint="measure it again, with vehicles"
+            "{}: holds no vehicles", dataset.folder, hint="measure it again, with vehicles"
         )
 
 

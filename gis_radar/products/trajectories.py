@@ -92,7 +92,7 @@ def _span(begin: Any, end: Any, timezone: str) -> Span | None:
     low = -_FAR if begin is None else step_at(begin, zone, what="begin")
     after = _FAR if end is None else step_at(end, zone, what="end")
     if not low < after:
-        raise UsageError(f"begin and end are {begin} and {end}, expected ascending times")
+        raise UsageError("begin and end are {} and {}, expected ascending times", begin, end)
     return low, after - 1
 
 
@@ -124,7 +124,7 @@ def to_trajectories(dataset: Dataset, **options: Any) -> movingpandas.Trajectory
         ) from error
     points = track_points(dataset, **options)
     if points.empty:
-        raise InputError(f"{dataset.folder}: there is no vehicle in that time")
+        raise InputError("{}: there is no vehicle in that time", dataset.folder)
     points.index = pd.DatetimeIndex(points.index).tz_localize(None).rename("t")
     return mpd.TrajectoryCollection(points, traj_id_col="vehicle")
 
@@ -166,7 +166,7 @@ def write_trajectories(
     """
     path = Path(path)
     if path.suffix.lower() not in {".json", ".mfjson"}:
-        raise UsageError(f"{path}: Moving Features are written as JSON", hint="end it in .json")
+        raise UsageError("{}: Moving Features are written as JSON", path, hint="end it in .json")
     require_vehicles(dataset)
     apart, span, count = interval_steps(every), _span(begin, end, timezone), 0
     named = {"crs": _CRS84, "trs": _ISO_TIME}

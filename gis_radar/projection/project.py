@@ -29,6 +29,7 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.projection.on_lanes import LANE_COLUMNS, OnLanes
 from gis_radar.recordings.recording import Detections, Recording, as_recording
 from gis_radar.steps import gps_seconds
+from gis_radar.texts import Text
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most files written are no scans
 
@@ -105,7 +106,9 @@ def write_projection(
     path = Path(path)
     if path.suffix.lower() not in WRITERS:
         raise UsageError(
-            f"{path}: not a known format for points", hint=f"known endings: {', '.join(WRITERS)}"
+            "{}: not a known format for points",
+            path,
+            hint=Text("known endings: {}", ", ".join(WRITERS)),
         )
     source = as_recording(recording)
     refuse_inputs(path, source.path)
@@ -197,15 +200,15 @@ class _PointStream:
         self.schema: pa.Schema = pa.schema([*OWN, *placed, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
         for pose in track.poses:  # in degrees, in millimetres, with its axes swapped
-            whose = f"pose of {pose.sensor}"
+            whose = Text("pose of {}", pose.sensor)
             require_true_scale(pose.crs, pose.easting, pose.northing, what=whose)
         self.rows = 0
         self.reporter = reporter
         if not recording.measures_elevation():
             level = "measures no elevation: its detections are placed at the height of the sensor"
-            reporter.log(f"{recording.path.name}: {track.sensor} {level}", "warning")
+            reporter.warn("{}: {} {}", recording.path.name, track.sensor, level)
         if changed := _renamed(self.names):
-            reporter.log(f"{recording.path.name}: columns renamed: {', '.join(changed)}", "warning")
+            reporter.warn("{}: columns renamed: {}", recording.path.name, ", ".join(changed))
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         done = 0
@@ -274,8 +277,8 @@ def write_points_geopackage(points: _PointStream, path: Path) -> None:
         if not any(is_kind(field.type) for is_kind in NOT_IN_GEOPACKAGE)
     ]
     if left := [name for name in points.schema.names if name not in kept]:
-        lost = f"{path.name}: a GeoPackage cannot hold {', '.join(left)}: left out"
-        points.reporter.log(lost, "warning")
+        lost = Text("{}: a GeoPackage cannot hold {}: left out", path.name, ", ".join(left))
+        points.reporter.warn(lost)
     write_stream(
         (batch.select(kept) for batch in points),
         pa.schema([points.schema.field(name) for name in kept]),
@@ -413,11 +416,11 @@ def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_
     taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
     names = _distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
     left = [field.name for field in further if field not in numeric]
-    remarks = [f"left out, no numbers: {', '.join(left)}"] * bool(left)
+    remarks = [Text("left out, no numbers: {}", ", ".join(left))] * bool(left)
     if changed := _renamed(names):
-        remarks.append(f"renamed: {', '.join(changed)}")
+        remarks.append(Text("renamed: {}", ", ".join(changed)))
     if remarks:
-        points.reporter.log(f"{path.name}: columns {'; '.join(remarks)}", "warning")
+        points.reporter.warn("{}: columns {}", path.name, Text("; ").join(remarks))
     return [*_OURS, *(_dimension(field, names[field.name]) for field in numeric)]
 
 

@@ -43,6 +43,7 @@ from gis_radar.qgis.project_xml import LayerSource, ProjectContent, TimeRange, p
 from gis_radar.sight import SightTiles, write_sights
 from gis_radar.sight.layers import SIGHT_LAYER
 from gis_radar.steps import Clock, seconds_from_iso, zone_of
+from gis_radar.texts import Text
 from gis_radar.words import speaking
 
 MAP_MARGIN = 0.05
@@ -103,13 +104,13 @@ def write_qgis_project(
     """
     path = Path(path)
     if path.suffix.lower() != ".qgz":
-        raise UsageError(f"{path}: a QGIS project ends in .qgz", hint="end the name in .qgz")
+        raise UsageError("{}: a QGIS project ends in .qgz", path, hint="end the name in .qgz")
     if language not in LANGUAGES:
-        raise UsageError(f"language is {language!r}, expected one of {', '.join(LANGUAGES)}")
+        raise UsageError("language is {}, expected one of {}", repr(language), ", ".join(LANGUAGES))
     if was_edited(path):
-        raise OutputError(f"{path}: somebody has edited this project", hint="name another output")
+        raise OutputError("{}: somebody has edited this project", path, hint="name another output")
     package = Path(heatmap) / "heatmap.gpkg"
-    with opened_package(package, what="a heat map", hint="make it with: gis-radar heatmap"):
+    with opened_package(package, what="a heat map", hint=Text("make it with: gis-radar heatmap")):
         crs, box = _observed_box(package)
         played = _time_range(package)
         measure = _measure(package)
@@ -187,9 +188,7 @@ def write_site_project(
     names = itertools.chain([folder / "site.qgz"], numbered)
     project = next(name for name in names if not was_edited(name))
     if project.name != "site.qgz":
-        reporter.log(
-            f"site.qgz was edited and stays as it is; the new project is {project.name}", "warning"
-        )
+        reporter.warn("site.qgz was edited and stays as it is; the new project is {}", project.name)
     tiles = folder / "tiles.gpkg"
     write_qgis_project(
         project, heatmap=folder / "heatmap", sensors=sensors, sight=sight, footprints=vehicles,
@@ -218,7 +217,7 @@ def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
     road, sights = SightTiles.of(tiles), []
     for sensor in dataset.sensors:
         document = poses.loc[poses["sensor"] == sensor, "document"].iloc[-1]
-        pose = pose_from_dict(json.loads(document), what=f"{dataset.folder}: a pose")
+        pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
         sights.append(sight_of_tiles(dataset.sight_of(sensor), pose, road))
     write_sights(sights, tiles, folder / "sight.gpkg")
     return folder / "sight.gpkg"

@@ -7,8 +7,8 @@ data, too few samples, never hit, hit too much, constant, and hits without motio
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from datetime import UTC
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality.counting import HOUR_S, Count, count_frames, frame_times
 from gis_radar.spreadsheets import csv_style
 from gis_radar.steps import CLOCK_SET_S, seconds_from_iso, zone_of
+from gis_radar.texts import Text
 
 GOOD = "good"
 NO_DATA = "no data"
@@ -87,7 +88,7 @@ def faults_of(count: Count, hour: int, settings: QualitySettings = DEFAULTS) -> 
     single = count.frames - count.doubled
     expected = single + count.dropped
     if single < settings.least_share * expected:
-        yield f"{100 * single / expected:.0f} % of the frames expected"
+        yield Text("{:.0f} % of the frames expected", 100 * single / expected)
     if hour < settings.clock_set_s:
         yield "clock not set"
     if count.frames >= settings.frames_judged:
@@ -96,9 +97,11 @@ def faults_of(count: Count, hour: int, settings: QualitySettings = DEFAULTS) -> 
 
 def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
     if count.doubled > settings.most_doubled * count.frames:
-        yield f"{100 * count.doubled / count.frames:.0f} % of the frames come twice"
+        yield Text("{:.0f} % of the frames come twice", 100 * count.doubled / count.frames)
     if count.repeated > settings.most_repeated * count.frames:
-        yield f"frozen: {100 * count.repeated / count.frames:.0f} % of the frames repeat the last"
+        yield Text(
+            "frozen: {:.0f} % of the frames repeat the last", 100 * count.repeated / count.frames
+        )
     if count.detections == 0:
         yield "all frames are empty"
         return
@@ -107,16 +110,19 @@ def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
     elif count.hits == 0:
         yield "no tile is ever hit"
     elif count.high > settings.high_share * count.frames:
-        yield (
-            f"over {100 * settings.high:.0f} % of its tiles hit in "
-            f"{100 * count.high / count.frames:.0f} % of the frames"
+        yield Text(
+            "over {:.0f} % of its tiles hit in {:.0f} % of the frames",
+            100 * settings.high,
+            100 * count.high / count.frames,
         )
     elif count.fewest == count.most:
         yield "hit share is constant"
     if count.hits and count.moving < settings.least_moving * count.detections:
         yield "hits without motion"
     if count.wild > settings.most_wild * count.detections:
-        yield f"{100 * count.wild / count.detections:.0f} % of the detections are absurdly fast"
+        yield Text(
+            "{:.0f} % of the detections are absurdly fast", 100 * count.wild / count.detections
+        )
 
 
 MOST_NUMBERS = 24  # hours; beyond that numbers would overlap
@@ -141,12 +147,19 @@ class Quality:
         Thresholds in effect.
     without_elevation : frozenset of str
         Sensors that measure no elevation.
+    verdicts : mapping
+        The verdicts as texts that can be translated, by what stands in the table.
     """
 
     table: pd.DataFrame
     timezone: str
     settings: QualitySettings = DEFAULTS
     without_elevation: frozenset[str] = frozenset()
+    verdicts: Mapping[str, str] = field(default_factory=dict)
+
+    def verdict(self, told: str) -> str:
+        """Return a verdict of the table as a text that can be translated."""
+        return self.verdicts.get(told, told)
 
     def figures(self) -> dict[str, Any]:
         """Return a line a sensor, and the thresholds in effect."""
@@ -158,17 +171,23 @@ class Quality:
         for sensor, rows in self.table.groupby("sensor"):
             good = int((rows["verdict"] == GOOD).sum())
             bad = rows.loc[rows["verdict"] != GOOD, "verdict"].value_counts()
-            wrong = [f"{text} ({hours} h)" for text, hours in bad.items()]
+            wrong = [Text("{} ({} h)", self.verdict(str(t)), hours) for t, hours in bad.items()]
             level = ["measures no elevation"] if sensor in self.without_elevation else []
-            lines[str(sensor)] = "; ".join([f"{good} of {len(rows)} hours good", *level, *wrong])
+            hours_good = Text("{} of {} hours good", good, len(rows))
+            lines[str(sensor)] = Text("; ").join([hours_good, *level, *wrong])
         return lines
 
     def warnings(self) -> list[str]:
         """Return one line for each sensor that is not good throughout."""
         bad = self.table[self.table["verdict"] != GOOD]
         return [
-            f"{sensor}: {rows['verdict'].iloc[0]} (in {len(rows)} of its hours, first in that from "
-            f"{rows['begin'].iloc[0]:%Y-%m-%dT%H:%MZ})"
+            Text(
+                "{}: {} (in {} of its hours, first in that from {})",
+                sensor,
+                self.verdict(rows["verdict"].iloc[0]),
+                len(rows),
+                f"{rows['begin'].iloc[0]:%Y-%m-%dT%H:%MZ}",
+            )
             for sensor, rows in bad.groupby("sensor")
         ]
 
@@ -256,7 +275,7 @@ class Quality:
 def require_table_name(path: str | Path) -> None:
     """Refuse a name that ends neither in CSV nor in Parquet, before the work and not after it."""
     if Path(path).suffix.lower() not in {".csv", ".parquet"}:
-        raise UsageError(f"{path}: not a known table format", hint="use .csv or .parquet")
+        raise UsageError("{}: not a known table format", path, hint="use .csv or .parquet")
 
 
 def measure_quality(
@@ -299,7 +318,7 @@ def measure_quality(
     zone = zone_of(timezone)
     times = frame_times(dataset)
     if not times:
-        raise InputError(f"{dataset.folder}: holds no frame", hint="were the recordings empty?")
+        raise InputError("{}: holds no frame", dataset.folder, hint="were the recordings empty?")
     counts = count_frames(dataset, times, zone, settings.high, reporter)
     poses = _poses(dataset.poses())
     hours = sorted({hour for _, hour in counts})
@@ -311,9 +330,10 @@ def measure_quality(
     ]
     recordings = dataset.recordings()
     level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
+    verdicts = {row["verdict"]: row["verdict"] for row in rows}
     return Quality(
         table=pd.DataFrame(rows), timezone=timezone, settings=settings,
-        without_elevation=frozenset(level),
+        without_elevation=frozenset(level), verdicts=verdicts,
     )  # fmt: skip
 
 
@@ -339,7 +359,7 @@ def _poses(table: pd.DataFrame) -> dict[str, Poses]:
 
 def _time_of(pose: dict[str, Any]) -> float:
     try:
-        return seconds_from_iso(str(pose["time"]), what="time of a pose")
+        return seconds_from_iso(str(pose["time"]), what=Text("time of a pose"))
     except (KeyError, InputError):
         return float("nan")
 
@@ -382,5 +402,5 @@ def _row(
         "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
         "pose": pose,
         "pose_age_h": age_h,
-        "verdict": "; ".join(faults_of(count, hour, settings)) or GOOD,
+        "verdict": Text("; ").join(faults_of(count, hour, settings)) or GOOD,
     }

@@ -16,6 +16,7 @@ import numpy as np
 
 from gis_radar.recordings.columns import cartesian
 from gis_radar.recordings.frames import Column, DamagedError, Frame
+from gis_radar.texts import Text
 
 PACKET = "ars430_ros_publisher/msg/RadarPacket"
 DETECTION = "ars430_ros_publisher/msg/RadarDetection"
@@ -46,7 +47,7 @@ def _of(record: Any, names: tuple[str, ...]) -> Any:
     for name in names:
         if hasattr(record, name):
             return getattr(record, name)
-    raise DamagedError(f"a packet has none of the fields {', '.join(names)}")
+    raise DamagedError(Text("a packet has none of the fields {}", ", ".join(names)))
 
 
 @dataclass(kw_only=True)

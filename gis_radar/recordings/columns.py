@@ -12,6 +12,7 @@ from gis_radar.errors import UsageError
 from gis_radar.recordings.frames import Column, DamagedError, Frame, ReaderContext
 from gis_radar.recordings.recording import COLUMNS
 from gis_radar.recordings.units import refuse_degrees
+from gis_radar.texts import Text
 
 # Names that radar drivers and data sets use, however they are written; the first one counts.
 NAMES: dict[str, tuple[str, ...]] = {
@@ -111,8 +112,12 @@ class Layout:
         """Remark what is not plain from the fields' names."""
         if self.rcs_from_intensity:
             context.remark(
-                f"{sensor}: rcs is the field {self.sources['rcs']}: whole numbers with a sign, "
-                f"beside the range rate {self.sources['range_rate'].removeprefix('-')}"
+                Text(
+                    "{}: rcs is the field {}: whole numbers with a sign, beside the range rate {}",
+                    sensor,
+                    self.sources["rcs"],
+                    self.sources["range_rate"].removeprefix("-"),
+                )
             )
 
     def frame(self, values: Values, **known: Any) -> Frame:
@@ -167,13 +172,16 @@ def find_layout(
     for target, field in columns.items():
         if target not in TARGETS:
             raise UsageError(
-                f"columns: {target!r} is no column of a recording",
-                hint=f"known: {', '.join(TARGETS)}",
+                "columns: {} is no column of a recording",
+                repr(target),
+                hint=Text("known: {}", ", ".join(TARGETS)),
             )
         if field.removeprefix("-") not in fields:
             raise UsageError(
-                f"columns: no field {field.removeprefix('-')!r} for {target}",
-                hint=f"fields: {', '.join(fields)}",
+                "columns: no field {} for {}",
+                repr(field.removeprefix("-")),
+                target,
+                hint=Text("fields: {}", ", ".join(fields)),
             )
         sources[target] = field
     taken = {field.removeprefix("-") for field in sources.values()}
@@ -237,12 +245,12 @@ def message_rows(message: Any) -> Column:
             }
         )
     except (KeyError, ValueError) as error:
-        raise DamagedError(f"fields of a cloud make no sense: {error}") from error
+        raise DamagedError(Text("fields of a cloud make no sense: {}", error)) from error
     height, width = message.height, message.width
     data = np.asarray(message.data, dtype=np.uint8)
     line = message.row_step if height > 1 else width * message.point_step
     if line < width * message.point_step or len(data) < height * line:
-        raise DamagedError(f"{len(data):,} bytes for {height} x {width} points")
+        raise DamagedError(Text("{:,} bytes for {} x {} points", len(data), height, width))
     lines = data[: height * line].reshape(height, line)[:, : width * message.point_step]
     packed = np.ascontiguousarray(lines).reshape(-1)
     return packed.view(layout) if lines.size else np.empty(0, dtype=layout)

@@ -22,6 +22,7 @@ from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
 from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
+from gis_radar.texts import Text
 
 # What readers and their libraries raise where bytes cannot be what they should.
 DAMAGE = (
@@ -116,9 +117,9 @@ class Conversion:
         )
 
 
-NO_ELEVATION = (
-    "measures no elevation (z is missing or 0 throughout): x and y are at the slant range; height, "
-    "pitch, roll and clearance cannot be had from it"
+NO_ELEVATION = Text(
+    "measures no elevation (z is missing or 0 throughout): x and y are at the slant "
+    "range; height, pitch, roll and clearance cannot be had from it"
 )
 REMEMBERED = 4 * WINDOW  # frames whose doubles are found
 
@@ -205,18 +206,18 @@ class Tracks:
         if not self._tracks:
             raise InputError(
                 "no usable frame in the inputs",
-                hint=f"left out: {counted(self._context.counts) or 'nothing'}",
+                hint=Text("left out: {}", counted(self._context.counts) or "nothing"),
             )
         for sensor, track in self._tracks.items():
             track.finish()
             if track.file.left_out:
                 columns = ", ".join(sorted(track.file.left_out))
-                late = f"{sensor}: columns that came late are left out: {columns}"
-                self._context.reporter.log(late, "warning")
+                late = Text("{}: columns that came late are left out: {}", sensor, columns)
+                self._context.reporter.warn(late)
             if track.file.odd:
-                self._context.remark(f"{sensor}: {track.file.odd}", "warning")
+                self._context.remark(Text("{}: {}", sensor, track.file.odd), "warning")
             if track.file.elevation is False:
-                self._context.remark(f"{sensor}: {NO_ELEVATION}")
+                self._context.remark(Text("{}: {}", sensor, NO_ELEVATION))
         counts = Counter(self._context.counts)
         for track in self._tracks.values():
             counts["duplicates"] += track.doubles
@@ -321,12 +322,12 @@ def convert(
         atomic_writes(place) as (private, places),
         Tracks(private, place, clock, context) as tracks,
     ):
-        told = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+        told = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
         for frame in merged(opened, context):
             try:
                 tracks.put(frame)
             except InputError as error:  # a context manager would cost a tenth of the time
-                raise InputError(f"{told}: {error.message}", hint=error.hint) from error
+                raise InputError("{}: {}", told, error.message, hint=error.hint) from error
         with placed(told):
             result = tracks.finish()
         for recording in result.recordings:
@@ -348,9 +349,9 @@ def format_of(source: str) -> Format:
         if form.accepts(source):
             return form
     if "://" not in source and not Path(source).exists():
-        raise InputError(f"{source}: no such file or folder")
+        raise InputError("{}: no such file or folder", source)
     takes = "; ".join(f"{form.name}: {form.takes}" for form in known_formats())
-    raise InputError(f"{source}: of no known radar format", hint=takes)
+    raise InputError("{}: of no known radar format", source, hint=takes)
 
 
 @cache
@@ -366,16 +367,16 @@ def _refuse_options(
     if not formats:
         raise UsageError("no input given")
     if clock not in CLOCKS:
-        raise UsageError(f"clock is {clock!r}, expected one of {', '.join(CLOCKS)}")
+        raise UsageError("clock is {}, expected one of {}", repr(clock), ", ".join(CLOCKS))
     if place.suffix.lower() != ".parquet":
-        raise OutputError(f"{place}: a recording is written as .parquet", hint="name it so")
+        raise OutputError("{}: a recording is written as .parquet", place, hint="name it so")
     live = [form for form in formats if form.live]
     if live and len(formats) > 1:
         raise UsageError("an address cannot be merged with other inputs", hint="record it alone")
     if duration_s is not None and not live:
         raise UsageError("a duration is for an address; files end by themselves")
     if duration_s is not None and not duration_s > 0:
-        raise UsageError(f"the duration is {duration_s:g} s, expected more than 0")
+        raise UsageError("the duration is {:g} s, expected more than 0", duration_s)
 
 
 def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]:
@@ -384,18 +385,25 @@ def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]
         yield from form.frames(source, context)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InputError(f"{source}: cannot be read: {reason}") from error
+        raise InputError("{}: cannot be read: {}", source, reason) from error
     except DAMAGE as error:
-        raise InputError(f"{source}: damaged: {first_line(error)}") from error
+        raise InputError("{}: damaged: {}", source, first_line(error)) from error
 
 
 def _tell(result: Conversion, reporter: Reporter) -> None:
     if len(result.recordings) > 1:
-        reporter.log(f"{len(result.recordings)} sensors, a recording each (--sensor takes one)")
+        reporter.log(
+            Text("{} sensors, a recording each ({} takes one)", len(result.recordings), "--sensor")
+        )
     for recording in result.recordings:
         reporter.log(
-            f"{recording.sensor}: {recording.frames:,} frames, "
-            f"{recording.detections:,} detections, clock: {recording.clock}"
+            Text(
+                "{}: {:,} frames, {:,} detections, clock: {}",
+                recording.sensor,
+                recording.frames,
+                recording.detections,
+                recording.clock,
+            )
         )
     if result.left_out:
-        reporter.log(f"left out or mended: {counted(result.left_out)}")
+        reporter.log(Text("left out or mended: {}", counted(result.left_out)))

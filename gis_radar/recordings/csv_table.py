@@ -76,7 +76,7 @@ class CsvTable:
             place = re.compile(r"Row #(\d+)")
             reason = place.sub(lambda n: f"row {int(n[1]) - self.header_lines}", first_line(error))
             reason = LONG_VALUE.sub(r"'\1...'", reason)
-            raise InputError(f"{self.path}: damaged: {reason}") from error
+            raise InputError("{}: damaged: {}", self.path, reason) from error
 
 
 def open_csv_table(path: Path, *, numbers: tuple[str, ...]) -> CsvTable:
@@ -99,19 +99,20 @@ def open_csv_table(path: Path, *, numbers: tuple[str, ...]) -> CsvTable:
     lines = top.splitlines()
     filled = next((i for i, line in enumerate(lines) if line.strip()), None)
     if filled is None:
-        raise InputError(f"{path}: cannot be read: empty file")
+        raise InputError("{}: cannot be read: empty file", path)
     try:
         header = lines[filled].decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{path}: cannot be read: the header is not UTF-8 text",
+            "{}: cannot be read: the header is not UTF-8 text",
+            path,
             hint="save the table as CSV in UTF-8",
         ) from error
     _refuse_delimiters(header, numbers, path)
     try:
         names = tuple(name.strip() for name in next(csv.reader([header], skipinitialspace=True)))
     except csv.Error as error:  # a field of over 128 KiB
-        raise InputError(f"{path}: damaged: {first_line(error)}") from error
+        raise InputError("{}: damaged: {}", path, first_line(error)) from error
     refuse_many_columns(len(names), path)
     return CsvTable(path=path, names=names, header_lines=filled + 1, numbers=numbers)
 
@@ -120,7 +121,11 @@ def refuse_many_columns(count: int, path: Path) -> None:
     """Refuse a table of more columns than any radar fills: each costs time for every batch."""
     if count > (most := settings.DEFAULTS.most_columns):
         raise InputError(
-            f"{path}: has {count:,} columns, at most {most:,} are read", hint="keep the radar's own"
+            "{}: has {:,} columns, at most {:,} are read",
+            path,
+            count,
+            most,
+            hint="keep the radar's own",
         )
 
 
@@ -129,6 +134,8 @@ def _refuse_delimiters(header: str, expected: tuple[str, ...], path: Path) -> No
         found = {name.strip(' "') for name in header.split(mark)}
         if len(found.intersection(expected)) > 1:
             raise InputError(
-                f"{path}: the columns are separated by {called}, expected commas",
+                "{}: the columns are separated by {}, expected commas",
+                path,
+                called,
                 hint="save the table with commas between values and points in numbers",
             )

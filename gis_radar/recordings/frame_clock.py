@@ -14,6 +14,7 @@ from gis_radar.arrays import Floats
 from gis_radar.errors import InputError
 from gis_radar.progress import Reporter
 from gis_radar.recordings.frames import Frame
+from gis_radar.texts import Text
 
 Clock = Literal["auto", "sensor", "recorder"]
 CLOCKS: tuple[Clock, ...] = ("auto", "sensor", "recorder")
@@ -105,10 +106,12 @@ class FrameClock:
             return
         rate = self._line.rate
         self.used.append(f"{self._stamp} at the recorder's rate")
-        self._reporter.log(
-            f"{self._sensor}: {self._name} runs {abs(rate):.2%} {'fast' if rate > 0 else 'slow'} "
-            "against the recorder's: it is corrected by that rate",
-            "warning",
+        self._reporter.warn(
+            "{}: {} runs {:.2%} {} against the recorder's: it is corrected by that rate",
+            self._sensor,
+            self._name,
+            abs(rate),
+            Text("fast") if rate > 0 else Text("slow"),
         )
 
     def _fit_rate(self) -> OffsetLine | None:
@@ -128,10 +131,14 @@ class FrameClock:
             return None
         if abs(line.rate) > MOST_RATE:
             raise InputError(
-                f"{self._sensor}: {self._name} runs {abs(line.rate):.1%} "
-                f"{'fast' if line.rate > 0 else 'slow'} against the recorder's: one of them is "
-                "no clock",
-                hint="a replay? say which counts: --clock sensor or --clock recorder",
+                "{}: {} runs {:.1%} {} against the recorder's: one of them is no clock",
+                self._sensor,
+                self._name,
+                abs(line.rate),
+                Text("fast") if line.rate > 0 else Text("slow"),
+                hint=Text(
+                    "a replay? say which counts: {} sensor or {} recorder", "--clock", "--clock"
+                ),
             )
         return line
 
@@ -145,9 +152,16 @@ class FrameClock:
         time = frame.recorder_time if recorder else self._corrected(frame)
         if time is None or not EARLIEST_S <= time < LATEST_S:
             raise InputError(
-                f"{self._sensor}: no usable time: the {self._stamp} says "
-                f"{_time_text(frame.sensor_time)}, the recorder {_time_text(frame.recorder_time)}",
-                hint="expected are years from 2000 to 2100; see --clock, and --time-unit of tables",
+                "{}: no usable time: the {} says {}, the recorder {}",
+                self._sensor,
+                self._stamp,
+                _time_text(frame.sensor_time),
+                _time_text(frame.recorder_time),
+                hint=Text(
+                    "expected are years from 2000 to 2100; see {}, and {} of tables",
+                    "--clock",
+                    "--time-unit",
+                ),
             )
         return time
 
@@ -158,22 +172,22 @@ class FrameClock:
         return frame.sensor_time - self._line.at(frame.sensor_time)
 
     def _use_recorder(self, reason: str) -> None:
-        since = " from there on" if self.used else ""
+        since = Text(" from there on") if self.used else ""
         self.used.append("recorder")
-        self._reporter.log(f"{self._sensor}: {reason}; times are the recorder's{since}", "warning")
+        self._reporter.warn("{}: {}; times are the recorder's{}", self._sensor, reason, since)
 
     def _fault(self, frame: Frame) -> str:
         """Return what is wrong with the sensor's time of a frame, empty if nothing is."""
         if frame.sensor_time is None:
-            return "the sensor gives no time"
+            return Text("the sensor gives no time")
         if not frame.synchronised:
-            return f"{self._name} is not synchronised"
+            return Text("{} is not synchronised", self._name)
         if not EARLIEST_S <= frame.sensor_time < LATEST_S:
-            return f"{self._name} stands at {frame.sensor_time:,.0f} s since 1970"
+            return Text("{} stands at {:,.0f} s since 1970", self._name, frame.sensor_time)
         offset_s = _offset_s(frame)
         if offset_s is None or abs(offset_s) <= AGREEING_S or self._line is not None:
             return ""
-        return f"{self._name} is {_readable(offset_s)} the recorder's"
+        return Text("{} is {} the recorder's", self._name, _readable(offset_s))
 
     def _jump(self, frame: Frame) -> str:
         """Return how the sensor's clock jumped at a frame, empty if it did not."""
@@ -187,7 +201,7 @@ class FrameClock:
         back = jump_s < -BACK_S and frame.sensor_time < self._latest - BACK_S
         self._latest = max(self._latest, frame.sensor_time)
         if (back or jump_s > FORWARD_S) and self._lasts(usual_s, jump_s):
-            return f"{self._name} jumped by {jump_s:+.3f} s"
+            return Text("{} jumped by {:+.3f} s", self._name, jump_s)
         if abs(jump_s) <= FORWARD_S:
             self._offsets_s.append(offset_s)
             if self._line is not None:
@@ -256,12 +270,12 @@ def _offset_s(frame: Frame) -> float | None:
 
 
 def _time_text(time: float | None) -> str:
-    return "nothing" if time is None else f"{time:,.3f} s since 1970"
+    return "nothing" if time is None else Text("{:,.3f} s since 1970", time)
 
 
 def _readable(offset_s: float) -> str:
-    side = "ahead of" if offset_s > 0 else "behind"
+    side = Text("ahead of") if offset_s > 0 else "behind"
     why = " (TAI instead of UTC?)" if abs(offset_s - TAI_AHEAD_S) < 0.5 else ""
     size = abs(offset_s)
     text = f"{size:.0f} s" if size < 600 else f"{size / 3600:.1f} h"
-    return f"{text}{why} {side}" if size < 172_800 else f"{size / 86400:.0f} days {side}"
+    return f"{text}{why} {side}" if size < 172_800 else Text("{:.0f} days {}", size / 86400, side)

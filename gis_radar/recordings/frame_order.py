@@ -65,7 +65,7 @@ def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float
     if not begins:
         raise empty[0]
     for nothing in empty:
-        context.reporter.log(f"{nothing.message} ({nothing.hint})", "warning")
+        context.reporter.warn("{} ({})", nothing.message, nothing.hint)
     return begins
 
 
@@ -101,8 +101,11 @@ class FrameOrder:
         """
         if time < self._left:
             raise InputError(
-                f"{self._sensor}: time goes back by {self._latest - time:.3f} s "
-                f"(to {time:.3f} s since 1970), farther than frames are put in order",
+                "{}: time goes back by {:.3f} s (to {:.3f} s since 1970), farther than "
+                "frames are put in order",
+                self._sensor,
+                self._latest - time,
+                time,
                 hint="split the input there, or sort it (reordercap sorts captures)",
             )
         self.late += time < self._latest

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gis_radar.errors import InputError
 from gis_radar.progress import QUIET, Level, Reporter
 from gis_radar.recordings.recording import FARTHEST_M
+from gis_radar.texts import Text
 
 Column = NDArray[Any]
 
@@ -168,4 +169,4 @@ def counted(seen: Mapping[str, int], *, most: int = 8) -> str:
     """Return what was seen how often as text, the most frequent first."""
     ranked = sorted(seen.items(), key=lambda item: (-item[1], item[0]))
     shown = ", ".join(f"{name} ({count:,})" for name, count in ranked[:most])
-    return f"{shown} and {len(ranked) - most} more" if len(ranked) > most else shown
+    return Text("{} and {} more", shown, len(ranked) - most) if len(ranked) > most else shown

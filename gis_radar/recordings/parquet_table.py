@@ -122,8 +122,11 @@ def _refuse_huge_columns(
             size = max(chunk.total_uncompressed_size, 8 * chunk.num_values * is_list)
             if size > most:
                 raise InputError(
-                    f"{path}: column {name} holds {size / 2**20:,.0f} MiB in one row group, at "
-                    f"most {most / 2**20:,.0f} are read",
+                    "{}: column {} holds {:,.0f} MiB in one row group, at most {:,.0f} are read",
+                    path,
+                    name,
+                    size / 2**20,
+                    most / 2**20,
                     hint="leave the column out, or write smaller row groups",
                 )
 
@@ -138,8 +141,11 @@ def _spelt_out(batch: pa.RecordBatch, texts: dict[str, pa.DataType], path: Path)
         longest = pc.max(pc.binary_length(column.dictionary)).as_py() or 0
         if longest > most:
             raise InputError(
-                f"{path}: column {field.name} holds a text of {longest:,} bytes, at most {most:,} "
-                "are read",
+                "{}: column {} holds a text of {:,} bytes, at most {:,} are read",
+                path,
+                field.name,
+                longest,
+                most,
                 hint="leave the column out",
             )
         plain = pc.cast(column.dictionary_decode(), texts[field.name])

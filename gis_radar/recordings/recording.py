@@ -20,6 +20,7 @@ from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.parquet_table import first_group_of, parquet_batches, spans_of_groups
 from gis_radar.recordings.units import refuse_positions_in_other_units
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
+from gis_radar.texts import Text
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
@@ -207,7 +208,9 @@ class Recording:
         """
         if not self.measures_elevation():
             raise NoAnswerError(
-                f"{self.path}: the sensor measures no elevation (z is empty), so {what}",
+                "{}: the sensor measures no elevation (z is empty), so {}",
+                self.path,
+                what,
                 hint="survey the sensor and give its pose; measure and project take it",
             )
 
@@ -236,15 +239,19 @@ def open_recording(path: str | Path) -> Recording:
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise InputError(
-            f"{path}: not a known recording format ({path.suffix or 'no ending'})",
-            hint=f"known endings: {', '.join(FORMATS)}; gis-radar convert takes other formats",
+            "{}: not a known recording format ({})",
+            path,
+            path.suffix or Text("no ending"),
+            hint=Text(
+                "known endings: {}; gis-radar convert takes other formats", ", ".join(FORMATS)
+            ),
         )
     if not path.is_file():
-        raise InputError(f"{path}: no such file")
+        raise InputError("{}: no such file", path)
     try:
         return FORMATS[path.suffix.lower()](path)
     except UNREADABLE as error:
-        raise InputError(f"{path}: cannot be read: {first_line(error)}") from error
+        raise InputError("{}: cannot be read: {}", path, first_line(error)) from error
 
 
 def as_recording(source: str | Path | Recording) -> Recording:
@@ -285,14 +292,19 @@ FORMATS: dict[str, Callable[[Path], Recording]] = {".parquet": _open_parquet, ".
 def _require_columns(names: list[str], path: Path) -> None:
     missing = [name for name in COLUMNS if name not in names]
     if missing:
+        column = Text("{}: recording lacks the column {}", path, ", ".join(missing))
+        columns = Text("{}: recording lacks the columns {}", path, ", ".join(missing))
         raise InputError(
-            f"{path}: recording lacks the column{'s'[: len(missing) > 1]} {', '.join(missing)}",
-            hint=f"a recording has {', '.join(COLUMNS)}",
+            columns if len(missing) > 1 else column,
+            hint=Text("a recording has {}", ", ".join(COLUMNS)),
         )
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(
-            f"{path}: recording has {names.count(twice)} columns {twice!r}",
+            "{}: recording has {} columns {}",
+            path,
+            names.count(twice),
+            repr(twice),
             hint="give every column a name of its own",
         )
 
@@ -328,10 +340,10 @@ class RowChecks:
             yield
         except UNREADABLE as error:
             raise InputError(
-                f"{self.path}: damaged after row {self.row}: {first_line(error)}"
+                "{}: damaged after row {}: {}", self.path, self.row, first_line(error)
             ) from error
         if self.row == 0:
-            raise InputError(f"{self.path}: recording without rows")
+            raise InputError("{}: recording without rows", self.path)
 
     def take(self, batch: pa.RecordBatch) -> Detections:
         """Return the next rows as detections, or refuse them."""
@@ -374,14 +386,16 @@ def _further(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _refuse_times(time: Floats, path: Path, row: int, last: float) -> None:
-    _refuse_rows(~np.isfinite(time), f"{path}: time is not a finite number", row)
-    years = f"{path}: time is outside the years {FIRST_YEAR} to {LAST_YEAR}"
+    _refuse_rows(~np.isfinite(time), Text("{}: time is not a finite number", path), row)
+    years = Text("{}: time is outside the years {} to {}", path, FIRST_YEAR, LAST_YEAR)
     _refuse_rows(~in_known_years(time), years, row, hint=UNIX_SECONDS_HINT)
     _refuse_rows(
         np.diff(time, prepend=last) < 0.0,
-        f"{path}: time goes back",
+        Text("{}: time goes back", path),
         row,
-        hint="the sensor's clock was set back, or rows are out of order: sort them, or cut there",
+        hint=Text(
+            "the sensor's clock was set back, or rows are out of order: sort them, or cut there"
+        ),
     )
 
 
@@ -391,10 +405,10 @@ def _refuse_positions(points: Floats, path: Path, row: int) -> None:
     gaps = np.isnan(points)
     level = ~gaps[:, 0] & ~gaps[:, 1] & gaps[:, 2]
     odd = np.isinf(points).any(axis=1) | (gaps.any(axis=1) & ~gaps.all(axis=1) & ~level)
-    _refuse_rows(np.asarray(odd), f"{path}: position is not finite", row)
+    _refuse_rows(np.asarray(odd), Text("{}: position is not finite", path), row)
     far = np.asarray((np.abs(points) > FARTHEST_M).any(axis=1))
-    reason = f"{path}: position is over {FARTHEST_M / 1000:.0f} km from the sensor"
-    _refuse_rows(far, reason, row, hint="x, y and z are metres from the sensor")
+    reason = Text("{}: position is over {:.0f} km from the sensor", path, FARTHEST_M / 1000)
+    _refuse_rows(far, reason, row, hint=Text("x, y and z are metres from the sensor"))
 
 
 def _refuse_mixed(rows: Detections, path: Path, row: int, *, flat: bool | None) -> bool | None:
@@ -403,12 +417,12 @@ def _refuse_mixed(rows: Detections, path: Path, row: int, *, flat: bool | None) 
         return flat
     level = np.isnan(rows.points[:, 2])
     first = bool(level[rows.present][0]) if flat is None else flat
-    reason = f"{path}: z is {'there' if first else 'missing'}, unlike before,"
+    reason = Text("{}: z is {}, unlike before,", path, Text("there") if first else Text("missing"))
     _refuse_rows(
         np.asarray(rows.present & (level != first)),
         reason,
         row,
-        hint="a sensor measures elevation in all detections or in none: leave out such rows",
+        hint=Text("a sensor measures elevation in all detections or in none: leave out such rows"),
     )
     return first
 
@@ -423,7 +437,10 @@ def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
         same += before
     if same > (most := settings.DEFAULTS.most_rows_of_frame):
         raise InputError(
-            f"{path}: over {most:,} rows of one time, {time[-1]:.6f} s: no frame of a radar",
+            "{}: over {:,} rows of one time, {:.6f} s: no frame of a radar",
+            path,
+            most,
+            time[-1],
             hint="time is that of each frame",
         )
     return same
@@ -432,7 +449,7 @@ def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
 def _require_numbers(kind: pa.DataType, name: str, path: Path) -> None:
     # A column that is null throughout has no type of its own; text of digits is still text.
     if not any(is_kind(kind) for is_kind in NUMERIC):
-        raise InputError(f"{path}: column {name} is {kind}, expected numbers")
+        raise InputError("{}: column {} is {}, expected numbers", path, name, kind)
 
 
 def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
@@ -444,4 +461,4 @@ def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
 
 def _refuse_rows(bad: Booleans, message: str, row: int, *, hint: str = "") -> None:
     if bad.any():
-        raise InputError(f"{message} in row {row + int(bad.argmax()) + 1}", hint=hint)
+        raise InputError("{} in row {}", message, row + int(bad.argmax()) + 1, hint=hint)

@@ -127,7 +127,9 @@ class RecordingFile:
             return _table(self._waiting, schema)
         except pa.ArrowException as error:
             raise InputError(
-                f"{self._place}: a further column changes its type on the way: {error}",
+                "{}: a further column changes its type on the way: {}",
+                self._place,
+                error,
                 hint="convert the inputs one by one",
             ) from error
 

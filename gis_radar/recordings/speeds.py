@@ -8,6 +8,7 @@ from gis_radar.arrays import Floats
 from gis_radar.recordings.raw_rows import read_raw
 from gis_radar.recordings.recording import Recording
 from gis_radar.recordings.units import LEAST_JUDGED, MOVING_MPS, compare_speeds
+from gis_radar.texts import Text
 
 MOST_FRAMES = 2000  # read; 20 to 150 ms
 ENOUGH = 4000  # moving detections
@@ -51,7 +52,8 @@ def odd_speeds(recording: Recording) -> str:
     median = float(np.median(fast)) if len(fast) >= LEAST_JUDGED else 0.0
     if median <= FASTEST_MPS and wild <= MOST_WILD * rows:
         return ""
-    return (
-        f"{100.0 * wild / rows:.1f} % of the detections are faster than {FASTEST_MPS:g} m/s: "
-        "range rates look like cm/s or mm/s"
+    return Text(
+        "{:.1f} % of the detections are faster than {:g} m/s: range rates look like cm/s or mm/s",
+        100.0 * wild / rows,
+        FASTEST_MPS,
     )

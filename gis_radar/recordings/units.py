@@ -6,6 +6,7 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import InputError
+from gis_radar.texts import Text
 
 FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
 LEAST_JUDGED = 100  # detections, of which the median is no ghost's
@@ -36,16 +37,21 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     median = float(np.median(range_m))
     if median > FARTHEST_RADAR_M:
         raise InputError(
-            f"{what}: half of the detections are over {median:,.0f} m away, beyond any radar: "
-            f"{_likely(median)}",
+            "{}: half of the detections are over {:,.0f} m away, beyond any radar: {}",
+            what,
+            median,
+            _likely(median),
             hint="x, y and z are metres from the sensor, x forward and y to the left",
         )
     extent = np.ptp(points[:, :2], axis=0)
     if (extent < LEAST_EXTENT_M).all() and len(np.unique(points[:, :2], axis=0)) >= LEAST_JUDGED:
         middle = np.median(points[:, :2], axis=0)
         raise InputError(
-            f"{what}: all detections are within {extent.max():.1g} of x {middle[0]:g}, "
-            f"y {middle[1]:g}: it looks like degrees",
+            "{}: all detections are within {:.1g} of x {:g}, y {:g}: it looks like degrees",
+            what,
+            extent.max(),
+            middle[0],
+            middle[1],
             hint="x, y and z are metres from the sensor, x forward and y to the left",
         )
 
@@ -54,7 +60,7 @@ def _likely(median: float) -> str:
     if median > MAP_M:
         return "it looks like places in a map, not positions from the sensor"
     unit = "millimetres" if median / 1000.0 >= LEAST_MEDIAN_M else "centimetres"
-    return f"it looks like {unit}"
+    return Text("it looks like {}", Text(unit))
 
 
 def refuse_degrees(angles: Floats, field: str, name: str) -> None:
@@ -77,9 +83,10 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     median = float(np.median(known)) if len(known) >= 5 else 0.0
     if median > limit:
         raise InputError(
-            f"{field}: half of the values are over {median:.3g}, expected radians: "
-            "it looks like degrees",
-            hint=f"state it: --columns {name}_deg={field}",
+            "{}: half of the values are over {:.3g}, expected radians: it looks like degrees",
+            field,
+            median,
+            hint=Text("state it: {} {}_deg={}", "--columns", name, field),
         )
 
 
@@ -132,4 +139,6 @@ def compare_speeds(time: Floats, points: Floats, range_rate: Floats) -> str:
     best = max(RATIOS, key=lambda ratio: density[ratio])
     if fits[best] < LEAST_PAIRS / 4 or density[best] < LEAD * density[1.0]:
         return ""
-    return f"ranges change {best:.2f} times as fast as the range rates state: {RATIOS[best]}"
+    return Text(
+        "ranges change {:.2f} times as fast as the range rates state: {}", best, RATIOS[best]
+    )

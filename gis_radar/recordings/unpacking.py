@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any, BinaryIO, Self
 
 from gis_radar.recordings import settings
+from gis_radar.texts import Text
 
 
 class ExplodingError(ValueError):
@@ -44,7 +45,7 @@ class LimitedStream:
         self._read += len(data)
         if self._read > self._most:
             times = settings.DEFAULTS.most_expansion
-            raise ExplodingError(f"grows to over {times} times its size when it is unpacked")
+            raise ExplodingError(Text("grows to over {} times its size when it is unpacked", times))
         return data
 
     def __enter__(self) -> Self:
@@ -76,9 +77,11 @@ def unpacked(make: Callable[[], Any], packed: bytes) -> bytes:
         decompressor = make()
         plain += decompressor.decompress(packed, most + 1 - len(plain))
         if len(plain) > most:
-            raise ExplodingError(f"a chunk holds over {most >> 20:,} MiB when it is unpacked")
+            raise ExplodingError(
+                Text("a chunk holds over {:,} MiB when it is unpacked", most >> 20)
+            )
         if not decompressor.eof:
-            raise ValueError("a chunk is cut off")
+            raise ValueError(Text("a chunk is cut off"))
         packed = decompressor.unused_data
         if not packed:
             return bytes(plain)

@@ -18,6 +18,7 @@ from gis_radar.report.lanes import RANKS, LaneSums, shown_of
 from gis_radar.report.results import NOT_KNOWN, Results
 from gis_radar.sight import VIEW_ONLY
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND, Clock
+from gis_radar.texts import Text
 from gis_radar.words import (
     NOTHING,
     figure_text,
@@ -27,7 +28,6 @@ from gis_radar.words import (
     plus_minus,
     seconds_text,
     tr,
-    tr_message,
 )
 
 SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
@@ -284,29 +284,32 @@ def remarks_of(found: Findings) -> list[str]:
     return [
         *(tr("No result for sensor {name}: {why}", name=name, why=why)
           for name, why in results.lost.items()),
-        *own_remarks(found),
+        *(tr(each) for each in own_remarks(found)),
         *results.warnings,
-        *(tr_message(each) for each in results.missing),
+        *(tr(each) for each in results.missing),
     ]  # fmt: skip
 
 
-def own_remarks(found: Findings) -> list[str]:
+def own_remarks(found: Findings) -> list[Text]:
     """Return what this report finds by itself: too short a time, faults of what was delivered."""
     begin, end = found.results.heat.whole.span()
     seconds = np.fmin(recorded_s(found.results), (end - begin).total_seconds())
     remarks = []
     if seconds < SHORT_S:
-        text = "Recorded were {time} only: a few cycles of a signal, and no usual day"
-        remarks.append(tr(text, time=seconds_text(seconds)))
+        span = seconds_text(seconds)
+        remarks.append(
+            Text("Recorded were {} only: a few cycles of a signal, and no usual day", span)
+        )
     if found.quality is not None:
-        remarks += [tr("Sensor {line}", line=tr_message(found.clock.localised(line)))
-                    for line in found.quality.warnings()]  # fmt: skip
+        remarks += [
+            Text("Sensor {}", found.clock.localised(line)) for line in found.quality.warnings()
+        ]
     return remarks
 
 
 def quality_table(found: Findings) -> Table:
     """Return what sensors delivered by hour, those with a fault first where there are many."""
-    columns, quality = _hour_columns(found.clock), found.quality
+    columns, quality = _hour_columns(found), found.quality
     note, rows = tr("What sensors delivered is not known."), []
     if quality is not None:
         table = quality.table.assign(recorded_s=_recorded_in(quality.table, found.results))
@@ -340,8 +343,9 @@ def _recorded_in(table: pd.DataFrame, results: Results) -> list[float]:
     ]
 
 
-def _hour_columns(clock: Clock) -> list[Column]:
+def _hour_columns(found: Findings) -> list[Column]:
     """Return how an hour of a sensor is read."""
+    clock, quality = found.clock, found.quality
 
     def number(name: str, digits: int = 0) -> Callable[[pd.Series], str]:
         return lambda row: figure_text(row[name], digits)
@@ -353,7 +357,7 @@ def _hour_columns(clock: Clock) -> list[Column]:
         return clock.stamp(row["begin"].to_pydatetime())
 
     def verdict(row: pd.Series) -> str:
-        return "; ".join(tr_message(each) for each in str(row["verdict"]).split("; "))
+        return tr(quality.verdict(row["verdict"])) if quality else NOTHING
 
     return [
         Column(tr("Sensor"), "", lambda row: str(row["sensor"]), False),

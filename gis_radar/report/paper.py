@@ -15,6 +15,7 @@ from gis_radar.processes import run_child
 from gis_radar.report.content import Content
 from gis_radar.report.pages import page_of
 from gis_radar.report.printing import MISSING
+from gis_radar.texts import Text
 
 FONT = "DejaVu Sans of Matplotlib"  # the same letters, whatever fonts the machine has
 LETTERS = {"normal": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf"}
@@ -53,8 +54,8 @@ def write_pdf(content: Content, path: Path) -> None:
             said.seek(0)
             lines = said.read().decode(errors="replace").strip().splitlines()
     if code not in {0, MISSING}:
-        reason = lines[-1] if lines and code > 0 else f"WeasyPrint ended with {code}"
-        raise OutputError(f"{path}: cannot be written: {reason}")
+        reason = lines[-1] if lines and code > 0 else Text("WeasyPrint ended with {}", code)
+        raise OutputError("{}: cannot be written: {}", path, reason)
 
 
 def _letters() -> str:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from gis_radar.errors import PDF, UsageError
+from gis_radar.errors import UsageError
 from gis_radar.files import atomic_writes, output_errors
 from gis_radar.heatmap import HeatMap
 from gis_radar.notebooks import card
@@ -65,6 +65,7 @@ from gis_radar.report.results import (
 from gis_radar.report.sources import made_by, settings_of, sources_of
 from gis_radar.spreadsheets import csv_for, write_csv
 from gis_radar.steps import Clock, zone_of
+from gis_radar.texts import Text
 from gis_radar.words import (
     NOTHING,
     THIN,
@@ -248,10 +249,11 @@ def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -
         if path not in made:
             path.unlink(missing_ok=True)
     if place / names.PAPER not in made:
-        reporter.log(
-            f"{names.PAPER} is not written: WeasyPrint, or Pango, which it calls, is missing "
-            f"({PDF}); a browser prints {names.PAGE} alike",
-            "warning",
+        reporter.warn(
+            "{} is not written: WeasyPrint, or Pango, which it calls, is missing (pip "
+            "install gis_radar[pdf]); a browser prints {} alike",
+            names.PAPER,
+            names.PAGE,
         )
     return made
 
@@ -300,7 +302,7 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _english_remarks(found: Findings) -> list[str]:
+def _english_remarks(found: Findings) -> list[Text]:
     """Return what it finds for a run's log: all there is English until the console translates."""
     with speaking("en"):
         return own_remarks(found)

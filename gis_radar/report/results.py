@@ -29,6 +29,7 @@ from gis_radar.progress import warnings_once
 from gis_radar.report import names
 from gis_radar.report.content import Column, Figure, Table, how_found, text_rows
 from gis_radar.spreadsheets import write_csv
+from gis_radar.texts import Text, restored
 from gis_radar.words import (
     NOTHING,
     THIN,
@@ -36,9 +37,7 @@ from gis_radar.words import (
     figure_text,
     plus_minus,
     speaking,
-    stage_words,
     tr,
-    tr_message,
 )
 
 DATASET = "dataset"
@@ -134,9 +133,9 @@ class Results:
         """The warnings of the run, each once, after the stages that raised it."""
         raised: dict[str, list[str]] = {}
         for each in self.stages:
-            stage = stage_words(str(each["name"]))
+            stage = tr(str(each["name"]))
             texts = raised.setdefault(stage, [])
-            texts += [tr_message(text) for text in each.get("warnings") or []]
+            texts += [tr(text) for text in each.get("warnings") or []]
         return warnings_once(raised)
 
     @property
@@ -175,8 +174,12 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
     poses = _poses(folder, measured)
     missing += [
-        f"The pose of sensor {pose.sensor} is in {name_of(pose.crs)[:24]}, the map in "
-        f"{name_of(heat.crs)[:24]}: it is left out."
+        Text(
+            "The pose of sensor {} is in {}, the map in {}: it is left out.",
+            pose.sensor,
+            name_of(pose.crs)[:24],
+            name_of(heat.crs)[:24],
+        )
         for pose in poses
         if not same_plane(pose.crs, heat.crs)
     ]
@@ -195,17 +198,17 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
 
 def _heat_map(folder: Path) -> Path:
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder", hint="name the folder of gis-radar run")
+        raise InputError("{}: no such folder", folder, hint="name the folder of gis-radar run")
     for place in (folder, folder / "heatmap"):
         if (place / PACKAGE).is_file():
             return place
     found = sorted(path.parent for path in folder.glob(f"*/{PACKAGE}"))
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
-        raise InputError(f"{folder}: holds several heat maps: {names}", hint="name one of them")
+        raise InputError("{}: holds several heat maps: {}", folder, names, hint="name one of them")
     if not found:
         raise InputError(
-            f"{folder}: holds no heat map", hint="make one with: gis-radar run, gis-radar heatmap"
+            "{}: holds no heat map", folder, hint="make one with: gis-radar run, gis-radar heatmap"
         )
     return found[0]
 
@@ -220,7 +223,9 @@ def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset |
         return found, []
     if given is not None:
         raise InputError(
-            f"{folder}: the heat map was not made with the tiles of {given}",
+            "{}: the heat map was not made with the tiles of {}",
+            folder,
+            given,
             hint="name the dataset that the heat map was made of",
         )
     return None, ["The dataset in the folder belongs to other tiles and is left out."]
@@ -247,7 +252,7 @@ def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
     found: dict[str, Pose] = {}
     if dataset is not None:
         for document in dataset.poses()["document"]:
-            pose = pose_from_dict(json.loads(document), what=f"{dataset.folder}: a pose")
+            pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
             before = found.get(pose.sensor)
             if before is None or _since(before) <= _since(pose):
                 found[pose.sensor] = pose
@@ -265,10 +270,10 @@ def _run(folder: Path) -> dict[str, Any]:
     path = folder / RUN
     if not path.is_file():
         return {}
-    document = read_json(path, what="the record of a run", hint="run the site again")
+    document = read_json(path, what="the record of a run", hint=Text("run the site again"))
     if not isinstance(document, dict):
-        raise InputError(f"{path}: damaged: it is no table of settings", hint="run the site again")
-    return document
+        raise InputError("{}: damaged: it is no table of settings", path, hint="run the site again")
+    return restored(document)
 
 
 def pose_figures(results: Results) -> list[Figure]:
@@ -345,7 +350,7 @@ def sensor_table(results: Results, *, figures: int) -> Table:
     columns = _sensor_columns()
     rows = text_rows(results.poses, columns)
     rows += [
-        [name, *[NOTHING] * 6, tr("no result: {why}", why=tr_message(reason))]
+        [name, *[NOTHING] * 6, tr("no result: {why}", why=tr(reason))]
         for name, reason in results.lost.items()
     ]
     note = tr(
@@ -435,5 +440,5 @@ def _write_sensor_table(path: Path, results: Results) -> None:
         for pose in results.poses
     ]
     lost = results.lost.items()
-    rows += [{"sensor": name, "how_found": f"no result: {why}"} for name, why in lost]
+    rows += [{"sensor": name, "how_found": Text("no result: {}", why)} for name, why in lost]
     write_csv(path, header, ([row.get(name, "") for name in header] for row in rows))

@@ -37,6 +37,7 @@ from gis_radar.scans.scan import (
     open_scan,
 )
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
+from gis_radar.texts import Text
 
 LAYER, COLUMN = "roads", "road"
 MARK = "UserData"
@@ -231,7 +232,9 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
         If it is to be PDAL and there is none.
     """
     if name not in NAMES:
-        raise UsageError(f"engine {name!r} is not known", hint=f"one of {', '.join(NAMES)}")
+        raise UsageError(
+            "engine {} is not known", repr(name), hint=Text("one of {}", ", ".join(NAMES))
+        )
     runner = None if name == "laspy" else find_pdal(reporter=reporter)
     if runner is not None:
         return runner.name, partial(_fill_by_pdal, runner)

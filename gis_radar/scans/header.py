@@ -19,6 +19,7 @@ import lazy_loader
 import numpy as np
 
 from gis_radar.errors import InputError
+from gis_radar.texts import Text
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
 
@@ -66,15 +67,15 @@ def read_header(path: Path) -> Any:
         If the file is missing, no scan, damaged or without points.
     """
     if not path.is_file():
-        raise InputError(f"{path}: no such file")
+        raise InputError("{}: no such file", path)
     size = path.stat().st_size
     if size == 0:
-        raise InputError(f"{path}: empty file")
+        raise InputError("{}: empty file", path)
     with scan_errors(path):
         with path.open("rb") as file:
             head = file.read(375).ljust(375, b"\0")
             if head[:4] != b"LASF":
-                raise InputError(f"{path}: not a LAS or LAZ file: it does not begin with LASF")
+                raise InputError("{}: not a LAS or LAZ file: it does not begin with LASF", path)
             fault = _unfit(head, size) or (
                 _unfit_compression(file, head, size) if head[104] & 0x80 else ""
             )
@@ -83,9 +84,9 @@ def read_header(path: Path) -> Any:
                 header = reader.header
             fault = _not_in_file(header, size)
     if fault:
-        raise InputError(f"{path}: damaged or cut off: {fault}")
+        raise InputError("{}: damaged or cut off: {}", path, fault)
     if header.point_count == 0:
-        raise InputError(f"{path}: scan without points")
+        raise InputError("{}: scan without points", path)
     return header
 
 
@@ -123,8 +124,10 @@ def refuse_outside(record: Any, header: Any, path: Path) -> float:
         off = float(max(low - lowest, highest - high))
         if off > max(_FAR_M, _FAR_SHARE * (high - low)):
             raise InputError(
-                f"{path}: damaged: points lie {off:.0f} m outside the extent of its header along "
-                f"{axis.lower()}",
+                "{}: damaged: points lie {:.0f} m outside the extent of its header along {}",
+                path,
+                off,
+                axis.lower(),
                 hint="where only the extent is wrong, `pdal translate IN OUT` writes it anew",
             )
         most = max(most, off if off > _ROUNDED_M + abs(header.scales[k]) else 0.0)
@@ -139,24 +142,26 @@ def scan_errors(path: str | Path) -> Iterator[None]:
     except (laspy.LaspyException, *FAULTS) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0][:160]
         if isinstance(error, laspy.errors.PointFormatNotSupported):
-            reason = f"point format {reason} is not known"
+            reason = Text("point format {} is not known", reason)
         raise InputError(
-            f"{path}: not a readable LAS or LAZ file, damaged or cut off: {reason}"
+            "{}: not a readable LAS or LAZ file, damaged or cut off: {}", path, reason
         ) from error
 
 
 def _unfit(head: bytes, size: int) -> str:
     """Return what in the bytes of a header (ASPRS LAS 1.4, table 3) cannot be, or nothing."""
     if head[24] != 1 or head[25] > 4:
-        return f"LAS version {head[24]}.{head[25]} is not known"
+        return Text("LAS version {}.{} is not known", head[24], head[25])
     begin, points_at, count = struct.unpack_from("<HII", head, 94)
     if points_at > size:
-        return f"points begin at byte {points_at} of {size}"
+        return Text("points begin at byte {} of {}", points_at, size)
     if count * _VLR_BYTES > max(points_at - begin, 0):
-        return f"its header claims {count} records, which do not fit before byte {points_at}"
+        return Text(
+            "its header claims {} records, which do not fit before byte {}", count, points_at
+        )
     begin, count = struct.unpack_from("<QI", head, 235) if head[25] >= 4 else (0, 0)
     if count and begin + count * _EVLR_BYTES > size:
-        return f"its header claims {count} further records behind the end of the file"
+        return Text("its header claims {} further records behind the end of the file", count)
     return ""
 
 
@@ -172,7 +177,7 @@ def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
             record = records[at + _VLR_BYTES : at + _VLR_BYTES + length]
         at += _VLR_BYTES + length
     if fault := _unfit_record(record, struct.unpack_from("<H", head, 105)[0]):
-        return f"its record of the compression {fault}"
+        return Text("its record of the compression {}", fault)
     return _unfit_chunks(file, head, record, size)
 
 
@@ -189,18 +194,18 @@ def _unfit_chunks(file: BinaryIO, head: bytes, record: bytes, size: int) -> str:
         file.seek(size - 8)
         (table_at,) = struct.unpack("<q", file.read(8))
     if not points_at + 8 <= table_at <= size - 8:
-        return f"its table of chunks is at byte {table_at} of {size}"
+        return Text("its table of chunks is at byte {} of {}", table_at, size)
     file.seek(table_at)
     _, chunks = struct.unpack("<II", file.read(8))
     most = points if each == _OF_ANY_LENGTH else points // each + 2
     if chunks > min(most, size // struct.unpack_from("<H", head, 105)[0]):
-        return f"its table claims {chunks} chunks for {points} points in {size} bytes"
+        return Text("its table claims {} chunks for {} points in {} bytes", chunks, points, size)
     file.seek(points_at)
     table = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
     if sum(length for _, length in table) > table_at - points_at - 8:
-        return "its table claims chunks longer than the file"
+        return Text("its table claims chunks longer than the file")
     if each == _OF_ANY_LENGTH and sum(held for held, _ in table) != points:
-        return f"its chunks do not hold its {points} points"
+        return Text("its chunks do not hold its {} points", points)
     if struct.unpack_from("<H", record)[0] == _LAYERED:
         lengths = [length for _, length in table]
         return _unfit_layers(file, points_at + 8, lengths, _items(record))
@@ -219,7 +224,7 @@ def _unfit_layers(
             file.seek(at)
             head = file.read(min(form.size, length))
             if len(head) < form.size or sum(form.unpack(head)) > length - form.size:
-                return f"chunk {number} claims layers longer than itself"
+                return Text("chunk {} claims layers longer than itself", number)
         at += length
     return ""
 
@@ -232,18 +237,18 @@ def _unfit_record(record: bytes, point_bytes: int) -> str:
         struct.unpack_from(form, record, at)[0] for form, at in (("<H", 0), ("<I", 12), ("<H", 32))
     )
     if compressor not in {2, 3}:
-        return f"names the method {compressor}"
+        return Text("names the method {}", compressor)
     if each == 0 or _MOST_CHUNK < each < _OF_ANY_LENGTH:
-        return f"claims chunks of {each} points"
+        return Text("claims chunks of {} points", each)
     if len(record) < _LASZIP_BYTES + count * _ITEM_BYTES:
-        return f"claims {count} parts of a point"
+        return Text("claims {} parts of a point", count)
     items = _items(record)
     wrong = [kind for kind, size in items
              if kind not in _ITEMS_OF_ANY_SIZE and _ITEM_SIZES.get(kind) != size]  # fmt: skip
     if compressor == _LAYERED:
         wrong += [kind for kind, _ in items if kind not in {*_LAYERS, *_ITEMS_OF_ANY_SIZE}]
     if wrong or sum(size for _, size in items) != point_bytes:
-        return f"and its points of {point_bytes} bytes do not fit each other"
+        return Text("and its points of {} bytes do not fit each other", point_bytes)
     return ""
 
 
@@ -260,8 +265,8 @@ def _not_in_file(header: Any, size: int) -> str:
     chunk = _MOST_CHUNK if header.are_points_compressed else 1
     most = (size - header.offset_to_point_data) // header.point_format.size * chunk
     if header.point_count > most:
-        return f"its header claims {header.point_count} points, the file has {size} bytes"
+        return Text("its header claims {} points, the file has {} bytes", header.point_count, size)
     scales, offsets = np.abs(header.scales), np.abs(header.offsets)
     if not ((scales > _SMALLEST_SCALE).all() and (scales <= _LARGEST_SCALE).all()):
-        return f"scales {header.scales}"
-    return "" if (offsets <= _FARTHEST_M).all() else f"offsets {header.offsets}"
+        return Text("scales {}", header.scales)
+    return "" if (offsets <= _FARTHEST_M).all() else Text("offsets {}", header.offsets)

@@ -26,6 +26,7 @@ from gis_radar.scans.point_store import PointStore, cut_into_blocks
 from gis_radar.scans.roads import Roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
+from gis_radar.texts import Text
 
 BESIDE = (".roads.gpkg", ".pipeline.json")
 
@@ -164,7 +165,7 @@ def _relative(name: str, folder: Path) -> str:
 def require_road_name(path: str | Path) -> None:
     """Refuse a name that does not end in LAZ or LAS, before the work and not after it."""
     if Path(path).suffix.lower() not in {".laz", ".las"}:
-        raise UsageError(f"{path}: a road is written as LAZ", hint="end the name in .laz")
+        raise UsageError("{}: a road is written as LAZ", path, hint="end the name in .laz")
 
 
 def mask_road(
@@ -216,7 +217,7 @@ def mask_road(
         cells = make_cells(store, settings=settings, reporter=reporter)
     if len(cells.points) == 0:
         raise NoAnswerError(
-            f"{roads.source}: {store.total} points on its roads, but none on a road's surface"
+            "{}: {} points on its roads, but none on a road's surface", roads.source, store.total
         )
     mask = RoadMask(
         points=cells.points, roads=roads, engine=name,
@@ -235,9 +236,15 @@ def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
     names = ", ".join(str(scan.path) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
     west, south, east, north = roads.area.bounds
     return InputError(
-        f"{names}: no point lies on the roads of {roads.source}: scan and map do not overlap",
-        hint=f"the roads lie at {(west + east) / 2:.0f} {(south + north) / 2:.0f} in "
-        f"{roads.crs.name}; is the coordinate system right?",
+        "{}: no point lies on the roads of {}: scan and map do not overlap",
+        names,
+        roads.source,
+        hint=Text(
+            "the roads lie at {:.0f} {:.0f} in {}; is the coordinate system right?",
+            (west + east) / 2,
+            (south + north) / 2,
+            roads.crs.name,
+        ),
     )
 
 
@@ -288,30 +295,41 @@ def _refuse_bare(mask: RoadMask, scans: Sequence[Scan]) -> None:
     share = _inside_share(mask, scans)
     if share < mask.settings.least_covered:
         raise NoAnswerError(
-            f"{scans[0].path}: only {share:.1%} of the road inside the scans has points",
+            "{}: only {:.1%} of the road inside the scans has points",
+            scans[0].path,
+            share,
             hint="is the scan damaged, very sparse, or of another place?",
         )
 
 
 def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
-    reporter.log(f"scans read by {mask.engine}")
+    reporter.log(Text("scans read by {}", mask.engine))
     skipped = len(opened) - len(mask.pipeline.scans)
     if skipped:
-        reporter.log(f"{skipped} of {len(opened)} scans do not touch the site and were skipped")
+        reporter.log(
+            Text("{} of {} scans do not touch the site and were skipped", skipped, len(opened))
+        )
     share = mask.outside.area / mask.roads.area.area
     if share > mask.settings.warn_outside:
         west, south, east, north = mask.outside.bounds
-        reporter.log(
-            f"{share:.1%} of the map's roads lie outside the scans: {mask.outside.area:.0f} m2 "
-            f"within {west:.0f} {south:.0f} {east:.0f} {north:.0f} (layer outside)",
-            "warning",
+        reporter.warn(
+            "{:.1%} of the map's roads lie outside the scans: {:.0f} m2 within {:.0f} "
+            "{:.0f} {:.0f} {:.0f} (layer outside)",
+            share,
+            mask.outside.area,
+            west,
+            south,
+            east,
+            north,
         )
     covered = _inside_share(mask, mask.pipeline.scans)
     if covered < mask.settings.warn_covered:
-        reporter.log(f"only {covered:.0%} of the road inside the scans has points", "warning")
+        reporter.warn("only {:.0%} of the road inside the scans has points", covered)
     offset = mask.cells.offset_m
     if abs(offset) > mask.settings.warn_offset_m:
-        text = f"the scans lie {offset:.2f} m over the map's heights: another vertical datum?"
+        text = Text(
+            "the scans lie {:.2f} m over the map's heights: another vertical datum?", offset
+        )
         if abs(offset) > mask.settings.datum_m:
-            text += " none is so far off: are they in feet, or of another place?"
-        reporter.log(text, "warning")
+            text = Text("{} none is so far off: are they in feet, or of another place?", text)
+        reporter.warn(text)

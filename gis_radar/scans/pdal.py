@@ -19,13 +19,15 @@ from typing import Any
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.processes import OFFLINE, run_child
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 
 OLDEST = (2, 2, 0)
 """The oldest PDAL that has all stages of our pipelines."""
 
-INSTALL_HINT = (
-    "PDAL comes by `conda env create -f environment.yml`, by `conda install -c conda-forge pdal`, "
-    "with QGIS on Windows, or by `apt-get install pdal` on systems with that package"
+INSTALL_HINT = Text(
+    "PDAL comes by `conda env create -f environment.yml`, by `conda install -c "
+    "conda-forge pdal`, with QGIS on Windows, or by `apt-get install pdal` on systems "
+    "with that package"
 )
 """How to come by PDAL, in one line."""
 
@@ -91,14 +93,16 @@ class PdalRunner:
             text = messages.read().decode(errors="replace")
         if code < 0:
             raise GisRadarError(
-                f"{self.name} was ended by {signal.Signals(-code).name}",
+                "{} was ended by {}",
+                self.name,
+                signal.Signals(-code).name,
                 hint="if memory ran out, give it smaller tiles",
             )
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         if code > 0 or any(_LOSES_POINTS.search(line) for line in lines):
             raise _error(lines, code, pipeline)
         for line in lines:
-            reporter.log(f"PDAL: {_strip(line)}", "warning")
+            reporter.warn("PDAL: {}", _strip(line))
 
 
 def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
@@ -121,7 +125,7 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
     answer = _version_of(path)
     if isinstance(answer, str):
         place = f"{VARIABLE}={path}" if named else path
-        reporter.log(f"{place} is passed over: {answer}", "warning")
+        reporter.warn("{} is passed over: {}", place, answer)
         return None
     return PdalRunner(path=path, version=answer)
 
@@ -135,18 +139,18 @@ def _version_of(path: str) -> str | tuple[int, ...]:
             check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return f"it does not answer within {_START_S:.0f} s"
+        return Text("it does not answer within {:.0f} s", _START_S)
     except OSError as error:
-        return f"it does not start: {error.strerror or error}"
+        return Text("it does not start: {}", error.strerror or error)
     if done.returncode != 0:
         text = done.stderr.decode(errors="replace").strip().splitlines()
         return ": ".join(["it does not start", *text[-1:]])
     found = re.search(rb"\bpdal (\d+)\.(\d+)(?:\.(\d+))?", done.stdout)
     if found is None:
-        return "it does not print a version of PDAL"
+        return Text("it does not print a version of PDAL")
     version = tuple(int(part or 0) for part in found.groups())
     if version < OLDEST:
-        return f"it is PDAL {'.'.join(map(str, version))}, needed is 2.2 or newer"
+        return Text("it is PDAL {}, needed is 2.2 or newer", ".".join(map(str, version)))
     return version
 
 
@@ -160,12 +164,12 @@ def _error(lines: list[str], code: int, pipeline: Mapping[str, Any]) -> GisRadar
     final = [line for line in lines if line.startswith("PDAL: ")]
     lost = [line for line in lines if _LOSES_POINTS.search(line)]
     chosen = (final or lost or lines or [f"it ended with exit code {code}"])[0]
-    message = f"PDAL: {_strip(chosen)}"
+    message = Text("PDAL: {}", _strip(chosen))
     if message.startswith("PDAL: writers."):
         return OutputError(message)
     files = [name for stage in pipeline.get("pipeline", []) if (name := _reads(stage))]
     if message.startswith("PDAL: readers.") and len(files) == 1:
-        message = f"{files[0]}: {message}"
+        message = Text("{}: {}", files[0], message)
     cut = re.search(r"reading point \d+ of \d+ total", message)
     return InputError(message, hint="the file is cut or damaged" if cut else "")
 

@@ -151,8 +151,10 @@ def cut_into_blocks(roads: Roads) -> RoadBlocks:
                 shapes.append(inside)
         if len(places) > (most := roads.settings.most_blocks):
             raise InputError(
-                f"{roads.source}: its roads fill over {most:,} squares of {BLOCK_M:.0f} m, which "
-                "is no site",
+                "{}: its roads fill over {:,} squares of {:.0f} m, which is no site",
+                roads.source,
+                most,
+                BLOCK_M,
                 hint="cut out the roads around the scans",
             )
     shapely.prepare(shapes)

@@ -28,6 +28,7 @@ from gis_radar.lanelets.bounds import at_fractions, length
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.settings import DEFAULTS, RoadSettings
+from gis_radar.texts import Text
 from gis_radar.vector_files import read_vector
 
 
@@ -142,7 +143,7 @@ def _read_polygons(
     it is ambiguous which part of it is meant, is refused.
     """
     if not path.is_file():
-        raise InputError(f"{path}: no such file")
+        raise InputError("{}: no such file", path)
     if path.suffix.lower() in {".csv", ".txt"}:
         table = _read_csv(path)
     else:
@@ -151,7 +152,7 @@ def _read_polygons(
     kept = ~(shapely.is_missing(shapes) | shapely.is_empty(shapes))
     if not np.isin(shapely.get_type_id(shapes[kept]), _POLYGONAL).all() or not kept.any():
         kinds = ", ".join(sorted(set(table.geom_type[kept]))) or "nothing"
-        raise InputError(f"{path}: holds {kinds}, polygons of the roads are needed")
+        raise InputError("{}: holds {}, polygons of the roads are needed", path, kinds)
     mended = _mended(shapes[kept], path, settings.same_area, reporter)
     known = _given_crs(crs, path) if table.crs is None else table.crs
     return gpd.GeoDataFrame(geometry=mended, crs=known)
@@ -159,11 +160,13 @@ def _read_polygons(
 
 def _given_crs(crs: Any, path: Path) -> CRS:
     if crs is None:
-        raise CrsError(f"{path}: has no coordinate system", hint="state it: --map-crs EPSG:25832")
+        raise CrsError(
+            "{}: has no coordinate system", path, hint=Text("state it: {} EPSG:25832", "--map-crs")
+        )
     try:
         return CRS.from_user_input(crs)
     except ProjError as error:
-        raise CrsError(f"--map-crs: {crs!r} is not a known coordinate system") from error
+        raise CrsError("{}: {} is not a known coordinate system", "--map-crs", repr(crs)) from error
 
 
 def _only_layer(layers: Mapping[str, str], path: Path) -> str:
@@ -171,7 +174,10 @@ def _only_layer(layers: Mapping[str, str], path: Path) -> str:
     areas = [name for name, kind in layers.items() if "Polygon" in kind]
     if len(areas) > 1:
         raise InputError(
-            f"{path}: has {len(areas)} layers with polygons: {', '.join(areas)}",
+            "{}: has {} layers with polygons: {}",
+            path,
+            len(areas),
+            ", ".join(areas),
             hint="choose one: --layer NAME",
         )
     return areas[0] if areas else next(iter(layers))
@@ -182,7 +188,7 @@ def _read_csv(path: Path) -> gpd.GeoDataFrame:
     try:
         table = pd.read_csv(path, dtype=str, sep=None, engine="python")
     except (ValueError, csv.Error, pd.errors.ParserError, UnicodeDecodeError, OSError) as error:
-        raise InputError(f"{path}: not a readable CSV: {first_line(error)}") from error
+        raise InputError("{}: not a readable CSV: {}", path, first_line(error)) from error
     for name in table.columns:
         texts = table[name].dropna().str.strip()
         if texts.empty or not texts.iloc[0].upper().startswith(("POLYGON", "MULTIPOLYGON", "[[")):
@@ -190,9 +196,13 @@ def _read_csv(path: Path) -> gpd.GeoDataFrame:
         try:
             shapes = [_polygon(text) for text in texts]
         except (ValueError, TypeError, shapely.errors.GEOSException) as error:
-            raise InputError(f"{path}: column {name!r} has a broken polygon: {error}") from error
+            raise InputError(
+                "{}: column {} has a broken polygon: {}", path, repr(name), error
+            ) from error
         return gpd.GeoDataFrame(geometry=shapes)
-    raise InputError(f"{path}: has no column of polygons", hint="as WKT, or as rings [[x, y], ...]")
+    raise InputError(
+        "{}: has no column of polygons", path, hint="as WKT, or as rings [[x, y], ...]"
+    )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers that are none are refused by name
@@ -207,7 +217,7 @@ def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> An
     odd = of_shape[~(np.abs(corners) < _BEYOND_M).all(axis=1)]
     if len(odd):
         raise InputError(
-            f"{path}: polygon {odd[0]} has coordinates that are no numbers, or beyond any map"
+            "{}: polygon {} has coordinates that are no numbers, or beyond any map", path, odd[0]
         )
     invalid = ~shapely.is_valid(shapes)
     if not invalid.any():
@@ -221,10 +231,13 @@ def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> An
     if unclear.any():
         reason = shapely.is_valid_reason(shapes[unclear][0]).replace("\n", " ")
         raise InputError(
-            f"{path}: polygon {_first(unclear)} (from 0) is invalid: {reason}",
+            "{}: polygon {} (from 0) is invalid: {}",
+            path,
+            _first(unclear),
+            reason,
             hint="mend the layer, e.g. in QGIS with Fix geometries",
         )
-    reporter.log(f"{path.name}: {int(invalid.sum())} polygons mended, their areas kept", "warning")
+    reporter.warn("{}: {} polygons mended, their areas kept", path.name, int(invalid.sum()))
     return mended
 
 
@@ -317,7 +330,7 @@ def roads_of_map(
     """Return the roads that the lanelets for vehicles make, as `make_tiles` takes them."""
     lanelets = roads.lanelets[~roads.lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
     if lanelets.empty:
-        raise InputError(f"{source}: has no lanelet for vehicles")
+        raise InputError("{}: has no lanelet for vehicles", source)
     # The outline of a mended lanelet may still touch itself.
     outlines = shapely.make_valid(lanelets.geometry.array)
     area = _area(outlines, source, settings.max_extent_m)
@@ -333,7 +346,7 @@ def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDa
         return table.set_crs(metric_crs(table.crs, what=str(path)), allow_override=True)
     moved = table.to_crs(metric_crs(crs, what="--crs"))
     if not np.isfinite(moved.total_bounds).all():
-        raise CrsError(f"{path}: lies outside the area of {crs}")
+        raise CrsError("{}: lies outside the area of {}", path, crs)
     return moved
 
 
@@ -341,11 +354,11 @@ def _area(shapes: Any, source: str, max_extent_m: float) -> shapely.MultiPolygon
     parts = shapely.get_parts(shapely.union_all(shapes))
     parts = parts[shapely.area(parts) > 0.0]
     if len(parts) == 0:
-        raise InputError(f"{source}: its polygons have no area")
+        raise InputError("{}: its polygons have no area", source)
     area = shapely.MultiPolygon(list(parts))
     west, south, east, north = area.bounds
     extent_m = max(east - west, north - south)
     if extent_m > max_extent_m:
         far_km = extent_m / 1000.0
-        raise InputError(f"{source}: spans {far_km:.0f} km, which is no site", hint="cut it out")
+        raise InputError("{}: spans {:.0f} km, which is no site", source, far_km, hint="cut it out")
     return area

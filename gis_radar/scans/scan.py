@@ -22,6 +22,7 @@ from gis_radar.files import WRITTEN
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.header import FAULTS, read_header, refuse_outside, scan_errors
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
+from gis_radar.texts import Text
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
 
@@ -33,7 +34,7 @@ ROAD_CLASSES = (2, 8, 11, 17)
 NEVER_CLASSES = (3, 4, 5, 7, 9, 13, 14, 15, 16, 18)
 ROAD_SURFACE = 11
 _GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
-_SAY = "state it: --scan-crs EPSG:25832"
+_SAY = Text("state it: {} EPSG:25832", "--scan-crs")
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
 
@@ -114,12 +115,13 @@ class Scan:
                     batch = batch._replace(x=x, y=y)
                 yield batch
         if seen != self.points:
-            raise InputError(f"{self.path}: cut off: {seen} of {self.points} points are there")
+            raise InputError("{}: cut off: {} of {} points are there", self.path, seen, self.points)
         if outside > 0.0:
-            reporter.log(
-                f"{self.path}: points lie up to {outside:.0f} m outside the extent of its header, "
-                "which does not count",
-                "warning",
+            reporter.warn(
+                "{}: points lie up to {:.0f} m outside the extent of its header, which "
+                "does not count",
+                self.path,
+                outside,
             )
 
 
@@ -143,7 +145,7 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
     header = read_header(path)
     stated = crs if crs is not None else _stated(path, header, hint=_SAY)
     if stated is None:
-        raise CrsError(f"{path}: has no coordinate system", hint=_SAY)
+        raise CrsError("{}: has no coordinate system", path, hint=_SAY)
     plane = metric_crs(stated, what="--scan-crs" if crs is not None else str(path))
     _refuse_feet(CRS.from_user_input(stated), path)
     return Scan(
@@ -272,7 +274,7 @@ def _stated(path: Path, header: Any, *, hint: str = "") -> CRS | None:
     except (*FAULTS, ProjError) as error:
         reason = str(error).splitlines()[0][:120]
         raise CrsError(
-            f"{path}: its coordinate system cannot be read: {reason}", hint=hint
+            "{}: its coordinate system cannot be read: {}", path, reason, hint=hint
         ) from error
     return crs
 
@@ -292,7 +294,9 @@ def _refuse_feet(crs: CRS, path: Path) -> None:
     for axis in crs.axis_info:
         if axis.direction in {"up", "down"} and axis.unit_conversion_factor != 1.0:
             raise CrsError(
-                f"{path}: its heights are in {axis.unit_name}, metres are needed",
+                "{}: its heights are in {}, metres are needed",
+                path,
+                axis.unit_name,
                 hint="bring the scan into a system with heights in metres, e.g. with PDAL",
             )
 

@@ -17,6 +17,7 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.sight.recorded import MovingHits
 from gis_radar.sight.settings import GAPS, GapSettings
 from gis_radar.sight.sight import IN_SIGHT, SightTiles
+from gis_radar.texts import Text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,8 +184,11 @@ def gap_warning(gaps: Sequence[Gap]) -> str:
     if not gaps:
         return ""
     count, first = sum(each.tiles for each in gaps), max(gaps, key=lambda each: each.expected)
-    return (
-        f"{count} tiles are never passed although vehicles pass before and behind them, most "
-        f"on lanelet {first.lanelet_id}: they read as observed and empty; do houses hide them "
-        "(--scan), is the map wrong there, or the view too wide?"
+    return Text(
+        "{} tiles are never passed although vehicles pass before and behind them, most "
+        "on lanelet {}: they read as observed and empty; do houses hide them ({}), is "
+        "the map wrong there, or the view too wide?",
+        count,
+        first.lanelet_id,
+        "--scan",
     )

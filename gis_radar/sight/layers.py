@@ -36,11 +36,12 @@ from gis_radar.sight.sight import (
     SightSource,
     SightTiles,
 )
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint
 
 SIGHT_LAYER, CONTRADICTED_LAYER = "sight", "contradicted"
 COLUMNS = ("sensor", "pose", "tile_id", "state", "hidden_by", "hidden_at_m", "covered")
-MAKE_ONE = "make one with: gis-radar sight"
+MAKE_ONE = Text("make one with: gis-radar sight")
 
 
 def write_sights(
@@ -77,7 +78,7 @@ def write_sights(
     """
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
-        raise UsageError(f"{path}: sight is written as GeoPackage", hint="end the name in .gpkg")
+        raise UsageError("{}: sight is written as GeoPackage", path, hint="end the name in .gpkg")
     about = {
         "fingerprint": fingerprint(tiles),
         "poses": json.dumps([sight.pose.as_dict() for sight in sights]),
@@ -168,7 +169,10 @@ class SightFile:
         rows, about = _read(self.path)
         if about["fingerprint"] != tiles.fingerprint:
             raise InputError(
-                f"{path}: was made for tiles {about['fingerprint']}, these are {tiles.fingerprint}",
+                "{}: was made for tiles {}, these are {}",
+                path,
+                about["fingerprint"],
+                tiles.fingerprint,
                 hint="make it again for these tiles with: gis-radar sight",
             )
         try:
@@ -179,7 +183,7 @@ class SightFile:
                 for number, (pose, scan) in enumerate(zip(poses, scans, strict=True))
             ]
         except (ValueError, KeyError, TypeError, GisRadarError) as error:
-            raise InputError(f"{path}: damaged: {error}", hint=MAKE_ONE) from error
+            raise InputError("{}: damaged: {}", path, error, hint=MAKE_ONE) from error
 
     @cached_property
     def digest(self) -> str:
@@ -206,21 +210,26 @@ class SightFile:
         own = [sight for sight in self.sights if sight.pose.sensor == pose.sensor]
         if not own:
             names = ", ".join(dict.fromkeys(sight.pose.sensor for sight in self.sights))
-            raise InputError(f"{self.path}: holds no sight of {pose.sensor}, only of {names}")
+            raise InputError("{}: holds no sight of {}, only of {}", self.path, pose.sensor, names)
         view = pose.view or View()
         alike = [sight for sight in own if (sight.pose.view or View()) == view]
         if not alike:
             raise InputError(
-                f"{self.path}: the sight of {pose.sensor} was made for another view",
-                hint=f"make it again for {view} with: gis-radar sight",
+                "{}: the sight of {} was made for another view",
+                self.path,
+                pose.sensor,
+                hint=Text("make it again for {} with: gis-radar sight", view),
             )
         apart = [_apart(sight.pose, pose) for sight in alike]
         best = min(range(len(alike)), key=lambda k: apart[k])
         away_m, turn_deg = apart[best]
         if away_m > self.settings.pose_apart_m or turn_deg > self.settings.pose_apart_deg:
             raise InputError(
-                f"{self.path}: the sight of {pose.sensor} was made {away_m:.1f} m and "
-                f"{turn_deg:.1f} deg from its pose",
+                "{}: the sight of {} was made {:.1f} m and {:.1f} deg from its pose",
+                self.path,
+                pose.sensor,
+                away_m,
+                turn_deg,
                 hint="make it again for this pose with: gis-radar sight",
             )
         return replace(alike[best], pose=pose)
@@ -246,7 +255,9 @@ def _read(path: Path) -> tuple[pd.DataFrame, dict[str, str]]:
     lacks = [name for name in COLUMNS if name not in rows.columns]
     lacks += [name for name in ("fingerprint", "poses", "scans") if name not in about]
     if lacks:
-        raise InputError(f"{path}: layer {SIGHT_LAYER} lacks {', '.join(lacks)}", hint=MAKE_ONE)
+        raise InputError(
+            "{}: layer {} lacks {}", path, SIGHT_LAYER, ", ".join(lacks), hint=MAKE_ONE
+        )
     return rows, about
 
 
@@ -254,7 +265,7 @@ def _sight_of(pose: Pose, scan: str, rows: pd.DataFrame, tiles: SightTiles) -> S
     """Return sight from its rows; tiles without a row are out of view."""
     wanted = rows["tile_id"]
     if not (pd.api.types.is_integer_dtype(wanted) and wanted.isin(tiles.tile_id).all()):
-        raise ValueError("a row is of none of these tiles")
+        raise ValueError(Text("a row is of none of these tiles"))
     order = np.argsort(tiles.tile_id)
     place = order[np.searchsorted(tiles.tile_id, wanted.to_numpy(np.int64), sorter=order)]
     count = len(tiles.tile_id)

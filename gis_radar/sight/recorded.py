@@ -31,6 +31,7 @@ from gis_radar.sight.sight import (
     Sight,
     SightTiles,
 )
+from gis_radar.texts import Text
 from gis_radar.tiles.lookup import TileEngine
 
 NO_MOVEMENT, MOVEMENT = "nothing moves in sight", "moves where hidden"
@@ -186,15 +187,20 @@ def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) ->
         both[1] += int(np.count_nonzero(each.movement))
     for sensor, (still, moving) in counts.items():
         parts = [
-            *([f"nothing moves on {still} tiles in sight where vehicles pass"] if still else []),
-            *([f"something moves on {moving} hidden tiles"] if moving else []),
+            *(
+                [Text("nothing moves on {} tiles in sight where vehicles pass", still)]
+                if still
+                else []
+            ),
+            *([Text("something moves on {} hidden tiles", moving)] if moving else []),
         ]
         if parts:
-            reporter.log(
-                f"the recording of {sensor} contradicts its sight: {'; '.join(parts)}; was it "
-                "built or pulled down since the scan, or is the pose off? gis-radar sight "
-                "--recording lists the tiles and corrects sight",
-                "warning",
+            reporter.warn(
+                "the recording of {} contradicts its sight: {}; was it built or pulled "
+                "down since the scan, or is the pose off? gis-radar sight --recording "
+                "lists the tiles and corrects sight",
+                sensor,
+                Text("; ").join(parts),
             )
 
 

@@ -37,6 +37,7 @@ from gis_radar.sight.obstacles import (
     road_heights,
 )
 from gis_radar.sight.settings import DEFAULTS, SightSettings
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint, quads
 
 OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
@@ -296,18 +297,32 @@ class SightScan:
         offset_m = float(np.median(nearest))
         if abs(offset_m) > self.settings.offset_m:
             raise InputError(
-                f"{self.scans[0].path}: its road is {offset_m:+.1f} m from the height of the "
-                "tiles: two vertical systems, or the road of another place",
-                hint="make the tiles with --road from this scan, or take the scan in their heights",
+                "{}: its road is {:+.1f} m from the height of the tiles: two vertical "
+                "systems, or the road of another place",
+                self.scans[0].path,
+                offset_m,
+                hint=Text(
+                    "make the tiles with {} from this scan, or take the scan in their heights",
+                    "--road",
+                ),
             )
 
     def _elsewhere(self, pose: Pose) -> InputError:
         names = ", ".join(str(scan.path) for scan in self.scans[:3])
         more, reach_m = " ..." if len(self.scans) > 3 else "", (pose.view or View()).max_range_m
         return InputError(
-            f"{names}{more}: no point within {reach_m:.0f} m of {pose.sensor}",
-            hint=f"it stands at {pose.easting:.0f} {pose.northing:.0f} in {pose.crs.name}; "
-            "take the scan of that place, whole and not masked",
+            "{}{}: no point within {:.0f} m of {}",
+            names,
+            more,
+            reach_m,
+            pose.sensor,
+            hint=Text(
+                "it stands at {:.0f} {:.0f} in {}; take the scan of that place, whole and "
+                "not masked",
+                pose.easting,
+                pose.northing,
+                pose.crs.name,
+            ),
         )
 
 
@@ -383,8 +398,11 @@ def report_uncovered(
             worst[sight.pose.sensor] = min(sight.covered, worst.get(sight.pose.sensor, 1.0))
     for sensor, covered in worst.items():
         reporter.log(
-            f"the scan covers {math.floor(100.0 * covered)}% of the view of {sensor}: what it does "
-            "not cover counts as in sight",
+            Text(
+                "the scan covers {}% of the view of {}: what it does not cover counts as in sight",
+                math.floor(100.0 * covered),
+                sensor,
+            ),
             "info" if covered >= settings.least_covered else "warning",
         )
 

@@ -25,6 +25,7 @@ from gis_radar.scans.scan import open_scan, road_crs
 from gis_radar.site.messages import in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
 from gis_radar.steps import iso_from_step, step_of, zone_of
+from gis_radar.texts import Text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +160,7 @@ def check_site(
     folder = site.path.absolute().parent  # as in remarks of a run
     warnings = [in_site_words(line, site.timezone, folder) for line in warnings]
     for line in warnings:
-        reporter.log(line, "warning")
+        reporter.warn(line)
     return SiteCheck(
         site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=found,
         warnings=tuple(warnings),
@@ -178,7 +179,9 @@ def _check_scans(site: Site, roads: LaneletMap) -> None:
     if not any(scan.touches((west, south, east, north), roads.crs) for scan in scans):
         names = ", ".join(scan.path.name for scan in scans)
         raise InputError(
-            f"{names}: not where the map {site.map.file.name} is",
+            "{}: not where the map {} is",
+            names,
+            site.map.file.name,
             hint="choose the scans of the site, or their CRS with crs in [scan]",
         )
 
@@ -189,7 +192,10 @@ def _check_place(sensor: Sensor, roads: LaneletMap, settings: CheckSettings) -> 
         pose = read_track(sensor.pose).poses[0]
         if name_of(pose.crs) != name_of(roads.crs):
             raise InputError(
-                f"{sensor.pose}: is in {name_of(pose.crs)}, the map in {name_of(roads.crs)}",
+                "{}: is in {}, the map in {}",
+                sensor.pose,
+                name_of(pose.crs),
+                name_of(roads.crs),
                 hint="give the map the CRS of the pose with crs in [map]",
             )
         place = shapely.Point(pose.easting, pose.northing)
@@ -198,7 +204,9 @@ def _check_place(sensor: Sensor, roads: LaneletMap, settings: CheckSettings) -> 
     far_m = float(shapely.distance(place, roads.lanelets.geometry.values).min())
     if far_m > settings.near_map_m:
         raise InputError(
-            f"{sensor.name} stands {far_m:,.0f} m from the nearest lane of the map",
+            "{} stands {:,.0f} m from the nearest lane of the map",
+            sensor.name,
+            far_m,
             hint="its position is in the CRS of the map; or this is the map of another place",
         )
 
@@ -212,9 +220,11 @@ def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Ite
     hours = (offset.total_seconds() if offset else 0.0) / 3600.0
     off = (hours - longitude / 15.0 + 12.0) % 24.0 - 12.0
     if abs(off) > settings.zone_hours:
-        yield (
-            f"timezone {site.timezone} is {abs(off):.0f} hours from the sun at the site: "
-            "choose the zone whose clocks people there follow"
+        yield Text(
+            "timezone {} is {:.0f} hours from the sun at the site: choose the zone whose "
+            "clocks people there follow",
+            site.timezone,
+            abs(off),
         )
 
 
@@ -237,8 +247,12 @@ def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -
     longest = max(each[1] - each[0] for each in spans)
     if sensor.guess is not None and longest < settings.least_s and not foreign:
         warnings.append(
-            f"{sensor.name}: {longest:.0f} s in one recording rarely suffice to find its pose, "
-            "100 s are a good length"
+            Text(
+                "{}: {:.0f} s in one recording rarely suffice to find its pose, 100 s are a "
+                "good length",
+                sensor.name,
+                longest,
+            )
         )
     return SensorCheck(
         begin=begin, end=end, detections=counts.detections, view=counts.view(settings)
@@ -251,7 +265,7 @@ def _time_warnings(found: dict[str, SensorCheck]) -> Iterator[str]:
     for place, (name, one) in enumerate(timed.items()):
         for other_name, other in list(timed.items())[place + 1 :]:
             if one.end < other.begin or other.end < one.begin:
-                yield f"{name} and {other_name} never recorded at the same time"
+                yield Text("{} and {} never recorded at the same time", name, other_name)
 
 
 class _Warnings(Reporter):

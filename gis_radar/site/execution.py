@@ -22,8 +22,9 @@ from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
 from gis_radar.site.software import software
 from gis_radar.site.worker import Event, Pool, carry_out
+from gis_radar.texts import Text, restored, with_texts
 
-ALL = "all stages"
+ALL = Text("all stages")
 
 _POLL_S = 0.1  # how late a bar may move
 _CHUNK = 1 << 20
@@ -154,9 +155,11 @@ class Execution:
         at_work = [each for each in self._begun.values() if each.worker is not None]
         crashed = [each for each in at_work if each.worker in crashes]
         suspects = crashed or at_work or self._begun.values()
-        how = f" with {', '.join(sorted(set(crashes.values())))}" if crashes else ""
+        how = Text(" with {}", ", ".join(sorted(set(crashes.values())))) if crashes else ""
         return GisRadarError(
-            f"{', '.join(each.stage.name for each in suspects)}: a worker process ended{how}",
+            "{}: a worker process ended{}",
+            Text(", ").join(each.stage.name for each in suspects),
+            how,
             hint="if memory ran out, use fewer at once: --jobs 1",
         )
 
@@ -178,7 +181,7 @@ class Execution:
                 begun.warnings.append(message)
             if message not in self._logged:  # each stage that reads the map repeats it
                 self._logged.add(message)
-                self.reporter.log(f"{event['stage']}: {message}", event["level"])
+                self.reporter.log(Text("{}: {}", event["stage"], message), event["level"])
         else:
             if event["phase"] not in begun.phases:
                 begun.phases.append(event["phase"])
@@ -212,9 +215,7 @@ class Execution:
         if state != "failed" and self.state.key_of(begun.stage) == begun.key:
             self.state.keep(outcome)
         elif state != "failed":
-            self.reporter.log(
-                f"{begun.stage.name}: an input has changed meanwhile: run again", "warning"
-            )
+            self.reporter.warn("{}: an input has changed meanwhile: run again", begun.stage.name)
         return outcome
 
     def _settle(self, outcome: Outcome) -> None:
@@ -227,7 +228,7 @@ class Execution:
             if not stage.sensor:
                 raise outcome.error
             if outcome.error.message not in self._logged:  # of two that contradict each other
-                self.reporter.log(f"{stage.name}: {outcome.error.message}", "warning")
+                self.reporter.warn("{}: {}", stage.name, outcome.error.message)
             self._logged.add(outcome.error.message)
         if outcome.state != "skipped":
             self.reporter.progress(stage.name, 100, 100)
@@ -269,6 +270,7 @@ class _Record(BaseModel):
     figures: dict[str, Any]
     warnings: tuple[str, ...]
     refusal: tuple[str, str] | None  # message and hint, where there was no trustworthy answer
+    texts: dict[str, Any] = {}  # of figures, warnings and refusal
     seconds: float
 
 
@@ -384,14 +386,15 @@ class RunState:
             return None
         if record.refusal is None and record.outputs != self._held(stage):
             return None
+        told = restored(record.model_dump(include={"figures", "warnings", "refusal", "texts"}))
         error = None
-        if record.refusal is not None:
-            error = NoAnswerError(record.refusal[0], hint=record.refusal[1])
+        if told["refusal"] is not None:
+            error = NoAnswerError(told["refusal"][0], hint=told["refusal"][1])
         return Outcome(
             stage=stage,
             state="refused" if error else "kept",
-            figures=record.figures,
-            warnings=record.warnings,
+            figures=told["figures"],
+            warnings=told["warnings"],
             error=error,
             seconds=record.seconds,
         )
@@ -399,13 +402,16 @@ class RunState:
     def keep(self, outcome: Outcome) -> None:
         """Record a stage that has ended with a result or a refusal."""
         stage, error = outcome.stage, outcome.error
+        told = {
+            "figures": dict(outcome.figures),
+            "warnings": tuple(outcome.warnings),
+            "refusal": (error.message, error.hint) if error else None,
+        }
         self.records[stage.name] = _Record(
             key=self.key_of(stage.asking(outcome.figures.get("asked"))),
             outputs={} if error else self._held(stage),
-            figures=dict(outcome.figures),
-            warnings=tuple(outcome.warnings),
-            refusal=(error.message, error.hint) if error else None,
             seconds=outcome.seconds,
+            **with_texts(told),
         )
         self.save()
 
@@ -442,7 +448,7 @@ def _hash(path: Path, progress: Callable[[int], None]) -> str:
                 digest.update(chunk)
                 progress(len(chunk))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError("{}: cannot be read: {}", path, error.strerror or error) from error
     return digest.hexdigest()
 
 

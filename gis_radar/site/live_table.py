@@ -14,14 +14,15 @@ from gis_radar.site.values import (
     Meaning,
     Place,
     Switch,
-    Text,
     Texts,
+    TextValue,
     TomlTable,
     Unfit,
     key,
     within,
 )
 from gis_radar.steps import duration_s, interval_steps
+from gis_radar.texts import Text
 
 _NOT_IN_TOPICS = frozenset("+#/$")
 
@@ -47,7 +48,7 @@ def _interval(text: str) -> str:
 
 def _topic_word(text: str) -> str:
     if _NOT_IN_TOPICS & {*text} or not text.isascii() or " " in text:
-        raise Unfit("a word without + # / $ and blanks, as it stands in topics")
+        raise Unfit(Text("a word without + # / $ and blanks, as it stands in topics"))
     return text
 
 
@@ -77,24 +78,26 @@ def _is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-Duration = Annotated[float, Meaning('a duration such as "200ms"'), PlainValidator(_duration)]
-TopicWord = Annotated[Text, Meaning("a word"), AfterValidator(_topic_word)]
-Interval = Annotated[Text, Meaning('a length such as "15min"'), AfterValidator(_interval)]
+Duration = Annotated[float, Meaning(Text('a duration such as "200ms"')), PlainValidator(_duration)]
+TopicWord = Annotated[TextValue, Meaning(Text("a word")), AfterValidator(_topic_word)]
+Interval = Annotated[
+    TextValue, Meaning(Text('a length such as "15min"')), AfterValidator(_interval)
+]
 ServiceAddress = Annotated[
-    Text, Meaning("an http or https address without user and query"),
+    TextValue, Meaning(Text("an http or https address without user and query")),
     AfterValidator(_service_address),
 ]  # fmt: skip
 HostPort = Annotated[
-    Text, Meaning('HOST:PORT such as "127.0.0.1:9464"'), AfterValidator(_host_and_port)
+    TextValue, Meaning(Text('HOST:PORT such as "127.0.0.1:9464"')), AfterValidator(_host_and_port)
 ]
 
 
 class BrokerTable(TomlTable):
     """The broker that sensors and fusion speak through."""
 
-    address: Text = key('"mqtts://broker.example:8883"')
+    address: TextValue = key('"mqtts://broker.example:8883"')
     """Where it is: `mqtt://` or, encrypted, `mqtts://`."""
-    user: Text | None = key('"R1"', None, "the sensor's name, or fusion")
+    user: TextValue | None = key('"R1"', None, "the sensor's name, or fusion")
     """As whom to log in."""
     password_file: Place | None = key('"R1.password"', None, "no log-in")
     """A file with nothing but the password."""
@@ -119,8 +122,8 @@ class PageTable(TomlTable):
         host = urlsplit(f"//{self.address}").hostname or ""
         if not (_is_loopback(host) or self.token_file or self.behind_proxy):
             raise Unfit(
-                message=f"the page would be open to everyone who reaches {host}",
-                hint="set token_file, or behind_proxy where a reverse proxy asks for a login",
+                message=Text("the page would be open to everyone who reaches {}", host),
+                hint=Text("set token_file, or behind_proxy where a reverse proxy asks for a login"),
             )
         return self
 
@@ -132,7 +135,7 @@ class SensorThingsTable(TomlTable):
     """The service's root, with its version."""
     interval: Interval = key('"5min"', "15min", '"15min"')
     """Over which the hit share of a lane is pushed."""
-    user: Text | None = key('"junction"', None, "none")
+    user: TextValue | None = key('"junction"', None, "none")
     """As whom to log in, with a password."""
     password_file: File | None = key('"sensorthings.password"', None, "none")
     """A file with nothing but the password."""
@@ -145,8 +148,8 @@ class SensorThingsTable(TomlTable):
         log_in = self.password_file is not None or self.token_file is not None
         if log_in and parts.scheme == "http" and not _is_loopback(parts.hostname or ""):
             raise Unfit(
-                message="a password or token would go over http for all to read",
-                hint="name an https:// address",
+                message=Text("a password or token would go over http for all to read"),
+                hint=Text("name an https:// address"),
             )
         return self
 
@@ -158,7 +161,7 @@ class LiveTable(TomlTable):
     """The site's name in the topics: `v1/SITE/SENSOR/detections`."""
     tiles: File = key('"tiles.gpkg"')
     """The tiles, from `gis-radar tiles`: the same file that the sensors have."""
-    folder: Text = key('"live"', "live", '"live"')
+    folder: TextValue = key('"live"', "live", '"live"')
     """Where its files go: dataset, recordings, what is on its way there."""
     lateness: Duration = key('"200ms"', 0.2, '"200ms"')
     """How long a 50 ms window stays open after its end for frames on their way."""
@@ -172,7 +175,7 @@ class LiveTable(TomlTable):
     """How old a frame may be that comes after an outage; older ones are left out."""
     keep: Duration = key('"168h"', 604_800.0, '"168h"')
     """How long recordings are kept."""
-    gigabytes: Annotated[float, Meaning("gigabytes, over 0"), within(1e-3, 1e6)] = key(100.0)
+    gigabytes: Annotated[float, Meaning(Text("gigabytes, over 0")), within(1e-3, 1e6)] = key(100.0)
     """How much room recordings may take; then the oldest are removed sooner."""
     health: HostPort | None = key('"127.0.0.1:9464"', None, "none")
     """Where counts and alarms are served as text for Prometheus."""

@@ -12,6 +12,7 @@ from gis_radar.report.names import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.settings import ConvertTable, Sensor, Site
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL
+from gis_radar.texts import Text
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",
@@ -168,10 +169,10 @@ def _road(site: Site, folder: Path) -> Iterator[Stage]:
     if scan is not None and scan.road is not None:
         outputs = (folder / "road.laz",)
         inputs = {"road": scan.road}
-        yield Stage(name="road", work=stages.road_stage, inputs=inputs, outputs=outputs)
+        yield Stage(name=Text("road"), work=stages.road_stage, inputs=inputs, outputs=outputs)
     elif scan is not None:
         yield Stage(
-            name="mask",
+            name=Text("mask"),
             work=stages.mask_stage,
             inputs={"map_file": site.map.file, "scans": scan.files},
             options={**_map_options(site), "scan_crs": scan.crs, "engine": scan.engine},
@@ -182,7 +183,7 @@ def _road(site: Site, folder: Path) -> Iterator[Stage]:
 
 def _conversion(sensor: Sensor, folder: Path) -> Stage:
     return Stage(
-        name=f"convert {sensor.name}",
+        name=Text("convert {}", sensor.name),
         work=stages.convert_stage,
         inputs={"recordings": sensor.foreign},
         options=(sensor.convert or ConvertTable()).model_dump(),
@@ -203,7 +204,7 @@ def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
     place = folder / "sensors" / sensor.name
     scans = site.scan.files if site.scan else ()
     return Stage(
-        name=f"localize {sensor.name}",
+        name=Text("localize {}", sensor.name),
         work=stages.localize_stage,
         inputs={
             "recordings": _recordings(sensor, folder),
@@ -243,7 +244,7 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
     clocks = site.measure.clocks
     ours, converted = _all_recordings(tied, folder)
     yield Stage(
-        name="poses together",
+        name=Text("poses together"),
         work=stages.together_stage,
         inputs={
             "map_file": site.map.file,
@@ -275,7 +276,7 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
     options: dict[str, Any] = {"sensor": sensor.name, "view": _view(sensor)}
     if sensor in _tied(site):
         return Stage(
-            name=f"pose {sensor.name}",
+            name=Text("pose {}", sensor.name),
             work=stages.tied_pose_stage,
             inputs={"together": folder / "together.json"},
             beside=((place / FOUND,),),
@@ -286,7 +287,7 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
     pose = sensor.pose or place / FOUND
     is_track = pose.suffix.lower() == ".csv"
     return Stage(
-        name=f"pose {sensor.name}",
+        name=Text("pose {}", sensor.name),
         work=stages.pose_stage,
         inputs={"pose": pose} | ({} if sensor.pose else {"candidates": place / SEVERAL}),
         options={**options, "given": sensor.pose is not None},
@@ -298,7 +299,7 @@ def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
 def _tiles(site: Site, folder: Path) -> Stage:
     subtypes = site.map.subtypes
     return Stage(
-        name="tiles",
+        name=Text("tiles"),
         work=stages.tiles_stage,
         inputs={
             "map_file": site.map.file,
@@ -324,7 +325,7 @@ def _measure(site: Site, folder: Path) -> Stage:
     poses = {each.name: _pose(site, each, folder).outputs[0] for each in site.sensor}
     ours, converted = _all_recordings(site.sensor, folder)
     return Stage(
-        name="measure",
+        name=Text("measure"),
         work=stages.measure_stage,
         inputs={
             "map_file": site.map.file,
@@ -370,7 +371,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
     for number, interval in enumerate(site.heatmap.intervals or (None,)):
         end = f"_{interval}" if number else ""
         yield Stage(
-            name=f"heat map{end.replace('_', ' ')}",
+            name=Text("heat map{}", end.replace("_", " ")),
             work=stages.heatmap_stage,
             inputs={"dataset": dataset},
             options={
@@ -385,7 +386,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         )  # fmt: skip
     poses = tuple(path for each in site.sensor for path in _pose(site, each, folder).outputs)
     yield Stage(
-        name="QGIS project",
+        name=Text("QGIS project"),
         work=stages.project_stage,
         inputs={},
         beside=((folder / "heatmap",), poses, (dataset,)),
@@ -404,7 +405,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         ),
     )
     yield Stage(
-        name="report",
+        name=Text("report"),
         work=stages.report_stage,
         inputs={},
         beside=((folder / "heatmap",), (folder / "run.json",), (dataset,)),

@@ -18,6 +18,7 @@ from gis_radar.errors import InputError, UsageError
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
+from gis_radar.texts import Text
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -110,7 +111,7 @@ def measure_site(
             named = [n for n, (paths, _) in left.items() if _names_one(error.message, paths)]
             if not named or len(left) == 1:
                 raise
-            reporter.log(f"{named[0]} is left out: {error.message}", "warning")
+            reporter.warn("{} is left out: {}", named[0], error.message)
             refused[named[0]] = error.message
             del left[named[0]]
         else:
@@ -170,10 +171,10 @@ def see_tiles(
     from gis_radar.tiles import read_tiles
 
     if recordings and len(recordings) != len(tracks):
-        raise UsageError(f"{len(recordings)} recordings, but {len(tracks)} poses")
+        raise UsageError("{} recordings, but {} poses", len(recordings), len(tracks))
     tiles = read_tiles(tile_file)
     for track in tracks:
-        what = f"the pose of {track.sensor}"
+        what = Text("the pose of {}", track.sensor)
         require_same(track.poses[0].crs, tiles.crs, what=what, other_what="the tiles")
     road = SightTiles.of(tiles)
     source = open_sight(road, scans=scans, scan_crs=scan_crs, reporter=reporter)
@@ -251,10 +252,11 @@ def _moving_hits(
     hits = [MovingHits.of(sights[id(track.poses[k])], [each]) for k, each in counters.items()]
     for each in hits:
         if each.frames < DEFAULTS.judged_frames:
-            reporter.log(
-                f"{track.sensor}: {each.frames} frames from one place are too few to correct its "
-                f"sight by, {DEFAULTS.judged_frames} are needed",
-                "warning",
+            reporter.warn(
+                "{}: {} frames from one place are too few to correct its sight by, {} are needed",
+                track.sensor,
+                each.frames,
+                DEFAULTS.judged_frames,
             )
     return [each for each in hits if each.frames >= DEFAULTS.judged_frames]
 
@@ -269,12 +271,13 @@ def _clocks(
     if source == AUTO:
         found = measure_clocks(recordings, tracks, tiles, reporter=reporter)
         for sensor, text in found.lines().items():
-            reference = sensor == "reference"
-            what = "clocks are corrected to that of" if reference else f"clock of {sensor}:"
-            reporter.log(f"{what} {text}")
+            told = Text("clock of {}: {}", sensor, text)
+            if sensor == "reference":
+                told = Text("clocks are corrected to that of {}", text)
+            reporter.log(told)
         clocks = dict(found.clocks)
     else:
         clocks = read_clocks(source)
     for sensor in sorted({track.sensor for track in tracks} - clocks.keys()):
-        reporter.log(f"the clock of {sensor} is not corrected: its offset is not known", "warning")
+        reporter.warn("the clock of {} is not corrected: its offset is not known", sensor)
     return clocks

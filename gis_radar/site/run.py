@@ -38,7 +38,8 @@ from gis_radar.site.software import software
 from gis_radar.site.stages import STATE
 from gis_radar.site.worker import process_pool
 from gis_radar.steps import Clock, zone_of
-from gis_radar.words import NOTHING, direction, figure_text, listed, speaking, tr, tr_message
+from gis_radar.texts import Text, with_texts
+from gis_radar.words import NOTHING, direction, figure_text, listed, speaking, tr
 
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
@@ -93,18 +94,15 @@ class SiteRun:
         made_of = [each.name for each in self.site.sensor if each.name not in missing]
         bad = [name for name, error in missing.items() if not isinstance(error, NoAnswerError)]
         first = (bad or list(missing))[0]
-        rest = (
-            f"the heat maps show {', '.join(made_of)} only" if made_of else "there is no heat map"
-        )
+        rest = Text("there is no heat map")
+        if made_of:
+            rest = Text("the heat maps show {} only", ", ".join(made_of))
         kind = InputError if bad else NoAnswerError
         lost = ", ".join(sorted(missing))
         reason = missing[first].message
         if first not in reason.partition(":")[0].split():  # else it names the sensor itself
-            reason = f"{first}: {reason}"
-        return kind(
-            f"no result for {lost}; {rest}; {reason}",
-            hint=missing[first].hint,
-        )
+            reason = Text("{}: {}", first, reason)
+        return kind("no result for {}; {}; {}", lost, rest, reason, hint=missing[first].hint)
 
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
@@ -178,7 +176,7 @@ def run_site(
         If `jobs` is less than 1.
     """
     if jobs is not None and jobs < 1:
-        raise UsageError(f"jobs is {jobs}, expected 1 or more")
+        raise UsageError("jobs is {}, expected 1 or more", jobs)
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
     state = _prepared(root)
@@ -239,7 +237,7 @@ def _forget(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> Non
         outputs = [path for path in state.forget(name) if path not in made]
         discard(outputs)
         if outputs:
-            reporter.log(f"{name}: no longer part of the site, its results were removed")
+            reporter.log(Text("{}: no longer part of the site, its results were removed", name))
 
 
 def _hash_inputs(site: Site, state: RunState, reporter: Reporter) -> None:
@@ -278,7 +276,7 @@ def _write_record(
         "stages": [_stage(each, base, root) for each in outcomes],
     }
     with atomic_write(root / "run.json") as part:
-        text = json_text(document, indent=1, default=lambda path: _relative(path, base))
+        text = json_text(with_texts(document), indent=1, default=lambda path: _relative(path, base))
         part.write_text(text + "\n", encoding="utf-8")
     summary = root / "summary.md"
     if not finished:
@@ -325,7 +323,7 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
 def _together(outcomes: Sequence[Outcome]) -> list[str]:
     """Return what sensors gained by each other, or why they are not tied."""
     solved = (e.figures for e in outcomes if e.has_result and e.stage.work is work.together_stage)
-    return [f"{name}: {tr_message(line)}" for each in solved for name, line in each.items()]
+    return [f"{name}: {tr(line)}" for each in solved for name, line in each.items()]
 
 
 def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
@@ -383,7 +381,7 @@ def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
     )
     template = plain.from_string(text)
     with speaking(site.language):
-        heard = told.get("remarks") or [tr_message(each) for each in _warnings(outcomes)]
+        heard = told.get("remarks") or [tr(each) for each in _warnings(outcomes)]
         shown: str = template.render(
             tr=tr, title=site.title, span=_span(site, heat), shown=listed(_sensors_in(outcomes)),
             facts=told.get("facts") or {}, heard=heard, version=software()["gis_radar"],
@@ -417,7 +415,7 @@ def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
         tr("Scan check"), tr("State"),
     ]]  # fmt: skip
     for name, facts in _sensors_of(outcomes, site).items():
-        state = tr("good") if facts["state"] == "ok" else tr_message(str(facts["state"]))
+        state = tr("good") if facts["state"] == "ok" else tr(str(facts["state"]))
         if "yaw" not in facts:
             rows.append([name, *[NOTHING] * 6, state])
             continue

@@ -27,18 +27,19 @@ from gis_radar.site.values import (
     Recordings,
     Span,
     Switch,
-    Text,
     Texts,
+    TextValue,
     TomlTable,
     Unfit,
     Zone,
     key,
     within,
 )  # fmt: skip
+from gis_radar.texts import Text
 
 READ_AS_THEY_ARE = (".parquet", ".csv")
 
-_HINT = "begin with: gis-radar run --template > SITE.toml"
+_HINT = Text("begin with: gis-radar run --template > SITE.toml")
 
 
 class MapTable(TomlTable):
@@ -54,9 +55,9 @@ class MapTable(TomlTable):
     """Lanelets to tile, by subtype."""
     streets: File | None = key('"streets.gpkg"', None, "none")
     """Lines of streets with names, for lanes that the map names none of."""
-    street_field: Text | None = key('"strassenname"', None, "the first usual one")
+    street_field: TextValue | None = key('"strassenname"', None, "the first usual one")
     """Their column of names."""
-    source: Text | None = key('"City of Example, CC BY 4.0"', None, "none")
+    source: TextValue | None = key('"City of Example, CC BY 4.0"', None, "none")
     """Where the map is from, and its licence."""
 
 
@@ -71,7 +72,7 @@ class ScanTable(TomlTable):
     """CRS of scans that do not state theirs."""
     engine: Literal["auto", "pdal", "laspy"] = key('"auto"', "auto")
     """Who reads the scans; auto takes PDAL where there is one."""
-    source: Text | None = key('"State survey, dl-de/by-2-0"', None, "none")
+    source: TextValue | None = key('"State survey, dl-de/by-2-0"', None, "none")
     """Where the scans are from, and their licence."""
 
     @model_validator(mode="after")
@@ -79,7 +80,8 @@ class ScanTable(TomlTable):
         if bool(self.files) == (self.road is not None):
             both = "both files and road are" if self.files else "neither files nor road is"
             raise Unfit(
-                message=f"{both} given", hint="give the scans' files, or a road masked before"
+                message=Text("{} given", both),
+                hint=Text("give the scans' files, or a road masked before"),
             )
         return self
 
@@ -87,7 +89,7 @@ class ScanTable(TomlTable):
 class TilesTable(TomlTable):
     """The unit of all statistics."""
 
-    length: Annotated[float, Meaning("metres, 0.05 to 100"), within(0.05, 100.0)] = key(0.5)
+    length: Annotated[float, Meaning(Text("metres, 0.05 to 100")), within(0.05, 100.0)] = key(0.5)
     """Length of a tile along its lanelet, m."""
 
 
@@ -96,13 +98,15 @@ class MeasureTable(TomlTable):
 
     clearance: Span | None = key("[-0.5, 4.5]", None, "all")
     """Heights over the road that count, m."""
-    min_speed: Annotated[float, Meaning("m/s, 0 or more"), within(0.0)] | None = key(
+    min_speed: Annotated[float, Meaning(Text("m/s, 0 or more")), within(0.0)] | None = key(
         "0.5", None, "all"
     )
     """Least absolute range rate, m/s; a queue stands still."""
     min_rcs: Annotated[float, Meaning("dBm2"), within()] | None = key("-10.0", None, "all")
     """Least radar cross section, dBm2."""
-    elevation_error: Annotated[float, Meaning("degrees, 0 to 45"), within(0.0, 44.999)] = key(0.5)
+    elevation_error: Annotated[float, Meaning(Text("degrees, 0 to 45")), within(0.0, 44.999)] = key(
+        0.5
+    )
     """Elevation error of the radars, deg (1 sigma): widens the clearance with range."""
     clocks: File | None = key('"clocks.json"', None, "none")
     """How far sensors' clocks are ahead, from `gis-radar clocks`: times are corrected."""
@@ -127,21 +131,28 @@ class HeatmapTable(TomlTable):
 class ViewTable(TomlTable):
     """What a sensor sees: full opening angles about its x axis, and a range."""
 
-    azimuth_deg: Annotated[float, Meaning("degrees, 0 to 360"), within(1e-3, 360.0)] = key(120.0)
+    azimuth_deg: Annotated[float, Meaning(Text("degrees, 0 to 360")), within(1e-3, 360.0)] = key(
+        120.0
+    )
     """Full azimuth."""
-    elevation_deg: Annotated[float, Meaning("degrees, 0 to 180"), within(1e-3, 180.0)] = key(30.0)
+    elevation_deg: Annotated[float, Meaning(Text("degrees, 0 to 180")), within(1e-3, 180.0)] = key(
+        30.0
+    )
     """Full elevation."""
-    min_range_m: Annotated[float, Meaning("metres, 0 or more"), within(0.0, 1e5)] = key(1.0)
+    min_range_m: Annotated[float, Meaning(Text("metres, 0 or more")), within(0.0, 1e5)] = key(1.0)
     """Least slant range."""
-    max_range_m: Annotated[float, Meaning("metres, over 0"), within(1e-3, 1e5)] = key(300.0)
+    max_range_m: Annotated[float, Meaning(Text("metres, over 0")), within(1e-3, 1e5)] = key(300.0)
     """Greatest slant range."""
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> Self:
         if not self.min_range_m < self.max_range_m:
             raise Unfit(
-                message=f"min_range_m is {self.min_range_m:g} and max_range_m "
-                f"{self.max_range_m:g}, expected ascending"
+                message=Text(
+                    "min_range_m is {:g} and max_range_m {:g}, expected ascending",
+                    self.min_range_m,
+                    self.max_range_m,
+                )
             )
         return self
 
@@ -149,7 +160,7 @@ class ViewTable(TomlTable):
 class ConvertTable(TomlTable):
     """How recordings in other formats are read: as `gis-radar convert` takes it."""
 
-    sensor: Text | None = key('"10.13.1.113"', None, "the only one")
+    sensor: TextValue | None = key('"10.13.1.113"', None, "the only one")
     """Which sensor, where the files have several."""
     columns: Pairs | None = key('{ x = "X", range_rate = "-doppler" }', None, "known by name")
     """Our columns and the fields of a table or cloud; a minus turns the sign."""
@@ -198,8 +209,8 @@ class Sensor(TomlTable):
     def _fits_together(self) -> Self:
         if self.guess is None and self.pose is None:
             raise Unfit(
-                message="has neither guess nor pose",
-                hint="guess = [E, N] within 15 m, in the map frame, or pose = a pose file",
+                message=Text("has neither guess nor pose"),
+                hint=Text("guess = [E, N] within 15 m, in the map frame, or pose = a pose file"),
             )
         for one, other, hint in (
             ("guess", "pose", "a pose needs no guess: keep one of them"),
@@ -208,14 +219,14 @@ class Sensor(TomlTable):
             ("pose", "compass", "a heading helps a guess only"),
         ):
             if getattr(self, one) is not None and getattr(self, other) is not None:
-                raise Unfit(message=f"has both {one} and {other}", hint=hint)
+                raise Unfit(message=Text("has both {} and {}", one, other), hint=hint)
         return self
 
 
 class Site(TomlTable):
     """A site, as its file states it; made by :func:`read_site`."""
 
-    title: Text = key('"Example junction"')
+    title: TextValue = key('"Example junction"')
     """What the site is called."""
     timezone: Zone = key('"Europe/Berlin"', "UTC")
     """Zone of the times in pictures, report and summary, for all sensors; data files keep UTC."""
@@ -248,17 +259,17 @@ class Site(TomlTable):
         names: dict[str, str] = {}
         for place, name in enumerate(each.name for each in self.sensor):
             if (twin := names.get(name.casefold())) is not None:
-                same = f"{name!r}" if name == twin else f"{twin!r} and {name!r}"
+                same = f"{name!r}" if name == twin else Text("{} and {}", repr(twin), repr(name))
                 raise Unfit(
-                    message=f"two sensors are called {same}",
-                    hint="folders carry their names",
+                    message=Text("two sensors are called {}", same),
+                    hint=Text("folders carry their names"),
                     at=("sensor", place, "name"),
                 )
             names[name.casefold()] = name
         lost = [each.name for each in self.sensor if each.guess is not None]
         if lost and self.scan is None:
             raise Unfit(
-                message=f"the pose of {', '.join(lost)} is to be found, which needs a scan",
+                message=Text("the pose of {} is to be found, which needs a scan", ", ".join(lost)),
                 hint="add a table [scan] with files, or give poses",
             )
         return self

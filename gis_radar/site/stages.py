@@ -27,6 +27,7 @@ from gis_radar.site.together import (
     write_candidates,
     write_together,
 )
+from gis_radar.texts import Text
 
 STATE = ".gis-radar"
 SIGHTS = "sights"  # in there: what sensors see by the scans, which is asked for again
@@ -69,7 +70,9 @@ def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figur
         if len(made.outputs) != 1:
             names = ", ".join(str(each.sensor) for each in made.recordings)
             raise InputError(
-                f"{recordings[0]}: has several sensors: {names}",
+                "{}: has several sensors: {}",
+                recordings[0],
+                names,
                 hint="name one in [sensor.convert]: sensor = ...",
             )
         with atomic_write(outputs[0]) as part:
@@ -115,7 +118,7 @@ def together_stage(
     )
     write_together(found, outputs[0])
     for name, entry in found.items():
-        reporter.log(f"{name}: {entry['line']}")
+        reporter.log(Text("{}: {}", name, entry["line"]))
     return {name: entry["line"] for name, entry in found.items()}
 
 
@@ -158,9 +161,9 @@ def pose_stage(
         seeing = tuple(replace(each, view=View(**view)) for each in track.poses)
         track = replace(track, poses=seeing)
     elif given and track.sensor != sensor:
-        reporter.log(f"{pose}: is the pose of {track.sensor}, taken for {sensor}")
+        reporter.log(Text("{}: is the pose of {}, taken for {}", pose, track.sensor, sensor))
     if given and view is not None and any(each.view is not None for each in track.poses):
-        reporter.log(f"the pose of {sensor} has a view, which counts", "warning")
+        reporter.warn("the pose of {} has a view, which counts", sensor)
     if outputs[0].suffix == ".csv":
         with atomic_write(outputs[0]) as part:
             shutil.copyfile(pose, part)

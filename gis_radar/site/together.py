@@ -14,6 +14,7 @@ from gis_radar.json_documents import read_json
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import Reporter
+from gis_radar.texts import Text, restored, with_texts
 
 if TYPE_CHECKING:
     from gis_radar.calibration import AmbiguousError, Solved
@@ -104,18 +105,19 @@ def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) 
     from gis_radar.calibration import CLASH_HINT, gain_line
 
     if name in solved.refused:
-        return {"message": solved.refused[name], "hint": CLASH_HINT, "line": "refused"}
+        return {"message": solved.refused[name], "hint": CLASH_HINT, "line": Text("refused")}
     why = solved.unmatched.get(name, "no other sensor has a pose")
     if name not in solved.poses:
         if not refusal:
-            return {"pose": poses[0].as_dict(), "line": f"alone: {why}"}
-        return {**refusal, "line": f"not placed: {why}"}
+            return {"pose": poses[0].as_dict(), "line": Text("alone: {}", why)}
+        return {**refusal, "line": Text("not placed: {}", why)}
     pose = solved.poses[name]
     if "together" not in pose.evidence:
-        return {"pose": pose.as_dict(), "line": f"alone: {why}"}
+        return {"pose": pose.as_dict(), "line": Text("alone: {}", why)}
     line = gain_line(pose)
     if refusal:
-        line += f"; alone it was refused ({refusal['message'].removeprefix(f'{name}: ')})"
+        why = refusal["message"].removeprefix(f"{name}: ")
+        line = Text("{}; alone it was refused ({})", line, why)
     return {"pose": pose.as_dict(), "line": line}
 
 
@@ -140,11 +142,11 @@ def read_together(path: Path, sensor: str) -> tuple[Pose, str]:
 
 def _write(path: Path, record: Record) -> None:
     with atomic_write(path) as part:
-        part.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(with_texts(record), indent=1) + "\n", encoding="utf-8")
 
 
 def _read(path: Path) -> Record:
     try:
-        return dict(read_json(path, what="the answer of a stage"))
+        return restored(dict(read_json(path, what="the answer of a stage")))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read", hint="run again with --fresh") from error
+        raise InputError("{}: cannot be read", path, hint="run again with --fresh") from error

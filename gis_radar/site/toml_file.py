@@ -23,6 +23,7 @@ from gis_radar.site.values import (
     table_of,
     value_of,
 )
+from gis_radar.texts import Text
 
 Root = TypeVar("Root", bound=TomlTable)
 LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
@@ -53,19 +54,22 @@ def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root
     """
     try:
         if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: {size >> 20:,} MiB is no site file", hint=hint)
+            raise InputError("{}: {:,} MiB is no site file", path, size >> 20, hint=hint)
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot be read: {reason}", hint=hint) from error
+        reason = getattr(error, "strerror", None) or Text("not UTF-8 text")
+        raise InputError("{}: cannot be read: {}", path, reason, hint=hint) from error
     try:
         raw: dict[str, Any] = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, deep tables
-        raise InputError(f"{path}: not TOML: {first_line(error)}", hint=hint) from error
+        raise InputError("{}: not TOML: {}", path, first_line(error), hint=hint) from error
     sensors = raw.get("sensor")
     if isinstance(sensors, list) and len(sensors) > MOST_SENSORS:
         raise InputError(
-            f"{path}: has {len(sensors):,} sensors, at most {MOST_SENSORS} make a site",
+            "{}: has {:,} sensors, at most {} make a site",
+            path,
+            len(sensors),
+            MOST_SENSORS,
             hint="make several sites",
         )
     lines = lines_of(text)
@@ -100,8 +104,8 @@ def _first_error(
     steps, _, message, hint = min(found, key=lambda each: (each[1], line_of(each[0])))
     line = f":{number}" if (number := line_of(steps)) else ""
     where = "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in steps)
-    place = where[1:] or ("the site file" if of_site else "the file")
-    return InputError(f"{path}{line}: {place}: {message}", hint=hint)
+    place = where[1:] or (Text("the site file") if of_site else Text("the file"))
+    return InputError("{}{}: {}: {}", path, line, place, message, hint=hint)
 
 
 def _described(
@@ -112,12 +116,13 @@ def _described(
     if error["type"] == "extra_forbidden":
         name, known = str(steps[-1]), list(table.model_fields)
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6)
-        hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-        unknown = "is no key of a site file" if of_site else "is no key of this file"
+        hint = Text("did you mean {}?", near[0]) if near else Text("known are {}", ", ".join(known))
+        unknown = Text("is no key of a site file") if of_site else Text("is no key of this file")
         return steps, False, unknown, hint
     if error["type"] == "missing":
-        hint = f"e.g. {steps[-1]} = {field.examples[0]}" if field and field.examples else ""
-        return steps[:-1], True, f"lacks {steps[-1]}", hint
+        example = field.examples[0] if field and field.examples else None
+        hint = Text("e.g. {} = {}", steps[-1], example) if example else Text("")
+        return steps[:-1], True, Text("lacks {}", steps[-1]), hint
     unfit = error.get("ctx", {}).get("error")
     if not isinstance(unfit, Unfit):
         unfit = Unfit()
@@ -126,13 +131,13 @@ def _described(
     value = raw
     for step in steps:
         value = value[step]
-    expected = unfit.expected or (value_of(field) if field else "a table")
-    return steps, True, f"is {_shown(value)}, expected {expected}", unfit.hint
+    expected = unfit.expected or (value_of(field) if field else Text("a table"))
+    return steps, True, Text("is {}, expected {}", _shown(value), expected), unfit.hint
 
 
 def _shown(value: Any) -> str:
     if isinstance(value, dict):
-        return "a table"
+        return Text("a table")
     return "true" if value is True else "false" if value is False else repr(value)
 
 

@@ -31,6 +31,7 @@ from gis_radar.steps import (
     interval_steps,
     zone_of,
 )
+from gis_radar.texts import Text
 
 _WILD = frozenset("*?[")
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|')
@@ -64,15 +65,17 @@ def _text(value: Any) -> str:
 def _name(value: Any) -> str:
     text = _text(value)
     if text.startswith(".") or text != text.strip() or text[-1] == "." or _NOT_IN_NAMES & {*text}:
-        raise Unfit('a name that a folder can have: without / \\ : * ? " < > | and no leading dot')
+        raise Unfit(
+            Text('a name that a folder can have: without / \\ : * ? " < > | and no leading dot')
+        )
     return text
 
 
 def _position(numbers: tuple[float, ...]) -> tuple[float, ...]:
     if looks_like_degrees(*numbers[:2]):
         raise Unfit(
-            "metres of the map, not degrees",
-            hint="easting and northing in the CRS of the map, e.g. [690356.0, 5336183.0]",
+            Text("metres of the map, not degrees"),
+            hint=Text("easting and northing in the CRS of the map, e.g. [690356.0, 5336183.0]"),
         )
     return numbers
 
@@ -109,7 +112,7 @@ def _intervals(texts: tuple[str, ...]) -> tuple[str, ...]:
     for each in found:
         _parsed(interval_steps, each)
     if len({interval_steps(each) for each in found}) < len(found):
-        raise Unfit("lengths that differ from each other")
+        raise Unfit(Text("lengths that differ from each other"))
     return found
 
 
@@ -119,7 +122,7 @@ def _cycle(value: Any) -> float:
         raise Unfit(hint=CYCLE_HINT)
     _parsed(duration_s, text)
     if not SHORTEST_CYCLE_S <= duration_s(text) <= LONGEST_CYCLE_S:
-        raise Unfit(f"{SHORTEST_CYCLE_S:g} to {LONGEST_CYCLE_S:g} s")
+        raise Unfit(Text("{:g} to {:g} s", SHORTEST_CYCLE_S, LONGEST_CYCLE_S))
     return duration_s(text)
 
 
@@ -137,7 +140,8 @@ def _file(value: Any, info: ValidationInfo, *, folders: bool = False) -> Path:
     if not os.path.isfile(path) and not (folders and is_folder):  # noqa: PTH113
         reason = "is a folder" if is_folder else "no such file"
         raise Unfit(
-            message=f"{path}: {reason}", hint="paths are relative to the folder of the site file"
+            message=Text("{}: {}", path, reason),
+            hint="paths are relative to the folder of the site file",
         )
     return path
 
@@ -171,8 +175,8 @@ def _matches(pattern: str, folder: Path, *, folders: bool) -> list[Path]:
         raise Unfit(hint=first_line(error)) from error
     if not matches:
         raise Unfit(
-            message=f"no file matches {str(root.resolve() / pattern)!r}",
-            hint="patterns are relative to the folder of the site file",
+            message=Text("no file matches {}", repr(str(root.resolve() / pattern))),
+            hint=Text("patterns are relative to the folder of the site file"),
         )
     return matches
 
@@ -182,47 +186,55 @@ def within(low: float = -math.inf, high: float = math.inf) -> Any:
     return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
 
 
-Text = Annotated[str, Meaning("text"), PlainValidator(_text)]
-Texts = Annotated[tuple[Text, ...], Meaning("a list of texts"), Field(min_length=1)]
-Name = Annotated[str, Meaning("a name"), PlainValidator(_name)]
-Switch = Annotated[bool, Meaning("true or false"), Field(strict=True)]
+TextValue = Annotated[str, Meaning("text"), PlainValidator(_text)]
+Texts = Annotated[tuple[TextValue, ...], Meaning(Text("a list of texts")), Field(min_length=1)]
+Name = Annotated[str, Meaning(Text("a name")), PlainValidator(_name)]
+Switch = Annotated[bool, Meaning(Text("true or false")), Field(strict=True)]
 Number = Annotated[float, within()]
-Point = Annotated[tuple[Number, Number], Meaning("[E, N], metres")]
+Point = Annotated[tuple[Number, Number], Meaning(Text("[E, N], metres"))]
 Position = Annotated[
     tuple[Number, ...],
-    Meaning("[E, N] or [E, N, H], metres"),
+    Meaning(Text("[E, N] or [E, N, H], metres")),
     Field(min_length=2, max_length=3),
     AfterValidator(_position),
 ]
 Span = Annotated[
-    tuple[Number, Number], Meaning("[LOW, HIGH], metres, ascending"), AfterValidator(_ascending)
+    tuple[Number, Number],
+    Meaning(Text("[LOW, HIGH], metres, ascending")),
+    AfterValidator(_ascending),
 ]
-Crs = Annotated[Text, Meaning("a projected, metric CRS such as EPSG:25832"), AfterValidator(_crs)]
+Crs = Annotated[
+    TextValue, Meaning(Text("a projected, metric CRS such as EPSG:25832")), AfterValidator(_crs)
+]
 CompassBearing = Annotated[
-    float, Meaning("degrees or a word such as north-east"), PlainValidator(bearing_of)
+    float, Meaning(Text("degrees or a word such as north-east")), PlainValidator(bearing_of)
 ]
 Intervals = Annotated[
-    tuple[Text, ...],
-    Meaning('a list of lengths such as ["15min", "1h"]'),
+    tuple[TextValue, ...],
+    Meaning(Text('a list of lengths such as ["15min", "1h"]')),
     Field(min_length=1),
     AfterValidator(_intervals),
 ]
-Cycle = Annotated[float, Meaning('a duration such as "150ms"'), PlainValidator(_cycle)]
-Zone = Annotated[Text, Meaning("an IANA time zone such as Europe/Berlin"), AfterValidator(_zone)]
-File = Annotated[Path, Meaning("the name of a file"), PlainValidator(_file)]
+Cycle = Annotated[float, Meaning(Text('a duration such as "150ms"')), PlainValidator(_cycle)]
+Zone = Annotated[
+    TextValue, Meaning(Text("an IANA time zone such as Europe/Berlin")), AfterValidator(_zone)
+]
+File = Annotated[Path, Meaning(Text("the name of a file")), PlainValidator(_file)]
 # Of a file that may still have to be made.
-Place = Annotated[Path, Meaning("the name of a file"), PlainValidator(_place)]
+Place = Annotated[Path, Meaning(Text("the name of a file")), PlainValidator(_place)]
 Files = Annotated[
     tuple[Path, ...],
-    Meaning('the name of a file, or a list of names and patterns such as ["R1_*.parquet"]'),
+    Meaning(Text('the name of a file, or a list of names and patterns such as ["R1_*.parquet"]')),
     PlainValidator(_files),
 ]
 Recordings = Annotated[
     tuple[Path, ...],
-    Meaning('a name, or a list of names and patterns such as ["R1_*.parquet"]'),
+    Meaning(Text('a name, or a list of names and patterns such as ["R1_*.parquet"]')),
     PlainValidator(lambda value, info: _files(value, info, folders=True)),
 ]
-Pairs = Annotated[dict[str, Text], Meaning('a table such as { x = "X" }'), Field(min_length=1)]
+Pairs = Annotated[
+    dict[str, TextValue], Meaning(Text('a table such as { x = "X" }')), Field(min_length=1)
+]
 
 
 # Tables of the file, their keys, and where these stand.
@@ -267,12 +279,12 @@ def value_of(field: FieldInfo) -> str:
     """Return what a value of a key is, in a few words."""
     inner = table_of(field)
     if inner is not None:
-        return "one or more tables: [[sensor]]" if is_repeated(field) else "a table"
+        return Text("one or more tables: [[sensor]]") if is_repeated(field) else Text("a table")
     kinds = _kinds(field.annotation)
     inside = [note for each in kinds for note in getattr(each, "__metadata__", ())]
     # the outermost comes last
     meanings = [each.text for each in (*inside, *field.metadata) if isinstance(each, Meaning)]
-    return meanings[-1] if meanings else f"one of {', '.join(get_args(field.annotation))}"
+    return meanings[-1] if meanings else Text("one of {}", ", ".join(get_args(field.annotation)))
 
 
 def _kinds(annotation: Any) -> tuple[Any, ...]:

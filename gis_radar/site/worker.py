@@ -90,7 +90,7 @@ def carry_out(
         raise
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        raise OutputError(f"{where}{error.strerror or error}") from error
+        raise OutputError("{}{}", where, error.strerror or error) from error
     except SystemExit:  # by _end: what was half-written is gone
         os._exit(_ENDED)
     except Exception as error:

@@ -36,6 +36,7 @@ from gis_radar.lanelets.mending import outline
 from gis_radar.lanelets.reader import problem_table
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 
 LENGTH_M = 0.5  # of the contract and the paper
 LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
@@ -43,7 +44,7 @@ MOST_TILES = 2_500_000  # each takes 1.4 kB of memory when it is made and writte
 LAYER = "tiles"
 PROBLEMS = "problems"
 _COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
-_MAKE_ONE = "make one with: gis-radar tiles"
+_MAKE_ONE = Text("make one with: gis-radar tiles")
 COLUMNS = (
     "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
 )  # fmt: skip
@@ -98,7 +99,7 @@ def make_tiles(
     (5387, ['Polygon'])
     """
     if not LEAST_LENGTH_M <= length_m < np.inf:
-        raise UsageError(f"tile length is {length_m} m, expected {LEAST_LENGTH_M} m or more")
+        raise UsageError("tile length is {} m, expected {} m or more", length_m, LEAST_LENGTH_M)
     lanelets = _chosen(roads.lanelets, subtypes)
     _say_left_out(roads.lanelets, lanelets, reporter)
     tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
@@ -139,9 +140,15 @@ def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd
     else:
         chosen = lanelets[lanelets["subtype"].isin(list(subtypes))]
     if chosen.empty:
-        wanted = "a road" if subtypes is None else f"of subtype {', '.join(sorted(subtypes))}"
+        wanted = (
+            Text("a road")
+            if subtypes is None
+            else Text("of subtype {}", ", ".join(sorted(subtypes)))
+        )
         present = ", ".join(sorted(lanelets["subtype"].unique()))
-        raise InputError(f"the map has no lanelet that is {wanted}", hint=f"it has: {present}")
+        raise InputError(
+            "the map has no lanelet that is {}", wanted, hint=Text("it has: {}", present)
+        )
     return chosen.sort_values("lanelet_id")
 
 
@@ -150,7 +157,7 @@ def _say_left_out(lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter
     counts.subtract(chosen["subtype"])
     others = [f"{count} {subtype}" for subtype, count in counts.most_common() if count]
     if others:
-        reporter.log(f"not tiled: {', '.join(others)} (use --subtype)")
+        reporter.log(Text("not tiled: {} (use {})", ", ".join(others), "--subtype"))
 
 
 def _table(lanelets: gpd.GeoDataFrame, pieces: list[Floats], crs: Any) -> gpd.GeoDataFrame:
@@ -228,7 +235,7 @@ def write_tiles(
     """
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
-        raise UsageError(f"{path}: tiles are written as GeoPackage", hint="end the name in .gpkg")
+        raise UsageError("{}: tiles are written as GeoPackage", path, hint="end the name in .gpkg")
     # Without the CRS: GeoPackage rewrites the text of one that has no number.
     seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
     if problems is None:
@@ -273,13 +280,13 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
     tiles, seal = _layer(path)
     missing = [name for name in COLUMNS if name not in tiles.columns]
     if missing or not isinstance(tiles, gpd.GeoDataFrame):
-        raise InputError(f"{path}: layer {LAYER} lacks {', '.join(missing) or 'geometry'}")
+        raise InputError("{}: layer {} lacks {}", path, LAYER, ", ".join(missing) or "geometry")
     tiles = tiles.set_crs(metric_crs(tiles.crs, what=str(path)), allow_override=True)
     _refuse_odd_tiles(tiles, path)
     try:
         tiles["height_m"] = tiles["height_m"].astype(np.float64)
     except (ValueError, TypeError) as error:
-        raise InputError(f"{path}: column height_m holds something else than metres") from error
+        raise InputError("{}: column height_m holds something else than metres", path) from error
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     _refuse_other_tiles(tiles, seal, path)
     return tiles
@@ -298,32 +305,39 @@ def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str
     if _CONTENT not in seal or seal[_CONTENT] == _digest(tiles):
         return
     count = seal.get(_COUNT, str(len(tiles)))
-    wrong = f"{len(tiles)} of {count} tiles" if count != str(len(tiles)) else "other ids or corners"
+    wrong = (
+        Text("{} of {} tiles", len(tiles), count)
+        if count != str(len(tiles))
+        else Text("other ids or corners")
+    )
     raise InputError(
-        f"{path}: layer {LAYER} was damaged or edited after gis_radar wrote it: it has {wrong}",
+        "{}: layer {} was damaged or edited after gis_radar wrote it: it has {}",
+        path,
+        LAYER,
+        wrong,
         hint="make it again with: gis-radar tiles; a changed table of your own: write_tiles",
     )
 
 
 def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
     if tiles.empty:
-        raise InputError(f"{path}: layer {LAYER} is empty")
+        raise InputError("{}: layer {} is empty", path, LAYER)
     for column in IDS:
         if not pd.api.types.is_integer_dtype(tiles[column]) or tiles[column].hasnans:
-            raise InputError(f"{path}: column {column} holds something else than whole numbers")
+            raise InputError("{}: column {} holds something else than whole numbers", path, column)
     shapes = tiles.geometry.array
     odd = (shapely.get_type_id(shapes) != shapely.GeometryType.POLYGON) | (
         shapely.get_num_coordinates(shapes) != 5
     )
     if odd.any():
         raise InputError(
-            f"{path}: tile {tiles['tile_id'].to_numpy()[odd][0]} has not four vertices"
+            "{}: tile {} has not four vertices", path, tiles["tile_id"].to_numpy()[odd][0]
         )
     if not np.isfinite(shapely.get_coordinates(shapes)).all():
-        raise InputError(f"{path}: a tile has corners that are no numbers")
+        raise InputError("{}: a tile has corners that are no numbers", path)
     if tiles["tile_id"].duplicated().any():
         twice = tiles["tile_id"][tiles["tile_id"].duplicated()].iloc[0]
-        raise InputError(f"{path}: tile {twice} is there twice")
+        raise InputError("{}: tile {} is there twice", path, twice)
 
 
 AREA_TOLERANCE = 0.005  # of a lanelet, from which corners that tiles cut are reported
@@ -343,19 +357,22 @@ def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> l
         count += slices(*bounds, length_m)
         if count > MOST_TILES:
             raise InputError(
-                f"the map has over {MOST_TILES:,} tiles of {length_m:g} m", hint="make them longer"
+                "the map has over {:,} tiles of {:g} m",
+                MOST_TILES,
+                length_m,
+                hint="make them longer",
             )
         try:
             pieces.append(np.stack(sound_rungs(*bounds, length_m), axis=1))
         except CannotMendError as error:
-            raise InputError(f"lanelet {ref}: {error}") from error
+            raise InputError("lanelet {}: {}", ref, error) from error
         finer += len(pieces[-1]) - 1 != slices(*bounds, length_m)
         if done % 100 == 0:
             reporter.progress(STAGE, done, len(lanelets))
     reporter.progress(STAGE, len(lanelets), len(lanelets))
     if finer:
-        asked = f"{_counted(finer)} cut into more tiles than {length_m:g} m asks for"
-        reporter.log(f"{asked}: longer ones would cross themselves", "warning")
+        asked = Text("{} cut into more tiles than {:g} m asks for", _counted(finer), length_m)
+        reporter.warn("{}: longer ones would cross themselves", asked)
     _say_losses(lanelets, pieces, reporter)
     return pieces
 
@@ -376,12 +393,17 @@ def _say_losses(lanelets: gpd.GeoDataFrame, pieces: list[Floats], reporter: Repo
     bad = int(np.count_nonzero(off > AREA_TOLERANCE))
     if not bad:
         return
-    worst = f"lanelet {lanelets['lanelet_id'].iloc[off.argmax()]} by {100.0 * off.max():.1f} %"
-    reporter.log(
-        f"tiles cut corners: {bad} of {_counted(len(pieces))} are off by more than "
-        f"{100.0 * AREA_TOLERANCE:g} % of their area, {worst}; "
-        "a shorter --length follows curves better",
-        "warning",
+    worst = Text(
+        "lanelet {} by {:.1f} %", lanelets["lanelet_id"].iloc[off.argmax()], 100.0 * off.max()
+    )
+    reporter.warn(
+        "tiles cut corners: {} of {} are off by more than {:g} % of their area, {}; a "
+        "shorter {} follows curves better",
+        bad,
+        _counted(len(pieces)),
+        100.0 * AREA_TOLERANCE,
+        worst,
+        "--length",
     )
 
 
@@ -394,4 +416,4 @@ def _tiled_area(piece: Floats) -> BaseGeometry:
 
 
 def _counted(count: int) -> str:
-    return f"{count} lanelet{'s'[: count > 1]}"
+    return Text("{} lanelets", count) if count > 1 else Text("{} lanelet", count)

@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from gis_radar.arrays import Booleans, Floats, Integers, nearest
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.steps import STEP_S
+from gis_radar.texts import Text
 from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
@@ -330,7 +331,7 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSet
             beside = float(left["left_m"].abs().median()) if enough else np.nan
             judged[number] = off, beside, *_shift(left, settings)
     shifts = {number: float(np.hypot(*each[2])) for number, each in judged.items()}
-    lines = []
+    lines: list[str] = []
     for number, (off, beside, shift, sigma) in judged.items():
         others = [
             each[1] for other, each in judged.items() if other != number and np.isfinite(each[1])
@@ -338,18 +339,19 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSet
         apart = beside - float(np.median(others)) if others else 0.0
         least = max(settings.most_beside_m, SURE * sigma, DRAWN * max(shifts.values()))
         if off > settings.most_off_lane:
-            what = f"{off:.0%} of its vehicles follow no lanelet"
+            what = Text("{:.0%} of its vehicles follow no lanelet", off)
         elif shifts[number] > least:
             side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
-            what = f"its vehicles drive {shifts[number]:.1f} m {side} of the lanes"
+            what = Text("its vehicles drive {:.1f} m {} of the lanes", shifts[number], side)
         elif apart > settings.most_beside_m:
-            what = (
-                f"its vehicles drive {apart:.1f} m farther from their lanes' centres than those of "
-                "others"
+            what = Text(
+                "its vehicles drive {:.1f} m farther from their lanes' centres than "
+                "those of others",
+                apart,
             )
         else:
             continue
-        lines.append(f"{sensors[number]}: {what}{POSE_HINT}")
+        lines.append(Text("{}: {}{}", sensors[number], what, POSE_HINT))
     return lines
 
 

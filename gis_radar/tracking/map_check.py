@@ -15,9 +15,10 @@ from gis_radar.crs import name_of
 from gis_radar.errors import InputError, UsageError
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.texts import Text
 from gis_radar.tiles.tiles import quads
 
-HINT = "give the map that the tiles were made from, with the same CRS and origin"
+HINT = Text("give the map that the tiles were made from, with the same CRS and origin")
 SAME_PLACE_M = 0.01  # how far bounds of one map may be apart, by rounding
 
 
@@ -44,7 +45,7 @@ def map_of_tiles(
             raise error from None
     origin = _origin(local, tiles)
     if origin is None:
-        raise InputError(f"{path}: has none of the lanelets of the tiles", hint=HINT)
+        raise InputError("{}: has none of the lanelets of the tiles", path, hint=HINT)
     roads = read_map(path, crs=tiles.crs, origin=origin, reporter=reporter)
     return roads, describe_map(path, roads, tiles, origin=origin)
 
@@ -99,7 +100,7 @@ def describe_map(
     known = roads.lanelets.set_index("lanelet_id")
     missing = ids[~np.isin(ids, known.index.to_numpy())]
     if len(missing):
-        raise InputError(f"{path}: lacks lanelet {missing[0]} of the tiles", hint=HINT)
+        raise InputError("{}: lacks lanelet {} of the tiles", path, missing[0], hint=HINT)
     known = known.loc[ids]
     for side, begin, end in (("right", 0, 1), ("left", 3, 2)):
         bound = known[side].to_numpy()
@@ -109,7 +110,11 @@ def describe_map(
             far = int(apart.argmax())
             if not apart[far] <= SAME_PLACE_M:
                 raise InputError(
-                    f"{path}: lanelet {ids[far]} lies {apart[far]:.2f} m from its tiles", hint=HINT
+                    "{}: lanelet {} lies {:.2f} m from its tiles",
+                    path,
+                    ids[far],
+                    apart[far],
+                    hint=HINT,
                 )
     digest = hashlib.blake2b(Path(path).read_bytes(), digest_size=16).hexdigest()
     place_of_zero = None if origin is None else [float(each) for each in origin]

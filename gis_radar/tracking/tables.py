@@ -70,13 +70,13 @@ class TableKind:
             not ascend.
         """
         if missing := [name for name in self.columns if name not in table]:
-            raise InputError(f"{self.name}: lacks the column {missing[0]}")
+            raise InputError("{}: lacks the column {}", self.name, missing[0])
         found = pd.DataFrame(
             {name: self._column(name, table[name]) for name in self.columns},
             index=pd.RangeIndex(len(table)),
         )
         if self.order and not _ascends(found, self.order):
-            raise InputError(f"{self.name}: rows do not ascend by {', '.join(self.order)}")
+            raise InputError("{}: rows do not ascend by {}", self.name, ", ".join(self.order))
         return found
 
     def _column(self, name: str, values: pd.Series) -> Any:
@@ -84,11 +84,11 @@ class TableKind:
         if pa.types.is_list(kind):
             lists = [np.asarray(each) for each in values]
             if any(each.ndim != 1 or (each.size and each.dtype.kind not in "iu") for each in lists):
-                raise InputError(f"{what} holds something else than {kind}")
+                raise InputError("{} holds something else than {}", what, kind)
             return pd.Series([each.astype(np.int64) for each in lists], dtype=object)
         empty = values.isna().to_numpy()
         if empty.any() and name not in self.optional:
-            raise InputError(f"{what} is empty in row {int(empty.argmax())}")
+            raise InputError("{} is empty in row {}", what, int(empty.argmax()))
         try:
             if pa.types.is_floating(kind):
                 return values.to_numpy(np.float64, na_value=np.nan).round(_FINE)
@@ -98,9 +98,9 @@ class TableKind:
                 return values.astype("Int64").array
             whole = values.to_numpy().astype(kind.to_pandas_dtype())
         except (TypeError, ValueError) as error:
-            raise InputError(f"{what} holds something else than {kind}") from error
+            raise InputError("{} holds something else than {}", what, kind) from error
         if not np.array_equal(whole, values.to_numpy()):
-            raise InputError(f"{what} holds something else than {kind}")
+            raise InputError("{} holds something else than {}", what, kind)
         return whole
 
     def to_arrow(self, table: pd.DataFrame) -> pa.Table:

@@ -252,7 +252,7 @@ class Visibility:
         if name not in self._rays:
             if name not in self._views:
                 raise InputError(
-                    f"frames: name the view {name[1]} of {name[0]}, which is not given"
+                    "frames: name the view {} of {}, which is not given", name[1], name[0]
                 )
             view = self._views[name]
             tile = np.searchsorted(self._tile_id, np.sort(view.tile_id))

@@ -61,12 +61,12 @@ class WorkerFeedback(Listener):
 
     def progress(self, stage: str, done: float, total: float | None) -> None:
         """Show the stage, and how far it is; of a site's run, how far all stages are."""
-        if stage == ALL_STAGES:
+        if stage in (ALL_STAGES, tr(ALL_STAGES)):
             self._ended, self._stages = done, total or 0.0
         else:
             # Stages at work at once report in turns: each is named once.
             if stage not in self._shares:
-                self._feedback.setProgressText(stage_words(stage))
+                self._feedback.setProgressText(stage)
             self._shares[stage] = min(1.0, done / total) if total else 0.0
         if self._stages:
             begun = sum(share for share in self._shares.values() if share < 1.0)
@@ -246,16 +246,6 @@ class WorkerAlgorithm(Algorithm):
         for line in summary_lines(answer.summary):
             feedback.pushInfo(line)
         return answer
-
-
-def stage_words(stage: str) -> str:
-    """Return a stage in the user's language; `hits R1 R1.parquet` has names in it."""
-    words = stage.split(" ")
-    for most in range(len(words), 0, -1):
-        work = " ".join(words[:most])
-        if tr(work) != work:
-            return " ".join([tr(work), *words[most:]])
-    return stage
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:

@@ -5,7 +5,7 @@ The catalogue is that of gis_radar: `languages` in the package, `resources/langu
 
 from __future__ import annotations
 
-import json
+import runpy
 from functools import cache
 from pathlib import Path
 
@@ -19,13 +19,13 @@ HERE = Path(__file__).resolve().parent
 @cache
 def dictionary(language: str) -> dict[str, str]:
     """Return the translations into a language (`de`), empty where there are none."""
-    name = f"languages/{language}.json"
-    path = HERE / "resources" / name
-    if not path.is_file():
-        path = HERE.parents[1] / "gis_radar" / name
+    folders = (HERE / "resources" / "languages", HERE.parents[1] / "gis_radar" / "languages")
+    folder = next(each for each in folders if each.is_dir())
+    path = folder / language / "LC_MESSAGES" / "gis_radar.po"
     if not path.is_file():
         return {}
-    words: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
+    # Not imported: QGIS's Python has no gis_radar.
+    words: dict[str, str] = runpy.run_path(str(folder / "po.py"))["read_catalogue"](path)
     return words
 
 

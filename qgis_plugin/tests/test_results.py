@@ -302,11 +302,10 @@ def test_a_sensor_near_the_edge_of_a_map_has_its_name(site, qgis_new_project, at
 
 def test_the_log_of_a_run_shows_no_hits_beside_occupancy(provider):
     """Nor does it call tracks vehicles; without occupancy hits are all there is."""
-    from gis_radar_plugin.base import stage_words, summary_lines
+    from gis_radar_plugin.base import summary_lines
 
     figures = {"hits": 7, "tiles_hit": 499, "vehicles": 126}
     assert summary_lines({**figures, "mean occupancy": 0.1}) == [
         "Tracks of vehicles: 126", "mean occupancy: 0.1",
     ]  # fmt: skip
     assert len(summary_lines(figures)) == 3
-    assert stage_words("localize R1 R1.parquet") == "localize R1 R1.parquet"

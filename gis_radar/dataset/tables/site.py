@@ -3,6 +3,7 @@
 import pyarrow as pa
 
 from gis_radar.dataset.tables.table import POSE, SENSOR, TILE, TableColumn, TableSchema
+from gis_radar.texts import Text
 
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
 
@@ -10,7 +11,7 @@ RECORDINGS = TableSchema(
     name="recordings",
     means="a recording and the hours that were made with it",
     columns=(
-        TableColumn("path", _TEXT, "the file"),
+        TableColumn("path", _TEXT, Text("the file")),
         TableColumn("digest", _TEXT, "SHA-256 of the file"),
         SENSOR, POSE,
         TableColumn("first_time", _NUMBER, "first frame, UNIX seconds, corrected"),

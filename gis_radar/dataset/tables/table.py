@@ -114,10 +114,10 @@ class TableSchema:
         """
         known = values.column_names if isinstance(values, pa.Table) else values
         if missing := [name for name in self.names if name not in known]:
-            raise InputError(f"{self.name}: lacks the column {missing[0]}")
+            raise InputError("{}: lacks the column {}", self.name, missing[0])
         found = [self._column(column, values[column.name]) for column in self.columns]
         if len({len(each) for each in found}) > 1:
-            raise InputError(f"{self.name}: columns differ in length")
+            raise InputError("{}: columns differ in length", self.name)
         table = pa.Table.from_arrays(found, schema=self.schema)
         self.check_rows(table)
         return table
@@ -135,12 +135,12 @@ class TableSchema:
             # Arrow would read numbers from texts.
             found = None if number and _is_text(values.type) else values.cast(column.type)
         except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{what} holds something else than {column.type}") from error
+            raise InputError("{} holds something else than {}", what, column.type) from error
         if found is None:
-            raise InputError(f"{what} holds something else than {column.type}")
+            raise InputError("{} holds something else than {}", what, column.type)
         if found.null_count and not column.nullable:
             row = int(np.argmax(found.is_null().to_numpy(zero_copy_only=False)))
-            raise InputError(f"{what} is empty in row {row}")
+            raise InputError("{} is empty in row {}", what, row)
         return found
 
     def check_rows(self, table: pa.Table) -> None:
@@ -152,12 +152,12 @@ class TableSchema:
             If there are such.
         """
         if not _ascends([table[name] for name in self.order]):
-            raise InputError(f"{self.name}: rows do not ascend by {', '.join(self.order)}")
+            raise InputError("{}: rows do not ascend by {}", self.name, ", ".join(self.order))
         if self.runs:
             tile, first, last = (table[c].to_numpy() for c in (TILE.name, FIRST.name, LAST.name))
             overlap = (tile[1:] == tile[:-1]) & (first[1:] <= last[:-1])
             if np.any(first > last) or np.any(overlap):
-                raise InputError(f"{self.name}: runs of a tile overlap, or end before they begin")
+                raise InputError("{}: runs of a tile overlap, or end before they begin", self.name)
 
 
 def _is_text(kind: pa.DataType) -> bool:

@@ -19,6 +19,7 @@ from gis_radar.recordings.columns import Layout, find_layout, message_rows, valu
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 from gis_radar.recordings.unpacking import limit_rosbags
+from gis_radar.texts import Text
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 # Messages that list their detections one by one: where, and of which type.
@@ -135,8 +136,10 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
         if not found:
             listed = ", ".join(f"{c.topic} ({c.msgtype})" for c in reader.connections) or "none"
             raise NothingHereError(
-                f"{source}: no radar topic{' of that name' if context.sensor else ''} in it",
-                hint=f"topics: {listed}; known types: {', '.join(KNOWN)}",
+                "{}: no radar topic{} in it",
+                source,
+                Text(" of that name") if context.sensor else "",
+                hint=Text("topics: {}; known types: {}", listed, ", ".join(KNOWN)),
             )
 
 
@@ -155,7 +158,7 @@ def _opened(source: str) -> Iterator[Any]:
             warnings.simplefilter("ignore", YAMLWarning)  # of a style that YAML allows
             reader.open()
         if odd := [each.topic for each in reader.connections if not _is_count(each.msgcount)]:
-            raise ValueError(f"the number of messages of {odd[0]} is no number")
+            raise ValueError(Text("the number of messages of {} is no number", odd[0]))
     except _unreadable() as error:
         raise _damaged(source, error) from error
     try:
@@ -172,7 +175,7 @@ def _messages(
     source: str, reader: Any, wanted: list[Any], context: ReaderContext
 ) -> Iterator[tuple[Any, int, bytes]]:
     """Yield the messages of the wanted topics as far as the bag can be read."""
-    total, stage = sum(topic.msgcount for topic in wanted), f"reading {Path(source).name}"
+    total, stage = sum(topic.msgcount for topic in wanted), Text("reading {}", Path(source).name)
     messages = iter(reader.messages(connections=wanted)) if wanted else iter(())
     for number in count():
         if number % MESSAGES_A_REPORT == 0:
@@ -183,8 +186,8 @@ def _messages(
             if number == 0:
                 raise _damaged(source, error) from error
             context.counts["damaged_files"] += 1
-            context.reporter.log(
-                f"{source}: after {number:,} whole messages: {first_line(error)}", "warning"
+            context.reporter.warn(
+                "{}: after {:,} whole messages: {}", source, number, first_line(error)
             )
             return
         if message is None:
@@ -211,8 +214,10 @@ def _unreadable() -> tuple[type[Exception], ...]:
 def _damaged(source: str, error: Exception) -> InputError:
     mended = MENDED_BY.get(Path(source).suffix.lower(), "ros2 bag reindex")
     return InputError(
-        f"{source}: cannot be read as a bag: {first_line(error)}",
-        hint=f"a bag that was cut off: {mended}",
+        "{}: cannot be read as a bag: {}",
+        source,
+        first_line(error),
+        hint=Text("a bag that was cut off: {}", mended),
     )
 
 
@@ -245,7 +250,7 @@ class _Topic:
         # A type of a known name may be of another make, and lack what we look for.
         except (DamagedError, AttributeError) as error:
             if not self._context.counts["damaged_frames"]:
-                self._context.reporter.log(f"{self._name}: {error}", "warning")
+                self._context.reporter.warn("{}: {}", self._name, error)
             self._context.counts["damaged_frames"] += 1
 
     def _from_rows(self, rows: Any, message: Any, recorded: float) -> Iterator[Frame]:
@@ -271,11 +276,13 @@ class _Topic:
             try:
                 layout = find_layout(names, self._context.columns, kind=kind)
             except UsageError as error:
-                hint = f"{error.hint}; --sensor takes one topic of several"
-                raise UsageError(f"{self._name}: {error.message}", hint=hint) from error
+                hint = Text("{}; {} takes one topic of several", error.hint, "--sensor")
+                raise UsageError("{}: {}", self._name, error.message, hint=hint) from error
             if layout.placed and not layout.is_radar:
                 fields = ", ".join(names)
-                self._context.reporter.log(f"{self._name}: no speeds among the fields {fields}")
+                self._context.reporter.log(
+                    Text("{}: no speeds among the fields {}", self._name, fields)
+                )
             layout.explain(self._name, self._context)
             self._layouts[names] = layout
         return self._layouts[names]
@@ -289,7 +296,7 @@ class _Topic:
             time = _packet_time(packet, recorded)
             frame = read_detections(payload, sensor=self._name, recorder_time=time)
             if frame is None:
-                raise DamagedError("a detection list counts more than it holds")
+                raise DamagedError(Text("a detection list counts more than it holds"))
             yield frame
 
 

@@ -28,6 +28,7 @@ from gis_radar.recordings.frames import (
 )
 from gis_radar.recordings.readers.udp import METHOD, OTHER_METHODS, method_of, read_detections
 from gis_radar.recordings.unpacking import ExplodingError, LimitedStream
+from gis_radar.texts import Text
 
 GZIP = b"\x1f\x8b"
 PCAPNG = b"\x0a\x0d\x0d\x0a"
@@ -115,13 +116,13 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
             elif magic in PCAP:
                 yield from _read_pcap(stream, *PCAP[magic])
             else:
-                raise DamagedError("no capture (pcap, pcapng)")
+                raise DamagedError(Text("no capture (pcap, pcapng)"))
         except EOFError as error:
-            raise DamagedError("cut off in the middle of a packet") from error
+            raise DamagedError(Text("cut off in the middle of a packet")) from error
         except (zlib.error, ExplodingError) as error:
-            raise DamagedError(f"damaged gzip: {error}") from error
+            raise DamagedError(Text("damaged gzip: {}", error)) from error
         except (struct.error, ValueError, ArithmeticError) as error:  # a block too short for itself
-            raise DamagedError(f"a block that cannot be: {error}") from error
+            raise DamagedError(Text("a block that cannot be: {}", error)) from error
 
 
 def _opened(path: Path) -> BinaryIO:
@@ -143,9 +144,9 @@ def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packe
             raise EOFError
         seconds, fraction, kept, length = record.unpack(start)
         if not any(start):  # a disk that was not written to the end
-            raise DamagedError(f"only zeros from byte {position:,} on")
+            raise DamagedError(Text("only zeros from byte {:,} on", position))
         if kept > LARGEST_BLOCK:
-            raise DamagedError(f"a packet of {kept:,} bytes at byte {position:,}")
+            raise DamagedError(Text("a packet of {:,} bytes at byte {:,}", kept, position))
         data = _exactly(stream, kept)
         position += record.size + kept
         yield Packet(seconds + fraction / ticks, link, data, kept >= length), position
@@ -180,14 +181,14 @@ def _begin_section(stream: BinaryIO, start: bytes) -> tuple[str, bytes, int]:
     magic = _exactly(stream, 4)
     orders = [order for order in "<>" if struct.unpack(order + "I", magic)[0] == _SECTION_MAGIC]
     if not orders:
-        raise DamagedError("a section without byte order")
+        raise DamagedError(Text("a section without byte order"))
     size = _block_length(struct.unpack(orders[0] + "I", start)[0], 0)
     return orders[0], _exactly(stream, size - _BLOCK_FRAME), size
 
 
 def _block_length(size: int, position: int) -> int:
     if not _BLOCK_FRAME <= size <= LARGEST_BLOCK or size % 4:
-        raise DamagedError(f"a block of {size:,} bytes at byte {position:,}")
+        raise DamagedError(Text("a block of {:,} bytes at byte {:,}", size, position))
     return size
 
 
@@ -217,7 +218,9 @@ def _packet(kind: int, body: bytes, order: str, interfaces: list[_Interface]) ->
         number, high, low, kept, length = struct.unpack_from(order + layout, body)
         start = 20
     if number >= len(interfaces) or start + kept > len(body):
-        raise DamagedError("a packet of no interface" if not interfaces else "a packet too long")
+        raise DamagedError(
+            Text("a packet of no interface") if not interfaces else Text("a packet too long")
+        )
     interface = interfaces[number]
     data = body[start : start + kept]
     time = None
@@ -425,26 +428,27 @@ def _datagrams(
             packets += 1
             if position - reported > BYTES_A_REPORT:
                 reported = position
-                context.reporter.progress(f"reading {path.name}", position, total)
+                context.reporter.progress(Text("reading {}", path.name), position, total)
             datagram = datagrams.take(packet)
             if datagram is not None:
                 yield datagram, packet.time
     except DamagedError as error:
         context.counts["damaged_files"] += 1
-        context.reporter.log(f"{path}: after {packets:,} whole packets: {error}", "warning")
+        context.reporter.warn("{}: after {:,} whole packets: {}", path, packets, error)
 
 
 def _warn(source: str, datagrams: Datagrams, context: ReaderContext) -> None:
     if datagrams.incomplete:
         context.counts["incomplete_datagrams"] += datagrams.incomplete
-        context.reporter.log(
-            f"{source}: {datagrams.incomplete:,} fragmented datagrams are not complete", "warning"
+        context.reporter.warn(
+            "{}: {:,} fragmented datagrams are not complete", source, datagrams.incomplete
         )
     if datagrams.cut:
-        context.reporter.log(
-            f"{source}: {datagrams.cut:,} packets are captured only in part "
-            "(capture with a longer snap length: tcpdump -s 0)",
-            "warning",
+        context.reporter.warn(
+            "{}: {:,} packets are captured only in part (capture with a longer snap "
+            "length: tcpdump -s 0)",
+            source,
+            datagrams.cut,
         )
 
 
@@ -453,11 +457,13 @@ def _nothing(
 ) -> NothingHereError:
     if sensors:
         return NothingHereError(
-            f"{source}: nothing from that sensor", hint=f"sensors here: {counted(sensors)}"
+            "{}: nothing from that sensor", source, hint=Text("sensors here: {}", counted(sensors))
         )
     del messages[""]
-    seen = counted(messages + datagrams.traffic) or "no packet at all"
-    return NothingHereError(f"{source}: no ARS548 detection list in it", hint=f"it has {seen}")
+    seen = counted(messages + datagrams.traffic) or Text("no packet at all")
+    return NothingHereError(
+        "{}: no ARS548 detection list in it", source, hint=Text("it has {}", seen)
+    )
 
 
 FORMAT = Format(

@@ -28,6 +28,7 @@ from gis_radar.recordings.frames import (
     NothingHereError,
     ReaderContext,
 )
+from gis_radar.texts import Text
 
 # Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
 WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
@@ -53,7 +54,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     place = Path(source)
     sensor = place.resolve().name if place.is_dir() else place.resolve().parent.name
     if not context.wants(sensor):
-        raise NothingHereError(f"{source}: holds the sensor {sensor}", hint="name it, or none")
+        raise NothingHereError("{}: holds the sensor {}", source, sensor, hint="name it, or none")
     yield from read_folder(place, sensor, context)
 
 
@@ -71,24 +72,26 @@ def read_folder(place: Path, sensor: str, context: ReaderContext) -> Generator[F
     found = False
     for number, (time, path) in enumerate(timed):
         if number % 64 == 0:
-            context.reporter.progress(f"reading {place.name}", number, len(timed))
+            context.reporter.progress(Text("reading {}", place.name), number, len(timed))
         try:
             rows = read_pcd(path)
         except DamagedError as error:
             context.counts["damaged_frames"] += 1
-            context.reporter.log(f"{path}: {error}", "warning")
+            context.reporter.warn("{}: {}", path, error)
             continue
         layout = find_layout(rows.dtype.names or (), context.columns, kind=rows.dtype)
         if not layout.placed:
             raise InputError(
-                f"{path}: no positions among the fields {', '.join(rows.dtype.names or ())}",
-                hint="name them: --columns x=...,y=...,z=...",
+                "{}: no positions among the fields {}",
+                path,
+                ", ".join(rows.dtype.names or ()),
+                hint=Text("name them: {} x=...,y=...,z=...", "--columns"),
             )
         found = True
         layout.explain(sensor, context)
         yield layout.frame(values_of(rows), sensor=sensor, sensor_time=time, stamp="file name")
     if not found:
-        raise NothingHereError(f"{place}: no PCD file that can be read", hint="see the warnings")
+        raise NothingHereError("{}: no PCD file that can be read", place, hint="see the warnings")
 
 
 def time_in_name(path: Path) -> float:
@@ -115,10 +118,11 @@ def time_in_name(path: Path) -> float:
         try:
             moment = datetime(*map(int, date), tzinfo=UTC)  # type: ignore[arg-type, misc]
         except ValueError as error:
-            raise InputError(f"{path}: its name has no valid date: {error}") from error
+            raise InputError("{}: its name has no valid date: {}", path, error) from error
         return moment.timestamp() + float(f"0.{fraction or 0}")
     raise InputError(
-        f"{path}: no time in the name of the file",
+        "{}: no time in the name of the file",
+        path,
         hint="such as 1708578204.202.pcd or 2024-02-22T05-03-24.202Z.pcd (UTC)",
     )
 
@@ -146,11 +150,13 @@ def read_pcd(path: Path) -> Column:
         return _from_text(body, header)
     if header.data == "binary":
         if len(body) < need:
-            raise DamagedError(f"{len(body):,} bytes for {header.points:,} points ({need:,})")
+            raise DamagedError(
+                Text("{:,} bytes for {:,} points ({:,})", len(body), header.points, need)
+            )
         return np.frombuffer(body, dtype=header.dtype, count=header.points)
     if header.data == "binary_compressed":
         return _from_fields(body, header)
-    raise DamagedError(f"DATA {header.data}: expected ascii, binary or binary_compressed")
+    raise DamagedError(Text("DATA {}: expected ascii, binary or binary_compressed", header.data))
 
 
 def _header(file: Any) -> _Header:
@@ -158,7 +164,7 @@ def _header(file: Any) -> _Header:
     while "DATA" not in words:
         line = file.readline(LONGEST_HEADER)
         if not line or file.tell() > LONGEST_HEADER:
-            raise DamagedError("no PCD header")
+            raise DamagedError(Text("no PCD header"))
         key, *rest = line.decode("latin-1").partition("#")[0].split() or [""]
         words[key.upper()] = rest
     try:
@@ -174,13 +180,17 @@ def _header(file: Any) -> _Header:
         points = int(size[0])
         dtype = np.dtype(fields)
     except (KeyError, ValueError, IndexError, TypeError) as error:
-        raise DamagedError(f"the PCD header makes no sense: {error}") from error
+        raise DamagedError(Text("the PCD header makes no sense: {}", error)) from error
     if any(not 1 <= int(count) <= MOST_COUNT for count in counts):
-        raise DamagedError(f"the PCD header claims fields of {', '.join(counts)[:60]} numbers")
+        raise DamagedError(
+            Text("the PCD header claims fields of {} numbers", ", ".join(counts)[:60])
+        )
     limits = settings.DEFAULTS
     whole = points * dtype.itemsize
     if not 0 <= points <= limits.most_rows_of_frame or whole > limits.most_frame_bytes:
-        raise DamagedError(f"the PCD header claims {points:,} points of {dtype.itemsize:,} bytes")
+        raise DamagedError(
+            Text("the PCD header claims {:,} points of {:,} bytes", points, dtype.itemsize)
+        )
     return _Header(dtype=dtype, points=points, data=(words["DATA"] or [""])[0].lower())
 
 
@@ -188,11 +198,13 @@ def _from_text(body: bytes, header: _Header) -> Column:
     width = sum(math.prod(header.dtype[name].shape) for name in header.dtype.names or ())
     values = body.split()
     if len(values) < header.points * width:
-        raise DamagedError(f"{len(values):,} values for {header.points:,} points of {width}")
+        raise DamagedError(
+            Text("{:,} values for {:,} points of {}", len(values), header.points, width)
+        )
     try:
         table = np.array(values[: header.points * width], dtype=np.float64)
     except ValueError as error:
-        raise DamagedError(f"a value is no number: {error}") from error
+        raise DamagedError(Text("a value is no number: {}", error)) from error
     return unstructured_to_structured(table.reshape(header.points, width), header.dtype)
 
 
@@ -200,10 +212,10 @@ def _from_fields(body: bytes, header: _Header) -> Column:
     """Return points stored one field after the other, compressed."""
     need = header.points * header.dtype.itemsize
     if len(body) < 8:
-        raise DamagedError("the compressed points are missing")
+        raise DamagedError(Text("the compressed points are missing"))
     packed, size = struct.unpack_from("<II", body)
     if size != need or len(body) < 8 + packed:
-        raise DamagedError(f"{size:,} bytes for {header.points:,} points ({need:,})")
+        raise DamagedError(Text("{:,} bytes for {:,} points ({:,})", size, header.points, need))
     plain = decompress(body[8 : 8 + packed], size)
     rows, begin = np.empty(header.points, dtype=header.dtype), 0
     for name in header.dtype.names or ():
@@ -243,7 +255,7 @@ def decompress(packed: bytes, size: int) -> bytes:
     except IndexError:
         pass  # too short: refused below
     if len(plain) != size:
-        raise DamagedError(f"{len(plain):,} bytes are packed, expected {size:,}")
+        raise DamagedError(Text("{:,} bytes are packed, expected {:,}", len(plain), size))
     return bytes(plain)
 
 

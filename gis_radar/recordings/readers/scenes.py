@@ -14,6 +14,7 @@ from gis_radar.arrays import Floats
 from gis_radar.errors import InputError
 from gis_radar.recordings.frames import Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.readers.pcd import read_folder
+from gis_radar.texts import Text
 
 CALIBRATION = "calibration.json"
 # The published chain from a radar to the ground goes over the lidar.
@@ -36,7 +37,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     wanted = [folder for folder in folders if context.wants(folder.parent.name)]
     if not wanted:
         names = ", ".join(folder.parent.name for folder in folders)
-        raise NothingHereError(f"{source}: holds the sensors {names}", hint="name one, or none")
+        raise NothingHereError("{}: holds the sensors {}", source, names, hint="name one, or none")
     for folder in wanted:
         context.remark(explain_calibration(folder.parents[1] / CALIBRATION, folder.parent.name))
     read = [read_folder(folder, folder.parent.name, context) for folder in wanted]
@@ -65,29 +66,38 @@ def explain_calibration(path: Path, radar: str) -> str:
         steps = [f"{radar}_to_{LIDAR}", f"{LIDAR}_to_{GROUND}"]
         missing = [step for step in steps if step not in given]
         if missing:
-            return f"{path.name}: lacks {' and '.join(missing)}"
+            return Text("{}: lacks {}", path.name, " and ".join(missing))
         to_lidar, to_ground = (_transform(given[step]) for step in steps)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError("{}: cannot be read: {}", path, error.strerror or error) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: not a calibration: {type(error).__name__} {error}") from error
+        raise InputError(
+            "{}: not a calibration: {} {}", path, type(error).__name__, error
+        ) from error
     T_ground_radar = to_ground @ to_lidar  # noqa: N806 - frames name a transform
     rotation = T_ground_radar[:3, :3]
     pitch = np.degrees(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
     roll = np.degrees(np.arctan2(rotation[2, 1], rotation[2, 2]))
     # The data set's own errata: the ground's offset is published with the wrong sign.
     height = T_ground_radar[2, 3] - 2.0 * min(to_ground[2, 3], 0.0)
-    tilt = f"pitch {round(pitch, 2) + 0.0:.2f} deg, roll {round(roll, 2) + 0.0:.2f} deg"
-    return (
-        f"{path.name}: {radar} is {height:.2f} m over the ground, {tilt}; for a pose it lacks "
-        f"{LACKING}: gis-radar localize finds them"
+    tilt = Text("pitch {:.2f} deg, roll {:.2f} deg", round(pitch, 2) + 0.0, round(roll, 2) + 0.0)
+    return Text(
+        "{}: {} is {:.2f} m over the ground, {}; for a pose it lacks {}: gis-radar "
+        "localize finds them",
+        path.name,
+        radar,
+        height,
+        tilt,
+        LACKING,
     )
 
 
 def _transform(rows: Any) -> Floats:
     matrix = np.array(rows, dtype=np.float64)
     if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
-        raise ValueError(f"a transform is {'x'.join(map(str, matrix.shape))}, expected 3x4 numbers")
+        raise ValueError(
+            Text("a transform is {}, expected 3x4 numbers", "x".join(map(str, matrix.shape)))
+        )
     return np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
 
 

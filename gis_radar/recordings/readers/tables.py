@@ -19,6 +19,7 @@ from gis_radar.recordings.columns import NAMES, Layout, find_layout
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.parquet_table import parquet_batches
+from gis_radar.texts import Text
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ENDINGS = (".csv", ".parquet")
@@ -32,17 +33,27 @@ def _accepts(source: str) -> bool:
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     path = Path(source)
     if context.time_unit not in UNITS_S:
-        raise UsageError(f"time unit {context.time_unit!r}", hint=f"known: {', '.join(UNITS_S)}")
+        raise UsageError(
+            "time unit {}", repr(context.time_unit), hint=Text("known: {}", ", ".join(UNITS_S))
+        )
     names = _names(path, context.columns)
     layout = find_layout(names, context.columns)
     missing = [name for name in ("time", "x", "y") if name not in layout.sources]
     if "time" in missing or not layout.placed:
         raise InputError(
-            f"{path}: not known which columns are {', '.join(missing)}",
-            hint=f"state it: --columns time=...,x=...,y=...; it has {', '.join(names):.90}",
+            "{}: not known which columns are {}",
+            path,
+            ", ".join(missing),
+            hint=Text(
+                "state it: {} time=...,x=...,y=...; it has {}",
+                "--columns",
+                f"{', '.join(names):.90}",
+            ),
         )
     if not context.wants(SENSOR):
-        raise NothingHereError(f"{path}: a table has no sensors", hint="leave --sensor away")
+        raise NothingHereError(
+            "{}: a table has no sensors", path, hint=Text("leave {} away", "--sensor")
+        )
     held: Frame | None = None
     for frame in _runs_of_one_time(path, layout, context):
         # A frame may go on in the next batch of rows.
@@ -50,16 +61,18 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
             held = _joined(held, frame)
             if len(held) > (most := settings.DEFAULTS.most_rows_of_frame):
                 raise InputError(
-                    f"{path}: over {most:,} rows of one time, {held.sensor_time} s: no frame of a "
-                    "radar",
-                    hint="time is that of each frame: --columns time=...",
+                    "{}: over {:,} rows of one time, {} s: no frame of a radar",
+                    path,
+                    most,
+                    held.sensor_time,
+                    hint=Text("time is that of each frame: {} time=...", "--columns"),
                 )
             continue
         if held is not None:
             yield held
         held = frame
     if held is None:
-        raise NothingHereError(f"{path}: no rows", hint="it has a header only")
+        raise NothingHereError("{}: no rows", path, hint="it has a header only")
     yield held
 
 
@@ -72,10 +85,12 @@ def _names(path: Path, columns: Mapping[str, str]) -> tuple[str, ...]:
             names = tuple(pq.read_schema(path).names)
             refuse_many_columns(len(names), path)
     except (pa.ArrowException, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+        raise InputError("{}: cannot be read: {}", path, error) from error
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(f"{path}: has several columns {twice!r}", hint="give each its own name")
+        raise InputError(
+            "{}: has several columns {}", path, repr(twice), hint="give each its own name"
+        )
     return names
 
 
@@ -93,12 +108,12 @@ def _runs_of_one_time(path: Path, layout: Layout, context: ReaderContext) -> Ite
     done = 0
     try:
         for batch in _batches(path, layout):
-            context.reporter.progress(f"reading {path.name}", done, None)
+            context.reporter.progress(Text("reading {}", path.name), done, None)
             done += len(batch)
             if len(batch):
                 yield from _runs(batch, layout, path, context)
     except pa.ArrowException as error:
-        raise InputError(f"{path}: damaged after row {done:,}: {error}") from error
+        raise InputError("{}: damaged after row {:,}: {}", path, done, error) from error
 
 
 def _runs(
@@ -108,7 +123,7 @@ def _runs(
     columns = {name: _numpy(batch.column(name)) for name in batch.schema.names}
     for target, field in layout.sources.items():
         if target != "time" and columns[field.removeprefix("-")].dtype == object:
-            raise InputError(f"{path}: column {field} is text, expected numbers for {target}")
+            raise InputError("{}: column {} is text, expected numbers for {}", path, field, target)
     whole = layout.frame(columns.__getitem__, sensor=SENSOR, stamp="time column")
     starts = np.flatnonzero(np.diff(time, prepend=np.nan) != 0)
     for begin, end in zip(starts, [*starts[1:], len(time)], strict=True):
@@ -143,12 +158,14 @@ def _seconds(column: pa.Array, path: Path, unit: str) -> Floats:
         try:
             column = pc.cast(column, pa.timestamp("us", tz="UTC"))
         except pa.ArrowException as error:
-            raise InputError(f"{path}: a time is neither a number nor ISO 8601: {error}") from error
+            raise InputError(
+                "{}: a time is neither a number nor ISO 8601: {}", path, error
+            ) from error
     if pa.types.is_timestamp(column.type):
         column, unit = pc.cast(pc.cast(column, pa.timestamp("us")), pa.int64()), "us"
     time = _numpy(column).astype(np.float64) * UNITS_S[unit]
     if not np.isfinite(time).all():
-        raise InputError(f"{path}: a row has no time")
+        raise InputError("{}: a row has no time", path)
     return np.asarray(time)
 
 

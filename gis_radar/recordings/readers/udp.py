@@ -30,6 +30,7 @@ from gis_radar.recordings.frames import (
     ReaderContext,
     counted,
 )
+from gis_radar.texts import Text
 
 PORT = 42102  # of the sensor by default, as GROUP
 GROUP = "224.0.2.2"
@@ -148,10 +149,11 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
             yield frame
     if not seen:
         raise NothingHereError(
-            f"{source}: nothing came in",
+            "{}: nothing came in",
+            source,
             hint="is the sensor on, are address, port and interface right?",
         )
-    context.reporter.log(f"heard {counted(seen)}")
+    context.reporter.log(Text("heard {}", counted(seen)))
 
 
 def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str, float]]:
@@ -163,7 +165,7 @@ def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str,
         # A thread of its own: the system drops what waits while the disk keeps us.
         receiver = Thread(target=_receive, args=(listener, waiting, stop), daemon=True)
         receiver.start()
-        context.reporter.log(f"listening to {group}, port {port}; Ctrl-C ends it")
+        context.reporter.log(Text("listening to {}, port {}; Ctrl-C ends it", group, port))
         try:
             while not stop.is_set() and time.monotonic() < end:
                 with suppress(Empty):
@@ -194,9 +196,9 @@ def _address(source: str) -> tuple[str, int, str]:
         group = str(IPv4Address(parts.hostname or GROUP))
         interface = str(IPv4Address(query.pop("interface", ["0.0.0.0"])[0]))  # noqa: S104
     except ValueError as error:
-        raise UsageError(f"{source}: {error}", hint=_EXAMPLE) from error
+        raise UsageError("{}: {}", source, error, hint=_EXAMPLE) from error
     if query or parts.path.strip("/"):
-        raise UsageError(f"{source}: what is more than the address is not known", hint=_EXAMPLE)
+        raise UsageError("{}: what is more than the address is not known", source, hint=_EXAMPLE)
     return group, port, interface
 
 
@@ -215,7 +217,7 @@ def _listening(source: str, group: str, port: int, interface: str) -> Iterator[s
                 membership = socket.inet_aton(group) + socket.inet_aton(interface)
                 listener.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
         except OSError as error:
-            raise InputError(f"{source}: cannot listen: {error.strerror or error}") from error
+            raise InputError("{}: cannot listen: {}", source, error.strerror or error) from error
         yield listener
 
 

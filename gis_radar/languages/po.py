@@ -1,0 +1,34 @@
+"""Catalogues of gettext, read as they are: no step of building lies between a text and its use.
+
+The QGIS plugin reads its catalogue by this file, too, in a Python that has no gis_radar.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+
+def read_catalogue(path: Path) -> dict[str, str]:
+    """Return the translations in a catalogue (PO) by text; one and many are entries of their own.
+
+    Parameters
+    ----------
+    path : Path
+        A file of entries with a blank line between them, as Babel writes it.
+    """
+    found: dict[str, str] = {}
+    for entry in path.read_text(encoding="utf-8").split("\n\n"):
+        texts: list[str] = []
+        translations: list[str] = []
+        into = texts
+        for line in entry.splitlines():
+            keyword, _, quoted = line.partition(" ")
+            if line.startswith('"'):
+                into[-1] += json.loads(line)
+            elif keyword.startswith("msg"):
+                into = texts if keyword.startswith("msgid") else translations
+                into.append(json.loads(quoted))
+        found.update(zip(texts, translations))  # noqa: B905 - read by Python 3.9, too
+    found.pop("", None)  # the header
+    return found

@@ -1,0 +1,188 @@
+"""Bring the German catalogue to the source: new texts come without translation, old ones go.
+
+python tools/catalogue.py; then fill in each empty msgstr of the file it names.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+
+from babel.messages.catalog import Catalog
+from babel.messages.pofile import read_po, write_po
+
+from gis_radar.cli.usage import CLICK_TEXTS
+
+ROOT = Path(__file__).parents[1]
+PACKAGE, PLUGIN = ROOT / "gis_radar", ROOT / "qgis_plugin" / "gis_radar_plugin"
+GERMAN = PACKAGE / "languages" / "de" / "LC_MESSAGES" / "gis_radar.po"
+HEADER = """# German of gis_radar and its QGIS plugin.
+msgid ""
+msgstr ""
+"Language: de\\n"
+"Plural-Forms: nplurals=2; plural=(n != 1);\\n"
+"MIME-Version: 1.0\\n"
+"Content-Type: text/plain; charset=utf-8\\n"
+"Content-Transfer-Encoding: 8bit\\n"
+
+"""
+PLACES = {"tr": (0,), "Text": (0,), "log": (0,), "warn": (0,), "remark": (0,), "plural": (1, 2)}
+KEYWORDS = {"hint", "message", "expected"}
+_HOLE, _WORDS = re.compile(r"\{[^}]*\}"), re.compile("[A-Za-z]{2}")
+SERVERS = PACKAGE / "live"  # whose log is English
+OTHERS = ("*.html", "*.jinja", "*.qgs", "*.qpt", "*.qml")
+
+
+@cache
+def trees(folder: Path) -> dict[Path, list[ast.AST]]:
+    """Return the nodes of the modules in a folder."""
+    return {
+        path: list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        for path in sorted(folder.rglob("*.py"))
+    }
+
+
+def _name(node: ast.AST) -> str:
+    return str(getattr(node, "id", "") or getattr(node, "attr", ""))
+
+
+@cache
+def errors() -> frozenset[str]:
+    """Return the names of the package's errors, which take a template and its values."""
+    classes = [n for nodes in trees(PACKAGE).values() for n in nodes if isinstance(n, ast.ClassDef)]
+    names = {"GisRadarError"}
+    while more := {
+        each.name
+        for each in classes
+        if each.name not in names and {_name(base) for base in each.bases} & names
+    }:
+        names |= more
+    return frozenset(names)
+
+
+def _texts(node: ast.AST) -> Iterator[str]:
+    """Yield the texts that an expression may be; f-strings, which are no templates, as source."""
+    if isinstance(node, ast.IfExp):
+        yield from _texts(node.body)
+        yield from _texts(node.orelse)
+    elif isinstance(node, ast.JoinedStr):
+        yield ast.unparse(node)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+
+
+def told() -> Iterator[tuple[str, str]]:
+    """Yield the texts at the places where a user is told something, and the file of each."""
+    for path, nodes in trees(PACKAGE).items():
+        where = str(path.relative_to(ROOT))
+        for node in nodes:
+            if not isinstance(node, ast.Call) or SERVERS in path.parents:
+                continue
+            called = _name(node.func)
+            of_logging = called == "log" and _name(getattr(node.func, "value", node)) in {"", "np"}
+            places = (0,) if called in errors() else () if of_logging else PLACES.get(called, ())
+            given = [node.args[place] for place in places if place < len(node.args)]
+            if places or called in {"Unfit", "Meaning"}:
+                given += [each.value for each in node.keywords if each.arg in KEYWORDS]
+            yield from ((where, text) for each in given for text in _texts(each))
+
+
+def asked() -> dict[str, str]:
+    """Return the texts with words of their own that the source asks a translation of."""
+    found = {text: where for where, text in told() if _WORDS.search(_HOLE.sub("", text))}
+    for place in (path for kind in ("*.html", "*.jinja") for path in PACKAGE.rglob(kind)):
+        for text in re.findall(r'\btr\("([^"]+)"', place.read_text(encoding="utf-8")):
+            found[text] = str(place.relative_to(ROOT))
+    return found | dict.fromkeys(definitions(), "definitions.toml") | dict.fromkeys(CLICK_TEXTS, "")
+
+
+def definitions() -> set[str]:
+    """Return the words that the report explains, and their meanings."""
+    text = (PACKAGE / "report" / "definitions.toml").read_text(encoding="utf-8")
+    return {each for group in tomllib.loads(text).values() for each in (*group, *group.values())}
+
+
+def shown() -> tuple[set[str], str]:
+    """Return all texts in the source of package and plugin, and its other files as one text."""
+    constants = {
+        text
+        for folder in (PACKAGE, PLUGIN)
+        for nodes in trees(folder).values()
+        for node in nodes
+        if isinstance(node, ast.Constant)
+        for text in _texts(node)
+    }
+    files = (path for kind in OTHERS for path in PACKAGE.rglob(kind))
+    kinds = {kind.partition(" (")[0] for text in constants for kind in text.split(";;")}
+    return constants | kinds | definitions(), "".join(map(_unescaped, files))
+
+
+def _unescaped(path: Path) -> str:
+    return path.read_text(encoding="utf-8").replace("&lt;", "<").replace("&gt;", ">")
+
+
+def unused(texts: set[str]) -> list[str]:
+    """Return which texts of a catalogue nothing shows; figures have `_` for a blank in titles."""
+    constants, others = shown()
+    return sorted(
+        text
+        for text in texts - constants
+        if text not in others and text.replace(" ", "_") not in constants
+    )
+
+
+def plurals() -> dict[str, str]:
+    """Return the texts of many by the text of one."""
+    pairs = [
+        [text for each in node.args[1:] for text in _texts(each)]
+        for nodes in trees(PACKAGE).values()
+        for node in nodes
+        if isinstance(node, ast.Call) and _name(node.func) == "plural"
+    ]
+    return {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
+
+
+def write(translations: dict[str, str]) -> None:
+    """Write the catalogue, sorted, so that two who add a text rarely meet."""
+    catalogue, many = Catalog(), plurals()
+    for text, translation in translations.items():
+        if text in many:
+            pair = (text, many[text])
+            catalogue.add(pair, (translation, translations[many[text]]))
+        elif text not in many.values():
+            catalogue.add(text, translation)
+    file = BytesIO()
+    write_po(file, catalogue, no_location=True, sort_output=True, width=0, omit_header=True)
+    GERMAN.write_text(HEADER + file.getvalue().decode(), encoding="utf-8")
+
+
+def read() -> dict[str, str]:
+    """Return the translations of the catalogue by text, of one and many apart."""
+    with GERMAN.open("rb") as file:
+        messages = [each for each in read_po(file) if each.id]
+    pairs = ((each.id, each.string) for each in messages if not each.pluralizable)
+    found = {str(text): str(translation) for text, translation in pairs}
+    for each in messages:
+        if each.pluralizable:
+            found.update(zip(each.id, each.string or (), strict=True))
+    return found
+
+
+def main() -> None:
+    """Write the catalogue anew and name what lacks its translation."""
+    known = read()
+    old = unused(set(known))
+    kept = {text: each for text, each in known.items() if text not in old}
+    write(dict.fromkeys(asked(), "") | kept)
+    missing = [f"{where}: {text}" for text, where in asked().items() if not kept.get(text)]
+    print("\n".join(sorted(missing)))
+    print(f"{len(old)} are gone; see {GERMAN}")
+
+
+if __name__ == "__main__":
+    main()
