@@ -9,7 +9,7 @@ from pathlib import PurePath
 from typing import Any, Self
 
 KEPT = "texts"  # the member of a JSON document that holds the templates of its texts
-_HOLE = re.compile(r"\{(?::[+,]*(?:\.\d)?[dfge%]?)?\}")
+_HOLE = re.compile(r"\{(\d{0,2})(?::[+,]*(?:\.\d)?[dfge%]?)?\}")
 
 
 class Text(str):
@@ -92,6 +92,10 @@ def _as_list(value: Any) -> Any:
     """Return a value as JSON holds it; a text as a list of template and values."""
     if isinstance(value, Text) and value.values:
         return [value.template, *map(_as_list, value.values)]
+    if isinstance(value, float):
+        return float(
+            f"{value:.9g}"
+        )  # last digits follow the order of sums: equal runs, equal bytes
     return str(value) if isinstance(value, PurePath) else value
 
 
@@ -106,10 +110,20 @@ def restored(document: dict[str, Any]) -> dict[str, Any]:
 def _from_list(entry: Any) -> Any:
     match entry:
         case [str(template), *values]:
-            # The file may be anybody's: no hole looks into a value or fills the memory.
-            if len(_HOLE.findall(template)) == len(values) and "{" not in _HOLE.sub("", template):
+            if values and _fits(template, len(values)):
                 return Text(template, *map(_from_list, values))
     return str(entry) if isinstance(entry, list | dict) else entry
+
+
+def _fits(template: str, values: int) -> bool:
+    """Return whether so many values fill the holes; none looks into a value or fills the memory.
+
+    The file may be anybody's.
+    """
+    numbers = _HOLE.findall(template)
+    places = range(len(numbers)) if not any(numbers) else [int(each or values) for each in numbers]
+    rest = _HOLE.sub("", template.replace("{{", "").replace("}}", ""))
+    return all(place < values for place in places) and not {"{", "}"} & set(rest)
 
 
 def _with_known(value: Any, known: Mapping[Any, Any]) -> Any:

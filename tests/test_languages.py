@@ -94,8 +94,30 @@ def test_texts_pass_between_processes_and_through_files():
 
 
 @pytest.mark.parametrize(
+    "told",
+    [Text('cycle = "{1}ms" in [[sensor]] {0}', "R1", 57), Text("a key for {{{}}}", "--scan"),
+     Text("max_range_m in [sensor.view]", "--max-range"), Text("{:+.3f} s, {:.1%}", 0.5, 0.1)],
+)  # fmt: skip
+def test_a_text_that_a_file_holds_is_the_same_again(told):
+    (read,) = restored(json.loads(json.dumps(with_texts({"told": [told]}))))["told"]
+    assert (read, read.template, read.values) == (told, told.template, told.values)
+
+
+@pytest.mark.parametrize(
     "entry",
-    [["{} {}", 1], ["{0.__class__}", 1], ["{:999999999}", 1], ["{:{}}", 1, 2], ["{x}", 1], {}, 3],
+    [
+        ["{} {}", 1],
+        ["{2}", 1],
+        ["{} {0}", 1],
+        ["{", 1],
+        ["}", 1],
+        ["{0.__class__}", 1],
+        ["{:999999999}", 1],
+        ["{:{}}", 1, 2],
+        ["{x}", 1],
+        {},
+        3,
+    ],
 )
 def test_what_a_file_claims_to_be_a_text_is_none(entry):
     """A record may be anybody's: its templates look into nothing and fill no memory."""
