@@ -78,7 +78,11 @@ def test_a_fusion_of_an_older_disk_goes_on_and_names_what_is_gone(fed):
     assert "5 messages that the sensor no longer has" in fed.sensor.health.alarms["lost"]
 
 
-@pytest.mark.parametrize("off_us", [HOUR_US, -3 * DAY_US - 10_000_000, -NOW_US, 2**62])
+@pytest.mark.parametrize(
+    "off_us",
+    [HOUR_US, -3 * DAY_US - 10_000_000, -NOW_US, 2**62],
+    ids=["ahead", "old", "1970", "beyond any time"],
+)
 def test_frames_of_another_time_are_named_and_passed_over(fed, off_us):
     fed.frames(1, frame(NOW_US), first=True)
     fed.frames(2, frame(NOW_US + off_us))
