@@ -1,4 +1,4 @@
-"""Imports between the modules of gis_radar go one way: down the table below."""
+"""A module of gis_radar imports only from rows of the table below that stand above its own."""
 
 import ast
 from functools import cache
@@ -7,7 +7,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "gis_radar"
 
-# Lowest first. A module imports only what stands before it. "gis_radar" is the package's own front,
+# "gis_radar" is the package's own front,
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
     texts errors arrays languages progress processes words

@@ -1,4 +1,4 @@
-"""Heat maps: for every tile the share of the observed time in which it was hit."""
+"""Heat maps: occupancy of every tile, and its hit share."""
 
 from gis_radar.heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
 from gis_radar.heatmap.intervals import MapLabels

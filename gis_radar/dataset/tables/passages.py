@@ -11,7 +11,7 @@ PASSAGES = TableSchema(
         VEHICLE,
         TableColumn("lanelet_id", pa.int64(), "the lanelet"),
         STEP,
-        TableColumn("speed_cms", pa.int32(), "cm/s"),
+        TableColumn("speed_cms", pa.int32(), "estimated speed of the vehicle in that step, cm/s"),
         TableColumn("p_heavy", pa.float32(), "probability that it is a bus or a truck over 3.5 t"),
     ),
     order=("step", "vehicle", "lanelet_id"),
