@@ -36,12 +36,8 @@ def test_a_settings_record_is_frozen_and_documents_each_field(record):
 def test_every_room_of_the_core_has_its_record():
     rooms = {param.values[0].__module__.split(".")[1] for param in records()}
     assert {
-        "localization",
-        "joint",
-        "monitor",
+        "calibration",
         "tracking",
-        "scan_check",
         "scans",
-        "clocks",
         "measures",
     } <= rooms

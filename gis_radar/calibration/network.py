@@ -426,9 +426,8 @@ class _Network:
                 continue
             ahead_s = other.lag.offset_s - one.lag.offset_s + self._clock_gap(pair, matched)[0]
             fast = other.lag.rate - one.lag.rate
-            runs = Text(
-                ", and runs {:.1%} {}", abs(fast), Text("fast") if fast > 0.0 else Text("slow")
-            )
+            how = Text("fast") if fast > 0.0 else Text("slow")
+            runs = Text(", and runs {:.1%} {}", abs(fast), how) if fast else ""
             remarks.append(
                 Text(
                     "the clock of {} is {:.2f} s {} that of {}{}: the poses allow for it, "
@@ -437,7 +436,7 @@ class _Network:
                     abs(ahead_s),
                     Text("ahead of") if ahead_s > 0.0 else Text("behind"),
                     pair[0],
-                    runs if fast else "",
+                    runs,
                 )
             )
         return remarks
@@ -452,10 +451,9 @@ class _Network:
         mine = {pair: number for pair, number in held.items() if name in pair}
         if mine:
             pair = max(mine, key=lambda each: mine[each])
-            other = pair[1] if name == pair[0] else pair[0]
-            return Text(
-                "{} vehicles shared with {} confirm its pose, too few to move it", mine[pair], other
-            )
+            other, shared = pair[1] if name == pair[0] else pair[0], mine[pair]
+            text = "{} vehicles shared with {} confirm its pose, too few to move it"
+            return Text(text, shared, other)
         if name in self.unclear and name not in self.placed:
             return Text("its vehicles fit those of others in several places")
         return Text("no other sensor sees enough of the same vehicles")
@@ -492,8 +490,7 @@ def _contradiction(names: Names, vehicles: int, gap_m: float) -> str:
     return Text(
         "{} and {}: their poses contradict each other: {} vehicles that both see lie "
         "{:.1f} m apart",
-        names[0],
-        names[1],
+        *names,
         vehicles,
         gap_m,
     )

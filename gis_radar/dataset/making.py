@@ -110,8 +110,9 @@ def change(
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     known_before = {(each.key, each.pose) for each in before.entries}
     fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
-    for hour in touched_hours(set(missing) & (set(records) - broken), fresh, margin):
-        _check(site, hour, placings[hour])
+    if set(missing) & (set(records) - broken):  # hours that are there stay, if any cannot be made
+        for hour in touched_hours(missing, fresh, margin):
+            _check(site, hour, placings[hour])
     after = after.without_hours(missing)
     both = before.poses.joined(after.poses)
     if fresh:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ from gis_radar.dataset.registry import (
 )
 from gis_radar.dataset.remarks import Examined, remark_on_recordings, remark_on_vehicles
 from gis_radar.errors import InputError, NoAnswerError, OutputError, UsageError
+from gis_radar.files import output_errors
 from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.graph import LaneGraph, lane_graph
 from gis_radar.lanelets.lanes import lanes, stop_lines
@@ -40,6 +42,7 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
 from gis_radar.sight import Sight, SightTiles, describe_sight, open_sight
+from gis_radar.steps import zone_of
 from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint
 from gis_radar.tracking.map_check import map_of_tiles
@@ -169,6 +172,7 @@ def measure(
     if settings is None:
         settings = MeasureSettings(filters=filters or Filters())
     settings = replace(settings, vehicles=None) if hits_only else settings
+    zone_of(timezone)
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     road = SightTiles.of(tiles)
     scan = open_sight(
@@ -177,11 +181,15 @@ def measure(
     book = ViewBook(road=road, scan=scan, settings=settings.hits)
     opened = [as_recording(each) for each in recordings]
     tracks = [as_track(pose) for pose in poses]
+    _refuse_swapped(opened, tracks)
     sources = place_recordings(opened, tracks, book, clocks, reporter)
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
     folder = Path(folder)
     with writing(folder, reporter):
-        made = _add(given, folder, processes, reporter, only=only, before_hour=before_hour)
+        if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:
+            made = _replace(given, folder, processes, reporter, before_hour=before_hour)
+        else:
+            made = _add(given, folder, processes, reporter, only=only, before_hour=before_hour)
     if made:
         _report(given, made, reporter)
     return open_dataset(folder, reporter=reporter)
@@ -223,6 +231,22 @@ def _given(
         settings=settings,
         sources=placed, entries=entries, poses=poses, book=book, sights=sights,
     )  # fmt: skip
+
+
+def _refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
+    """Refuse a recording that is named like a sensor, but is given for another one."""
+    names = [Path(each.path).stem for each in recordings]
+    own = {named for named, track in zip(names, tracks, strict=True) if named == track.sensor}
+    others = {track.sensor for track in tracks} - own
+    for recording, named, track in zip(recordings, names, tracks, strict=True):
+        if named in others and named != track.sensor:
+            raise InputError(
+                "{}: is given with the pose of {}, beside one of {}",
+                recording.path,
+                track.sensor,
+                named,
+                hint="name recordings and poses in the same order",
+            )
 
 
 def _refuse_clearance(
@@ -286,13 +310,25 @@ def _lanes(
     return None, replace(settings, vehicles=None)
 
 
+def _replace(
+    given: _Given, folder: Path, processes: int, reporter: Reporter, *, before_hour: int | None
+) -> list[MadeHour]:
+    """Make a dataset beside one of other tiles or settings, and put it in its place when whole."""
+    fresh = folder.with_name(f".{folder.name}.next")
+    if fresh.exists() and not (Manifest.is_there(fresh) and Manifest.read(fresh) == given.manifest):
+        shutil.rmtree(fresh, ignore_errors=True)  # else a run that was broken off is gone on with
+    made = _add(given, fresh, processes, reporter, only=True, before_hour=before_hour)
+    with output_errors(folder):
+        remove_dataset(folder)
+        fresh.rename(folder)
+    return made
+
+
 def _add(
     given: _Given, folder: Path, processes: int, reporter: Reporter, *, only: bool,
     before_hour: int | None,
 ) -> list[MadeHour]:  # fmt: skip
     """Add recordings to a dataset that nobody else writes."""
-    if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:
-        remove_dataset(folder)
     is_new = not Manifest.is_there(folder)
     manifest = given.manifest if is_new else Manifest.read(folder)
     if not is_new:
@@ -362,13 +398,23 @@ def _require_same(folder: Path, found: Manifest, given: _Given) -> None:
         folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
     )
     for name in mine.settings:
-        if found.settings.get(name) != mine.settings[name]:
+        if differs := _difference(name, found.settings.get(name), mine.settings[name]):
             raise InputError(
                 "{}: was measured with other settings: {}",
                 folder,
-                name,
-                hint="name the same filters, scans and options, or another folder",
+                differs,
+                hint="name the same filters, scans and options, or another folder: "
+                "another version's constants need one, too",
             )
+
+
+def _difference(name: str, was: Any, now: Any) -> str:
+    """Return the first setting that is not what it was, with both values; nothing where none is."""
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        keys = sorted(was.keys() | now.keys())
+        found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)
+        return next(filter(None, found), "")
+    return Text("{} was {}, is {}", name, json.dumps(was), json.dumps(now)) if was != now else ""
 
 
 def _joined(before: Registry, given: _Given, *, only: bool) -> Registry:

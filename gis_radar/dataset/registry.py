@@ -34,6 +34,7 @@ from gis_radar.texts import Text
 
 LONGEST_GAP_S = 24 * 3600.0
 """A longer time without frames within a recording is that of a clock that was set."""
+LEAST_RATES = 0.5  # share of detections: formats know the range rates of all, or of none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,11 +365,11 @@ def entry_of(
 
 
 def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
-    """Return first and last time, rows, and whether a detection has a range rate."""
+    """Return first and last time, rows, and whether detections have range rates."""
     spans = recording.time_spans() if recording.time_spans is not None else None
     stated = spans is not None and all(last - first <= LONGEST_GAP_S for first, last in spans)
     first = last = math.nan
-    rows, has_rates, detections = 0, False, 0
+    rows, has_rates, detections, rates = 0, False, 0, 0
     for batch in recording.read():
         time = batch.time if rows == 0 else np.concatenate([[last], batch.time])
         if len(gap := np.flatnonzero(np.diff(time) > LONGEST_GAP_S)):
@@ -376,7 +377,8 @@ def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
         first, last = (float(time[0]) if rows == 0 else first), float(time[-1])
         rows += len(batch)
         detections += int(batch.present.sum())
-        has_rates |= bool(np.isfinite(batch.range_rate).any())
+        rates += int(np.isfinite(batch.range_rate[batch.present]).sum())
+        has_rates = rates > LEAST_RATES * detections
         if stated and has_rates:
             break
     if stated and spans is not None and recording.rows is not None:

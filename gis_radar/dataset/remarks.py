@@ -83,7 +83,12 @@ def remark_on_recordings(
     if gaps := gap_warning(find_gaps(hits, book.road)):
         reporter.warn(gaps)
     for each in examined:
-        for line in _recording_warnings(each, book, settings):
+        lines = (
+            *_view_warnings(each, settings),
+            *_cycle_warnings(each, settings),
+            *_placing_warnings(each, book, settings),
+        )
+        for line in lines:
             reporter.warn(line)
     for line in _time_warnings([each.entry for each in examined]):
         reporter.warn(line)
@@ -115,15 +120,14 @@ def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> l
     ]  # fmt: skip
 
 
-def _recording_warnings(each: Examined, book: ViewBook, settings: HitSettings) -> Iterator[str]:
-    """Yield what does not fit in view, cycle and clock, given what was recorded."""
+def _view_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
+    """Yield what does not fit in view and units, given what was recorded."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
-    evidence, validity_s = each.evidence, each.entry.validity_s
     ranges = RangeCounts()
-    ranges.counts = evidence.ranges
-    reached_m, cycle_us = ranges.reached_m(settings.range_share), evidence.times.cycle_us
+    ranges.counts = each.evidence.ranges
+    reached_m = ranges.reached_m(settings.range_share)
     view = each.source.track.poses[0].view or View()
-    if evidence.hits == 0:
+    if each.evidence.hits == 0:
         yield Text(
             "{}: no detection of {} lies on a tile: all reads as observed and empty; do "
             "pose, tiles and filters fit the recording, and are its positions metres?",
@@ -146,6 +150,12 @@ def _recording_warnings(each: Examined, book: ViewBook, settings: HitSettings) -
         yield Text(
             "{}: {}; vehicles and poses need metres and m/s, positive when receding", file, odd
         )
+
+
+def _cycle_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
+    """Yield that a sensor is slower than its frames are valid."""
+    file, sensor = each.source.recording.path.name, each.entry.sensor
+    validity_s, cycle_us = each.entry.validity_s, each.evidence.times.cycle_us
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
     if settings.slow_cycle * valid_us < cycle_us < np.inf:
         cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - valid_us / cycle_us)
@@ -161,6 +171,12 @@ def _recording_warnings(each: Examined, book: ViewBook, settings: HitSettings) -
             empty,
             stated,
         )
+
+
+def _placing_warnings(each: Examined, book: ViewBook, settings: HitSettings) -> Iterator[str]:
+    """Yield what is odd about heights and clock."""
+    file, sensor = each.source.recording.path.name, each.entry.sensor
+    evidence = each.evidence
     if evidence.level:
         heights = sorted({f"{book.road_m[sensor, name]:.1f}" for name in each.source.views})
         yield Text(

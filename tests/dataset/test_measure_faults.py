@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from maps import Listener
 from measured import EDGE_S, MAP, contents, cut, measured, sample_pose
@@ -70,6 +71,88 @@ def test_equal_frames_added_to_a_dataset_change_nothing(files, tmp_path):
     hits_of(tmp_path / "site", ("R1", files["R1"]))
     copy = cut(tmp_path / "copy.parquet", "R1", 18.3, 22.0, edge_s=20.0)
     refused(tmp_path / "site", ("R2", copy), match="frames of R2 are those of R1")
+
+
+def test_recordings_in_the_order_of_other_poses(files, tmp_path):
+    """Each by the other's pose gives a map, with twice the vehicles and nowhere right."""
+    error = refused(
+        tmp_path / "site", ("R1", files["R2"]), ("R2", files["R1"]),
+        match=r"R2\.parquet: is given with the pose of R1, beside one of R2",
+    )  # fmt: skip
+    assert error.exit_code == 3
+    assert "same order" in error.hint
+
+
+def test_a_time_zone_that_is_none(files, tmp_path):
+    refused(
+        tmp_path / "site", ("R1", files["R1"]), match="no time zone 'Europe/Berlinn'",
+        error=gr.UsageError, timezone="Europe/Berlinn",
+    )  # fmt: skip
+
+
+def flip_in_row_group(path, group):
+    place = pq.read_metadata(path).row_group(group).column(1)
+    whole = bytearray(path.read_bytes())
+    middle = place.data_page_offset + place.total_compressed_size // 2
+    for k in range(middle, middle + 16):
+        whole[k] ^= 0xFF
+    path.write_bytes(whole)
+
+
+def test_a_recording_damaged_in_a_new_hour_takes_none_of_the_others(tmp_path):
+    """The hour before is made first: what is there of it stays, if the damaged one cannot be."""
+    early = cut(tmp_path / "early.parquet", "R1", 0.0, 2.0, edge_s=300.0)
+    hits_of(tmp_path / "site", ("R1", early))
+    late = cut(tmp_path / "late.parquet", "R1", 4.0, 6.0, edge_s=300.0)
+    later = cut(tmp_path / "later.parquet", "R1", 4.0, 6.0, edge_s=-300.0)
+    tables = [pq.read_table(each) for each in (late, later)]
+    with pq.ParquetWriter(late, tables[0].schema, write_page_checksum=True) as writer:
+        for table in tables:
+            writer.write_table(table)
+    flip_in_row_group(late, 1)
+    refused(tmp_path / "site", ("R1", late), match=r"late\.parquet: ")
+
+
+def test_what_cannot_be_made_by_other_settings_leaves_the_dataset(files, tmp_path):
+    hits_of(tmp_path / "site", ("R1", files["R1"]))
+    bad = tmp_path / "R1b.parquet"
+    shutil.copy(files["R1"], bad)
+    bad.write_bytes(bad.read_bytes()[:-100])
+    before = contents(tmp_path / "site")
+    other = gr.Filters(min_speed=1.0)
+    with pytest.raises(gr.InputError):
+        hits_of(tmp_path / "site", ("R1", bad), filters=other, only=True)
+    damaged = cut(tmp_path / "later.parquet", "R1", 18.0, 22.0, edge_s=-300.0)
+    pq.write_table(pq.read_table(damaged), damaged, write_page_checksum=True)
+    flip_in_row_group(damaged, 0)
+    with pytest.raises(gr.InputError):
+        hits_of(tmp_path / "site", ("R1", files["R1"]), ("R1", damaged), filters=other, only=True)
+    assert contents(tmp_path / "site") == before
+    hits_of(tmp_path / "site", ("R1", files["R1"]), filters=other, only=True)
+    assert contents(tmp_path / "site") != before
+    assert not list(tmp_path.glob(".site.*"))
+
+
+def test_other_settings_are_named_with_both_values(files, tmp_path):
+    hits_of(tmp_path / "site", ("R1", files["R1"]))
+    refused(
+        tmp_path / "site", ("R1", files["R1"]), match=r"min_speed was null, is 1\.0",
+        filters=gr.Filters(min_speed=1.0),
+    )  # fmt: skip
+
+
+def test_a_few_range_rates_are_none(tmp_path):
+    """One number among many empty ones gave an occupancy of 0, where there is none."""
+
+    def only_one(table):
+        rates = table["range_rate"].where(np.arange(len(table)) == 5)
+        return table.assign(range_rate=rates)
+
+    path = cut(tmp_path / "R1.parquet", "R1", 18.0, 22.0, edge_s=20.0, change=only_one)
+    listener = Listener()
+    dataset = measured(tmp_path / "site", ("R1", path), reporter=listener)
+    assert not dataset.has_vehicles
+    assert any("has no range rates" in line for _, line in listener.messages)
 
 
 def test_recordings_of_a_sensor_that_contradict_each_other(files, tmp_path):
