@@ -22,7 +22,7 @@ from gis_radar.live.recordings import (
     remove_old,
     waiting_hours,
 )
-from gis_radar.live.spool import Spool, SpooledFrames, SpoolFile, spool_files
+from gis_radar.live.spool import FRAMES, Spool, SpooledFrames, SpoolFile, spool_files
 from gis_radar.steps import STEP_US
 
 HOUR = 486_111  # since 1970: 2025-06
@@ -213,6 +213,27 @@ def test_recordings_are_kept_for_a_time_and_in_a_room(tmp_path):
     assert there == [False, True, True]
     assert said.told("1 recordings are removed before their time")
     assert not list((made.folder / "recordings" / "R1").glob("*T*Z.json"))[2:]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
+@pytest.mark.parametrize("whole_head", [False, True])
+def test_a_damaged_record_of_the_spool_costs_itself_alone(tmp_path, share, whole_head):
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", BEGIN_US)
+    (spooled,) = made.add("R1", frames)
+    begins = [at for at, record in SpoolFile(spooled).records() if record.kind == FRAMES]
+    begin = begins[int(share * len(begins))]
+    damaged = bytearray(spooled.read_bytes())
+    damaged[begin + (20 if whole_head else 3)] ^= 1
+    spooled.write_bytes(damaged)
+    said = Lines()
+    make_parts(made.folder, spooled, said)
+    path = join_parts(made.folder, "R1", HOUR, said)
+    lost = len(frames) - len(times(path))
+    assert 0 < lost <= 50
+    if begin != begins[-1] or whole_head:  # else as a crash leaves it
+        assert spooled.with_suffix(".damaged").read_bytes() == damaged
+        assert said.told(f"{spooled}: damaged records are left out")
 
 
 def test_a_file_of_the_spool_without_a_byte_holds_nothing(tmp_path):

@@ -31,7 +31,7 @@ from gis_radar.measures.frames import FrameIndex
 from gis_radar.measures.hour import MARGIN_STEPS
 from gis_radar.poses.files import PoseTrack, read_track, write_pose, write_track
 from gis_radar.poses.pose import pose_from_dict
-from gis_radar.progress import Reporter
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.steps import STEP_US, step_begin
 from gis_radar.texts import Text
@@ -91,8 +91,8 @@ def waiting_hours(folder: Path) -> set[int]:
     return found
 
 
-def make_parts(folder: Path, spooled: Path) -> None:
-    """Make parts of recordings of a file of the spool, then remove it.
+def make_parts(folder: Path, spooled: Path, reporter: Reporter = QUIET) -> None:
+    """Make parts of recordings of a file of the spool, then remove it; keep a damaged one aside.
 
     Killed at any moment, it is done again and gives the same.
 
@@ -114,7 +114,13 @@ def make_parts(folder: Path, spooled: Path) -> None:
                 number = f"{spooled.stem}-{numbers[hour]:04d}"
                 _write(folder / PARTS / sensor / f"{name}.{number}.parquet", _table(mine), poses)
     with output_errors(spooled):
-        spooled.unlink()
+        if file.damaged:
+            aside = spooled.replace(spooled.with_suffix(".damaged"))
+            reporter.warn(
+                "{}: damaged records are left out; the file is kept as {}", spooled, aside
+            )
+        else:
+            spooled.unlink()
 
 
 def _frames(
