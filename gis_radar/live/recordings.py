@@ -137,7 +137,10 @@ def _frames(
             poses[key] = PoseContent.unpack(record.payload).pose
         elif record.kind == FRAMES:
             pose, frames = unpack_detections(unpack_message(record.payload)[1])
-            rows += [(each, pose.hex()) for each in frames]
+            if pose.hex() in poses:
+                rows += [(each, pose.hex()) for each in frames]
+            else:  # its record is damaged
+                file.damaged = True
         if len(rows) >= AT_ONCE:
             yield rows
             rows = []
@@ -169,7 +172,7 @@ def _table(rows: Sequence[tuple[FrameDetections, str]]) -> pa.Table:
 
 def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
     """Write a table of rows whole, and to the disk."""
-    named = {key: poses[key] for key in sorted(table["pose"].unique().to_pylist()) if key in poses}
+    named = {key: poses[key] for key in sorted(table["pose"].unique().to_pylist())}
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with output_errors(path), writing_errors(path):
@@ -184,7 +187,7 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
 
 
 class JoinedRows:
-    """JoinedRows of a sensor from several files, each frame once.
+    """Rows of a sensor from several files; each frame occurs once.
 
     Parameters
     ----------
@@ -239,7 +242,7 @@ class JoinedRows:
         keys = self.table["pose"].take(pa.array(frames.begins)).to_pylist()
         poses, since, last = [], list[int](), None
         for key, step in zip(keys, (frames.time_us // STEP_US).tolist(), strict=True):
-            if key != last and key in self.poses and (not since or step > since[-1]):
+            if key != last and (not since or step > since[-1]):
                 poses.append(pose_from_dict(self.poses[key], what=Text("the pose of {}", sensor)))
                 since.append(step)
                 last = key

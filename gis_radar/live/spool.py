@@ -37,7 +37,7 @@ class Record(NamedTuple):
     kind : int
         `HEAD`, `POSE`, `FRAMES` or `PASSED`.
     sensor : str
-        Of which sensor; empty for the head.
+        Name of the sensor; empty for the head.
     payload : bytes
         A message as it came, or the marks as JSON.
     """
@@ -55,7 +55,7 @@ class SpooledFrames(NamedTuple):
     sensor : str
         Whose it is.
     pose : bytes
-        Key of the pose that it names; empty for one that is passed over.
+        Message of the pose that it names; empty for one that is passed over.
     payload : bytes
         As it came.
     """
@@ -73,11 +73,6 @@ class Spool:
     folder : Path
         Of the files; made where there is none. The first one is begun by :meth:`rotate`.
 
-    Attributes
-    ----------
-    poses : dict
-        By sensor and key, the message of each pose that frames may name.
-
     Raises
     ------
     OutputError
@@ -86,7 +81,6 @@ class Spool:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.poses: dict[tuple[str, bytes], bytes] = {}
         self._waiting: list[SpooledFrames] = []
         self._batch: list[SpooledFrames] = []
         self._handle, self._size, self._path = -1, 0, folder
@@ -124,10 +118,10 @@ class Spool:
         """
         written, parts = set(self._written), list[bytes]()
         for each in self._batch:
-            key = (each.sensor, each.pose)
-            if each.pose and key not in written and key in self.poses:
-                written.add(key)
-                parts.append(_packed(Record(POSE, each.sensor, self.poses[key])))
+            named = (each.sensor, each.pose)
+            if each.pose and named not in written:
+                written.add(named)
+                parts.append(_packed(Record(POSE, each.sensor, each.pose)))
             kind = FRAMES if each.pose else PASSED
             parts.append(_packed(Record(kind, each.sensor, each.payload)))
         self._append(b"".join(parts))
