@@ -66,12 +66,11 @@ class SpooledSite:
         """Put frames of a sensor in the spool, and close its file; return all closed ones."""
         message = pose or self.pose(name)
         key = key_of_pose(message)
-        self.spool.poses[name, key] = message
         for begin in range(0, len(frames), 50):
             self._number += 1
             content = pack_detections(frames[begin : begin + 50], pose=key)
             payload = pack_message(Envelope(stream=b"abcd", number=self._number), content)
-            self.spool.add(SpooledFrames(name, key, payload))
+            self.spool.add(SpooledFrames(name, message, payload))
         self.spool.collect()
         self.spool.write()
         self.spool.rotate({})

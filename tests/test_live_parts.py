@@ -191,6 +191,25 @@ def test_only_what_is_acknowledged_leaves_the_buffer(tmp_path):
         assert buffer.pose_of(3) == b"one"
 
 
+def test_an_emptied_buffer_gives_each_message_its_own_pose(tmp_path):
+    """A pose that all messages of an earlier run were found by stays, with its number."""
+    path = tmp_path / "R1.buffer"
+    with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
+        for k, pose in enumerate((b"one", b"two")):
+            buffer.add_pose(pose)
+            for _ in range(10 - 9 * k):
+                buffer.append(pose)
+        buffer.acknowledge(buffer.last)
+    with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
+        assert len(buffer) == 0
+        buffer.add_pose(b"three")
+        numbers = [buffer.append(b"three") for _ in range(12)]
+        assert next(buffer.read_after(buffer.stored, 1)).first
+        assert {buffer.pose_of(number) for number in numbers} == {b"three"}
+        buffer.acknowledge(numbers[10])
+        assert buffer.pose_of(numbers[11]) == b"three"
+
+
 def test_a_full_buffer_takes_nothing_and_drops_nothing(tmp_path):
     with DiskBuffer(tmp_path / "b", most_bytes=100_000, fingerprint=PRINT) as buffer:
         with pytest.raises(FullError, match="full"):

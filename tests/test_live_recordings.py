@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from live_hours import SpooledSite, frames_at, selected_frames
-from live_intake import NOW_US, FedIntake
+from live_intake import NOW_US, FedIntake, frame, pose_message
 from live_programs import Lines, pose_beside
 
 import gis_radar as gr
@@ -22,7 +22,7 @@ from gis_radar.live.recordings import (
     remove_old,
     waiting_hours,
 )
-from gis_radar.live.spool import Spool, SpooledFrames, SpoolFile, spool_files
+from gis_radar.live.spool import FRAMES, POSE, Spool, SpooledFrames, SpoolFile, spool_files
 from gis_radar.steps import STEP_US
 
 HOUR = 486_111  # since 1970: 2025-06
@@ -213,6 +213,55 @@ def test_recordings_are_kept_for_a_time_and_in_a_room(tmp_path):
     assert there == [False, True, True]
     assert said.told("1 recordings are removed before their time")
     assert not list((made.folder / "recordings" / "R1").glob("*T*Z.json"))[2:]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
+@pytest.mark.parametrize("whole_head", [False, True])
+def test_a_damaged_record_of_the_spool_costs_itself_alone(tmp_path, share, whole_head):
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", BEGIN_US)
+    (spooled,) = made.add("R1", frames)
+    begins = [at for at, record in SpoolFile(spooled).records() if record.kind == FRAMES]
+    begin = begins[int(share * len(begins))]
+    damaged = bytearray(spooled.read_bytes())
+    damaged[begin + (20 if whole_head else 3)] ^= 1
+    spooled.write_bytes(damaged)
+    said = Lines()
+    make_parts(made.folder, spooled, said)
+    path = join_parts(made.folder, "R1", HOUR, said)
+    lost = len(frames) - len(times(path))
+    assert 0 < lost <= 50
+    if begin != begins[-1] or whole_head:  # else as a crash leaves it
+        assert spooled.with_suffix(".damaged").read_bytes() == damaged
+        assert said.told(f"{spooled}: damaged records are left out")
+
+
+def test_frames_whose_pose_is_damaged_in_the_spool_get_no_other(tmp_path):
+    made = SpooledSite(tmp_path)
+    frames = frames_at("R1", BEGIN_US)[:100]
+    moved = made.pose("R1", easting=690360.21)
+    for part, pose in ((frames[:50], None), (frames[50:], moved)):
+        (*_, spooled) = made.add("R1", part, pose=pose)
+    first, second = made.spool.closed
+    data = first.read_bytes() + second.read_bytes()  # as of one batch
+    at = data.rindex(moved)
+    spooled.write_bytes(data[:at] + b"?" + data[at + 1 :])
+    said = Lines()
+    make_parts(made.folder, spooled, said)
+    path = join_parts(made.folder, "R1", HOUR, said)
+    assert times(path) == [each.time_us for each in frames[:50]]
+    assert said.told("damaged records are left out")
+
+
+def test_frames_keep_their_pose_however_many_poses_come_before_the_disk(tmp_path):
+    """A sensor that follows its pose, after an outage: over 64 poses between two commits."""
+    fed = FedIntake(tmp_path)
+    for k in range(100):
+        key = fed.pose(pose_message(easting=690360.0 + 0.01 * k))
+        fed.frames(k + 1, frame(NOW_US - HOUR_US + 50_000 * k), key=key, first=k == 0)
+    fed.commit()
+    kinds = [each.kind for each in fed.spooled()]
+    assert (kinds.count(FRAMES), kinds.count(POSE)) == (100, 100)
 
 
 def test_a_file_of_the_spool_without_a_byte_holds_nothing(tmp_path):

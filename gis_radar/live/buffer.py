@@ -101,9 +101,12 @@ class DiskBuffer:
             if self._note() not in {kept, ""}:
                 self._put_aside(OTHER_TILES)
             self._database.execute("INSERT OR REPLACE INTO notes VALUES ('of', ?)", (kept,))
-        first, self.last = self._one("SELECT coalesce(min(number), 1), coalesce(max(number), 0) "
-                                     "FROM messages")  # fmt: skip
-        self.stored, self._appended = first - 1, 0
+        first, last, pose = self._one(
+            "SELECT coalesce(min(number), 0), coalesce(max(number), 0), "
+            "(SELECT coalesce(max(number), 1) FROM poses) FROM messages"
+        )
+        self.last = max(last, pose - 1)  # a pose holds for its number and the later ones
+        self.stored, self._appended = first - 1 if first else self.last, 0
         self.renew()
 
     def renew(self) -> None:
@@ -149,8 +152,11 @@ class DiskBuffer:
                 for table, names in _COLUMNS.items()
             ):
                 return True
-            odd = "SELECT 1 FROM messages WHERE number NOT BETWEEN 1 AND ?"
-            return self._database.execute(odd, (LAST_NUMBER,)).fetchone() is not None
+            odd = "SELECT 1 FROM {} WHERE number NOT BETWEEN 1 AND ?"
+            return any(
+                self._database.execute(odd.format(table), (LAST_NUMBER,)).fetchone() is not None
+                for table in ("messages", "poses")
+            )
         except UnicodeDecodeError:
             return True
         except sqlite3.Error as error:

@@ -126,9 +126,9 @@ class Done(Reporter):
 
 def take_up(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
     """Find what an earlier run left: hours to be made, and the quarters of the last day."""
-    make_recordings(site, spooled)
+    done = make_recordings(site, spooled)
     clear_unfinished(site.folder / PARTS)
-    done = Done(hours=sorted(waiting_hours(site.folder)))
+    done.hours = sorted(waiting_hours(site.folder))
     for path in sorted((site.folder / RECORDINGS).glob("*/*.parquet")):
         hour = hour_of_time(time_of_name(path.stem))
         if hour not in done.hours and _is_newer(path, site.dataset, hour):
@@ -149,9 +149,10 @@ def _is_newer(path: Path, dataset: Path, hour: int) -> bool:
 
 def make_recordings(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
     """Make parts of recordings of files of the spool."""
+    done = Done()
     for path in spooled:
-        make_parts(site.folder, path)
-    return Done()
+        make_parts(site.folder, path, done)
+    return done
 
 
 def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]) -> Done:

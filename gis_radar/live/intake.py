@@ -75,8 +75,10 @@ class KnownPose:
 
     Parameters
     ----------
+    message : bytes
+        The message that holds it.
     pose : Pose, optional
-        It; None for one that is refused.
+        The pose; None if refused.
     view : str
         Name of what the sensor sees from it.
     road_m : float
@@ -87,6 +89,7 @@ class KnownPose:
         Fingerprint of the tiles that it speaks of, where they are others.
     """
 
+    message: bytes
     pose: Pose | None
     view: str = ""
     road_m: float = float("nan")
@@ -396,23 +399,22 @@ class Intake:
             return
         found = PoseContent.unpack(message)
         if found.fingerprint != self._book.road.fingerprint:
-            known = KnownPose(pose=None, other_tiles=found.fingerprint)
+            known = KnownPose(message=message, pose=None, other_tiles=found.fingerprint)
         else:
             try:
-                known = self._known(name, found)
+                known = self._known(name, found, message)
                 sensor.pose = known.pose
             except InputError as error:
                 sensor.health.counts["damaged"] += 1
                 sensor.health.alarm("damaged", error.message)
-                known = KnownPose(pose=None)
+                known = KnownPose(message=message, pose=None)
         sensor.poses[key] = known
-        self._spool.poses[name, key] = message
         if self.vehicles is not None and known.pose is not None:
             self.vehicles.place(name, key, known.pose, known.road_m)
         if len(sensor.poses) > POSES_KEPT:
             self._forget(sensor, next(iter(sensor.poses)))
 
-    def _known(self, name: str, found: PoseContent) -> KnownPose:
+    def _known(self, name: str, found: PoseContent, message: bytes) -> KnownPose:
         what = Text("the pose of {}", name)
         pose = pose_from_dict(found.pose, what=what)
         if pose.sensor != name:
@@ -427,12 +429,11 @@ class Intake:
             self._map.views[view] = mask
         road_m = self._book.road_m[pose.sensor, view]
         numbers = PoseNumbers.of(pose, road_m=road_m)
-        return KnownPose(pose=pose, view=view, road_m=road_m, numbers=numbers)
+        return KnownPose(message=message, pose=pose, view=view, road_m=road_m, numbers=numbers)
 
     def _forget(self, sensor: SensorState, key: bytes) -> None:
         """Forget a pose; a sensor that names it again sends it again."""
         del sensor.poses[key]
-        self._spool.poses.pop((sensor.health.name, key), None)
         if self.vehicles is not None:
             self.vehicles.forget(sensor.health.name, key)
         known = {(each.pose.sensor, each.view) for state in self.sensors.values()
@@ -444,11 +445,12 @@ class Intake:
         self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
         key: bytes, frames: Sequence[FrameDetections],
     ) -> None:  # fmt: skip
-        health = sensor.health
+        health, known = sensor.health, sensor.poses[key]
         health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
-        self._received(sensor, SpooledFrames(health.name, key, message.payload), envelope, content)
+        spooled = SpooledFrames(health.name, known.message, message.payload)
+        self._received(sensor, spooled, envelope, content)
         self.touched |= {hour_of_time(each.time_us) for each in frames}
-        for step, seen in self._seen(frames, sensor.poses[key]):
+        for step, seen in self._seen(frames, known):
             health.counts["hits"] += len(seen.tiles)
             if not self._windows.add(health.name, step, seen):
                 health.counts["late_frames"] += 1

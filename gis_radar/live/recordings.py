@@ -31,7 +31,7 @@ from gis_radar.measures.frames import FrameIndex
 from gis_radar.measures.hour import MARGIN_STEPS
 from gis_radar.poses.files import PoseTrack, read_track, write_pose, write_track
 from gis_radar.poses.pose import pose_from_dict
-from gis_radar.progress import Reporter
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.steps import STEP_US, step_begin
 from gis_radar.texts import Text
@@ -91,8 +91,8 @@ def waiting_hours(folder: Path) -> set[int]:
     return found
 
 
-def make_parts(folder: Path, spooled: Path) -> None:
-    """Make parts of recordings of a file of the spool, then remove it.
+def make_parts(folder: Path, spooled: Path, reporter: Reporter = QUIET) -> None:
+    """Make parts of recordings of a file of the spool, then remove it; keep a damaged one aside.
 
     Killed at any moment, it is done again and gives the same.
 
@@ -114,7 +114,13 @@ def make_parts(folder: Path, spooled: Path) -> None:
                 number = f"{spooled.stem}-{numbers[hour]:04d}"
                 _write(folder / PARTS / sensor / f"{name}.{number}.parquet", _table(mine), poses)
     with output_errors(spooled):
-        spooled.unlink()
+        if file.damaged:
+            aside = spooled.replace(spooled.with_suffix(".damaged"))
+            reporter.warn(
+                "{}: damaged records are left out; the file is kept as {}", spooled, aside
+            )
+        else:
+            spooled.unlink()
 
 
 def _frames(
@@ -131,7 +137,10 @@ def _frames(
             poses[key] = PoseContent.unpack(record.payload).pose
         elif record.kind == FRAMES:
             pose, frames = unpack_detections(unpack_message(record.payload)[1])
-            rows += [(each, pose.hex()) for each in frames]
+            if pose.hex() in poses:
+                rows += [(each, pose.hex()) for each in frames]
+            else:  # its record is damaged
+                file.damaged = True
         if len(rows) >= AT_ONCE:
             yield rows
             rows = []
@@ -163,7 +172,7 @@ def _table(rows: Sequence[tuple[FrameDetections, str]]) -> pa.Table:
 
 def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
     """Write a table of rows whole, and to the disk."""
-    named = {key: poses[key] for key in sorted(table["pose"].unique().to_pylist()) if key in poses}
+    named = {key: poses[key] for key in sorted(table["pose"].unique().to_pylist())}
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with output_errors(path), writing_errors(path):
@@ -178,7 +187,7 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
 
 
 class JoinedRows:
-    """JoinedRows of a sensor from several files, each frame once.
+    """Rows of a sensor from several files; each frame occurs once.
 
     Parameters
     ----------
@@ -233,7 +242,7 @@ class JoinedRows:
         keys = self.table["pose"].take(pa.array(frames.begins)).to_pylist()
         poses, since, last = [], list[int](), None
         for key, step in zip(keys, (frames.time_us // STEP_US).tolist(), strict=True):
-            if key != last and key in self.poses and (not since or step > since[-1]):
+            if key != last and (not since or step > since[-1]):
                 poses.append(pose_from_dict(self.poses[key], what=Text("the pose of {}", sensor)))
                 since.append(step)
                 last = key

@@ -23,6 +23,8 @@ from gis_radar.files import output_errors
 HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; messages that were passed over
 ENDING = ".spool"
 _BEGIN = struct.Struct(">II")  # of a record: its length, and the CRC-32 of what follows
+_MOST_RECORD = 1 << 24  # bytes; the marks of thousands of sensors
+_ZEROS = bytes(8)  # that a power loss leaves at the end
 Marks = Mapping[str, Mapping[str, tuple[int, int]]]
 """By sensor and stream, up to which number it is stored, and the check sum of that message."""
 
@@ -35,7 +37,7 @@ class Record(NamedTuple):
     kind : int
         `HEAD`, `POSE`, `FRAMES` or `PASSED`.
     sensor : str
-        Of which sensor; empty for the head.
+        Name of the sensor; empty for the head.
     payload : bytes
         A message as it came, or the marks as JSON.
     """
@@ -53,7 +55,7 @@ class SpooledFrames(NamedTuple):
     sensor : str
         Whose it is.
     pose : bytes
-        Key of the pose that it names; empty for one that is passed over.
+        Message of the pose that it names; empty for one that is passed over.
     payload : bytes
         As it came.
     """
@@ -71,11 +73,6 @@ class Spool:
     folder : Path
         Of the files; made where there is none. The first one is begun by :meth:`rotate`.
 
-    Attributes
-    ----------
-    poses : dict
-        By sensor and key, the message of each pose that frames may name.
-
     Raises
     ------
     OutputError
@@ -84,7 +81,6 @@ class Spool:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.poses: dict[tuple[str, bytes], bytes] = {}
         self._waiting: list[SpooledFrames] = []
         self._batch: list[SpooledFrames] = []
         self._handle, self._size, self._path = -1, 0, folder
@@ -122,10 +118,10 @@ class Spool:
         """
         written, parts = set(self._written), list[bytes]()
         for each in self._batch:
-            key = (each.sensor, each.pose)
-            if each.pose and key not in written and key in self.poses:
-                written.add(key)
-                parts.append(_packed(Record(POSE, each.sensor, self.poses[key])))
+            named = (each.sensor, each.pose)
+            if each.pose and named not in written:
+                written.add(named)
+                parts.append(_packed(Record(POSE, each.sensor, each.pose)))
             kind = FRAMES if each.pose else PASSED
             parts.append(_packed(Record(kind, each.sensor, each.payload)))
         self._append(b"".join(parts))
@@ -195,34 +191,53 @@ def spool_files(folder: Path) -> list[Path]:
 
 
 class SpoolFile:
-    """A file of the spool, to be read; it ends where a record is not whole.
+    """A file of the spool, to be read; damaged records are skipped.
 
     Parameters
     ----------
     path : Path
         The file.
+
+    Attributes
+    ----------
+    damaged : bool
+        Whether :meth:`records` skipped bytes that are not the torn end of a crash.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.damaged = path, False
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield all records, each with where it begins."""
-        at = 0
-        while (record := self.at(at)) is not None:
+        at = end = 0  # end: of the last whole record
+        while at < len(self._data):
+            if (record := self.at(at)) is None:
+                at += 1
+                continue
+            self.damaged = self.damaged or at > end
             yield at, record
-            at += _BEGIN.size + _BEGIN.unpack_from(self._data, at)[0]
+            at = end = at + _BEGIN.size + _BEGIN.unpack_from(self._data, at)[0]
+        self.damaged = self.damaged or not self._is_torn(end)
+
+    def _is_torn(self, end: int) -> bool:
+        """Return whether what follows the last whole record was never written whole."""
+        rest = len(self._data) - end - _BEGIN.size
+        if rest < 0 or self._data[-len(_ZEROS) :] == _ZEROS:
+            return True
+        return bool(_BEGIN.unpack_from(self._data, end)[0] > rest)
 
     def at(self, at: int) -> Record | None:
         """Return the record that begins somewhere; None where none does that is whole."""
         if at + _BEGIN.size > len(self._data):
             return None
         size, check = _BEGIN.unpack_from(self._data, at)
+        if not 3 <= size <= min(_MOST_RECORD, len(self._data) - at - _BEGIN.size):
+            return None
         body = bytes(self._data[at + _BEGIN.size : at + _BEGIN.size + size])
-        if len(body) < size or size < 3 or zlib.crc32(body) != check:
+        if zlib.crc32(body) != check:
             return None
         kind, length = struct.unpack_from(">BH", body)
         return Record(kind, body[3 : 3 + length].decode(), body[3 + length :])
