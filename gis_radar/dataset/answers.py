@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -29,8 +30,19 @@ def plain_schema(schema: pa.Schema) -> pa.Schema:
 
 
 def plain(table: pa.Table) -> pa.Table:
-    """Return an answer with times in UTC and 64-bit numbers."""
-    return table.cast(plain_schema(table.schema))
+    """Return an answer with times in UTC and 64-bit numbers.
+
+    Raises
+    ------
+    UsageError
+        If a number needs more.
+    """
+    try:
+        return table.cast(plain_schema(table.schema))
+    except pa.ArrowInvalid as error:
+        raise UsageError(
+            "a number of the answer has over 64 bits", hint="cast it, as in sum(step)::DOUBLE"
+        ) from error
 
 
 def texts(table: pa.Table) -> pa.Table:
@@ -51,8 +63,19 @@ def stamped(table: pa.Table) -> pa.Table:
 
 
 def _iso(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    is_time = pa.types.is_timestamp(column.type) and column.type.tz
-    return pc.strftime(column, format="%Y-%m-%dT%H:%M:%SZ") if is_time else column
+    """Return times and days as ISO 8601 text, and what neither CSV nor JSON has as JSON text."""
+    kind = column.type
+    if pa.types.is_timestamp(kind) and kind.tz:
+        return pc.strftime(column, format="%Y-%m-%dT%H:%M:%SZ")
+    if pa.types.is_date(kind) or pa.types.is_time(kind) or pa.types.is_timestamp(kind):
+        return column.cast(pa.string())
+    others = (pa.types.is_struct, pa.types.is_map, pa.types.is_binary, pa.types.is_interval)
+    if any(is_one(kind) for is_one in (*others, pa.types.is_duration)):
+        values = (
+            each if each is None else json.dumps(each, default=str) for each in column.to_pylist()
+        )
+        return pa.chunked_array([pa.array(values, pa.string())])
+    return column
 
 
 def _short(column: pa.ChunkedArray) -> pa.ChunkedArray:

@@ -65,6 +65,21 @@ def test_answers_are_written(run, folder, tmp_path, kind):
     assert list(found["lanelets"].iloc[0]) == list(wanted)
 
 
+def test_days_times_and_structs_are_text(run, folder, tmp_path):
+    sql = "SELECT time::DATE AS day, {'a': 1} AS pair, INTERVAL 1 DAY AS span FROM hits LIMIT 1"
+    (row,) = last_line(run("query", folder, sql, "--json"))["summary"]["rows"]
+    assert (row["day"], json.loads(row["pair"])) == ("2023-11-14", {"a": 1})
+    for name in ("q.csv", "q.parquet"):
+        assert run("query", folder, sql, "-o", tmp_path / name)[0] == 0
+    assert pd.read_csv(tmp_path / "q.csv")["day"].tolist() == ["2023-11-14"]
+
+
+def test_a_number_over_64_bits_is_named(run, folder):
+    code, _, err = run("query", folder, "SELECT 9223372036854775807::HUGEINT * 2 AS x")
+    assert code == 2
+    assert "over 64 bits" in err
+
+
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
