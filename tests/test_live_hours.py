@@ -2,6 +2,7 @@
 
 import multiprocessing
 from concurrent.futures import Future
+from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -11,14 +12,14 @@ from live_site import wait_for
 
 import gis_radar as gr
 from gis_radar.dataset import read_hours
-from gis_radar.errors import OutputError
+from gis_radar.errors import InputError
 from gis_radar.live import hour_work
 from gis_radar.live.hour_work import (
     QUARTER_US,
     Done,
     make_hours,
     make_quarter,
-    refuse_other_tiles,
+    refuse_other_settings,
     take_up,
 )
 from gis_radar.live.jobs import HourJobs
@@ -119,9 +120,13 @@ def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path
     made.add("R2", same)  # the same frames for two sensors
     recorded_at(made, FULL_US + 2 * HOUR_US)
     done = make_hours(made.site, made.spool.closed, [HOUR, HOUR + 2])
-    (said,) = [text for text in done.said if "is not measured" in text]
+    (said,) = done.not_measured
+    assert "is not measured" in said
     assert "those of R1" in said
     assert list(read_hours(made.site.dataset)) == [HOUR + 3]
+    make_hours(replace(made.site, keep_s=1.0), [], [])  # what is measured is old and goes
+    there = {path.stem for path in (made.folder / "recordings").glob("*/*.parquet")}
+    assert there == {recording_path(made.folder, "R1", HOUR).stem}
 
 
 def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
@@ -135,11 +140,31 @@ def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
     assert made.parts() == before
 
 
-def test_a_dataset_of_other_tiles_is_refused(tmp_path):
+def test_a_dataset_of_other_tiles_or_settings_is_refused(tmp_path):
     made = SpooledSite(tmp_path)
     make_hours(made.site, recorded_at(made, FULL_US - 50_000_000), [HOUR])
-    with pytest.raises(OutputError, match="was measured with other tiles"):
-        refuse_other_tiles(made.site.dataset, "00" * 16)
+    tiles = gr.read_tiles(made.site.tiles)
+    refuse_other_settings(made.site, tiles, None)
+    with pytest.raises(InputError, match="tiles"):
+        refuse_other_settings(made.site, tiles.iloc[1:], None)
+    other = {"filters": gr.Filters(min_speed=1.0), "cycles": {"R1": 0.15}}
+    for (name, value), says in zip(
+        other.items(), ("settings: filters", "cycle of R1"), strict=True
+    ):
+        with pytest.raises(InputError, match=says):
+            refuse_other_settings(replace(made.site, **{name: value}), tiles, None)
+
+
+def test_each_hour_that_is_not_measured_is_named(tmp_path):
+    said = Lines()
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said)
+    for hour in (HOUR, HOUR + 1):
+        jobs.touch([hour])
+        jobs._quarter = 1 << 40
+        jobs.turn_at(end_of_hour_s(hour) + 1.0, end_of_hour_s(hour) + 1.0)
+        jobs.end(Done(not_measured=[f"{hour} is not measured: why"]))
+        jobs._take()
+    assert said.lines == [f"{hour} is not measured: why" for hour in (HOUR, HOUR + 1)]
 
 
 class JobsHere(HourJobs):

@@ -148,3 +148,9 @@ def test_a_recording_that_ends_before_the_pose_is_known_is_used_as_far_as_it_goe
     edge._outbox.pump = lambda: None
     edge._end_of_source(edge_module.Event())
     assert edge.frames == 700
+
+
+def test_frames_are_counted_whose_pose_the_buffer_refuses(run, monkeypatch):
+    monkeypatch.setattr(Outbox, "put_pose", lambda *_: False)
+    edge, _ = run(50)
+    assert (edge.frames, edge.not_sent) == (50, 50)

@@ -41,7 +41,7 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
-from gis_radar.sight import Sight, SightTiles, describe_sight, open_sight
+from gis_radar.sight import Sight, SightSource, SightTiles, describe_sight, open_sight
 from gis_radar.steps import zone_of
 from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint
@@ -220,12 +220,7 @@ def _given(
     entries = _each_once(entries, reporter)
     _refuse_clearance(settings.filters, book.road, entries)
     graph, settings = _lanes(roads, settings, entries, reporter)
-    west, south = np.floor(tiles.total_bounds[:2]).astype(int).tolist()
-    manifest = Manifest(
-        map=digest, fingerprint=fingerprint(tiles), crs=name_of(tiles.crs),
-        origin=(west, south), timezone=timezone,
-        settings={"sight": describe_sight(book.scan), **settings.as_dict()},
-    )  # fmt: skip
+    manifest = manifest_of(tiles, digest, book.scan, settings, timezone)
     return _Given(
         map_file=map_path, roads=roads, manifest=manifest, tiles=tiles, graph=graph,
         settings=settings,
@@ -247,6 +242,19 @@ def _refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]
                 named,
                 hint="name recordings and poses in the same order",
             )
+
+
+def manifest_of(
+    tiles: gpd.GeoDataFrame, digest: str, scan: SightSource | None, settings: MeasureSettings,
+    timezone: str,
+) -> Manifest:  # fmt: skip
+    """Return the manifest of a new dataset of a map's digest and what hides its tiles."""
+    west, south = np.floor(tiles.total_bounds[:2]).astype(int).tolist()
+    return Manifest(
+        map=digest, fingerprint=fingerprint(tiles), crs=name_of(tiles.crs),
+        origin=(west, south), timezone=timezone,
+        settings={"sight": describe_sight(scan), **settings.as_dict()},
+    )  # fmt: skip
 
 
 def _refuse_clearance(
@@ -333,7 +341,7 @@ def _add(
     manifest = given.manifest if is_new else Manifest.read(folder)
     if not is_new:
         given = _as_before(given, manifest)
-        _require_same(folder, manifest, given)
+        require_same_settings(folder, manifest, given.manifest)
     before = Registry(folder=folder, fingerprint=manifest.fingerprint)
     before = before if is_new else Registry.read(folder, manifest.fingerprint)
     _remark_on_changes(before, given, manifest, reporter)
@@ -392,8 +400,14 @@ def _as_before(given: _Given, found: Manifest) -> _Given:
     return replace(given, settings=settings, manifest=manifest, graph=None)
 
 
-def _require_same(folder: Path, found: Manifest, given: _Given) -> None:
-    mine = given.manifest
+def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None:
+    """Refuse to add to a dataset of another site, or measured with other settings.
+
+    Raises
+    ------
+    InputError
+        If they differ.
+    """
     require_same_site(
         folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
     )

@@ -43,7 +43,7 @@ class Waiting(NamedTuple):
     number : int
         Its number.
     first : bool
-        Whether the one before it is not kept.
+        True if no earlier message is in the buffer.
     content : bytes
         What it holds.
     """

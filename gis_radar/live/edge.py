@@ -276,7 +276,9 @@ class Edge:
 
     def _select(self, frame: Detections) -> None:
         """Keep the detections near the road for fusion, where the pose is known."""
-        if self._pose is None:
+        if self._pose is None:  # the buffer refused it
+            self.frames += 1
+            self.not_sent += 1
             return
         found = self._selector.find(frame, self._pose, road_m=self._road_m)
         self.frames += 1

@@ -20,7 +20,7 @@ from gis_radar.live.background import BackgroundTask
 from gis_radar.live.broker import FUSION, Link, SensorTopics
 from gis_radar.live.first_run import NOT_COMPILED, compile_first, run_fusion_once
 from gis_radar.live.health import prometheus_text, serve_metrics
-from gis_radar.live.hour_work import MeasuredSite, refuse_other_tiles
+from gis_radar.live.hour_work import MeasuredSite, refuse_other_settings
 from gis_radar.live.intake import Intake, Mark, SensorState
 from gis_radar.live.jobs import HourJobs
 from gis_radar.live.lane_push import LanePush
@@ -105,7 +105,7 @@ class Fusion:
             timezone=site.timezone, vehicles=site.live.vehicles, keep_s=site.live.keep,
             most_bytes=1e9 * site.live.gigabytes,
         )  # fmt: skip
-        refuse_other_tiles(measured.dataset, road.fingerprint)
+        refuse_other_settings(measured, self.tiles, scan)
         self._dataset = measured.dataset
         self.vehicles = _vehicles(site, self.tiles, names, reporter)
         self.quarters = Quarters()

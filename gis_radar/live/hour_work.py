@@ -5,14 +5,17 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
+
 from gis_radar.dataset import Dataset, clear_unfinished, hour_text, open_dataset, record_path
+from gis_radar.dataset.hour_job import MeasureSettings
 from gis_radar.dataset.manifest import Manifest
-from gis_radar.dataset.measure import measure
-from gis_radar.errors import InputError, OutputError
+from gis_radar.dataset.measure import manifest_of, measure, require_same_settings
+from gis_radar.errors import InputError
 from gis_radar.files import output_errors
 from gis_radar.live.quarters import KEPT, Lately, read_quarters
 from gis_radar.live.recordings import (
@@ -33,9 +36,13 @@ from gis_radar.live.recordings import (
     waiting_hours,
 )
 from gis_radar.measures.settings import Filters
+from gis_radar.measures.validity import validity_of
 from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
+from gis_radar.sight import SightSource
+from gis_radar.texts import Text
 from gis_radar.tiles import read_tiles
+from gis_radar.tracking.map_check import map_of_tiles
 
 DATASET, PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
 QUARTER_US = HOUR_US // 4
@@ -102,12 +109,14 @@ class MeasuredSite:
 
 @dataclass(kw_only=True)
 class Done(Reporter):
-    """What a piece of work found; it takes warnings meanwhile.
+    """Result of a job, with its warnings.
 
     Parameters
     ----------
     said : list of str
         Warnings.
+    not_measured : list of str
+        What keeps an hour from being measured.
     quarters : list of Lately
         What was measured.
     hours : list of int
@@ -115,6 +124,7 @@ class Done(Reporter):
     """
 
     said: list[str] = field(default_factory=list)
+    not_measured: list[str] = field(default_factory=list)
     quarters: list[Lately] = field(default_factory=list)
     hours: list[int] = field(default_factory=list)
 
@@ -179,20 +189,29 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
             if found:
                 site.measure(found, site.dataset, before_hour=before_hour, reporter=done)
         except InputError as error:  # the recordings stay; other hours are made all the same
-            done.warn("{} is not measured: {}", hour_text(hour), error.message)
+            done.not_measured.append(Text("{} is not measured: {}", hour_text(hour), error.message))
     _read_day(site, done)
     for path in (site.folder / PROVISIONAL).glob("2*"):
         if time_of_name(path.name) // HOUR_US < before_hour:
             shutil.rmtree(path, ignore_errors=True)
-    remove_old(site.folder, keep_s=site.keep_s, most_bytes=site.most_bytes, reporter=done)
+    measured = _measured(site)
+    remove_old(
+        site.folder, keep_s=site.keep_s, most_bytes=site.most_bytes, reporter=done,
+        is_needed=lambda path: path.resolve().as_posix() not in measured,
+    )  # fmt: skip
     return done
+
+
+def _measured(site: MeasuredSite) -> set[str]:
+    """Return the paths of the recordings that are in the dataset."""
+    there = Manifest.is_there(site.dataset)
+    return set(open_dataset(site.dataset).recordings()["path"]) if there else set()
 
 
 def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: Done) -> Path | None:
     """Return the recording of an hour with all that came of it; None where there is none."""
     path = recording_path(site.folder, sensor, hour)
-    known = Manifest.is_there(site.dataset) and not path.exists()
-    if known and path.resolve().as_posix() in set(open_dataset(site.dataset).recordings()["path"]):
+    if not path.exists() and path.resolve().as_posix() in _measured(site):
         parts = parts_of_hour(site.folder, sensor, hour)
         if parts:
             done.warn(
@@ -249,17 +268,33 @@ def _quarters_in(site: MeasuredSite, folder: Path, quarters: Sequence[int]) -> l
     return read_quarters(open_dataset(folder), read_tiles(site.tiles), quarters)
 
 
-def refuse_other_tiles(dataset: Path, fingerprint: str) -> None:
-    """Refuse a dataset of other tiles.
+def refuse_other_settings(
+    site: MeasuredSite, tiles: gpd.GeoDataFrame, scan: SightSource | None
+) -> None:
+    """Refuse a dataset to which no hour could be added.
 
     Raises
     ------
-    OutputError
-        If there is one.
+    InputError
+        If it was measured with other tiles, another map or other settings.
     """
-    if Manifest.is_there(dataset) and Manifest.read(dataset).fingerprint != fingerprint:
-        raise OutputError(
-            "{}: was measured with other tiles",
-            dataset,
-            hint="name another folder in [live], or move this one away",
-        )
+    if not Manifest.is_there(site.dataset):
+        return
+    found = Manifest.read(site.dataset)
+    settings = MeasureSettings(filters=site.filters)
+    if not site.vehicles or found.settings.get("vehicles") is None:
+        settings = replace(settings, vehicles=None)
+    _, described = map_of_tiles(site.map, tiles)
+    mine = manifest_of(tiles, described["digest"], scan, settings, site.timezone)
+    require_same_settings(site.dataset, found, mine)
+    valid_s = validity_of(site.cycles, site.sensors)
+    known = open_dataset(site.dataset).recordings()
+    for sensor, before_s in zip(known["sensor"], known["validity_s"], strict=True):
+        if valid_s.get(sensor, before_s) != before_s:
+            raise InputError(
+                "{}: was measured with another {} of {}",
+                site.dataset,
+                "cycle",
+                sensor,
+                hint="state the same cycle, or name another folder in [live]",
+            )

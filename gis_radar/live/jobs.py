@@ -1,7 +1,7 @@
 """Which hours and quarters are to be measured, and the worker that does it beside fusion.
 
-One process at low priority, one piece of work at a time: fusion and its map never wait for it, and
-how far it is behind is told.
+One process at low priority, one piece of work at a time: fusion and its map never wait for it.
+The log reports the backlog.
 """
 
 from __future__ import annotations
@@ -194,6 +194,8 @@ class HourJobs:
         self.touch(done.hours)
         self._quarters.add(done.quarters)
         self._say(done.said)
+        for line in done.not_measured:  # each hour: its recordings wait
+            self._reporter.warn(line)
 
     def touch(self, hours: Iterable[int]) -> None:
         """Take note of hours of which frames came."""

@@ -114,7 +114,7 @@ class NowFilter:
         self._filter = ForwardFilter(self.graph, self.tracker.forward, moving_mps=moving)
 
     def take(self, detections: MapDetections) -> None:
-        """Take detections; what is not later than the last moment told comes too late."""
+        """Take detections. Detections older than the last published moment are dropped."""
         self._waiting.append(detections.take(detections.time > self._reached))
 
     def go_on(self, until: float) -> None:

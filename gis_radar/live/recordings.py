@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -298,8 +298,11 @@ def track_beside(path: Path) -> PoseTrack:
     return read_track(alone if alone.exists() else path.with_suffix(".csv"))
 
 
-def remove_old(folder: Path, *, keep_s: float, most_bytes: float, reporter: Reporter) -> None:
-    """Remove recordings that are too old, or for which there is no room, the oldest first."""
+def remove_old(
+    folder: Path, *, keep_s: float, most_bytes: float, reporter: Reporter,
+    is_needed: Callable[[Path], bool] = lambda _: False,
+) -> None:  # fmt: skip
+    """Remove recordings that are too old and not needed, or that have no room, the oldest first."""
     paths = sorted((folder / RECORDINGS).glob("*/*.parquet"), key=lambda each: each.name)
     sizes = {each: each.stat().st_size for each in paths}
     before = name_of_time(int((time.time() - keep_s) * 1e6))
@@ -309,7 +312,10 @@ def remove_old(folder: Path, *, keep_s: float, most_bytes: float, reporter: Repo
         full = total > most_bytes and path.name not in newest
         if path.name >= before and not full:
             break
-        crowded += path.name >= before
+        needed = is_needed(path)
+        if needed and not full:
+            continue
+        crowded += needed or path.name >= before
         total -= sizes[path]
         for each in (path, path.with_suffix(".json"), path.with_suffix(".csv")):
             with output_errors(each):
