@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 
 import gis_radar as gr
 from gis_radar.errors import InputError
 from gis_radar.site.settings import Site, site_reference
-from gis_radar.site.values import lines_of, table_of
+from gis_radar.site.values import Name, lines_of, table_of
 
 ROOT = Path(__file__).parents[1]
 FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.json")
@@ -259,3 +260,9 @@ def test_lines_are_those_of_the_keys(tables, spaced):
             expected[name, counts[name], each] = len(lines)
     assert lines_of("\n".join(lines)) == expected
     tomllib.loads("\n".join(lines))
+
+
+@pytest.mark.parametrize("name", ["R+", "R#1"])
+def test_wildcards_of_mqtt_are_no_names(name):
+    with pytest.raises(ValueError, match="a name that a folder can have"):
+        TypeAdapter(Name).validate_python(name)

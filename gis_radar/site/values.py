@@ -34,7 +34,7 @@ from gis_radar.steps import (
 from gis_radar.texts import Text
 
 _WILD = frozenset("*?[")
-_NOT_IN_NAMES = frozenset('/\\:*?"<>|')
+_NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
 
 Steps = tuple[str | int, ...]
 
@@ -66,7 +66,7 @@ def _name(value: Any) -> str:
     text = _text(value)
     if text.startswith(".") or text != text.strip() or text[-1] == "." or _NOT_IN_NAMES & {*text}:
         raise Unfit(
-            Text('a name that a folder can have: without / \\ : * ? " < > | and no leading dot')
+            Text('a name that a folder can have: without / \\ : * ? " < > | + # and no leading dot')
         )
     return text
 
