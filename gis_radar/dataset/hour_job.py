@@ -62,7 +62,7 @@ METHOD = 2
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
-LEAST_TOLD = 2  # detections of a frame that tell it from others
+LEAST_TOLD = 2  # fewest detections for which equal hashes prove equal frames
 
 
 @dataclass(frozen=True, kw_only=True)

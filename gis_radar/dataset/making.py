@@ -79,7 +79,7 @@ def change(
     site : HourSite
         What all hours have in common.
     before, after : Registry
-        As it is, and as it shall be; in the latter the hours are missing that are to be made again.
+        Registry before and after; `after` omits the hours to recompute.
     known : iterable of RecordingEntry
         Recordings that were looked at just now.
     before_hour : int, optional

@@ -78,7 +78,7 @@ class RecordingEntry:
 
     @property
     def key(self) -> tuple[str, float, str]:
-        """What orders recordings."""
+        """Sort key: sensor, first frame, digest."""
         return self.sensor, self.first_time, self.digest
 
     @property

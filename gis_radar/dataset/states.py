@@ -44,7 +44,7 @@ def states_of(
         `vehicle, step, easting, northing` (m, the middle of the footprint), `heading` (degrees),
         `speed` (m/s), `lanelet_id, s_m, d_m` (null off the lanes), `seen`; by step and vehicle.
     """
-    # The states before and after the span tell those at its ends.
+    # Read one state beyond each end, to interpolate.
     wide = None if span is None else (span[0] - EVERY, span[1] + EVERY)
     tables = (dataset.batches(table, wide) for table in (TRACKS, VEHICLES))
     ahead = dict(dataset.continued().astype(np.int64).itertuples(index=False, name=None))

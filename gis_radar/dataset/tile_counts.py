@@ -49,8 +49,8 @@ class RunErrorSettings:
     end_most_s : float
         No more than this, seconds: both ends of a vehicle that stops, at 1.5 m/s.
     false_share : float
-        Root of the variance of a run that was seen, relative to its length, by vehicles that are
-        none and such that are missing: 5 % of each.
+        Root of the variance of a run that was seen, relative to its length, from false
+        and missed vehicles: 5 % of each.
     inferred_share : float
         The same of a run that was inferred: 25 % of each kind.
     """
@@ -118,7 +118,7 @@ class _Runs:
         )
 
     def during(self, others: _Runs) -> _Runs:
-        """Return the parts of runs while others last."""
+        """Intersect the runs with others."""
         low = np.searchsorted(others.last, self.first)
         count = np.searchsorted(others.first, self.last, side="right") - low
         return self._cut(count, others.first[at := ranges(low, count)], others.last[at])

@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.measures.rows import fresh
 from gis_radar.recordings.recording import Detections
 
 OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatch.from_pydict({})
@@ -72,3 +71,10 @@ class FrameIndex:
     def count(self, flags: Booleans) -> Integers:
         """Return for each frame how many of its rows have a flag set."""
         return np.add.reduceat(flags.astype(np.int64), self.begins)
+
+
+def fresh(values: Integers | Floats) -> Booleans:
+    """Return which values differ from the one before; the first one does."""
+    differs = np.ones(len(values), dtype=np.bool_)
+    np.not_equal(values[1:], values[:-1], out=differs[1:])
+    return differs

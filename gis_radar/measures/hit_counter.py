@@ -30,7 +30,6 @@ from gis_radar.measures.counting_loop import (
     end_frame,
 )
 from gis_radar.measures.placing import Places, PoseNumbers
-from gis_radar.measures.rows import fresh
 from gis_radar.measures.settings import DEFAULTS, Filters, HitSettings
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections, RangeCounts
@@ -40,7 +39,6 @@ from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
 from gis_radar.tiles.lookup import Numbers, TileGrid
 
 ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # filled in at once; 224 KiB, 1 MiB
-PRIME = 65521  # the largest under 2**16
 NO_TILES: Integers = np.empty(0, np.int64)
 
 
@@ -163,7 +161,7 @@ class CountedFrame:
     ----------
     time_us : int
         Microseconds since the UNIX epoch.
-    detections, moving, wild, checksum : int
+    detections, moving, wild : int
         As in the frame log.
     tiles : (k,) int64 array
         Positions of the tiles that it hits, ascending, as :func:`encode_tiles` takes them.
@@ -173,7 +171,6 @@ class CountedFrame:
     detections: int
     moving: int
     wild: int
-    checksum: int
     tiles: Integers
 
 
@@ -235,19 +232,10 @@ class FrameCounter:
         return [
             CountedFrame(
                 time_us=frame[TIME_US], detections=frame[DETECTIONS], moving=frame[MOVING],
-                wild=frame[WILD], checksum=checksum, tiles=np.sort(hit),
+                wild=frame[WILD], tiles=np.sort(hit),
             )
-            for frame, checksum, hit in zip(
-                frames.tolist(), _checksums(detections), np.split(tiles, begins), strict=True
-            )
+            for frame, hit in zip(frames.tolist(), np.split(tiles, begins), strict=True)
         ]  # fmt: skip
-
-
-def _checksums(detections: Detections) -> list[int]:
-    """Return a 16-bit sum over the positions of each frame."""
-    x, y = (detections.points[:, k].astype(np.float32).view(np.uint32) for k in range(2))
-    sums = np.add.reduceat(x.astype(np.int64) + y, np.flatnonzero(fresh(detections.time)))
-    return [int(each) for each in sums % PRIME]
 
 
 def limits_of(filters: Filters, settings: HitSettings) -> Limits:

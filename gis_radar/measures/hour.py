@@ -10,7 +10,7 @@ STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
 MARGIN_STEPS = 120 * STEPS_PER_SECOND
 """Steps on either side of an hour that vehicles are known by (the contract: two minutes)."""
 LONGEST_VALID_STEPS = 64
-"""More steps than any frame is valid after its own: 1.5 x the slowest cycle are 3 s."""
+"""Upper bound of validity in steps: 1.5 x the slowest cycle are 3 s, 60 steps."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,7 +51,7 @@ class ValidFrames:
 
     @classmethod
     def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
-        """Return those of a sensor whose frames are valid in so many steps after their own."""
+        """Compute the steps with a frame and the last step in which each is valid."""
         step = each_once(sensor.frames.time_us // STEP_US)
         before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
         return cls(step=step, until=np.minimum(step + most, before_next))

@@ -72,7 +72,7 @@ class RecordingCounts:
     views : set of str
         Views that the sensor had.
     movement : dict
-        By the view that the sensor had first where it stood, frames with movement on each tile.
+        By the first view after the last move, frames with movement on each tile.
     frames : dict
         By the same view, all frames.
     """
