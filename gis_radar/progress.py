@@ -59,8 +59,9 @@ def one_line(text: str, most: int = 2_000) -> str:
     if len(text) > most:
         text = f"{text[: most - 150]} ... {text[-100:]}"
     line = re.sub(r"[ \t\n\v\f\r]+", " ", text).strip()
-    return "".join(each if each.isprintable() or each in _BLANKS else ascii(each)[1:-1]
+    line = "".join(each if each.isprintable() or each in _BLANKS else ascii(each)[1:-1]
                    for each in line)  # fmt: skip
+    return text if line == text else line  # a Text keeps what it is translated by
 
 
 def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:

@@ -46,6 +46,7 @@ from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
 from gis_radar.live.web_server import WebServer
 from gis_radar.site.live_table import PageTable
 from gis_radar.steps import step_begin
+from gis_radar.texts import Text
 
 VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
 
@@ -283,7 +284,8 @@ def colours_of(element):
 @pytest.mark.parametrize(("width", "language"), [(1280, "en"), (390, "de")])
 def test_the_page_in_a_browser(live, address, chromium, width, language):
     live.at, live.silent = live.first + 1200, {"R2"}
-    live.alarms = {"R1": {"clock": "frames come +1,234 ms after their time at the least"}}
+    late = Text("frames come {:+,.0f} ms after their time at the least", 1234.0)
+    live.alarms = {"R1": {"clock": late}}
     wide(chromium, width)
     chromium.get_log("browser")
     chromium.get(f"{address}/?lang={language}")
