@@ -39,9 +39,9 @@ from gis_radar.calibration import MONITOR
 from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
 from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.state import State
 from gis_radar.calibration.stationary_targets import StationaryTargets
+from gis_radar.calibration.traces import Moving
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network

@@ -22,9 +22,9 @@ from gis_radar.calibration.kalman_filter import Estimate, Innovation, Measuremen
 from gis_radar.calibration.lane_places import LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
 from gis_radar.calibration.moves import FAR_WINDOW, MoveTest, Scatter, score
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.settings import ALARM, MONITOR
 from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.progress import Reporter

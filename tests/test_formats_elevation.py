@@ -16,8 +16,7 @@ from streets import Street
 from test_formats_bags import clouds, write_bag
 
 import gis_radar as gr
-from gis_radar.calibration import ClockSettings
-from gis_radar.calibration.lane_detections import LaneMatcher
+from gis_radar.calibration.lane_detections import lanelets_of, read_lane_detections
 from gis_radar.calibration.surroundings import read_slow
 from gis_radar.cli import group
 from gis_radar.errors import InputError, NoAnswerError
@@ -283,9 +282,11 @@ def test_clocks_match_them_to_lanes(tmp_path):
     counts = []
     for name, seen in (("full", points), ("level", slant(points))):
         path = recording(tmp_path / f"{name}.parquet", time, seen, range_rate=8.0)
-        lanes = LaneMatcher(crossing(ROAD_M), ClockSettings())
-        rows = next(open_recording(path).read())
-        counts.append(len(lanes.match(rows, as_track(pose())).time))
+        lanelets = lanelets_of(crossing(ROAD_M))
+        found = read_lane_detections(
+            open_recording(path), as_track(pose()), lanelets, time[0], Notes()
+        )
+        counts.append(len(found))
     assert counts[0] > 50
     assert counts[1] > 0.8 * counts[0]
 

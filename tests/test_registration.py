@@ -24,7 +24,6 @@ from gis_radar.calibration.certainty import (
 from gis_radar.calibration.hypotheses import Hypothesis, level, look_around, prior_at
 from gis_radar.calibration.lanes import Lanes, Scene, match, place, sample_lanes
 from gis_radar.calibration.model import MODEL
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.residuals import (
     STRAY_HEIGHT_M,
     STRAY_SHARE,
@@ -39,7 +38,7 @@ from gis_radar.calibration.residuals import (
 from gis_radar.calibration.settings import LOCALIZATION, Schedule
 from gis_radar.calibration.solver import at_least, solve
 from gis_radar.calibration.state import SIZE, TURN, State, angles_from_turn
-from gis_radar.calibration.traces import Samples, link_tracks, thin
+from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
 from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import Pose
 

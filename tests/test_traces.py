@@ -12,8 +12,8 @@ from sites import START, recording, table
 
 from gis_radar.calibration import LOCALIZATION
 from gis_radar.calibration.icp import source_voxels, voxels
-from gis_radar.calibration.moving import Moving, MovingWindow, read_moving
-from gis_radar.calibration.traces import link_tracks, thin, vehicles_of
+from gis_radar.calibration.moving import MovingWindow, read_moving
+from gis_radar.calibration.traces import Moving, link_tracks, thin, vehicles_of
 from gis_radar.recordings.recording import Detections
 
 

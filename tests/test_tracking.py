@@ -21,7 +21,7 @@ from gis_radar.calibration import MONITOR, draw_track, track
 from gis_radar.calibration.kalman_filter import Measurement
 from gis_radar.calibration.monitor import Follower, _cycles, start_estimate
 from gis_radar.calibration.moves import agreement
-from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
 from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError

@@ -129,6 +129,10 @@ class Adjusted:
         From the poses as they were to the adjusted ones: easting, northing, yaw.
     covariance : (3 n, 3 n) array
         Of the adjusted ones.
+    clocks_s : (n,) array
+        How far each clock is ahead.
+    clock_covariance : (n, n) array
+        Of these.
     misfit : dict
         By pair of sensors, how far the single answers are from what the correspondences say,
         chi-square of three degrees of freedom.
@@ -136,41 +140,16 @@ class Adjusted:
 
     step: Floats
     covariance: Floats
+    clocks_s: Floats
+    clock_covariance: Floats
     misfit: Mapping[Edge, float]
 
-
-def clock_gap(
-    matched: Correspondences,
-    away: Floats,
-    covariances: Sequence[Floats],
-) -> tuple[float, float]:
-    """Return by how much the clock of the other sensor is ahead of the one's, and its sigma, s.
-
-    Clocks are allowed to be off by a second. Traffic in opposite directions separates an error of
-    a clock from one of a place; where all of it goes one way, sigma becomes large.
-
-    Parameters
-    ----------
-    matched : Correspondences
-        Of two sensors.
-    away, covariances
-        Of the two: (2, 3), and two (3, 3) arrays.
-    """
-    nuisance = _nuisance([FREE_CLOCK_S] * 2)
-    prior = np.diag([*[0.0] * OWN, *nuisance])
-    for k, each in enumerate(covariances):
-        own = slice(PLANE * k, PLANE * k + PLANE)
-        prior[own, own] = np.linalg.inv(each)
-    start = np.concatenate([away.ravel(), np.zeros(len(nuisance))])
-    step = np.zeros(len(start))
-    for _ in range(STEPS):
-        weight = _weights(matched, step)
-        known, parts = matched.summed(weight, step)
-        information = known + prior
-        step = step - np.linalg.solve(information, parts.sum(axis=0) + prior @ (start + step))
-    gap = np.zeros(len(start))
-    gap[-2:] = -1.0, 1.0
-    return float(gap @ step), float(np.sqrt(gap @ np.linalg.solve(information, gap)))
+    @property
+    def clock_gap(self) -> tuple[float, float]:
+        """By how much the second sensor's clock is ahead of the first one's; sigma, seconds."""
+        gap = np.array([-1.0, 1.0])
+        variance = gap @ self.clock_covariance[:2, :2] @ gap
+        return float(gap @ self.clocks_s[:2]), float(np.sqrt(variance))
 
 
 def adjust(
@@ -181,10 +160,12 @@ def adjust(
     clocks_s: Sequence[float] | None = None,
     held: Collection[Edge] = (),
 ) -> Adjusted:
-    """Adjust the poses of sensors by their correspondences and single answers.
+    """Adjust the poses of sensors, and their clocks, by correspondences and single answers.
 
-    Pairs are weighted as by Student's t. The covariance is cluster-robust with the vehicles as
-    clusters, never below the model's and never above that of the single answers.
+    Traffic in opposite directions separates an error of a clock from one of a place; where all of
+    it goes one way, the sigma of a clock becomes large. Pairs are weighted as by Student's t. The
+    covariance is cluster-robust with the vehicles as clusters, never below the model's and never
+    above that of the single answers.
 
     Parameters
     ----------
@@ -235,6 +216,8 @@ def adjust(
     return Adjusted(
         step=step[: PLANE * n].reshape(n, PLANE),
         covariance=_at_most(covariance, single),
+        clocks_s=step[PLANE * n + FACES :],
+        clock_covariance=inverse[PLANE * n + FACES :, PLANE * n + FACES :],
         misfit=misfit,
     )
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.lane_detections import CLOCKS, ClockSettings, LaneDetections
+from gis_radar.calibration.lanes import UNLIMITED_MPS
 from gis_radar.errors import NoAnswerError
 
 # Cells in which agreement is counted: in a bin a vehicle moves by about a cell.
@@ -56,7 +57,7 @@ DRIFT_SIGMA = 100e-6  # prior sigma of a drift: quartz clocks of radars keep wit
 ODD_DRIFT = 1e-3
 ODD_DRIFT_SIGMAS = 5.0
 ODD_DRIFT_SIGMA = 0.01
-MOST_DRIFT = 0.01
+MOST_DRIFT = 0.012
 HUBER = 1.5  # residuals over so many standard deviations weigh less (Huber 1964)
 # Most pairings of the fit, and reweightings in each; pairings end below CONVERGED_S.
 PAIRING_ROUNDS = 12
@@ -77,6 +78,28 @@ VALUES_AT_ONCE = 1 << 22  # 16 MiB
 
 class NoCommonTrafficError(NoAnswerError):
     """Two sensors that share no traffic: nothing can be measured between them."""
+
+
+def measured_offset(
+    one: LaneDetections, other: LaneDetections, settings: ClockSettings = CLOCKS
+) -> ClockOffset:
+    """Measure how far the clock of `other` is ahead of that of `one`.
+
+    Parameters
+    ----------
+    one, other : LaneDetections
+        Of two sensors.
+    settings : ClockSettings
+        What a trustworthy offset needs.
+
+    Raises
+    ------
+    NoAnswerError
+        If there is no trustworthy one.
+    """
+    found = fine_offset(one, other, rough_offset(one, other, settings), settings)
+    validate_offset(one, other, found.offset_s, settings)
+    return found
 
 
 def rough_offset(
@@ -243,7 +266,7 @@ def _fit(
     """Pair and solve in turn; return offset and drift, their sigmas, and the last pairs."""
     gaps_m = PAIR_M
     for turn in range(PAIRING_ROUNDS):
-        pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)], settings)
+        pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)])
         if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
             raise NoAnswerError("only {} vehicles are seen by both", pairs.vehicles)
         change, sigma = _solve(pairs, values[1], drift_sigma)
@@ -281,14 +304,13 @@ class _Pairs:
 
 
 def _pairs(
-    one: LaneDetections, other: LaneDetections, values: Floats, at: float, apart_m: float,
-    settings: ClockSettings,
-) -> _Pairs:  # fmt: skip
+    one: LaneDetections, other: LaneDetections, values: Floats, at: float, apart_m: float
+) -> _Pairs:
     """Pair detections that are of one vehicle if the clocks differ by `values`."""
     time = other.time - values[0] - values[1] * (other.time - at)
     begin = min(one.time.min(initial=np.inf), time.min(initial=np.inf))
     near = {
-        "near_m": apart_m + PAIR_S * settings.max_speed_mps,
+        "near_m": apart_m + PAIR_S * UNLIMITED_MPS,
         "near_s": PAIR_S,
         "near_mps": PAIR_MPS,
     }

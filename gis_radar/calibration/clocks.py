@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import combinations
@@ -18,15 +19,13 @@ from gis_radar.arrays import Floats
 from gis_radar.calibration.clock_offsets import (
     ClockOffset,
     NoCommonTrafficError,
-    fine_offset,
-    rough_offset,
-    validate_offset,
+    measured_offset,
 )
 from gis_radar.calibration.lane_detections import (
     CLOCKS,
     ClockSettings,
     LaneDetections,
-    LaneMatcher,
+    lanelets_of,
     read_lane_detections,
 )
 from gis_radar.crs import metric_crs, require_same
@@ -44,7 +43,7 @@ from gis_radar.texts import Text
 # A drift below so many of its sigmas counts as none: over hours it would only carry noise.
 DRIFT_SIGMAS = 3.0
 
-MOST_DRIFT_PPM = 10_000.0  # a hundred times that of a bad quartz: a unit is mistaken
+MOST_DRIFT_PPM = 12_000.0  # a hundred times that of a bad quartz: a unit is mistaken
 NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock, in its file
 
 
@@ -268,7 +267,7 @@ def measure_clocks(
         what = Text("the pose of {}", track.sensor)
         require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
     opened = [as_recording(recording) for recording in recordings]
-    seen = _read_all(opened, tracks, LaneMatcher(tiles, settings), reporter)
+    seen = _read_all(opened, tracks, lanelets_of(tiles), settings, reporter)
     edges, reasons = _compare(seen, settings, reporter)
     reference = reference or best_linked(edges, sensors)
     clocks, misfit = adjust_network(edges, reference, DRIFT_SIGMAS)
@@ -294,15 +293,24 @@ def measure_clocks(
 
 
 def _read_all(
-    recordings: list[Recording], tracks: list[PoseTrack], lanes: LaneMatcher, reporter: Reporter
+    recordings: list[Recording],
+    tracks: list[PoseTrack],
+    lanelets: gpd.GeoDataFrame,
+    settings: ClockSettings,
+    reporter: Reporter,
 ) -> dict[str, LaneDetections]:
     """Read what each sensor saw, around the begin of the last recording."""
     begins = [float(next(recording.read()).time[0]) for recording in recordings]
     parts: dict[str, list[LaneDetections]] = {}
     order = sorted(range(len(begins)), key=lambda i: (begins[i], str(recordings[i].path)))
     for i in order:
-        found = read_lane_detections(recordings[i], tracks[i], lanes, max(begins), reporter)
-        parts.setdefault(tracks[i].sensor, []).append(found)
+        mine = parts.setdefault(tracks[i].sensor, [])
+        with suppress(NoAnswerError):  # no lane in reach: nothing in common with others
+            mine.append(
+                read_lane_detections(
+                    recordings[i], tracks[i], lanelets, max(begins), reporter, settings
+                )
+            )
     sensors = sorted({track.sensor for track in tracks})
     return {sensor: LaneDetections.joined(parts[sensor]) for sensor in sensors}
 
@@ -316,14 +324,10 @@ def _compare(
     pairs = list(combinations(seen, 2))
     for done, (one, other) in enumerate(pairs):
         reporter.progress("comparing clocks", done, len(pairs))
-        seen_by = seen[one], seen[other]
         try:
-            found = fine_offset(*seen_by, rough_offset(*seen_by, settings), settings)
-            validate_offset(*seen_by, found.offset_s, settings)
+            edges[one, other] = measured_offset(seen[one], seen[other], settings)
         except NoAnswerError as error:
             reasons[one, other] = error
-        else:
-            edges[one, other] = found
     reporter.progress("comparing clocks", len(pairs), len(pairs))
     return edges, reasons
 

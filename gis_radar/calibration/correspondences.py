@@ -13,9 +13,8 @@ import scipy
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.lanes import Lanes, match, place
 from gis_radar.calibration.model import MODEL, Model
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import NONE, Samples
+from gis_radar.calibration.traces import NONE, Moving, Samples
 
 MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle goes 2-3 m
 LEAST_MOMENTS = 5  # two tracks with fewer common moments are no pair: a second of common sight

@@ -12,12 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.result import STAGE, Localization, Problem, common
 from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, IcpSettings, LocalizationSettings
 from gis_radar.calibration.solver import FLOOR, at_least
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import CROWD_M
+from gis_radar.calibration.traces import CROWD_M, Moving
 from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
 from gis_radar.progress import Reporter
 

@@ -18,7 +18,6 @@ from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
 from gis_radar.calibration.localization import decided_by_scan, localize
 from gis_radar.calibration.moving import (
     RIGHT,
-    Moving,
     Span,
     best_end,
     common_time,
@@ -29,6 +28,7 @@ from gis_radar.calibration.network import CLASH_HINT, Solved, Station, solve_net
 from gis_radar.calibration.result import AmbiguousError, Localization
 from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.traces import Moving
 from gis_radar.crs import moved_position, yaw_from_compass
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import atomic_writes, output_errors

@@ -6,16 +6,18 @@ from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
+import shapely
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, match_along, sample_lanes
 from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections, Recording
 from gis_radar.texts import Text
-from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
 STAGE = "reading traffic"
+REACH_M = 300.0  # lanes around a sensor are looked at that far: the longest range of the sensors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,17 +25,15 @@ class ClockSettings:
     """What may be set where clocks are compared; written to the file of clocks.
 
     Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
-    search does not change the offset; half or twice a limit of speed or height changes it by under
-    10 ms; twice `min_cosine` leaves no traffic.
+    search does not change the offset; half or twice the least speed changes it by under 10 ms;
+    twice `min_cosine` leaves no traffic.
 
     Parameters
     ----------
-    min_speed_mps, max_speed_mps : float
-        Speeds along a lane that count, m/s: over walkers and leaves, under 216 km/h.
+    min_speed_mps : float
+        Least speed along a lane that counts, m/s: over walkers and leaves.
     min_cosine : float
         Between lane and line of sight; across it (60 deg) the range rate implies no speed.
-    max_over_road_m : float
-        Height over the road, metres: the 4 m of a vehicle in the EU, and half a metre of error.
     window_s : (float, float)
         What is read, seconds about the begin of the last recording: an hour of traffic, and twice
         an hour by which a clock may be off.
@@ -59,9 +59,7 @@ class ClockSettings:
     """
 
     min_speed_mps: float = 1.5
-    max_speed_mps: float = 60.0
     min_cosine: float = 0.5
-    max_over_road_m: float = 4.5
     window_s: tuple[float, float] = (-4000.0, 7600.0)
     max_offset_s: float = 4000.0
     bin_s: float = 0.25
@@ -129,65 +127,93 @@ class LaneDetections:
     @classmethod
     def joined(cls, parts: list[LaneDetections]) -> LaneDetections:
         """Return parts one after the other."""
-        names = cls.__dataclass_fields__
-        return cls(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in names})
+        none = {name: np.empty(0) for name in cls.__dataclass_fields__}
+        none["lanelet"] = np.empty(0, np.int64)
+        return cls(
+            **{n: np.concatenate([first, *(getattr(part, n) for part in parts)])
+               for n, first in none.items()}
+        )  # fmt: skip
 
 
-class LaneMatcher:
-    """Finds the lane of a detection by the tiles of the lanes.
+def lane_detections(
+    lanes: Lanes, time: Floats, points: Floats, rate: Floats, eye: Floats, least: ClockSettings
+) -> LaneDetections:
+    """Match detections to lanes; return those that move along one.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map.
+    time : (n,) array
+        UNIX seconds.
+    points : (n, 3) array
+        Local map coordinates; NaN for a height that the sensor does not measure.
+    rate : (n,) array
+        Range rates, m/s.
+    eye : (3,) array
+        Where the sensor is.
+    least : ClockSettings
+        Which of them count.
+    """
+    arm = np.nan_to_num(points - eye)
+    reach = np.linalg.norm(arm, axis=1)
+    way = arm[:, :2] / np.maximum(reach, 1.0)[:, None]
+    matches = match_along(lanes, points, way, rate, reach, least_cosine=least.min_cosine)
+    rows = np.flatnonzero(matches.found)
+    sample = matches.lane[rows]
+    ahead_m, left_m, _ = lanes.beside(sample, points[rows])
+    cosine = np.sum(lanes.along[sample] * way[rows], axis=1)
+    speed = rate[rows] / cosine
+    on = (np.abs(left_m) <= lanes.width_m[sample] / 2.0) & (np.abs(ahead_m) <= LANE_STEP_M)
+    on &= speed >= least.min_speed_mps
+    return LaneDetections(
+        time=time[rows[on]],
+        lanelet=lanes.lane[sample[on]],
+        s_m=(lanes.s_m[sample] + ahead_m)[on],
+        speed=speed[on],
+        side=np.sign(cosine[on]),
+    )
+
+
+def lanelets_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the lanelets that tiles were cut from, as :func:`sample_lanes` takes them.
 
     Parameters
     ----------
     tiles : GeoDataFrame
         As from :func:`gis_radar.tiles.tiles.read_tiles`.
-    settings : ClockSettings
-        Which detections count.
     """
-
-    def __init__(self, tiles: gpd.GeoDataFrame, settings: ClockSettings = CLOCKS) -> None:
-        self.settings = settings
-        corners = quads(tiles)
-        self._engine = TileGrid(corners)
-        self._begin = (corners[:, 0] + corners[:, 3]) / 2
-        along = (corners[:, 1] + corners[:, 2]) / 2 - self._begin
-        self._ahead = along / np.linalg.norm(along, axis=1, keepdims=True)
-        self._s_m = tiles["s_m"].to_numpy(np.float64)
-        self._height_m = tiles["height_m"].to_numpy(np.float64)
-        self._lanelet = np.unique(tiles["lanelet_id"].to_numpy(), return_inverse=True)[1]
-
-    def match(self, rows: Detections, track: PoseTrack) -> LaneDetections:
-        """Return detections that move along a lane; one on two lanelets counts on both."""
-        least_mps = self.settings.min_speed_mps * self.settings.min_cosine
-        rows = rows.take(rows.present & (np.abs(rows.range_rate) >= least_mps))
-        held = track.at(rows.time)
-        met = np.unique(held).tolist() or [0]
-        return LaneDetections.joined([self._of(rows, held == i, track, i) for i in met])
-
-    def _of(self, rows: Detections, now: Booleans, track: PoseTrack, index: int) -> LaneDetections:
-        pose, limits = track.poses[index], self.settings
-        place = pose.to_map(rows.points[now])
-        point, tile = self._engine.assign(place[:, 0], place[:, 1])
-        sight = place[point] - pose.position
-        cosine = np.einsum("ij,ij->i", sight[:, :2], self._ahead[tile])
-        cosine /= np.linalg.norm(sight, axis=1)
-        speed = rows.range_rate[now][point] / np.where(cosine == 0.0, np.nan, cosine)
-        over_road = np.abs(place[point, 2] - self._height_m[tile])
-        over_road[np.isnan(rows.points[now][point, 2]) | np.isnan(over_road)] = 0.0
-        keep = (np.abs(cosine) >= limits.min_cosine) & (over_road <= limits.max_over_road_m)
-        keep &= (speed >= limits.min_speed_mps) & (speed <= limits.max_speed_mps)
-        point, tile = point[keep], tile[keep]
-        offset = np.einsum("ij,ij->i", place[point, :2] - self._begin[tile], self._ahead[tile])
-        return LaneDetections(
-            time=rows.time[now][point],
-            lanelet=self._lanelet[tile].astype(np.int64),
-            s_m=self._s_m[tile] + offset,
-            speed=speed[keep],
-            side=np.sign(cosine[keep]),
-        )
+    corners = quads(tiles)
+    ends = [(corners[:, i] + corners[:, j]) / 2.0 for i, j in ((0, 3), (1, 2))]
+    height = tiles["height_m"].to_numpy(np.float64)
+    ids, number = np.unique(tiles["lanelet_id"].to_numpy(), return_inverse=True)
+    both = np.vstack([np.column_stack([end, height]) for end in ends])
+    numbers, place = np.tile(number, 2), np.repeat([0.0, 0.5], len(tiles))
+    place += np.tile(tiles["index"].to_numpy(), 2)
+    last = np.bincount(number)[number] == tiles["index"].to_numpy() + 1
+    kept = np.flatnonzero(np.append(np.ones(len(tiles), dtype=bool), last))
+    kept = kept[np.lexsort((place[kept], numbers[kept]))]
+    centre = shapely.linestrings(both[kept], indices=numbers[kept])
+    width = np.bincount(number, tiles["width_m"].to_numpy()) / np.bincount(number)
+    return gpd.GeoDataFrame(
+        {
+            "centre": gpd.GeoSeries(centre, crs=tiles.crs),
+            "participants": [("vehicle",)] * len(ids),
+            "speed_limit_kmh": np.nan,
+            "one_way": True,
+        },
+        geometry=shapely.buffer(centre, width / 2.0, cap_style="flat"),
+        crs=tiles.crs,
+    )
 
 
 def read_lane_detections(
-    recording: Recording, track: PoseTrack, lanes: LaneMatcher, latest_s: float, reporter: Reporter
+    recording: Recording,
+    track: PoseTrack,
+    lanelets: gpd.GeoDataFrame,
+    latest_s: float,
+    reporter: Reporter,
+    settings: ClockSettings = CLOCKS,
 ) -> LaneDetections:
     """Read what moved along lanes in a few hours, by the sensor's own clock.
 
@@ -195,17 +221,21 @@ def read_lane_detections(
     ----------
     recording, track : Recording, PoseTrack
         What is read, and where its sensor stood.
-    lanes : LaneMatcher
-        The lanes.
+    lanelets : GeoDataFrame
+        As from :func:`lanelets_of`.
     latest_s : float
         When the last of all recordings begins: the hours around it are read, so that long ones
         meet. Where this one is over by then, its own first hours.
     reporter : Reporter
         Receives the progress.
+    settings : ClockSettings
+        Which detections count.
     """
+    middle, none = track.poses[0].position[:2], np.empty((0, 3))
+    lanes = sample_lanes(lanelets, none, place=middle, reach_m=REACH_M)
     parts: list[LaneDetections] = []
     around: list[LaneDetections] = []
-    before_s, after_s = lanes.settings.window_s
+    before_s, after_s = settings.window_s
     done, begin_s = 0, np.nan
     for batch in recording.read():
         begin_s = float(batch.time[0]) if done == 0 else begin_s
@@ -215,7 +245,28 @@ def read_lane_detections(
             break
         keep = np.abs(batch.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
         if keep.any():
-            around.append(lanes.match(batch.take(keep), track))
+            around += _matched(batch.take(keep), track, lanes, settings)
         elif not around and batch.time[0] <= begin_s + after_s - before_s:
-            parts.append(lanes.match(batch, track))
+            parts += _matched(batch, track, lanes, settings)
     return LaneDetections.joined(around or parts)
+
+
+def _matched(
+    rows: Detections, track: PoseTrack, lanes: Lanes, settings: ClockSettings
+) -> list[LaneDetections]:
+    """Return the detections that move along a lane, pose by pose."""
+    least_mps = settings.min_speed_mps * settings.min_cosine
+    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= least_mps))
+    held, origin = track.at(rows.time), np.array([*lanes.origin, 0.0])
+    found = []
+    for index in np.unique(held).tolist():
+        pose, now = track.poses[index], held == index
+        points = pose.to_map(rows.points[now]) - origin
+        points[np.isnan(rows.points[now, 2]), 2] = np.nan
+        found.append(
+            lane_detections(
+                lanes, rows.time[now], points, rows.range_rate[now], pose.position - origin,
+                settings,
+            )
+        )  # fmt: skip
+    return found

@@ -18,13 +18,12 @@ from gis_radar.calibration.hypotheses import (
     widen_by_profile,
 )
 from gis_radar.calibration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.result import STAGE, AmbiguousError, Localization, Problem, common
 from gis_radar.calibration.settings import (
     LOCALIZATION,
     LocalizationSettings,
 )
-from gis_radar.calibration.traces import Samples, link_tracks, thin
+from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.poses.pose import COMPONENTS
 from gis_radar.progress import Reporter

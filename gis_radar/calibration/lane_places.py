@@ -8,11 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import LANE_BINS, LANE_CELL_M, LANE_STEP_M, Lanes, direction_bin
-from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, match_along
 from gis_radar.calibration.settings import TraceSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import HIDDEN_S, NONE, STRAY_MPS, VEHICLE_M, link_tracks
+from gis_radar.calibration.traces import HIDDEN_S, NONE, STRAY_MPS, VEHICLE_M, Moving, link_tracks
 
 # Cells of lanes, in which a vehicle's place is one number; and stretches, in which whatever makes
 # drivers change their habit (a parked van, a cyclist) concerns all cells.
@@ -184,7 +183,7 @@ def lane_places(
     points = state.to_map(moving.points[rows])
     smooth, velocity = _smoothed(track, time, points, SMOOTH_S)
     middle = _middles(smooth, velocity, state.position)
-    sample, across_m, over_m = _on_lanes(cells.lanes, middle, velocity)
+    sample, across_m, over_m = _on_lanes(cells.lanes, middle, velocity, state.position)
     cell = np.where(sample == NONE, NONE, cells.of_sample[sample])
     good = cell != NONE
     vehicle = _joined(track, time, points, velocity)[track]
@@ -250,28 +249,19 @@ def _middles(points: Floats, velocity: Floats, eye: Floats) -> Floats:
     return found
 
 
-def _on_lanes(lanes: Lanes, points: Floats, velocity: Floats) -> tuple[Integers, Floats, Floats]:
-    """Return the lane sample nearest to each detection that drives there, how far left and over."""
-    _, rows, columns = lanes.nearest.shape
+def _on_lanes(
+    lanes: Lanes, points: Floats, velocity: Floats, eye: Floats
+) -> tuple[Integers, Floats, Floats]:
+    """Return the lane sample of each detection that drives there, how far left and over it."""
     speed = np.hypot(*velocity.T)
-    place = np.floor((points[:, :2] - lanes.corner) / LANE_CELL_M).astype(np.int64)
-    inside = (place >= 0).all(axis=1) & (place < [columns, rows]).all(axis=1)
-    usable = inside & (speed > LEAST_MPS)
-    column, row = np.where(usable[:, None], place, 0).T
-    heading = direction_bin(velocity, LANE_BINS)
-    best, across = np.full(len(points), NONE), np.full(len(points), np.inf)
-    for turn in (-1, 0, 1):
-        k = lanes.nearest[(heading + turn) % LANE_BINS, row, column].astype(np.int64)
-        off, way = points[:, :2] - lanes.points[k, :2], lanes.along[k]
-        left = off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1]
-        same = np.sum(way * velocity, axis=1) > SAME_WAY * speed
-        nearer = usable & (k >= 0) & same & (np.abs(left) < np.abs(across))
-        best, across = np.where(nearer, k, best), np.where(nearer, left, across)
-    off, way = points - lanes.points[best], lanes.along[best]
-    over = off[:, 2] - lanes.slope[best] * np.sum(off[:, :2] * way, axis=1)
+    way = velocity / np.maximum(speed, 1e-9)[:, None]
+    reach = np.linalg.norm(points - eye, axis=1)
+    matches = match_along(lanes, points, way, speed, reach, least_cosine=SAME_WAY)
+    _, across, over = lanes.beside(matches.lane, points)
     low, high = OVER_M
-    near = (np.abs(across) < WITHIN_M) & ~((over < low) | (over > high))
-    return np.where(near, best, NONE), np.where(near, across, 0.0), over
+    good = matches.found & (speed > LEAST_MPS)
+    good &= (np.abs(across) < WITHIN_M) & ~((over < low) | (over > high))
+    return np.where(good, matches.lane, NONE), across, over
 
 
 def _joined(track: Integers, time: Floats, points: Floats, velocity: Floats) -> Integers:

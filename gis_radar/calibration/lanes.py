@@ -58,6 +58,11 @@ class Lanes:
         More than a vehicle drives there, m/s.
     width_m : (m,) array
         Of the lane.
+    lane : (m,) array
+        Number of the lane: its row in the table of lanelets, or that plus the table's length
+        where it is driven against its direction.
+    s_m : (m,) array
+        Place along the lane, in the direction of travel.
     corner : (2,) array
         South-west corner of the grid.
     nearest : (bins, rows, columns) int32 array
@@ -78,12 +83,21 @@ class Lanes:
     slope: Floats
     top_speed: Floats
     width_m: Floats
+    lane: Integers
+    s_m: Floats
     corner: Floats
     nearest: np.ndarray
     distance: np.ndarray
     directed: bool
     scanned: float
     settings: LaneSettings
+
+    def beside(self, sample: Integers, points: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return how far points are ahead of a sample, left of its lane, and over it, metres."""
+        off, way = points - self.points[sample], self.along[sample]
+        ahead = np.sum(off[:, :2] * way, axis=1)
+        left = off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1]
+        return ahead, left, off[:, 2] - self.slope[sample] * ahead
 
 
 def sample_lanes(
@@ -115,7 +129,8 @@ def sample_lanes(
         for users in lanelets["participants"]
     ]
     close = lanelets["centre"].distance(shapely.Point(place)) < reach_m
-    table = lanelets[np.asarray(driven) & close.to_numpy()]
+    kept = np.flatnonzero(np.asarray(driven) & close.to_numpy())
+    table = lanelets.iloc[kept]
     if table.empty:
         raise NoAnswerError(
             "no lane for vehicles within {:.0f} m of the guess {:.1f},{:.1f}",
@@ -125,9 +140,10 @@ def sample_lanes(
             hint="check the guess, its coordinate system, and that the map is the right one",
         )
     parts = [_sampled(line, LANE_STEP_M) for line in table["centre"]]
-    count = [len(xyz) for xyz, _ in parts]
-    local = np.vstack([xyz for xyz, _ in parts]) - [*place, 0.0]
-    along = np.vstack([way for _, way in parts])
+    count = [len(xyz) for xyz, _, _ in parts]
+    local = np.vstack([xyz for xyz, _, _ in parts]) - [*place, 0.0]
+    along = np.vstack([way for _, way, _ in parts])
+    s_m = np.concatenate([at for _, _, at in parts])
     lane = np.repeat(np.arange(len(parts)), count)
     height, scanned = _heights(local, road - [*place, 0.0])
     local[:, 2] = height
@@ -140,6 +156,7 @@ def sample_lanes(
     near = np.hypot(local[:, 0], local[:, 1]) < reach_m
     rows = np.concatenate([np.flatnonzero(near), np.flatnonzero(near & two_way)])
     turn = np.where(np.arange(len(rows)) < near.sum(), 1.0, -1.0)
+    back = np.where(turn > 0.0, 0, 1)
     corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None])
     return Lanes(
         origin=np.asarray(place, dtype=np.float64),
@@ -148,6 +165,8 @@ def sample_lanes(
         slope=slope[rows] * turn,
         top_speed=top[rows],
         width_m=width[rows],
+        lane=kept[lane[rows]] + back * len(lanelets),
+        s_m=turn * s_m[rows] + back * table["centre"].length.to_numpy()[lane[rows]],
         corner=corner,
         nearest=nearest,
         distance=distance,
@@ -157,8 +176,8 @@ def sample_lanes(
     )
 
 
-def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats]:
-    """Return points about a metre apart, and the directions there; heights may be NaN."""
+def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats, Floats]:
+    """Return points about a metre apart, directions and places there; heights may be NaN."""
     xyz = shapely.get_coordinates(line, include_z=True)
     step = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
     xyz, step = xyz[np.append(True, step > 1e-6)], step[step > 1e-6]
@@ -172,7 +191,7 @@ def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats]:
         for d in (reach, -reach)
     )
     way = ahead - behind
-    return points, way / np.hypot(*way.T)[:, None]
+    return points, way / np.hypot(*way.T)[:, None], at
 
 
 def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
@@ -359,13 +378,46 @@ def match(lanes: Lanes, placed: Placed) -> Matches:
     placed : Placed
         Traces, with the sensor where it is thought to be.
     """
-    s = lanes.settings
+    samples = placed.samples
+    return match_along(lanes, placed.points, placed.sight, samples.range_rate, samples.reach)
+
+
+def match_along(
+    lanes: Lanes,
+    points: Floats,
+    way: Floats,
+    speed: Floats,
+    reach: Floats,
+    *,
+    least_cosine: float = 0.0,
+) -> Matches:
+    """Find for each point the nearest lane on which what is known of its speed is allowed.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map.
+    points : (n, 3) array
+        Local map coordinates; a height that is NaN fits every lane.
+    way : (n, 2) array
+        Along which the speed is known: the direction of sight, or that of travel.
+    speed : (n,) array
+        Along `way`, m/s.
+    reach : (n,) array
+        Distance from the sensor, metres: farther points may be higher or lower.
+    least_cosine : float
+        Between lane and `way`.
+    """
+    constants = (
+        LANE_CELL_M, LANE_STEP_M, LEVEL_M, LEVEL_SHARE, BORDER_M, lanes.settings.slack_mps,
+        least_cosine,
+    )  # fmt: skip
     lane, found = _match(
-        np.array([LANE_CELL_M, LANE_STEP_M, LEVEL_M, LEVEL_SHARE, BORDER_M, s.slack_mps]),
-        placed.points,
-        placed.sight,
-        placed.samples.reach,
-        placed.samples.range_rate,
+        np.array(constants),
+        points,
+        way,
+        reach,
+        speed,
         lanes.points,
         lanes.along,
         lanes.top_speed,
@@ -389,7 +441,7 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
     nearest: NDArray[np.int32],
 ) -> tuple[Integers, Booleans]:
     """Return the lane sample of each point, and whether there is one."""
-    cell_m, step_m, level_m, level_share, border_m, slack_mps = settings
+    cell_m, step_m, level_m, level_share, border_m, slack_mps, least_cosine = settings
     bins, rows, columns = nearest.shape
     lane = np.zeros(len(points), dtype=np.int64)
     found = np.zeros(len(points), dtype=np.bool_)
@@ -415,7 +467,8 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
                 cosine = along[k, 0] * sight[i, 0] + along[k, 1] * sight[i, 1]
                 forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
                 allowed = -slack_mps <= forward <= abs(cosine) * top_speed[k] + slack_mps
-                if allowed and abs(z) <= level_m + level_share * reach[i]:
+                allowed = allowed and abs(cosine) >= least_cosine
+                if allowed and not abs(z) > level_m + level_share * reach[i]:  # or NaN
                     # past the end of a lane counts as off it; samples are a step apart
                     ahead = abs(x * along[k, 0] + y * along[k, 1])
                     gap = np.hypot(across, max(ahead - 1.5 * step_m, 0.0))

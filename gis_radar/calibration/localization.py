@@ -14,7 +14,7 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.calibration.icp import by_icp
 from gis_radar.calibration.lane_method import by_lanes
-from gis_radar.calibration.moving import Moving, read_moving
+from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.result import (
     AmbiguousError,
     Localization,
@@ -23,6 +23,7 @@ from gis_radar.calibration.result import (
 )
 from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.traces import Moving
 from gis_radar.crs import looks_like_degrees, moved_position, yaw_from_compass
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.lanelets import LaneletMap, read_map

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Floats
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.traces import Moving
 from gis_radar.errors import InputError
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
@@ -19,36 +19,6 @@ from gis_radar.recordings.window import RollingWindow
 
 STAGE = "reading traces"
 RIGHT = SensorClock(offset_s=0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moving:
-    """The moving detections of a window.
-
-    Parameters
-    ----------
-    time : (n,) array
-        UNIX seconds, ascending.
-    points : (n, 3) array
-        Sensor frame, metres.
-    range_rate : (n,) array
-        m/s, positive when receding.
-    frames, detections : int
-        How many frames and detections, still ones too, the window holds.
-    begin, end : float
-        UNIX seconds of its first and last frame.
-    """
-
-    time: Floats
-    points: Floats
-    range_rate: Floats
-    frames: int
-    detections: int
-    begin: float
-    end: float
-
-    def __len__(self) -> int:
-        return len(self.time)
 
 
 class MovingWindow(RollingWindow):

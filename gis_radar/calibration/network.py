@@ -15,11 +15,12 @@ from gis_radar.calibration.adjustment import (
     Adjusted,
     Correspondences,
     adjust,
-    clock_gap,
     shared_covariance,
     sum_correspondences,
 )
 from gis_radar.calibration.certainty import Names, longest_m, moved, plane_covariance, with_gain
+from gis_radar.calibration.clock_offsets import measured_offset
+from gis_radar.calibration.clocks import SensorClock, adjust_network
 from gis_radar.calibration.correspondences import (
     LEAST_PAIRS,
     PLANE,
@@ -30,8 +31,9 @@ from gis_radar.calibration.correspondences import (
     mean_gaps,
     read_moments,
 )
+from gis_radar.calibration.lane_detections import CLOCKS, lane_detections
 from gis_radar.calibration.lanes import Lanes
-from gis_radar.calibration.moving import Moving
+from gis_radar.calibration.moving import RIGHT
 from gis_radar.calibration.placing import (
     CLEAR_Z,
     CONTRADICTION_CHI2,
@@ -39,19 +41,22 @@ from gis_radar.calibration.placing import (
     GRID_YAW,
     STEP_M,
     Choice,
-    Lag,
     Placing,
     Shift,
-    find_lag,
     find_place,
     preference,
 )
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import link_tracks
+from gis_radar.calibration.traces import NONE, Moving, link_tracks
+from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import Pose
 from gis_radar.texts import Text
 
+# Offsets of clocks that are looked for: beyond, radars have no common time at all; smaller ones
+# are left to the adjustment of the poses.
+CLOCKS_NEAR = replace(CLOCKS, max_offset_s=10.0)
+LEAST_LAG_S = 0.25
 # Standard deviations by which vehicles must prefer a lag to another place of the sensor.
 LAG_CLEAR = 2.0
 CLOCK_SIGMAS = 4.0  # standard deviations beyond which a clock's offset is remarked upon
@@ -155,7 +160,7 @@ class _Member:
     start: Floats = field(default_factory=lambda: np.zeros(PLANE))  # from its own answer
     away: Floats = field(default_factory=lambda: np.zeros(PLANE))
     loose: bool = False  # its own answer was no place: correspondences have chosen the start
-    lag: Lag = field(default_factory=Lag)  # by which its clock is thought to be ahead
+    clock: SensorClock = RIGHT  # how far it is thought to be ahead
     free: bool = False  # its clock is off: it is found with the poses
 
     @property
@@ -181,24 +186,36 @@ class _Network:
 
     def seen(self, member: _Member, choice: int, away: Floats) -> Moments:
         """Return a sensor's vehicles at a step from one of its own poses."""
+        state, moving = self._state(member, choice, away), member.station.moving
+        moving = replace(moving, time=member.clock.corrected(moving.time))
+        return read_moments(moving, member.tracks, state, self.lanes)
+
+    def _state(self, member: _Member, choice: int, away: Floats) -> State:
+        """Return a step from one of a sensor's own poses in local coordinates."""
         pose = moved(member.station.poses[choice], away)
-        state = State(
+        return State(
             position=pose.position - [*self.lanes.origin, 0.0],
             R_map_sensor=pose.R_map_sensor,
             reflection=0.0,
         )
+
+    def choice(self, member: _Member, number: int, away: Floats, covariance: Floats) -> Choice:
+        """Return a sensor's vehicles at a step from one of its own poses, with its covariance."""
+        state, on = self._state(member, number, away), member.tracks != NONE
         moving = member.station.moving
-        moving = replace(moving, time=member.lag.corrected(moving.time))
-        return read_moments(moving, member.tracks, state, self.lanes)
+        driven = lane_detections(
+            self.lanes, member.clock.corrected(moving.time[on]), state.to_map(moving.points[on]),
+            moving.range_rate[on], state.position, CLOCKS_NEAR,
+        )  # fmt: skip
+        return Choice(
+            seen=self.seen(member, number, away), driven=driven, covariance=covariance,
+            yaw=math.radians(member.station.poses[number].yaw),
+        )  # fmt: skip
 
     def choices(self, member: _Member) -> list[Choice]:
         """Return all poses that a sensor may have by itself."""
         return [
-            Choice(
-                seen=self.seen(member, i, np.zeros(PLANE)),
-                covariance=plane_covariance(pose),
-                yaw=math.radians(pose.yaw),
-            )
+            self.choice(member, i, np.zeros(PLANE), plane_covariance(pose))
             for i, pose in enumerate(member.station.poses)
         ]
 
@@ -229,19 +246,28 @@ class _Network:
         found = find_place(choices, self.placed)
         if not self.placed:
             return choices, found
-        others = [each.seen for each in self.placed.values()]
-        lags = (find_lag(choice.seen, others) for choice in choices)
-        lag = next((each for each in lags if each is not None), None)
-        if lag is None:
+        clock = next(filter(None, map(self._clock_of, choices)), None)
+        if clock is None:
             return choices, found
-        member.lag = lag
+        member.clock = clock
         then = self.choices(member)
         there = find_place(then, self.placed)
         if there.inside is None or preference(there.inside.scores, found.best) < LAG_CLEAR:
-            member.lag = Lag()
+            member.clock = RIGHT
             return choices, found
         member.free = True
         return then, there
+
+    def _clock_of(self, choice: Choice) -> SensorClock | None:
+        """Return a sensor's clock where it is clearly off those of the sensors that are placed."""
+        for name, other in self.placed.items():
+            try:
+                offset = measured_offset(other.driven, choice.driven, CLOCKS_NEAR)
+            except NoAnswerError:
+                continue
+            clock = adjust_network({(name, ""): offset}, name)[0][""]
+            return clock if abs(clock.offset_s) > LEAST_LAG_S or clock.drift_ppm else None
+        return None
 
     def _hold_against(self, name: str, choice: Choice, other: str, at: Choice) -> None:
         """Record whether two sensors with certain poses agree or contradict each other."""
@@ -269,8 +295,8 @@ class _Network:
             return False
         member.choice, member.start, member.loose = found.inside.choice, found.inside.step, True
         covariance = choices[member.choice].covariance
-        seen = self.seen(member, member.choice, member.start)
-        self.placed[name] = Choice(seen=seen, covariance=self._loose(covariance))
+        loose = self._loose(covariance)
+        self.placed[name] = self.choice(member, member.choice, member.start, loose)
         self.agreeing |= {self._pair(other, name) for other, n in found.inside.pairs.items() if n}
         return True
 
@@ -310,9 +336,7 @@ class _Network:
         gates = [self._loose(c) if self.all[n].loose else c
                  for n, c in zip(names, covariances, strict=True)]  # fmt: skip
         within = shared_covariance(gates)
-        result = Adjusted(
-            step=np.zeros((len(names), PLANE)), covariance=shared_covariance(covariances), misfit={}
-        )
+        result = adjust({}, np.zeros((len(names), PLANE)), covariances)
         correspondences: dict[Names, Correspondences] = {}
         for _ in range(PAIRING_ROUNDS):
             at = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
@@ -394,7 +418,8 @@ class _Network:
         """Return by how much the other's clock is ahead, s, and whether that is out of bounds."""
         away = np.array([self.all[name].away for name in pair])
         known = [plane_covariance(self.all[name].pose) for name in pair]
-        ahead_s, sigma_s = clock_gap(matched, away, known)
+        free = adjust({(0, 1): matched}, away, known, clocks_s=[FREE_CLOCK_S] * 2)
+        ahead_s, sigma_s = free.clock_gap
         most = math.hypot(*[self._clock_s(self.all[name]) for name in pair], sigma_s)
         return ahead_s, abs(ahead_s) > CLOCK_SIGMAS * most
 
@@ -414,7 +439,8 @@ class _Network:
         name = max(named, key=named.count)
         pair = next(pair for pair in off if name in pair)
         member, sign = self.all[name], 1.0 if name == pair[1] else -1.0
-        member.free, member.lag = True, member.lag.later(sign * off[pair])
+        ahead_s = member.clock.offset_s + sign * off[pair]
+        member.free, member.clock = True, replace(member.clock, offset_s=ahead_s)
         return True
 
     def clock_remarks(self, correspondences: Mapping[Names, Correspondences]) -> list[str]:
@@ -424,8 +450,9 @@ class _Network:
             one, other = (self.all[name] for name in pair)
             if not (one.free or other.free):
                 continue
-            ahead_s = other.lag.offset_s - one.lag.offset_s + self._clock_gap(pair, matched)[0]
-            fast = other.lag.rate - one.lag.rate
+            ahead_s = other.clock.offset_s - one.clock.offset_s
+            ahead_s += self._clock_gap(pair, matched)[0]
+            fast = (other.clock.drift_ppm - one.clock.drift_ppm) * 1e-6
             how = Text("fast") if fast > 0.0 else Text("slow")
             runs = Text(", and runs {:.1%} {}", abs(fast), how) if fast else ""
             remarks.append(

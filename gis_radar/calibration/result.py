@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.scan_check import ScanCheck
 from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import Moving
 from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import (

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.settings import LOCALIZATION, TraceSettings
 
 LINK_S = 0.35  # longest gap in a track: a far vehicle is hit in every fourth frame or so
@@ -46,6 +45,36 @@ SPELL_S = 1.0
 
 
 NONE = -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moving:
+    """The moving detections of a window.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, ascending.
+    points : (n, 3) array
+        Sensor frame, metres.
+    range_rate : (n,) array
+        m/s, positive when receding.
+    frames, detections : int
+        How many frames and detections, still ones too, the window holds.
+    begin, end : float
+        UNIX seconds of its first and last frame.
+    """
+
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    frames: int
+    detections: int
+    begin: float
+    end: float
+
+    def __len__(self) -> int:
+        return len(self.time)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,12 +18,11 @@ from gis_radar.calibration.kalman_filter import Estimate, Measurement, covarianc
 from gis_radar.calibration.lane_method import lanes_around
 from gis_radar.calibration.lanes import Lanes, Scene
 from gis_radar.calibration.model import MODEL
-from gis_radar.calibration.moving import Moving
 from gis_radar.calibration.result import Problem
 from gis_radar.calibration.settings import MONITOR, MonitorSettings, Schedule, TraceSettings
 from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
-from gis_radar.calibration.traces import Samples, link_tracks, thin, vehicles_of
+from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
 from gis_radar.errors import NoAnswerError
 from gis_radar.progress import QUIET, Reporter
 
