@@ -254,7 +254,7 @@ class Sensor:
         drives = np.abs(window.rate) > TRACES.min_speed_mps
         moving = Moving(
             time=window.time[drives], points=window.points[drives], range_rate=window.rate[drives],
-            frames=2000, detections=len(drives), begin=now - WINDOW_S, end=now,
+            frames=2000, begin=now - WINDOW_S, end=now,
         )  # fmt: skip
         since, until = now - 60.0 - ALARM.settle_s, now - ALARM.settle_s
         return lane_places(moving, self.cells, self.state, since=since, until=until, traces=TRACES)

@@ -167,7 +167,8 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     found = {each.seconds: each for each in memory.displacements(2400.0)}[540.0]
     parts = [habits_of(s, s.across_m, sigma=detector.sigma, time=0.0) for s in taught]
     known = np.unique(np.concatenate([part.cell for part in parts]))
-    effects = np.eye(cells.stretches)[cells.stretch]
+    stretches = int(cells.stretch.max()) + 1
+    effects = np.eye(stretches)[cells.stretch]
     design = np.hstack([detector.by_move, detector.by_habit, effects])[known]
     size = len(known) + design.shape[1]
     square, force = np.zeros((size, size)), np.zeros(size)
@@ -176,7 +177,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
         rows = np.hstack([np.eye(len(known)), design * (k >= 31)])
         square += rows.T @ weight @ rows
         force += rows.T @ gradient
-    stretch_m = np.full(cells.stretches, STRETCH_HABIT_M)
+    stretch_m = np.full(stretches, STRETCH_HABIT_M)
     prior = np.concatenate([np.full(3, 1e-6), detector.habit_m**-2.0, stretch_m**-2.0])
     square[len(known) :, len(known) :] += np.diag(prior)
     whole = np.linalg.inv(square)
@@ -198,7 +199,7 @@ def window(detections, pose_state, begin, end):
     seen = (points[inside] - pose_state.position) @ pose_state.R_map_sensor
     return Moving(
         time=time[inside], points=seen, range_rate=rate[inside], frames=2000,
-        detections=int(inside.sum()), begin=START + begin, end=START + end,
+        begin=START + begin, end=START + end,
     )  # fmt: skip
 
 
@@ -239,6 +240,8 @@ def test_overlapping_lanes_have_no_cells(cells):
         lanes,
         points=np.vstack([lanes.points, lanes.points + [0.0, 1.2, 0.0]]),
         along=np.vstack([lanes.along, lanes.along]),
+        lane=np.append(lanes.lane, lanes.lane + 1000),
+        s_m=np.append(lanes.s_m, lanes.s_m),
     )
     both = cells_along(beside)
     east = np.abs(both.left[:, 1]) > 0.9

@@ -37,8 +37,8 @@ from gis_radar.calibration.residuals import (
 )
 from gis_radar.calibration.settings import LOCALIZATION, Schedule
 from gis_radar.calibration.solver import at_least, solve
-from gis_radar.calibration.state import SIZE, TURN, State, angles_from_turn
-from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
+from gis_radar.calibration.state import POSE, SIZE, TURN, State, angles_from_turn
+from gis_radar.calibration.traces import SPELL_S, Moving, Samples, link_tracks, thin
 from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import Pose
 
@@ -49,7 +49,7 @@ def scene():
     pose = street.pose()
     time, xyz, rate = street.detections(pose)
     moving = Moving(
-        time=time, points=xyz, range_rate=rate, frames=600, detections=len(time),
+        time=time, points=xyz, range_rate=rate, frames=600,
         begin=time[0], end=time[-1],
     )  # fmt: skip
     samples = thin(moving, link_tracks(moving), replace(LOCALIZATION.traces, most=400))
@@ -164,7 +164,7 @@ def test_how_much_higher_a_vehicle_appears_lasts_for_seconds_and_grows_with_the_
     assert len(seen) > 3
     for i in seen:
         for j in seen:
-            apart = np.sqrt(3.0) * abs(i - j) * samples.spell_s / 4.0
+            apart = np.sqrt(3.0) * abs(i - j) * SPELL_S / 4.0
             common = 0.3**2 + 0.02**2 * reach[k, i] * reach[k, j] * (1 + apart) * np.exp(-apart)
             assert covariance[k, i, j] == pytest.approx(common, abs=1e-3)
     assert np.linalg.eigvalsh(covariance).min() > 0.0
@@ -305,7 +305,7 @@ def test_turns_become_angles(yaw, pitch, roll, seed):
     state = State(position=np.zeros(3), R_map_sensor=pose.R_map_sensor, reflection=0.6)
     change = state.moved(step).yaw_pitch_roll - state.yaw_pitch_roll
     change = (change + np.pi) % (2 * np.pi) - np.pi
-    expected = angles_from_turn(np.radians(yaw), np.radians(pitch)) @ step[TURN]
+    expected = (angles_from_turn(np.radians(yaw), np.radians(pitch)) @ step[POSE])[TURN]
     assert np.allclose(change[::-1], expected, atol=1e-9)
     assert np.allclose(state.moved(step).difference(state), step, atol=1e-9)
 

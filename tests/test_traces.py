@@ -36,7 +36,7 @@ def test_the_sources_of_icp_are_the_largest_cluster_of_dbscan(seed):
     time = np.arange(len(points)) * 0.05
     moving = Moving(
         time=time, points=points, range_rate=np.ones(len(time)), frames=len(time),
-        detections=len(time), begin=0.0, end=time[-1],
+        begin=0.0, end=time[-1],
     )  # fmt: skip
     found = source_voxels(moving)
     centres = voxels(points, 0.5)
@@ -67,19 +67,19 @@ def batch(time, rate):
 
 
 def test_a_window_keeps_the_last_frames_across_batches():
-    window = MovingWindow(frames=3)
+    window = MovingWindow(replace(LOCALIZATION.traces, frames=3))
     window.push(batch([0, 0, 1, 1], [1, 0, 1, 1]))
     window.push(batch([1, 2, 3], [1, 0.1, -2]))
     window.push(batch([4], [5]))
     found = window.moving()
     assert found.time.tolist() == [3.0, 4.0]
     assert found.range_rate.tolist() == [-2.0, 5.0]
-    assert (found.frames, found.detections) == (3, 3)
+    assert found.frames == 3
     assert (found.begin, found.end) == (2.0, 4.0)
 
 
 def test_a_window_forgets_what_is_old():
-    window = MovingWindow(frames=5)
+    window = MovingWindow(replace(LOCALIZATION.traces, frames=5))
     for frame in range(1000):
         window.push(batch([frame] * 10, [3.0] * 10))
         assert sum(len(kept[0]) for kept in window._batches) <= 60
@@ -90,8 +90,8 @@ def test_moving_is_read_from_a_recording(tmp_path):
     time = START + np.repeat(np.arange(30), 4) * 0.05
     rate = np.tile([0.0, 0.1, 0.2, -3.0], 30)
     path = recording(tmp_path / "R1.parquet", time, np.ones((120, 3)), range_rate=rate)
-    found = read_moving(path, frames=20)
-    assert (found.frames, found.detections, len(found)) == (20, 80, 40)
+    found = read_moving(path, replace(LOCALIZATION.traces, frames=20))
+    assert (found.frames, len(found)) == (20, 40)
     assert (np.abs(found.range_rate) > 0.15).all()
 
 
@@ -114,7 +114,7 @@ def passing():
     order = np.argsort(time, kind="stable")
     moving = Moving(
         time=time[order], points=points[order] + rng.normal(0, 0.1, (len(time), 3)),
-        range_rate=rate[order], frames=80, detections=len(time), begin=0.0, end=4.0,
+        range_rate=rate[order], frames=80, begin=0.0, end=4.0,
     )  # fmt: skip
     return moving, owner[order]
 
@@ -143,7 +143,7 @@ def test_walkers_carry_no_weight_but_where_all_traffic_creeps(vehicles, walkers_
     order = np.argsort(time, kind="stable")
     moving = Moving(
         time=time[order], points=points[order], range_rate=rate[order],
-        frames=79, detections=len(time), begin=0.0, end=7.8,
+        frames=79, begin=0.0, end=7.8,
     )  # fmt: skip
     tracks = link_tracks(moving)
     assert (tracks[~walks[order]] >= 0).all()
@@ -167,7 +167,7 @@ def test_limbs_that_swing_make_no_vehicle_of_a_walker():
     order = order[np.abs(rate[order]) > 0.15]
     moving = Moving(
         time=time[order], points=points[order], range_rate=rate[order],
-        frames=158, detections=len(time), begin=0.0, end=7.85,
+        frames=158, begin=0.0, end=7.85,
     )  # fmt: skip
     owner = np.repeat(np.arange(len(ways)), len(moment))[order]
     tracks = link_tracks(moving)
@@ -206,7 +206,7 @@ def test_tracks_of_one_vehicle_are_told_from_those_of_others():
     order = np.argsort(time, kind="stable")
     moving = Moving(
         time=time[order], points=points[order], range_rate=rate[order], frames=200,
-        detections=len(time), begin=0.0, end=10.0,
+        begin=0.0, end=10.0,
     )  # fmt: skip
     assert vehicles_of(moving, number[order]).tolist() == [0, 0, 0, 1, 2, 3]
     alone = vehicles_of(moving, np.where(number[order] == 4, 0, -1))
@@ -217,7 +217,7 @@ def test_tracks_of_one_vehicle_are_told_from_those_of_others():
 
 def test_no_tracks_are_no_vehicles():
     moving = Moving(
-        time=np.empty(0), points=np.empty((0, 3)), range_rate=np.empty(0), frames=9, detections=0,
+        time=np.empty(0), points=np.empty((0, 3)), range_rate=np.empty(0), frames=9,
         begin=0.0, end=1.0,
     )  # fmt: skip
     assert len(vehicles_of(moving, link_tracks(moving))) == 0

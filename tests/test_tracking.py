@@ -264,7 +264,7 @@ def test_a_vehicle_that_is_watched_for_long_counts_once():
     order = order[np.argsort(time[order], kind="stable")]
     moving = Moving(
         time=time[order], points=points[order], range_rate=rate[order], frames=600,
-        detections=len(time), begin=0.0, end=30.0,
+        begin=0.0, end=30.0,
     )  # fmt: skip
     traffic = WindowTraffic.of(moving, MONITOR.localization.traces)
     assert traffic.samples().tracks > 4

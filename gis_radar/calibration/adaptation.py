@@ -22,7 +22,7 @@ from gis_radar.calibration.residuals import (
 )
 from gis_radar.calibration.solver import Fit, Prior
 from gis_radar.calibration.state import REFLECTION
-from gis_radar.calibration.traces import Samples
+from gis_radar.calibration.traces import SPELL_S, Samples
 
 # Bumpers, sills and wheels end that far over the road (ground clearance 0.12 to 0.3 m).
 EDGE_M = 0.2
@@ -41,7 +41,10 @@ NOISE_M = 0.05  # 1 sigma of the heights of scan and map
 START = (0.2, 0.2, math.radians(0.5))
 LOWEST = (-1.5, 0.05, math.radians(0.1))
 HIGHEST = (2.0, 0.6, math.radians(2.0))
-FACTORS = 17  # on the side strength that are tried, up and down
+LEAST_SAMPLES = 200  # near enough; with fewer no heights are estimated
+# Factors on the side strength that are tried, up and down: how many, and the largest.
+FACTORS = 17
+MOST_FACTOR = 4.0
 FACTOR_SIGMA = math.log(2.0)  # 1 sigma of the logarithm of such a factor in the prior
 DERIVATIVE_STEP = 1e-4  # of numerical derivatives
 # Shares of the elevation's variance that may last, and rounds in which the effects settle.
@@ -158,7 +161,7 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     model : Model
         Its strength is the prior's mean, within a factor of two.
     """
-    placed, settings = place(scene.samples, fit.state), scene.settings.adaptation
+    placed = place(scene.samples, fit.state)
 
     def cost(factor: float) -> float:
         tried = replace(model, side_strength=model.side_strength * factor)
@@ -167,13 +170,13 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
         rows = lateral(compared, fit.effects[0])
         return float(rows.weight @ rows.loss + 0.5 * prior)
 
-    factors = np.geomspace(1.0 / settings.most_factor, settings.most_factor, FACTORS)
+    factors = np.geomspace(1.0 / MOST_FACTOR, MOST_FACTOR, FACTORS)
     return float(model.side_strength * min(factors, key=cost))
 
 
 def _alone(samples: Samples, model: Model) -> Floats:
     """Return how much each sample counts beside those of its vehicle with the same error."""
-    longest, together = samples.spell_reach.shape[1], round(model.lasting / samples.spell_s)
+    longest, together = samples.spell_reach.shape[1], round(model.lasting / SPELL_S)
     spell = samples.spells % longest // max(together, 1)
     key = samples.track * longest + spell
     _, whose, count = np.unique(key, return_inverse=True, return_counts=True)
@@ -205,11 +208,10 @@ def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights |
     Heights or None
         None where too few samples are near enough.
     """
-    samples, settings = scene.samples, scene.settings.adaptation
-    reach = samples.reach
+    samples, reach = scene.samples, scene.samples.reach
     over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches, VIEW_EDGE)
     usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < NEAR_M))
-    if len(usable) < settings.least:
+    if len(usable) < LEAST_SAMPLES:
         return None
     usable = np.random.default_rng(0).permutation(usable)[:MOST_SAMPLES]
     over, reach = over[usable], reach[usable]

@@ -20,6 +20,7 @@ from gis_radar.calibration.correspondences import (
     stretches,
 )
 from gis_radar.calibration.model import MODEL, Model
+from gis_radar.calibration.solver import at_most
 
 HALF_LENGTH_SIGMA_M = 0.25  # how well the mean of vehicles' half length is known
 HALF_WIDTH_SIGMA_M = 0.1  # the same of the mean half width
@@ -215,7 +216,7 @@ def adjust(
     }  # fmt: skip
     return Adjusted(
         step=step[: PLANE * n].reshape(n, PLANE),
-        covariance=_at_most(covariance, single),
+        covariance=at_most(covariance, single),
         clocks_s=step[PLANE * n + FACES :],
         clock_covariance=inverse[PLANE * n + FACES :, PLANE * n + FACES :],
         misfit=misfit,
@@ -255,15 +256,6 @@ def _index(edge: Edge, n: int) -> list[int]:
 def _weights(matched: Correspondences, step: Floats) -> Floats:
     """Return the weight of each pair by its misfit."""
     return np.asarray((FREEDOM_T + 2.0) / (FREEDOM_T + matched.chi2(step)))
-
-
-def _at_most(covariance: Floats, most: Floats) -> Floats:
-    """Return a covariance bounded by another one."""
-    root = np.linalg.cholesky(most)
-    white = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
-    values, vectors = np.linalg.eigh((white + white.T) / 2.0)
-    wide = root @ vectors
-    return np.asarray((wide * np.minimum(values, 1.0)) @ wide.T)
 
 
 def _misfit(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +13,8 @@ from gis_radar.arrays import Floats
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, AnswerSettings, Schedule
-from gis_radar.calibration.solver import Fit, Prior, Rest, settle, solve
-from gis_radar.calibration.state import POSE, SIZE, State, angles_from_turn
+from gis_radar.calibration.solver import Fit, Prior, Rest, limited, settle, solve
+from gis_radar.calibration.state import POSE, SIZE, State
 from gis_radar.calibration.traces import Samples
 from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import COMPONENTS, Pose
@@ -27,6 +28,7 @@ CLEAR_RISE = 50.0
 LOOK_GAIN = 1.0  # what a look around an optimum must gain: a sigma costs 0.5
 
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
+UNITS = np.repeat([1.0, math.degrees(1.0)], 3)  # of a pose file's sigmas: metres, degrees
 Names = tuple[str, str]
 
 
@@ -80,7 +82,7 @@ def certainty(
     streets = [sigma_m * gradient for gradient, sigma_m in gradients]
     effects = np.vstack([fit.considered(), *streets]) @ inverse
     covariance = noise + effects.T @ effects
-    to_angles = _to_angles(fit.state)
+    to_angles = fit.state.to_angles
     if rival is not None:
         gap = rival.difference(fit.state)
         covariance = covariance + np.outer(gap, gap) / 2.0
@@ -95,17 +97,9 @@ def certainty(
     )
 
 
-def _to_angles(state: State) -> Floats:
-    """Return the (6, 6) matrix from a step of the pose to one in roll, pitch and yaw."""
-    yaw, pitch, _ = state.yaw_pitch_roll
-    to_angles = np.eye(6)
-    to_angles[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
-    return to_angles
-
-
 def pose_covariance(information: Floats, state: State) -> Floats:
     """Return the covariance of easting, northing, height, roll, pitch, yaw from an information."""
-    to_angles = _to_angles(state)
+    to_angles = state.to_angles
     return np.asarray(to_angles @ np.linalg.inv(information) @ to_angles.T)
 
 
@@ -144,12 +138,10 @@ def cluster_robust(inverse: Floats, clusters: Floats, prior: Floats, *, unknowns
     unknowns : int
         How many the clusters fix, for the correction of few clusters.
     """
-    root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
+    root: Floats = np.asarray(np.linalg.cholesky((inverse + inverse.T) / 2.0), dtype=np.float64)
     few = len(clusters) / max(len(clusters) - unknowns, 1)
     spread = root.T @ (few * clusters.T @ clusters + prior) @ root
-    values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
-    wide = root @ vectors
-    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
+    return limited(root, spread, np.maximum)
 
 
 def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
@@ -263,7 +255,7 @@ def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float
 
 def _spread(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
     """Return one standard deviation along a combination of the pose's parts, metres."""
-    to_angles = _to_angles(fit.state)
+    to_angles = fit.state.to_angles
     way = np.linalg.solve(to_angles.T, hold[POSE])
     return float(np.sqrt(way @ certainty(fit, settings).covariance @ way))
 
@@ -304,6 +296,13 @@ def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
             continue  # this place is out of the question, however far it is
         sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
     return sigma_m
+
+
+def stated(covariance: Floats) -> dict[str, Any]:
+    """Return a covariance, and its sigmas in m and degrees, as a pose's evidence states them."""
+    sigma = np.sqrt(np.diag(covariance)) * UNITS
+    named = {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)}
+    return {"sigma": named, "covariance": covariance.tolist()}
 
 
 def plane_covariance(pose: Pose) -> Floats:
@@ -362,14 +361,17 @@ def with_gain(
     share = before[:, PLANE] @ np.linalg.inv(known)
     after = before + share @ (plane - known) @ share.T
     after = (after + after.T) / 2.0
-    units = np.array([1.0] * 3 + [math.degrees(1.0)] * 3)
-    old, new = (np.sqrt(np.diag(each)) * units for each in (before, after))
+    old, new = (stated(each) for each in (before, after))
     others = sorted({each for pair in pairs for each in pair} - {name})
-    gained = {COMPONENTS[i]: {"before": float(old[i]), "after": float(new[i])} for i in PLANE}
+    gained = {
+        COMPONENTS[i]: {
+            when: each["sigma"][COMPONENTS[i]] for when, each in (("before", old), ("after", new))
+        }
+        for i in PLANE
+    }
     evidence = {
         **pose.evidence,
-        "sigma": {each: float(value) for each, value in zip(COMPONENTS, new, strict=True)},
-        "covariance": after.tolist(),
+        **new,
         "observable": is_fixed(after, settings),
         "together": {"sensors": others, "pairs": sum(pairs.values()), "gained": gained},
     }

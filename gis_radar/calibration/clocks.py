@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -270,7 +270,7 @@ def measure_clocks(
     seen = _read_all(opened, tracks, lanelets_of(tiles), settings, reporter)
     edges, reasons = _compare(seen, settings, reporter)
     reference = reference or best_linked(edges, sensors)
-    clocks, misfit = adjust_network(edges, reference, DRIFT_SIGMAS)
+    clocks, misfit = adjust_network(edges, reference)
     refused = {sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in clocks}
     if len(clocks) < 2:
         pairs = reasons.items()
@@ -340,9 +340,7 @@ def _reason(sensor: str, reasons: Reasons) -> str:
     return Text("with {}: {}", other, mine[pair].message)
 
 
-def adjust_network(
-    edges: Edges, reference: str, drift_sigmas: float = DRIFT_SIGMAS
-) -> tuple[dict[str, SensorClock], float]:
+def adjust_network(edges: Edges, reference: str) -> tuple[dict[str, SensorClock], float]:
     """Adjust all clocks by weighted least squares over the pairs.
 
     Parameters
@@ -351,8 +349,6 @@ def adjust_network(
         By (one, other): how far the clock of `other` is ahead of that of `one`.
     reference : str
         The sensor whose clock counts as right.
-    drift_sigmas : float
-        A drift below so many of its standard deviations counts as none.
 
     Returns
     -------
@@ -361,7 +357,7 @@ def adjust_network(
     misfit : float
         The largest misfit of a pair, in its standard deviations; 0 without loops.
     """
-    rough = _reached(edges, reference)
+    rough = _linked(edges, reference)
     names = [name for name in rough if name != reference]
     used = {pair: offset for pair, offset in edges.items() if pair[0] in rough}
     if not used:
@@ -374,7 +370,7 @@ def adjust_network(
     drift, drift_sigma, _ = _least_squares(
         design, np.array([f.drift for f in found]), np.array([f.drift_sigma for f in found])
     )
-    drift = np.where(np.abs(drift) > drift_sigmas * drift_sigma, drift, 0.0)
+    drift = np.where(np.abs(drift) > DRIFT_SIGMAS * drift_sigma, drift, 0.0)
     offset = np.array([f.offset_s for f in found]) - design @ drift * (at - middle)
     offset, offset_sigma, misfit = _least_squares(
         design, offset, np.array([f.sigma_s for f in found])
@@ -395,23 +391,33 @@ def adjust_network(
 
 def best_linked(edges: Edges, sensors: list[str]) -> str:
     """Return the first of the sensors that pairs link with the most others."""
-    return max(sensors, key=lambda sensor: len(_reached(edges, sensor)))
+    return max(sensors, key=lambda sensor: len(_linked(edges, sensor)))
 
 
-def _reached(edges: Edges, reference: str) -> dict[str, float]:
-    """Return the sensors that pairs link with the reference, and how far they are ahead."""
+def reached(pairs: Mapping[tuple[str, str], float], reference: str) -> dict[str, float]:
+    """Return the sensors that pairs link with the reference, and how far they are ahead.
+
+    Parameters
+    ----------
+    pairs : mapping
+        By (one, other): how far the other one is ahead of the one.
+    reference : str
+        Where to begin.
+    """
     ahead = {reference: 0.0}
     waiting = [reference]
     while waiting:
         here = waiting.pop(0)
-        for (one, other), offset in edges.items():
-            if one == here and other not in ahead:
-                ahead[other] = ahead[here] + offset.offset_s
-                waiting.append(other)
-            elif other == here and one not in ahead:
-                ahead[one] = ahead[here] - offset.offset_s
-                waiting.append(one)
+        for (one, other), gap in pairs.items():
+            for near, far, away in ((one, other, gap), (other, one, -gap)):
+                if near == here and far not in ahead:
+                    ahead[far] = ahead[here] + away
+                    waiting.append(far)
     return ahead
+
+
+def _linked(edges: Edges, reference: str) -> dict[str, float]:
+    return reached({pair: offset.offset_s for pair, offset in edges.items()}, reference)
 
 
 def _least_squares(design: Floats, values: Floats, sigma: Floats) -> tuple[Floats, Floats, float]:

@@ -99,14 +99,6 @@ class Moments:
         """Return them as if they had been seen so many moments later."""
         return replace(self, moment=self.moment + moments)
 
-    def moved(self, step: Floats) -> Moments:
-        """Return them after a small step of the sensor: easting, northing, yaw."""
-        turn = step[2] * np.column_stack([-self.arm[:, 1], self.arm[:, 0]])
-        arm, spot = self.arm.copy(), self.place.copy()
-        arm[:, FLAT] += turn
-        spot[FLAT] += step[:2]
-        return replace(self, arm=arm, place=spot)
-
 
 def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -> Moments:
     """Put the vehicles of a recording on the map, moment by moment.

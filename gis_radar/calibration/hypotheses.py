@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from gis_radar.arrays import Booleans, Floats, compiled
 from gis_radar.calibration.adaptation import adapted
 from gis_radar.calibration.certainty import LOOK_GAIN, PLANE, advantage, along_valley
-from gis_radar.calibration.lanes import LANE_CELL_M, Lanes, Scene
+from gis_radar.calibration.lanes import LANE_CELL_M, Lanes, Scene, match, place
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
@@ -27,6 +27,7 @@ TILT = math.radians(6.0)  # 1 sigma of how far masts and roads lean, radians
 # 1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
 LEVEL_SPREAD_M = 0.5
 LEVEL_ELEVATION = math.radians(0.6)
+LEVEL_ROUNDS = 12  # reweighted fits of the plane; it settles in five to eight
 SCORED = 900  # traces scored; cost in proportion
 SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
 # Bell across a lane, grid of places, grid of headings (radians). Steps are at most one spread, or
@@ -86,7 +87,7 @@ def level(scene: Scene) -> Levelling:
     scene : Scene
         The traces.
     """
-    samples, settings = scene.samples, scene.settings.search
+    samples = scene.samples
     x, y, z = samples.points.T
     rows = np.column_stack([x, y, np.ones(len(x))])
     reach = np.linalg.norm(samples.points, axis=1)
@@ -94,7 +95,7 @@ def level(scene: Scene) -> Levelling:
     prior = np.diag([TILT**-2, TILT**-2, 0.0])
     weight = sigma**-2
     plane = np.array([0.0, 0.0, float(np.median(z))])
-    for _ in range(settings.level_rounds):
+    for _ in range(LEVEL_ROUNDS):
         weight = sigma**-2 / (1.0 + ((z - rows @ plane) / (2.0 * sigma)) ** 2) ** 2
         plane = np.linalg.solve(rows.T @ (weight[:, None] * rows) + prior, rows.T @ (weight * z))
     up = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(1.0 + plane[0] ** 2 + plane[1] ** 2)
@@ -405,15 +406,11 @@ def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
         R_map_sensor=turn @ levelling.R_level_sensor,
         reflection=REFLECTION_M,
     )
-    points = state.to_map(scene.samples.points)
-    cell = np.floor((points[:, :2] - lanes.corner) / LANE_CELL_M).astype(np.int64)
-    _, rows, columns = lanes.distance.shape
-    inside = (cell >= 0).all(axis=1) & (cell < [columns, rows]).all(axis=1)
-    column, row = cell[inside].T
-    nearest = np.argmin(lanes.distance[:, row, column], axis=0)
-    lane = lanes.nearest[nearest, row, column]
-    over = lanes.points[lane, 2] + REFLECTION_M - points[inside, 2]
-    over = over[(lane >= 0) & np.isfinite(over)]
+    placed = place(scene.samples, state)
+    flat = placed.points * [1.0, 1.0, np.nan]
+    matches = match(lanes, replace(placed, points=flat))
+    over = lanes.points[matches.lane, 2] + REFLECTION_M - placed.points[:, 2]
+    over = over[matches.found & np.isfinite(over)]
     known = lanes.points[:, 2][np.isfinite(lanes.points[:, 2])]
     height = np.median(over) if len(over) else np.median(known) + levelling.depth_m
     return replace(state, position=np.array([*candidate.place, float(height)]))

@@ -15,7 +15,13 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
-from gis_radar.calibration.localization import decided_by_scan, localize
+from gis_radar.calibration.localization import (
+    decided_by_scan,
+    localize,
+    read_ground,
+    refuse_both,
+    start_in_map,
+)
 from gis_radar.calibration.moving import (
     RIGHT,
     Span,
@@ -29,15 +35,13 @@ from gis_radar.calibration.result import AmbiguousError, Localization
 from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving
-from gis_radar.crs import moved_position, yaw_from_compass
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import atomic_writes, output_errors
-from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import card
 from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Level, Reporter
-from gis_radar.scans.scan import read_road, road_crs
 from gis_radar.texts import Text
 
 # Of the recordings of several days, the seconds in which most sensors recorded: 2000 frames.
@@ -167,21 +171,20 @@ def localize_together(
     """
     paths = [Path(each) for each in recordings]
     _check_counts(paths, guesses, headings, compasses)
-    frame = road_crs(road) if crs is None else crs
-    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
-    places = [tuple(float(number) for number in guess) for guess in guesses]
-    if guess_crs is not None:
-        places = [moved_position(place, guess_crs, roads.crs) for place in places]
-    if compasses is not None:
-        headings = [
-            yaw_from_compass(compass, roads.crs, place[0], place[1])
-            for compass, place in zip(compasses, places, strict=True)
-        ]
+    roads, points = read_ground(map_path, road, crs=crs, origin=origin, reporter=reporter)
+    none = [None] * len(paths)
+    starts = [
+        start_in_map(roads, guess, guess_crs, heading, compass)
+        for guess, heading, compass in zip(
+            guesses, headings or none, compasses or none, strict=True
+        )
+    ]
+    places, yaws = zip(*starts, strict=True)
     if scans:
         for path, place in zip(paths, places, strict=True):
             require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
     return locate_all(
-        paths, roads, read_road(road, roads.crs), guesses=places, headings=headings, scans=scans,
+        paths, roads, points, guesses=places, headings=yaws, scans=scans,
         scan_crs=scan_crs, settings=settings, reporter=reporter,
     )  # fmt: skip
 
@@ -192,7 +195,7 @@ def locate_all(
     road_points: Floats,
     *,
     guesses: Sequence[tuple[float, ...]],
-    headings: Sequence[float] | None = None,
+    headings: Sequence[float | None] | None = None,
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
     settings: LocalizationSettings = LOCALIZATION,
@@ -358,7 +361,7 @@ def adjust_poses(
         stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
-    lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
+    lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points)
     solved = solve_network(stations, lanes, settings)
     for remark in solved.remarks:
         reporter.warn(remark)
@@ -371,7 +374,6 @@ def _lanes_of_all(
     places: Floats,
     roads: LaneletMap,
     road_points: Floats,
-    settings: LocalizationSettings,
 ) -> Lanes:
     """Return the lanes that any of several sensors sees.
 
@@ -383,8 +385,6 @@ def _lanes_of_all(
         Where they may stand.
     roads, road_points
         As for :func:`gis_radar.localize`.
-    settings : LocalizationSettings
-        How finely lanes are sampled.
     """
     middle = places.mean(axis=0)
     flat = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
@@ -392,7 +392,7 @@ def _lanes_of_all(
     spread_m = float(np.hypot(*(places - middle).T).max())
     return sample_lanes(
         roads.lanelets, road_points,
-        place=middle, reach_m=spread_m + seen_m + MARGIN_M, settings=settings.lanes,
+        place=middle, reach_m=spread_m + seen_m + MARGIN_M,
     )  # fmt: skip
 
 
@@ -423,8 +423,7 @@ def _check_counts(
             len(paths),
             hint=Text("leave out {}", "--together"),
         )
-    if headings is not None and compasses is not None:
-        raise UsageError("both heading and compass are given", hint="give one of them")
+    refuse_both(headings, compasses)
     given = {"guesses": guesses, "headings": headings, "compasses": compasses}
     for what, values in given.items():
         if values is not None and len(values) != len(paths):

@@ -234,6 +234,4 @@ def same_sign(quaternion: Floats, like: Floats) -> Floats:
 
 def _to_angles(quaternion: Floats) -> Floats:
     yaw, pitch, _ = Rotation.from_quat(quaternion).as_euler("ZYX")
-    matrix = np.eye(6)
-    matrix[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
-    return matrix
+    return angles_from_turn(float(yaw), float(pitch))

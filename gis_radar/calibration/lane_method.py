@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.calibration.certainty import advantage, certainty
+from gis_radar.calibration.certainty import advantage, certainty, stated
 from gis_radar.calibration.hypotheses import (
     Hypothesis,
     find_hypotheses,
@@ -25,7 +25,6 @@ from gis_radar.calibration.settings import (
 )
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
 from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.poses.pose import COMPONENTS
 from gis_radar.progress import Reporter
 from gis_radar.texts import Text
 
@@ -120,7 +119,6 @@ def lanes_around(
         problem.road,
         place=problem.guess[:2],
         reach_m=reach_m + settings.search.guess_m + MARGIN_M,
-        settings=settings.lanes,
     )
     if lanes.scanned < LEAST_SCANNED:
         raise InputError(
@@ -254,10 +252,8 @@ def _answer(
 ) -> Localization:
     known = certainty(best.fit, scene.settings.answer, rival=best.rival)
     samples = scene.samples
-    sigma = np.concatenate([known.sigma[:3], np.degrees(known.sigma[3:])])
     evidence = {
-        "sigma": {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)},
-        "covariance": known.covariance.tolist(),
+        **stated(known.covariance),
         **common(moving, "lane"),
         "converged": best.fit.converged,
         "fitness": best.fit.fitness,

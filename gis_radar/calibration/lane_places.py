@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, match_along
+from gis_radar.calibration.lanes import Lanes, match_along
 from gis_radar.calibration.settings import TraceSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import HIDDEN_S, NONE, STRAY_MPS, VEHICLE_M, Moving, link_tracks
+from gis_radar.calibration.traces import NONE, Moving, link_tracks, straight_line
 
 # Cells of lanes, in which a vehicle's place is one number; and stretches, in which whatever makes
 # drivers change their habit (a parked van, a cyclist) concerns all cells.
@@ -44,7 +44,7 @@ class Cells:
     centre, left : (c, 2) arrays
         Middle of each cell in local coordinates, and the unit vector to the left of travel.
     stretch : (c,) array
-        Which stretch of street a cell belongs to, 0 to `stretches` - 1.
+        Which stretch of street a cell belongs to, from 0.
     """
 
     lanes: Lanes
@@ -56,11 +56,6 @@ class Cells:
     def __len__(self) -> int:
         return len(self.stretch)
 
-    @property
-    def stretches(self) -> int:
-        """How many stretches there are."""
-        return int(self.stretch.max(initial=-1)) + 1
-
 
 def cells_along(lanes: Lanes) -> Cells:
     """Cut lanes into cells and stretches.
@@ -70,21 +65,14 @@ def cells_along(lanes: Lanes) -> Cells:
     lanes : Lanes
         Around a sensor.
     """
-    step = np.diff(lanes.points[:, :2], axis=0)
-    on = (np.hypot(*step.T) < 2.0 * LANE_STEP_M) & (
-        np.sum(lanes.along[1:] * lanes.along[:-1], axis=1) > SAME_WAY
-    )
-    run = np.cumsum(np.append(0, ~on))
-    begin = np.flatnonzero(np.append(True, ~on))
-    place_m = (np.arange(len(run)) - begin[run]) * LANE_STEP_M
     alone = ~_overlapped(lanes)
-    pieces = [(place_m // size).astype(np.int64) for size in (CELL_M, STRETCH_M)]
+    pieces = [(lanes.s_m // size).astype(np.int64) for size in (CELL_M, STRETCH_M)]
     cell, stretch = (
-        np.unique(np.column_stack([run, piece]), axis=0, return_inverse=True)[1].ravel()
+        np.unique(np.column_stack([lanes.lane, piece]), axis=0, return_inverse=True)[1].ravel()
         for piece in pieces
     )
     kept, of_kept = np.unique(cell[alone], return_inverse=True)
-    of_sample = np.full(len(run), NONE, dtype=np.int64)
+    of_sample = np.full(len(alone), NONE, dtype=np.int64)
     of_sample[alone] = of_kept
     count = np.maximum(np.bincount(of_kept, minlength=len(kept)), 1)
     mean = [
@@ -179,14 +167,14 @@ def lane_places(
     ended = (last >= since) & (last < until)
     rows = np.flatnonzero((number != NONE) & ended[number])
     rows = rows[np.argsort(number[rows], kind="stable")]
-    track, time = number[rows], moving.time[rows]
+    track = number[rows]
     points = state.to_map(moving.points[rows])
-    smooth, velocity = _smoothed(track, time, points, SMOOTH_S)
+    smooth, velocity = _smoothed(track, moving.time[rows], points, moving.range_rate[rows])
     middle = _middles(smooth, velocity, state.position)
     sample, across_m, over_m = _on_lanes(cells.lanes, middle, velocity, state.position)
     cell = np.where(sample == NONE, NONE, cells.of_sample[sample])
     good = cell != NONE
-    vehicle = _joined(track, time, points, velocity)[track]
+    vehicle = track
     keys = np.column_stack([vehicle[good], cell[good]])
     pairs, of_pair, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     of_pair = of_pair.ravel()
@@ -206,7 +194,7 @@ def lane_places(
 
 @compiled
 def _smoothed(  # pragma: no cover - compiled
-    track: Integers, time: Floats, points: Floats, smooth_s: float
+    track: Integers, time: Floats, points: Floats, rate: Floats
 ) -> tuple[Floats, Floats]:
     """Return place (n, 3) and velocity (n, 2) by straight lines through neighbours in time.
 
@@ -214,23 +202,20 @@ def _smoothed(  # pragma: no cover - compiled
     cut off, on one side, what a move shifts over the lane's edge, and hide half of the move.
     """
     place, velocity = points.copy(), np.zeros((len(track), 2))
-    low = 0
+    low = high = 0
     for i in range(len(track)):
-        while track[low] != track[i] or time[low] < time[i] - smooth_s:
+        while track[low] != track[i] or time[low] < time[i] - SMOOTH_S:
             low += 1
-        n, t, x, y, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(low, len(track)):
-            if track[j] != track[i] or time[j] > time[i] + smooth_s:
-                break
-            d, u, v = time[j] - time[i], points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-            n, t, x, y = n + 1.0, t + d, x + u, y + v
-            tt, tx, ty = tt + d * d, tx + d * u, ty + d * v
-        spread = tt - t * t / n
-        if n >= 4.0 and spread > 0.01:
-            velocity[i, 0] = (tx - t * x / n) / spread
-            velocity[i, 1] = (ty - t * y / n) / spread
-            place[i, 0] += (x - velocity[i, 0] * t) / n
-            place[i, 1] += (y - velocity[i, 1] * t) / n
+        high = max(high, i)
+        while high < len(track) and track[high] == track[i] and time[high] <= time[i] + SMOOTH_S:
+            high += 1
+        known, middle, x, y, east, north, _ = straight_line(
+            time, points, rate, low, high, time[low], time[i] + SMOOTH_S
+        )
+        if known > 3.0:
+            velocity[i, 0], velocity[i, 1] = east, north
+            place[i, 0] = x + east * (time[i] - middle)
+            place[i, 1] = y + north * (time[i] - middle)
     return place, velocity
 
 
@@ -262,25 +247,3 @@ def _on_lanes(
     good = matches.found & (speed > LEAST_MPS)
     good &= (np.abs(across) < WITHIN_M) & ~((over < low) | (over > high))
     return np.where(good, matches.lane, NONE), across, over
-
-
-def _joined(track: Integers, time: Floats, points: Floats, velocity: Floats) -> Integers:
-    """Return for each track the first one of its vehicle: hidden for a while, it comes again."""
-    tracks = int(track.max(initial=NONE)) + 1
-    first = np.arange(tracks)
-    present, begin = np.unique(track, return_index=True)
-    if len(present) == 0:
-        return first
-    end = np.append(begin[1:], len(track)) - 1
-    pace = np.array([np.median(part, axis=0) for part in np.split(velocity, begin[1:])])
-    for j in np.argsort(time[begin], kind="stable"):
-        gap_s = time[begin[j]] - time[end]
-        ahead = points[begin[j], :2] - points[end, :2] - pace * gap_s[:, None]
-        speed = np.hypot(*pace.T)
-        alike = np.sum(pace * pace[j], axis=1) > SAME_WAY * speed * speed[j]
-        off_m = np.hypot(*ahead.T) - STRAY_MPS * gap_s
-        near = (gap_s > 0.0) & (gap_s < HIDDEN_S) & alike & (off_m < VEHICLE_M)
-        if near.any():
-            i = int(np.argmin(np.where(near, off_m, np.inf)))
-            first[present[j]] = first[present[i]]
-    return first

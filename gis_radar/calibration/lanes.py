@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.settings import LOCALIZATION, LaneSettings, LocalizationSettings
+from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Samples
 from gis_radar.errors import NoAnswerError
@@ -35,6 +35,7 @@ MIN_TOP_MPS = 15.0
 # Largest height between sample and lane, plus that share of the range (3 degrees of tilt).
 LEVEL_M = 4.0
 LEVEL_SHARE = 0.05
+SLACK_MPS = 0.5  # range rates may disagree by noise, and as a long vehicle turns
 BORDER_M = 1.0  # a sample nearer to its lane's middle is no other lane's: less than half a lane
 NO_WAY_M = 1e-9
 
@@ -73,8 +74,6 @@ class Lanes:
         Whether most of the lanes have a direction.
     scanned : float
         Share of the samples whose height the scanned road gives.
-    settings : LaneSettings
-        With which they were sampled.
     """
 
     origin: Floats
@@ -90,7 +89,6 @@ class Lanes:
     distance: np.ndarray
     directed: bool
     scanned: float
-    settings: LaneSettings
 
     def beside(self, sample: Integers, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Return how far points are ahead of a sample, left of its lane, and over it, metres."""
@@ -101,9 +99,8 @@ class Lanes:
 
 
 def sample_lanes(
-    lanelets: gpd.GeoDataFrame, road: Floats, *, place: Floats, reach_m: float,
-    settings: LaneSettings = LOCALIZATION.lanes,
-) -> Lanes:  # fmt: skip
+    lanelets: gpd.GeoDataFrame, road: Floats, *, place: Floats, reach_m: float
+) -> Lanes:
     """Sample the lanes that vehicles use within reach of a place.
 
     Parameters
@@ -116,8 +113,6 @@ def sample_lanes(
         Easting and northing around which to sample; becomes the local origin.
     reach_m : float
         How far.
-    settings : LaneSettings
-        How finely.
 
     Raises
     ------
@@ -172,7 +167,6 @@ def sample_lanes(
         distance=distance,
         directed=bool(two_way.mean() < 0.5),
         scanned=float(scanned[rows].mean()) if len(rows) else 0.0,
-        settings=settings,
     )
 
 
@@ -408,12 +402,8 @@ def match_along(
     least_cosine : float
         Between lane and `way`.
     """
-    constants = (
-        LANE_CELL_M, LANE_STEP_M, LEVEL_M, LEVEL_SHARE, BORDER_M, lanes.settings.slack_mps,
-        least_cosine,
-    )  # fmt: skip
     lane, found = _match(
-        np.array(constants),
+        least_cosine,
         points,
         way,
         reach,
@@ -429,7 +419,7 @@ def match_along(
 
 @compiled
 def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
-    settings: Floats,
+    least_cosine: float,
     points: Floats,
     sight: Floats,
     reach: Floats,
@@ -441,7 +431,6 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
     nearest: NDArray[np.int32],
 ) -> tuple[Integers, Booleans]:
     """Return the lane sample of each point, and whether there is one."""
-    cell_m, step_m, level_m, level_share, border_m, slack_mps, least_cosine = settings
     bins, rows, columns = nearest.shape
     lane = np.zeros(len(points), dtype=np.int64)
     found = np.zeros(len(points), dtype=np.bool_)
@@ -451,7 +440,7 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
             east, north = points[i, 0] - corner[0], points[i, 1] - corner[1]
             # the nearest lane of a cell's centre; then, where lanes meet, of the cell beside it
             for _ in range(2):
-                column, row = int(np.floor(east / cell_m)), int(np.floor(north / cell_m))
+                column, row = int(np.floor(east / LANE_CELL_M)), int(np.floor(north / LANE_CELL_M))
                 if not (0 <= column < columns and 0 <= row < rows):
                     break
                 k = nearest[b, row, column]
@@ -466,18 +455,18 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
                 # is neither negative nor above the lane's top speed
                 cosine = along[k, 0] * sight[i, 0] + along[k, 1] * sight[i, 1]
                 forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
-                allowed = -slack_mps <= forward <= abs(cosine) * top_speed[k] + slack_mps
+                allowed = -SLACK_MPS <= forward <= abs(cosine) * top_speed[k] + SLACK_MPS
                 allowed = allowed and abs(cosine) >= least_cosine
-                if allowed and not abs(z) > level_m + level_share * reach[i]:  # or NaN
+                if allowed and not abs(z) > LEVEL_M + LEVEL_SHARE * reach[i]:  # or NaN
                     # past the end of a lane counts as off it; samples are a step apart
                     ahead = abs(x * along[k, 0] + y * along[k, 1])
-                    gap = np.hypot(across, max(ahead - 1.5 * step_m, 0.0))
+                    gap = np.hypot(across, max(ahead - 1.5 * LANE_STEP_M, 0.0))
                     if gap < best:
                         best = gap
                         lane[i] = k
                         found[i] = True
-                if abs(across) < border_m:
+                if abs(across) < BORDER_M:
                     break
-                east -= np.copysign(cell_m, across) * along[k, 1]
-                north += np.copysign(cell_m, across) * along[k, 0]
+                east -= np.copysign(LANE_CELL_M, across) * along[k, 1]
+                north += np.copysign(LANE_CELL_M, across) * along[k, 0]
     return lane, found

@@ -107,9 +107,7 @@ def localize(
         )
     open_recording(recording).require_elevation("its height, pitch and roll cannot be found")
     traces = settings.traces
-    moving = read_moving(
-        recording, frames=traces.frames, min_speed=traces.min_speed_mps, reporter=reporter
-    )
+    moving = read_moving(recording, traces, reporter=reporter)
     if moving.frames < traces.least_frames:
         raise NoAnswerError(
             "{}: {} frames, at least {} are needed",
@@ -224,18 +222,11 @@ def localize_files(
     NoAnswerError
         If none of the recordings gives a trustworthy pose; the first one's reason.
     """
-    if heading is not None and compass is not None:
-        raise UsageError("both heading and compass are given", hint="give one of them")
-    frame = road_crs(road) if crs is None else crs
-    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
-    points = read_road(road, roads.crs)
-    place = tuple(guess)
-    if guess_crs is not None:
-        place = moved_position(place, guess_crs, roads.crs)
+    refuse_both(heading, compass)
+    roads, points = read_ground(map_path, road, crs=crs, origin=origin, reporter=reporter)
+    place, heading = start_in_map(roads, guess, guess_crs, heading, compass)
     if scans:
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
-    if compass is not None:
-        heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
     ask = partial(
         localize, roads=roads, road_points=points,
         guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
@@ -254,6 +245,42 @@ def localize_files(
         seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
         draw_localization(found, roads, points, figure, look=look, seen=seen)
     return found
+
+
+def refuse_both(heading: Any, compass: Any) -> None:
+    """Refuse a heading beside a compass bearing."""
+    if heading is not None and compass is not None:
+        raise UsageError("both heading and compass are given", hint="give one of them")
+
+
+def read_ground(
+    map_path: str | Path,
+    road: str | Path,
+    *,
+    crs: Any,
+    origin: tuple[float, float] | None,
+    reporter: Reporter,
+) -> tuple[LaneletMap, Floats]:
+    """Read a map, and the scanned road in its coordinate system; see :func:`localize_files`."""
+    frame = road_crs(road) if crs is None else crs
+    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
+    return roads, read_road(road, roads.crs)
+
+
+def start_in_map(
+    roads: LaneletMap,
+    guess: Sequence[float],
+    guess_crs: Any,
+    heading: float | None,
+    compass: float | None,
+) -> tuple[tuple[float, ...], float | None]:
+    """Return guess and heading in the coordinate system of a map."""
+    place = tuple(float(number) for number in guess)
+    if guess_crs is not None:
+        place = moved_position(place, guess_crs, roads.crs)
+    if compass is not None:
+        heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
+    return place, heading
 
 
 def _sight(

@@ -249,8 +249,7 @@ class Follower:
         self._settings = settings
         self._name, self._reporter = name, reporter
         self.watch, self.scatter = Watch(fitter, settings), Scatter(settings)
-        traces = settings.localization.traces
-        self._window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
+        self._window = MovingWindow(settings.localization.traces)
         self._past: deque[Estimate] = deque([start])
         self._like = start.state(
             State(

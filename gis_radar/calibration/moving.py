@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
+from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings, TraceSettings
 from gis_radar.calibration.traces import Moving
 from gis_radar.errors import InputError
 from gis_radar.progress import QUIET, Reporter
@@ -26,19 +25,15 @@ class MovingWindow(RollingWindow):
 
     Parameters
     ----------
-    frames : int
-        Length of the window.
-    min_speed : float
-        Least absolute range rate of a moving detection, m/s.
+    traces : TraceSettings
+        Length of the window, and what moves.
     """
 
-    def __init__(
-        self,
-        *,
-        frames: int = LOCALIZATION.traces.frames,
-        min_speed: float = LOCALIZATION.traces.min_speed_mps,
-    ) -> None:
-        super().__init__(frames=frames, keep=lambda batch: np.abs(batch.range_rate) > min_speed)
+    def __init__(self, traces: TraceSettings = LOCALIZATION.traces) -> None:
+        least_mps = traces.min_speed_mps
+        super().__init__(
+            frames=traces.frames, keep=lambda batch: np.abs(batch.range_rate) > least_mps
+        )
 
     def moving(self) -> Moving:
         """Return what moved in the window."""
@@ -48,18 +43,13 @@ class MovingWindow(RollingWindow):
             points=found.points,
             range_rate=found.range_rate,
             frames=len(self),
-            detections=found.detections,
             begin=self.begin,
             end=float(found.frame_times[-1]) if len(self) else float("nan"),
         )
 
 
 def read_moving(
-    path: str | Path,
-    *,
-    frames: int = LOCALIZATION.traces.frames,
-    min_speed: float = LOCALIZATION.traces.min_speed_mps,
-    reporter: Reporter = QUIET,
+    path: str | Path, traces: TraceSettings = LOCALIZATION.traces, *, reporter: Reporter = QUIET
 ) -> Moving:
     """Read what moved in the last frames of a recording, in bounded memory.
 
@@ -67,10 +57,8 @@ def read_moving(
     ----------
     path : str or Path
         A recording.
-    frames : int
-        Length of the window.
-    min_speed : float
-        Least absolute range rate, m/s.
+    traces : TraceSettings
+        Length of the window, and what moves.
     reporter : Reporter
         Receives progress.
 
@@ -80,7 +68,7 @@ def read_moving(
         If the recording cannot be read.
     """
     recording, done = open_recording(path), 0
-    window = MovingWindow(frames=frames, min_speed=min_speed)
+    window = MovingWindow(traces)
     for batch in recording.read():
         window.push(batch)
         done += len(batch)
@@ -118,23 +106,10 @@ def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
         If it cannot be read.
     """
     recording = open_recording(path)
-    found = _stated_times(path) if path.suffix.lower() == ".parquet" else None
-    if found is None:
-        ends = [(float(batch.time[0]), float(batch.time[-1])) for batch in recording.read()]
-        found = ends[0][0], ends[-1][1]
-    begin, end = (float(each) for each in clock.corrected(np.array(found)))
+    parts = None if recording.time_spans is None else recording.time_spans()
+    parts = parts or [(float(rows.time[0]), float(rows.time[-1])) for rows in recording.read()]
+    begin, end = clock.corrected(np.array([parts[0][0], parts[-1][1]])).tolist()
     return Span(path=path, begin=begin, end=end)
-
-
-def _stated_times(path: Path) -> tuple[float, float] | None:
-    """Return the first and the last time as a Parquet file's footer states them, or None."""
-    metadata = pq.read_metadata(path)
-    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
-    stated = [each.statistics for each in columns if each.path_in_schema == "time"]
-    if not stated or not all(each is not None and each.has_min_max for each in stated):
-        return None
-    return float(stated[0].min), float(stated[-1].max)
 
 
 def common_time(recordings: Sequence[Path]) -> float:
@@ -191,7 +166,7 @@ def read_until(
     InputError
         If a recording cannot be read.
     """
-    window = MovingWindow(frames=settings.traces.frames, min_speed=settings.traces.min_speed_mps)
+    window = MovingWindow(settings.traces)
     last = -np.inf
     for span in sorted(spans, key=lambda each: each.begin):
         for batch in open_recording(span.path).read():

@@ -20,7 +20,7 @@ from gis_radar.calibration.adjustment import (
 )
 from gis_radar.calibration.certainty import Names, longest_m, moved, plane_covariance, with_gain
 from gis_radar.calibration.clock_offsets import measured_offset
-from gis_radar.calibration.clocks import SensorClock, adjust_network
+from gis_radar.calibration.clocks import SensorClock, adjust_network, reached
 from gis_radar.calibration.correspondences import (
     LEAST_PAIRS,
     PLANE,
@@ -321,11 +321,7 @@ class _Network:
     def _friends(self, name: str) -> set[str]:
         """Return the sensors that agree with one, or with one that does, itself included."""
         good = self.agreeing - self.clashes.keys()
-        known, fresh = {name}, {name}
-        while fresh:
-            fresh = {b for pair in good for a, b in (pair, pair[::-1]) if a in fresh} - known
-            known |= fresh
-        return known
+        return set(reached(dict.fromkeys(good, 0.0), name))
 
     def adjusted(self) -> tuple[Adjusted, dict[Names, Correspondences]]:
         """Pair and adjust in turn until neither changes."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats
+from gis_radar.calibration.certainty import stated
 from gis_radar.calibration.kalman_filter import Estimate
 from gis_radar.calibration.result import Problem
 from gis_radar.calibration.settings import MONITOR, MonitorSettings
@@ -242,15 +243,11 @@ def track_of(
 
 def _pose(problem: Problem, row: Row, step: int) -> Pose:
     estimate = row.estimate
-    covariance = estimate.angle_covariance
-    sigma = np.sqrt(np.diag(covariance))
-    sigma[3:] = np.degrees(sigma[3:])
     state = estimate.state(
         State(position=estimate.position, R_map_sensor=np.eye(3), reflection=0.0)
     )
     evidence = {
-        "sigma": {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)},
-        "covariance": covariance.tolist(),
+        **stated(estimate.angle_covariance),
         "time": iso_from_step(step),
         "method": "track",
         "event": row.event,

@@ -17,7 +17,7 @@ from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.calibration.lanes import Lanes, Matches, Placed
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.state import SIZE
-from gis_radar.calibration.traces import Samples
+from gis_radar.calibration.traces import SPELL_S, Samples
 
 STRAY_SHARE = 0.1  # share of detections that are on no vehicle: ghosts and multipath
 # Over which width and height, metres, these spread evenly.
@@ -277,7 +277,7 @@ def height_covariance(samples: Samples, model: Model) -> Floats:
     """
     reach = samples.spell_reach
     number = np.arange(reach.shape[1])
-    apart = np.sqrt(3.0) * np.abs(number[:, None] - number) * samples.spell_s / model.lasting
+    apart = np.sqrt(3.0) * np.abs(number[:, None] - number) * SPELL_S / model.lasting
     alike = (1.0 + apart) * np.exp(-apart)
     angle = model.bent * reach
     covariance = model.vehicle**2 + angle[:, :, None] * angle[:, None, :] * alike

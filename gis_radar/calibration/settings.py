@@ -61,19 +61,6 @@ class TraceSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LaneSettings:
-    """Which lanes a detection may lie on.
-
-    Parameters
-    ----------
-    slack_mps : float
-        Range rates may disagree with a lane by noise and the turning of a long vehicle.
-    """
-
-    slack_mps: float = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
 class SearchSettings:
     """How the traces are levelled and laid on a grid of places and headings.
 
@@ -83,13 +70,10 @@ class SearchSettings:
         How far a guess may be off (contract).
     heading_tolerance : float
         Radians either way of a given heading: 25 degrees (contract) and some slack.
-    level_rounds : int
-        Reweighted fits of the plane; it settles in five to eight.
     """
 
     guess_m: float = 15.0
     heading_tolerance: float = radians(30.0)
-    level_rounds: int = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,22 +99,6 @@ class HypothesisSettings:
     finalists: int = 4
     rival: float = 3.5
     looks: int = 4
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdaptationSettings:
-    """What is estimated of the radar and the vehicles of a recording.
-
-    Parameters
-    ----------
-    least : int
-        Samples near enough; with fewer no heights are estimated.
-    most_factor : float
-        Largest factor on the side strength that is tried, up and down.
-    """
-
-    least: int = 200
-    most_factor: float = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,17 +166,15 @@ class LocalizationSettings:
 
     Parameters
     ----------
-    traces, lanes, search, hypotheses, adaptation, answer : settings records
+    traces, search, hypotheses, answer : settings records
         Of the method `lane`, step by step.
     icp : IcpSettings
         Of the method `icp`.
     """
 
     traces: TraceSettings = field(default_factory=TraceSettings)
-    lanes: LaneSettings = field(default_factory=LaneSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
     hypotheses: HypothesisSettings = field(default_factory=HypothesisSettings)
-    adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
     answer: AnswerSettings = field(default_factory=AnswerSettings)
     icp: IcpSettings = field(default_factory=IcpSettings)
 

@@ -418,8 +418,22 @@ def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
 
 def at_least(information: Floats, floor: Floats) -> Floats:
     """Return an information that in no direction is below a positive definite floor."""
-    root = np.linalg.cholesky((floor + floor.T) / 2.0)
+    return _whitened(information, floor, np.maximum)
+
+
+def at_most(covariance: Floats, most: Floats) -> Floats:
+    """Return a covariance that in no direction is above another one."""
+    return _whitened(covariance, most, np.minimum)
+
+
+def _whitened(matrix: Floats, bound: Floats, limit: np.ufunc) -> Floats:
+    root: Floats = np.asarray(np.linalg.cholesky((bound + bound.T) / 2.0), dtype=np.float64)
     inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ (information + information.T) @ inverse.T / 2.0)
+    return limited(root, inverse @ (matrix + matrix.T) @ inverse.T / 2.0, limit)
+
+
+def limited(root: Floats, white: Floats, limit: np.ufunc) -> Floats:
+    """Return `root white root'` with the eigenvalues of `white` limited by one."""
+    values, vectors = np.linalg.eigh((white + white.T) / 2.0)
     wide = root @ vectors
-    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
+    return np.asarray((wide * limit(values, 1.0)) @ wide.T)

@@ -55,6 +55,12 @@ class State:
         """Intrinsic Z-Y-X angles, radians."""
         return np.asarray(Rotation.from_matrix(self.R_map_sensor).as_euler("ZYX"))
 
+    @property
+    def to_angles(self) -> Floats:
+        """The (6, 6) matrix from a step of the pose to one in roll, pitch and yaw."""
+        yaw, pitch, _ = self.yaw_pitch_roll
+        return angles_from_turn(float(yaw), float(pitch))
+
     def difference(self, other: State) -> Floats:
         """Return the step from another state to this one."""
         turn = _turn(self.R_map_sensor @ other.R_map_sensor.T)
@@ -96,16 +102,15 @@ def _turn(matrix: Floats) -> Floats:
 
 
 def angles_from_turn(yaw: float, pitch: float) -> Floats:
-    """Return the (3, 3) matrix from a small turn about the map's axes to (roll, pitch, yaw).
+    """Return the (6, 6) matrix from a small step of a pose to one in roll, pitch and yaw.
 
-    Columns of its inverse are the axes about which roll, pitch and yaw turn, in the map frame:
-    `Rz(yaw) Ry(pitch) e_x`, `Rz(yaw) e_y` and `e_z`.
+    Columns of the inverse of its turning part are the axes about which roll, pitch and yaw turn, in
+    the map frame: `Rz(yaw) Ry(pitch) e_x`, `Rz(yaw) e_y` and `e_z`.
     """
-    axes = np.array(
-        [
-            [np.cos(yaw) * np.cos(pitch), -np.sin(yaw), 0.0],
-            [np.sin(yaw) * np.cos(pitch), np.cos(yaw), 0.0],
-            [-np.sin(pitch), 0.0, 1.0],
-        ]
-    )
+    axes = np.eye(6)
+    axes[TURN, TURN] = [
+        [np.cos(yaw) * np.cos(pitch), -np.sin(yaw), 0.0],
+        [np.sin(yaw) * np.cos(pitch), np.cos(yaw), 0.0],
+        [-np.sin(pitch), 0.0, 1.0],
+    ]
     return np.asarray(np.linalg.inv(axes))

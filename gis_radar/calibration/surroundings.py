@@ -174,13 +174,10 @@ class Standing:
         Mean place of the detections over each cell: ahead, left, height; metres.
     rustles : (n,) array
         Share of them that move like leaves.
-    patch_m : float
-        Side of the squares that vote as one, metres.
     """
 
     points: Floats
     rustles: Floats
-    patch_m: float = PATCH_M
 
     def __len__(self) -> int:
         return len(self.points)
@@ -188,7 +185,7 @@ class Standing:
     @property
     def patch(self) -> Integers:
         """Number of the square in which each cell is."""
-        squares = np.floor(self.points[:, :2] / self.patch_m).astype(np.int64)
+        squares = np.floor(self.points[:, :2] / PATCH_M).astype(np.int64)
         return np.asarray(np.unique(squares, axis=0, return_inverse=True)[1])
 
     @property
@@ -274,7 +271,7 @@ def standing(
         np.bincount(place, values, minlength=len(cells))[kept] / counts
         for values in (*points.T, rustles)
     ]
-    return Standing(points=np.column_stack(means[:3]), rustles=means[3], patch_m=PATCH_M)
+    return Standing(points=np.column_stack(means[:3]), rustles=means[3])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -59,8 +59,8 @@ class Moving:
         Sensor frame, metres.
     range_rate : (n,) array
         m/s, positive when receding.
-    frames, detections : int
-        How many frames and detections, still ones too, the window holds.
+    frames : int
+        How many frames the window holds.
     begin, end : float
         UNIX seconds of its first and last frame.
     """
@@ -69,7 +69,6 @@ class Moving:
     points: Floats
     range_rate: Floats
     frames: int
-    detections: int
     begin: float
     end: float
 
@@ -93,12 +92,8 @@ class Samples:
         How many objects there are.
     elevation : float
         How far the view reaches up and down, radians: what hardly any detection exceeds.
-    crowd_m : float
-        Over which length the samples of an object share its swaying.
     spell : (n,) array, optional
         In which spell of its object each was seen, counted from 0; without it in one.
-    spell_s : float
-        How long a spell is.
     vehicle : (tracks,) array, optional
         Number of the vehicle of each track, from 0; without it each is one.
     """
@@ -108,15 +103,13 @@ class Samples:
     track: Integers
     tracks: int
     elevation: float
-    crowd_m: float = CROWD_M
     spell: Integers | None = None
-    spell_s: float = SPELL_S
     vehicle: Integers | None = None
 
     @cached_property
     def crowd(self) -> Integers:
-        """How many samples of its own object are within the same `crowd_m`, itself included."""
-        cells = np.floor(self.points[:, :2] / self.crowd_m).astype(np.int64)
+        """How many samples of its own object are within the same `CROWD_M`, itself included."""
+        cells = np.floor(self.points[:, :2] / CROWD_M).astype(np.int64)
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         return np.asarray(count[number.ravel()])
@@ -195,8 +188,7 @@ def link_tracks(moving: Moving, settings: TraceSettings = LOCALIZATION.traces) -
     time = moving.time - moving.time[0]
     x, y = moving.points[:, 0], moving.points[:, 1]
     reach = np.linalg.norm(moving.points, axis=1)
-    limits = np.array([LINK_S, RATE_MPS, RANGE_M, ACROSS_M, ACROSS_MPS])
-    root = _link(limits, time, reach, np.arctan2(y, x), moving.range_rate)
+    root = _link(time, reach, np.arctan2(y, x), moving.range_rate)
     table = pd.DataFrame({"root": root, "segment": (time / settings.segment_s).astype(np.int64)})
     number = np.asarray(table.groupby(["root", "segment"], sort=True).ngroup(), dtype=np.int64)
     good = _goes_somewhere(number, time, moving, settings)
@@ -260,11 +252,7 @@ def _steady_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
 
 
 def thin(
-    moving: Moving,
-    tracks: Integers,
-    settings: TraceSettings = LOCALIZATION.traces,
-    *,
-    seed: int = 0,
+    moving: Moving, tracks: Integers, settings: TraceSettings = LOCALIZATION.traces
 ) -> Samples:
     """Keep a few detections of each track in each voxel, evenly thinned to a limit.
 
@@ -276,10 +264,8 @@ def thin(
         As from :func:`link_tracks`.
     settings : TraceSettings
         Of voxels and limits.
-    seed : int
-        Decides which; the same again for the same seed.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     on = np.flatnonzero(tracks != NONE)
     on = on[rng.permutation(len(on))]
     cells = np.floor(moving.points[on, :2] / VOXEL_M).astype(np.int64)
@@ -292,9 +278,7 @@ def thin(
         track=tracks[keep],
         tracks=int(tracks.max(initial=NONE)) + 1,
         elevation=_elevation(moving.points),
-        crowd_m=CROWD_M,
-        spell=_spells(moving.time[keep], tracks[keep], SPELL_S),
-        spell_s=SPELL_S,
+        spell=_spells(moving.time[keep], tracks[keep]),
         vehicle=vehicles_of(moving, tracks),
     )
 
@@ -322,17 +306,8 @@ def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
     first = np.unique(tracks[rows], return_index=True)[1]
     if len(first) == 0:
         return np.empty(0, dtype=np.int64)
-    limits = np.array(
-        [
-            HIDDEN_S,
-            VEHICLE_M,
-            STRAY_MPS,
-            PACE_S,
-            PACE_MPS,
-        ]
-    )
     parent = _join(
-        limits, np.append(first, len(rows)), moving.time[rows], moving.points[rows, :2],
+        np.append(first, len(rows)), moving.time[rows], moving.points[rows, :2],
         moving.range_rate[rows],
     )  # fmt: skip
     return np.asarray(np.unique(parent, return_inverse=True)[1], dtype=np.int64)
@@ -340,40 +315,39 @@ def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
 
 @compiled
 def _join(  # pragma: no cover - compiled
-    limits: Floats, first: Integers, time: Floats, points: Floats, rate: Floats
+    first: Integers, time: Floats, points: Floats, rate: Floats
 ) -> Integers:
     """Return the first track of the vehicle of each; rows are sorted by track, then time."""
-    hidden_s, vehicle_m, stray_mps, pace_s, pace_mps = limits
     count = len(first) - 1
     parent = np.arange(count)
     for j in np.argsort(time[first[:-1]]):
         begin = time[first[j]]
-        _, now, x, y, _, _, slow = _line(
-            time, points, rate, first[j], first[j + 1], begin, begin + pace_s
+        _, now, x, y, _, _, slow = straight_line(
+            time, points, rate, first[j], first[j + 1], begin, begin + PACE_S
         )
-        best = vehicle_m
+        best = VEHICLE_M
         for i in range(count):
             ended = time[first[i + 1] - 1]
-            if i == j or time[first[i]] > begin or ended < begin - hidden_s:
+            if i == j or time[first[i]] > begin or ended < begin - HIDDEN_S:
                 continue
             # how it went about that time, or last of all
-            until = min(ended, begin + pace_s)
-            known, then, a, b, east, north, pace = _line(
-                time, points, rate, first[i], first[i + 1], until - 2.0 * pace_s, until
+            until = min(ended, begin + PACE_S)
+            known, then, a, b, east, north, pace = straight_line(
+                time, points, rate, first[i], first[i + 1], until - 2.0 * PACE_S, until
             )
             c, d = a + east * (now - then), b + north * (now - then)
-            off = np.hypot(c - x, d - y) - stray_mps * max(begin - ended, 0.0)
+            off = np.hypot(c - x, d - y) - STRAY_MPS * max(begin - ended, 0.0)
             # as it passes the sensor its range rate changes
             pace += (east * c + north * d) / max(np.hypot(c, d), 1.0)
             pace -= (east * a + north * b) / max(np.hypot(a, b), 1.0)
-            if known > 2.0 and off < best and abs(pace - slow) < pace_mps:
+            if known > 2.0 and off < best and abs(pace - slow) < PACE_MPS:
                 best = off
                 parent[j] = parent[i]
     return parent
 
 
 @compiled
-def _line(  # pragma: no cover - compiled
+def straight_line(  # pragma: no cover - compiled
     time: Floats, points: Floats, rate: Floats, low: int, high: int, since: float, until: float
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return the straight line through the rows of some time.
@@ -401,11 +375,11 @@ def _line(  # pragma: no cover - compiled
     )
 
 
-def _spells(time: Floats, track: Integers, spell_s: float) -> Integers:
+def _spells(time: Floats, track: Integers) -> Integers:
     """Return in which spell of its track each sample was seen, counted from 0; time ascends."""
     first = np.full(int(track.max(initial=NONE)) + 1, np.inf)
     np.minimum.at(first, track, time)
-    return np.asarray(np.floor((time - first[track]) / spell_s), dtype=np.int64)
+    return np.asarray(np.floor((time - first[track]) / SPELL_S), dtype=np.int64)
 
 
 def _elevation(points: Floats) -> float:
@@ -417,22 +391,21 @@ def _elevation(points: Floats) -> float:
 
 @compiled
 def _link(  # pragma: no cover - compiled
-    limits: Floats, time: Floats, reach: Floats, bearing: Floats, rate: Floats
+    time: Floats, reach: Floats, bearing: Floats, rate: Floats
 ) -> Integers:
     """Return the root of each detection's track (union-find over pairs that agree)."""
-    link_s, rate_mps, range_m, across_m, across_mps = limits
     parent = np.arange(len(time))
     for i in range(len(time)):
         for j in range(i + 1, len(time)):
             lapse = time[j] - time[i]
-            if lapse > link_s:
+            if lapse > LINK_S:
                 break
             moved = reach[j] - reach[i] - 0.5 * (rate[i] + rate[j]) * lapse
-            if abs(rate[i] - rate[j]) > rate_mps or abs(moved) > range_m:
+            if abs(rate[i] - rate[j]) > RATE_MPS or abs(moved) > RANGE_M:
                 continue
             turn = abs(bearing[j] - bearing[i])
             turn = min(turn, 2.0 * np.pi - turn)
-            if turn * reach[i] > across_m + across_mps * lapse:
+            if turn * reach[i] > ACROSS_M + ACROSS_MPS * lapse:
                 continue
             a, b = i, j
             while parent[a] != a:

@@ -129,13 +129,11 @@ class WindowTraffic:
         low, high = np.searchsorted(self.moving.time, [begin, end])
         part = slice(int(low), int(high))
         _, number = np.unique(np.append(self.number[part], -1), return_inverse=True)
-        share = (high - low) / max(len(self.moving), 1)
         moving = replace(
             self.moving,
             time=self.moving.time[part],
             points=self.moving.points[part],
             range_rate=self.moving.range_rate[part],
-            detections=int(self.moving.detections * share),
             begin=max(begin, self.moving.begin),
             end=min(end, self.moving.end),
         )

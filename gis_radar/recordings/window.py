@@ -20,8 +20,6 @@ class Window:
     ----------
     frame_times : (f,) array
         UNIX seconds of all its frames, ascending.
-    detections : int
-        How many it holds, also those that are not kept.
     time, range_rate : (n,) array
         Of the kept detections: UNIX seconds; m/s, positive when receding.
     points : (n, 3) array
@@ -29,7 +27,6 @@ class Window:
     """
 
     frame_times: Floats
-    detections: int
     time: Floats
     points: Floats
     range_rate: Floats
@@ -49,18 +46,14 @@ class RollingWindow:
     def __init__(self, *, frames: int, keep: Callable[[Detections], Booleans]) -> None:
         self._keep = keep
         self._times: deque[float] = deque(maxlen=frames)
-        self._counts: deque[int] = deque(maxlen=frames)
         self._batches: deque[tuple[Floats, Floats, Floats]] = deque()
 
     def push(self, batch: Detections) -> None:
         """Take the next detections; a frame may have begun in the batch before."""
-        stamps, first = np.unique(batch.time, return_index=True)
-        counts = np.add.reduceat(batch.present.astype(np.int64), first)
+        stamps = np.unique(batch.time)
         if self._times and self._times[-1] == stamps[0]:
-            self._counts[-1] += int(counts[0])
-            stamps, counts = stamps[1:], counts[1:]
+            stamps = stamps[1:]
         self._times.extend(stamps.tolist())
-        self._counts.extend(counts.tolist())
         keep = batch.present & self._keep(batch)
         self._batches.append((batch.time[keep], batch.points[keep], batch.range_rate[keep]))
         while self._batches and (
@@ -72,7 +65,6 @@ class RollingWindow:
         """Drop the frames before a time (UNIX seconds)."""
         while self._times and self._times[0] < before:
             self._times.popleft()
-            self._counts.popleft()
 
     @property
     def begin(self) -> float:
@@ -91,7 +83,6 @@ class RollingWindow:
         inside = time >= self._times[0] if self._times else np.zeros(0, dtype=bool)
         return Window(
             frame_times=np.asarray(self._times, dtype=np.float64),
-            detections=sum(self._counts),
             time=time[inside],
             points=points[inside],
             range_rate=rate[inside],
