@@ -20,7 +20,7 @@ from gis_radar.calibration.clock_offsets import (
     validate_offset,
 )
 from gis_radar.calibration.clocks import SensorClock, _reason, adjust_network, best_linked
-from gis_radar.calibration.lane_detections import LaneDetections
+from gis_radar.calibration.lane_detections import LaneDetections, lanelets_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 
 LENGTH_M = 4.4
@@ -36,6 +36,15 @@ def street(count=240):
         ],
         height_m=370.0,
     )
+
+
+def test_the_lanes_of_tiles_are_those_that_were_cut():
+    lanelets = lanelets_of(street(count=5).sample(frac=1.0, random_state=1))  # in any order
+    starts = [(EAST + 10.0, NORTH - 1.8, 370.0), (EAST + 130.0, NORTH + 1.8, 370.0)]
+    for line, start, way in zip(lanelets["centre"], starts, (1.0, -1.0), strict=True):
+        expected = np.array(start) + np.outer(np.arange(6) * 0.5 * way, [1.0, 0.0, 0.0])
+        assert np.allclose(line.coords, expected)
+    assert np.allclose(lanelets.geometry.area / lanelets["centre"].length, 3.2)
 
 
 def looks():

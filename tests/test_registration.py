@@ -22,7 +22,7 @@ from gis_radar.calibration.certainty import (
     certainty,
 )
 from gis_radar.calibration.hypotheses import Hypothesis, level, look_around, prior_at
-from gis_radar.calibration.lanes import Lanes, Scene, match, place, sample_lanes
+from gis_radar.calibration.lanes import Lanes, Scene, match, match_along, place, sample_lanes
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.residuals import (
     STRAY_HEIGHT_M,
@@ -247,6 +247,29 @@ def test_between_two_lanes_a_sample_lies_on_the_nearer_one():
 
 def normal_of(lanes, lane):
     return np.column_stack([-lanes.along[lane, 1], lanes.along[lane, 0]])
+
+
+def test_places_along_a_lane_ascend_as_it_is_driven():
+    """On a street that is driven both ways each way has a number and places of its own."""
+    street = Street(one_way=False)
+    table, place = street.roads().lanelets, street.pose().position[:2]
+    lanes = sample_lanes(table, street.road_points(), place=place, reach_m=60.0)
+    assert len(np.unique(lanes.lane)) == 2 * len(table)
+    same = np.diff(lanes.lane) == 0
+    step = np.sum(np.diff(lanes.points[:, :2], axis=0) * lanes.along[1:], axis=1)
+    assert step[same] == pytest.approx(np.diff(lanes.s_m)[same], abs=1e-6)
+    assert lanes.s_m.min() >= 0.0
+
+
+def test_a_point_of_unknown_height_lies_on_the_lane_under_it(scene):
+    lanes = scene[0].lanes
+    points = np.vstack([lanes.points[:50], lanes.points[:50] + [0.0, 0.0, 9.0]])
+    points[:50, 2] = np.nan
+    way = np.tile(lanes.along[:50], (2, 1))
+    found = match_along(lanes, points, way, np.full(100, 5.0), np.full(100, 20.0), least_cosine=0.9)
+    assert found.found.tolist() == [True] * 50 + [False] * 50
+    ahead, left, _ = lanes.beside(found.lane[:50], points[:50])
+    assert np.hypot(ahead, left).max() < 1.0
 
 
 def test_matching_turned_round_fails(scene):
