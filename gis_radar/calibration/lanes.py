@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
@@ -193,7 +193,7 @@ def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
     known = local[:, 2]
     if len(road) == 0:
         return known, np.zeros(len(known), dtype=bool)
-    gap, index = cKDTree(road[:, :2]).query(
+    gap, index = scipy.spatial.cKDTree(road[:, :2]).query(
         local[:, :2],
         k=min(SCAN_POINTS, len(road)),
         distance_upper_bound=SCAN_NEAR_M,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import radians
 from typing import Any
 
-from scipy.special import gammaincinv
+import scipy
 
 LEVER_M = 50.0  # a turn counts as the metres by which it moves what is so far off: usual traces
 
@@ -367,7 +367,7 @@ class MonitorSettings:
 
 def chi2_quantile(level: float) -> float:
     """Return the quantile of chi2 of six degrees of freedom, without loading scipy.stats."""
-    return float(2.0 * gammaincinv(3.0, level))
+    return float(2.0 * scipy.special.gammaincinv(3.0, level))
 
 
 MONITOR = MonitorSettings()

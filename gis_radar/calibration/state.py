@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from gis_radar.arrays import Floats
 
@@ -53,7 +53,9 @@ class State:
     @property
     def yaw_pitch_roll(self) -> Floats:
         """Intrinsic Z-Y-X angles, radians."""
-        return np.asarray(Rotation.from_matrix(self.R_map_sensor).as_euler("ZYX"))
+        return np.asarray(
+            scipy.spatial.transform.Rotation.from_matrix(self.R_map_sensor).as_euler("ZYX")
+        )
 
     @property
     def to_angles(self) -> Floats:
