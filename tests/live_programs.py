@@ -8,6 +8,7 @@ import select
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -19,9 +20,11 @@ import pytest
 from live_site import LONGEST_S, SAMPLE, free_port
 
 import gis_radar as gr
-from gis_radar.live.detections import DetectionSelector
+from gis_radar.live.detections import DetectionSelector, unpack_detections
 from gis_radar.live.edge import Edge
+from gis_radar.live.payload import unpack_message
 from gis_radar.live.sources import frames_of_recording
+from gis_radar.live.spool import FRAMES, SpoolFile, spool_files
 from gis_radar.measures.views import road_near
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles, find_sight
@@ -239,6 +242,30 @@ def recorded(folder, name):
     )
     tables = [pd.read_parquet(path) for path in paths]
     return pd.concat(tables, ignore_index=True).sort_values("time", kind="stable")
+
+
+def frames_in(content):
+    """Return the times (us) of the frames of a message."""
+    return {each.time_us for each in unpack_detections(content)[1]}
+
+
+def frames_on_disk(folder, name):
+    """Return the times (us) of a sensor's frames that fusion holds, beside whoever writes them."""
+    live, found = folder / "live", set()
+    if [*live.glob(f"parts/{name}/*.parquet"), *recordings_of(folder, name)]:
+        found = {round(1e6 * each) for each in recorded(folder, name)["time"]}
+    for path in spool_files(live / "spool"):
+        for _, record in SpoolFile(path).records():
+            if (record.kind, record.sensor) == (FRAMES, name):
+                found |= frames_in(unpack_message(record.payload)[1])
+    return found
+
+
+def frames_that_wait(buffer):
+    """Return the times (us) of frames in a sensor's buffer, once its program is gone."""
+    with contextlib.closing(sqlite3.connect(buffer)) as database:
+        rows = database.execute("SELECT content FROM messages").fetchall()
+    return set().union(*(frames_in(content) for (content,) in rows))
 
 
 def selected(name, *, path=None):

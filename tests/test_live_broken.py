@@ -3,10 +3,11 @@
 The cheapest run in `make test`, all in `make live-test`.
 """
 
+import json
 import math
-import sqlite3
+import shutil
 import time
-from contextlib import closing
+import urllib.request
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from live_programs import (
     Program,
     assert_all_recorded,
     assert_equal_to_batch,
-    recorded,
+    frames_on_disk,
+    frames_that_wait,
     takes_long,
 )
 from live_site import (
@@ -26,17 +28,16 @@ from live_site import (
     OF_THE_SAMPLE,
     Background,
     LiveSite,
+    free_port,
     needs_mosquitto,
     wait_for,
 )
 
 from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
-from gis_radar.live.detections import unpack_detections
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
-from gis_radar.live.payload import MOST_BYTES, unpack_message
+from gis_radar.live.payload import MOST_BYTES
 from gis_radar.live.settings import LiveSettings, read_edge_file, read_live_site
-from gis_radar.live.spool import FRAMES, SpoolFile, spool_files
 
 pytestmark = needs_mosquitto
 
@@ -50,29 +51,6 @@ def site(tmp_path, once):
     made.broker.kill()
 
 
-def frames_in(content):
-    return {each.time_us for each in unpack_detections(content)[1]}
-
-
-def frames_on_disk(site):
-    """Return the times (us) of frames that fusion holds, read beside whoever writes them."""
-    live, found = site.folder / "live", set()
-    if [*live.glob("parts/*/*.parquet"), *live.glob("recordings/*/*.parquet")]:
-        found = {round(1e6 * each) for each in recorded(site.folder, "R1")["time"]}
-    for path in spool_files(site.folder / "live" / "spool"):
-        for _, record in SpoolFile(path).records():
-            if record.kind == FRAMES:
-                found |= frames_in(unpack_message(record.payload)[1])
-    return found
-
-
-def frames_that_wait(buffer):
-    """Return the times (us) of frames in a sensor's buffer, once its program is gone."""
-    with closing(sqlite3.connect(buffer)) as database:
-        rows = database.execute("SELECT content FROM messages").fetchall()
-    return set().union(*(frames_in(content) for (content,) in rows))
-
-
 @takes_long
 def test_sensor_and_fusion_that_are_killed_go_on_where_they_were(site):
     """With -9, each in the midst of it: what the sensor's disk held is stored, and but once."""
@@ -84,7 +62,7 @@ def test_sensor_and_fusion_that_are_killed_go_on_where_they_were(site):
     middle.kill()
     time.sleep(0.3)
     edge.kill()
-    kept, waits = frames_on_disk(site), frames_that_wait(buffer)
+    kept, waits = frames_on_disk(site.folder, "R1"), frames_that_wait(buffer)
     assert waits, edge.said
     again = Program(site.folder, "live", site.file)
     wait_for(lambda: again.told("linked"))
@@ -94,7 +72,7 @@ def test_sensor_and_fusion_that_are_killed_go_on_where_they_were(site):
     again.end()
     assert_all_recorded(site.folder, ["R1"])
     assert_equal_to_batch(site, ["R1"])
-    assert kept | waits <= frames_on_disk(site)
+    assert kept | waits <= frames_on_disk(site.folder, "R1")
 
 
 @takes_long
@@ -118,14 +96,14 @@ def test_killed_again_and_again_while_it_measures(site):
         if name == "edge":
             waited |= frames_that_wait(site.folder / "R1.buffer")
         else:
-            kept |= frames_on_disk(site)
+            kept |= frames_on_disk(site.folder, "R1")
         start(name)
     wait_for(lambda: all(each.told("linked") for each in programs.values()))
     time.sleep(5.0)
     programs["edge"].end()
     last = frames_that_wait(site.folder / "R1.buffer")
     programs["live"].end()
-    found = frames_on_disk(site)
+    found = frames_on_disk(site.folder, "R1")
     assert waited | kept <= found | last
     holes = np.flatnonzero(np.diff(sorted(found)) > 500_000)
     assert len(holes) <= 3  # one for each time that the sensor's program was dead
@@ -238,7 +216,7 @@ def test_a_sensor_on_a_full_disk_loses_what_is_new_and_says_so(tmp_path, once):
         work.end()
         middle.end()
         site.broker.kill()
-        assert len(frames_on_disk(site)) == edge.frames - edge._outbox.lost
+        assert len(frames_on_disk(site.folder, "R1")) == edge.frames - edge._outbox.lost
         assert edge._outbox.lost < lost + 1000
     finally:
         disk.close()
@@ -327,3 +305,57 @@ def test_two_sensors_with_one_name_are_noticed_and_nothing_counts_twice(site):
     assert_all_recorded(site.folder, ["R1"])
     assert_equal_to_batch(site, ["R1"])
     assert [edge._outbox.empty for edge in edges] == [True, True]
+
+
+def restored_broker(site, copy):
+    """Kill the broker and start it with the disk that it had before."""
+    site.broker.kill()
+    shutil.copy(copy, site.folder / "disk" / "mosquitto.db")
+    site.broker.start()
+
+
+@pytest.mark.parametrize("what", ["broker", "edge"])
+def test_an_older_copy_of_a_disk_that_is_put_back_loses_nothing(tmp_path, once, what):
+    """What it acknowledged, or numbered, since then is not known to it; the page goes on."""
+    page = f"127.0.0.1:{free_port()}"
+    site = LiveSite(tmp_path, once, names=("R1",),
+                    of_live=f'{OF_THE_SAMPLE}\n[live.page]\naddress = "{page}"')  # fmt: skip
+    (tmp_path / "disk").mkdir()
+    config = site.broker.config
+    config.write_text(
+        config.read_text().replace("persistence false", "persistence true")
+        + f"persistence_location {tmp_path}/disk/\nautosave_interval 1\n"
+    )
+    site.broker.start()
+    fusion = Fusion(read_live_site(site.file))
+    middle = Background(fusion.run)
+    health = fusion.sensors["R1"].health
+    file = site.edge("R1")
+    edge = HeldEdge(read_edge_file(file))
+    edge.until = 600
+    work = Background(edge.run)
+    wait_for(lambda: health.counts["frames"] == 600 and edge._outbox.empty)
+    disk = tmp_path / "disk" / "mosquitto.db" if what == "broker" else tmp_path / "R1.buffer"
+    wait_for(disk.exists)
+    time.sleep(1.5)  # it is written each second
+    shutil.copy(disk, tmp_path / "copy")
+    edge.until = 1200
+    wait_for(lambda: health.counts["frames"] == 1200 and edge._outbox.empty)
+    if what == "broker":
+        restored_broker(site, tmp_path / "copy")
+    else:
+        work.end()
+        for each in tmp_path.glob("R1.buffer*"):
+            each.unlink()
+        shutil.copy(tmp_path / "copy", disk)
+        edge = HeldEdge(read_edge_file(file))
+        work = Background(edge.run)
+    edge.until = math.inf
+    work.join()
+    work.end()
+    with urllib.request.urlopen(f"http://{page}/state.json") as answer:
+        assert json.load(answer)["sensors"]["R1"]
+    middle.end()
+    site.broker.kill()
+    assert_all_recorded(site.folder, ["R1"])
+    assert_equal_to_batch(site, ["R1"])

@@ -21,8 +21,11 @@ def is_open(port):
 
 @takes_long
 @needs_mosquitto
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stop_ends_all_programs_and_writes_the_hour(tmp_path, number):
+@pytest.mark.parametrize(
+    ("number", "times"), [(signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGINT, 2)]
+)
+def test_a_stop_ends_all_programs_and_records_what_came(tmp_path, number, times):
+    """The first stop has it recorded, the second waits for nothing; both leave no program."""
     words = [sys.executable, ROOT / "tools" / "live_demo.py", tmp_path / "live-demo"]
     said = tmp_path / "said"
     with said.open("wb") as out:
@@ -32,10 +35,14 @@ def test_a_stop_ends_all_programs_and_writes_the_hour(tmp_path, number):
         ports = [int(each) for each in re.findall(r"127\.0\.0\.1:(\d+)", said.read_text())]
         assert all(map(is_open, ports))
         demo.send_signal(number)
+        if times > 1:
+            wait_for(lambda: "stopping" in said.read_text())
+            demo.send_signal(number)
         assert demo.wait(LONGEST_S) == 0, said.read_text()
     finally:
         demo.kill()
         demo.wait()
-    assert "stopping; the hour is being written" in said.read_text()
+    assert "stopping; what came is being recorded" in said.read_text()
+    assert "Traceback" not in said.read_text()
     assert not any(map(is_open, ports))
-    assert list((tmp_path / "live-demo" / "live").rglob("*.parquet"))
+    assert times > 1 or list((tmp_path / "live-demo" / "live").rglob("*.parquet"))

@@ -129,6 +129,31 @@ def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path
     assert there == {recording_path(made.folder, "R1", HOUR).stem}
 
 
+def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path, monkeypatch):
+    """On a machine of four cores, one of which is fusion's; with an hour that is refused too."""
+    monkeypatch.setattr(hour_work, "workers_here", lambda: 3)
+    made, asked = SpooledSite(tmp_path), []
+    measure = gr.dataset.measure.measure
+
+    def noted(*given, **more):
+        asked.append(more["processes"])
+        return measure(*given, **more)
+
+    monkeypatch.setattr(hour_work, "measure", noted)
+    recorded_at(made, FULL_US - 50_000_000)
+    spooled = recorded_at(made, FULL_US + 2 * HOUR_US)
+    make_hours(made.site, spooled, [HOUR, HOUR + 1, HOUR + 2, HOUR + 3])
+    assert asked == [2]
+    assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
+    same = frames_at("R1", FULL_US + 5 * HOUR_US)
+    for name in NAMES:
+        made.add(name, same)
+    done = make_hours(made.site, recorded_at(made, FULL_US + 7 * HOUR_US), [HOUR + 5, HOUR + 7])
+    (said,) = done.not_measured
+    assert said.startswith(f"{hour_work.hour_text(HOUR + 5)} is not measured")
+    assert HOUR + 8 in read_hours(made.site.dataset)
+
+
 def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
     made = SpooledSite(tmp_path)
     frames = frames_at("R1", FULL_US - 50_000_000)

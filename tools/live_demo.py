@@ -100,12 +100,15 @@ def _say(text: str) -> None:
 
 
 def _end(programs: Sequence[subprocess.Popen[bytes]]) -> None:
-    """End the sensors first and the broker last; kill what does not end."""
-    for each in reversed(programs):
-        each.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            each.wait(PATIENCE_S)
+    """End the sensors first and the broker last; kill what does not end, at a second Ctrl-C all."""
+    with suppress(KeyboardInterrupt):
+        for each in reversed(programs):
+            each.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                each.wait(PATIENCE_S)
+    for each in programs:  # in sessions of their own, they would stay
         each.kill()
+    for each in programs:
         each.wait()
 
 

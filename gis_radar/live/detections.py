@@ -105,7 +105,7 @@ class DetectionSelector:
         self._grid = TileGrid(_widened(road.quads, MARGIN_M))
         self._rates: list[Floats] = []
         self._begun = self._learned = np.nan
-        self.still_mps = settings.moving_mps
+        self.still_mps = settings.slow_mps  # till it is learned: what stands must not seem to move
 
     def find(self, frame: Detections, pose: Pose, *, road_m: float) -> FrameDetections:
         """Return what a tracker needs of a frame.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ from gis_radar.live.recordings import (
 from gis_radar.measures.settings import Filters
 from gis_radar.measures.validity import validity_of
 from gis_radar.poses.files import PoseTrack
+from gis_radar.processes import workers_here
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightSource
 from gis_radar.texts import Text
@@ -93,7 +95,7 @@ class MeasuredSite:
 
     def measure(
         self, recordings: Sequence[tuple[Path, PoseTrack]], folder: Path, *, before_hour: int,
-        reporter: Reporter,
+        reporter: Reporter, processes: int = 1,
     ) -> Dataset:  # fmt: skip
         """Measure recordings as `gis-radar measure` does."""
         return measure(
@@ -103,7 +105,7 @@ class MeasuredSite:
             cycles={name: self.cycles[name] for name in self.cycles
                     if any(track.sensor == name for _, track in recordings)},
             hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
-            reporter=reporter,
+            processes=processes, reporter=reporter,
         )  # fmt: skip
 
 
@@ -179,17 +181,7 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
     """
     done = make_recordings(site, spooled)
     before_hour = hour_of_time(int(time.time() * 1e6))
-    for hour in hours:
-        try:
-            found = [
-                (path, track_beside(path))
-                for sensor in site.sensors
-                if (path := _recording_of(site, sensor, hour, done)) is not None
-            ]
-            if found:
-                site.measure(found, site.dataset, before_hour=before_hour, reporter=done)
-        except InputError as error:  # the recordings stay; other hours are made all the same
-            done.not_measured.append(Text("{} is not measured: {}", hour_text(hour), error.message))
+    _measure_hours(site, hours, before_hour, done)
     _read_day(site, done)
     for path in (site.folder / PROVISIONAL).glob("2*"):
         if time_of_name(path.name) // HOUR_US < before_hour:
@@ -200,6 +192,30 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
         is_needed=lambda path: path.resolve().as_posix() not in measured,
     )  # fmt: skip
     return done
+
+
+def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, done: Done) -> None:
+    """Measure hours side by side on the cores that fusion leaves; one that cannot be is named."""
+    found: dict[int, list[tuple[Path, PoseTrack]]] = {}
+    for hour in hours:
+        paths = (_recording_of(site, sensor, hour, done) for sensor in site.sensors)
+        try:
+            found[hour] = [(path, track_beside(path)) for path in paths if path is not None]
+        except InputError as error:
+            done.not_measured.append(Text("{} is not measured: {}", hour_text(hour), error.message))
+    groups = [each for each in found.items() if each[1]]
+    processes = max(workers_here() - 1, 1)
+    if len(groups) > 1 and processes > 1:
+        every = [each for _, recordings in groups for each in recordings]
+        with suppress(InputError):  # of one hour: each alone then, to find it
+            site.measure(every, site.dataset, before_hour=before_hour, reporter=done,
+                         processes=processes)  # fmt: skip
+            return
+    for hour, recordings in groups:
+        try:  # the recordings stay; other hours are made all the same
+            site.measure(recordings, site.dataset, before_hour=before_hour, reporter=done)
+        except InputError as error:
+            done.not_measured.append(Text("{} is not measured: {}", hour_text(hour), error.message))
 
 
 def _measured(site: MeasuredSite) -> set[str]:
