@@ -19,10 +19,8 @@ import pytest
 from live_site import LONGEST_S, SAMPLE, free_port
 
 import gis_radar as gr
-from gis_radar.live.detections import DetectionSelector
-from gis_radar.live.edge import Edge
-from gis_radar.live.sources import frames_of_recording
-from gis_radar.measures.views import road_near
+from gis_radar.live import DetectionSelector, Edge, frames_of_recording
+from gis_radar.measures import road_near
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles, find_sight
 

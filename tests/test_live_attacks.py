@@ -14,19 +14,24 @@ from live_site import LONGEST_S, free_port, wait_for
 
 from gis_radar.cli.console import JsonConsole, TerminalConsole
 from gis_radar.errors import InputError
-from gis_radar.live import web_server
-from gis_radar.live.broker import Received
-from gis_radar.live.health import SensorHealth, prometheus_text, serve_metrics
-from gis_radar.live.intake import Intake
-from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.page import MOST_READERS, make_app
-from gis_radar.live.payload import PoseContent
-from gis_radar.live.spool import Spool
-from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S, WebServer
-from gis_radar.live.windows import Windows
-from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.measures.views import ViewBook
-from gis_radar.poses.pose import pose_from_dict
+from gis_radar.live import (
+    Intake,
+    MapOfNow,
+    PoseContent,
+    Received,
+    SensorHealth,
+    Spool,
+    WebServer,
+    Windows,
+    make_app,
+    prometheus_text,
+    web_server,
+)
+from gis_radar.live.health import serve_metrics
+from gis_radar.live.page import MOST_READERS
+from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S
+from gis_radar.measures import FrameCounter, ViewBook
+from gis_radar.poses import pose_from_dict
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles
 

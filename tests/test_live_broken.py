@@ -30,13 +30,22 @@ from live_site import (
     wait_for,
 )
 
-from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
-from gis_radar.live.detections import unpack_detections
-from gis_radar.live.edge import Edge
-from gis_radar.live.fusion import Fusion
-from gis_radar.live.payload import MOST_BYTES, unpack_message
-from gis_radar.live.settings import LiveSettings, read_edge_file, read_live_site
-from gis_radar.live.spool import FRAMES, SpoolFile, spool_files
+from gis_radar.live import (
+    BrokerAddress,
+    Edge,
+    Fusion,
+    Link,
+    SensorTopics,
+    SpoolFile,
+    read_edge_file,
+    read_live_site,
+    spool_files,
+    unpack_detections,
+    unpack_message,
+)
+from gis_radar.live.payload import MOST_BYTES
+from gis_radar.live.settings import LiveSettings
+from gis_radar.live.spool import FRAMES
 
 pytestmark = needs_mosquitto
 

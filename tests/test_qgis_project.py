@@ -19,7 +19,7 @@ import gis_radar as gr
 from gis_radar.dataset.measure import measure
 from gis_radar.heatmap import style
 from gis_radar.languages import LANGUAGES, translated
-from gis_radar.poses.pose import ellipse
+from gis_radar.poses import ellipse
 from gis_radar.qgis.project_xml import TimeRange, fit_box, map_clock
 
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}

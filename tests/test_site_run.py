@@ -39,9 +39,10 @@ import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.demo import pose_errors
 from gis_radar.files import only_writer, refuse_foreign
+from gis_radar.site import RunState, stages_of
 from gis_radar.site import run as product
-from gis_radar.site.execution import RunState, discard
-from gis_radar.site.plan import OWNED, stages_of
+from gis_radar.site.execution import discard
+from gis_radar.site.plan import OWNED
 
 writing = import_module("gis_radar.report.report")  # of this name there is also a function
 
