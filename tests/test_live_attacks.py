@@ -79,15 +79,15 @@ def is_closed(connection):
     return True
 
 
-def test_idle_connections_take_no_more_files_than_there_are_and_nobody_waits_for_them(place):
+def test_idle_connections_take_no_more_files_than_there_are(place, monkeypatch):
+    monkeypatch.setattr(web_server, "REQUEST_S", LONGEST_S)  # none is closed for its time
     with ExitStack() as stack:
         idle = [stack.enter_context(socket.create_connection(place, LONGEST_S))
                 for _ in range(MOST_CONNECTIONS + 100)]  # fmt: skip
         assert code_of(place, "/state.json") == 200
         still_open = [each for each in idle if not is_closed(each)]
-        assert len(still_open) <= MOST_CONNECTIONS
+        assert MOST_CONNECTIONS - 5 <= len(still_open) <= MOST_CONNECTIONS
         assert still_open[-1] is idle[-1]  # those that waited longest were closed
-        wait_for(lambda: all(is_closed(each) for each in still_open))
 
 
 @pytest.mark.parametrize("before", [b"", b"GET /ogc HTTP/1.1\r\nHost: localhost\r\n\r\n"])

@@ -135,7 +135,7 @@ def test_a_project_of_a_site(results):
         results / "site.qgz",
     ]
     root = read_project(results / "site.qgz")
-    assert root.findtext("title") == "Knoten 7"
+    assert root.findtext("title") == root.get("projectname") == "Knoten 7"
     layers = root.findall("projectlayers/maplayer")
     sources = [layer.findtext("datasource") for layer in layers]
     assert sources[0] == "./sensors.gpkg|layername=sensors"
