@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from live_replay import Replay
-from live_site import LONGEST_S, free_port, wait_for
+from live_site import LONGEST_S, free_port
 
 from gis_radar.cli.console import JsonConsole, TerminalConsole
 from gis_radar.errors import InputError
