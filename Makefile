@@ -63,7 +63,7 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 		'$(BIN)/pytest -n 2 --dist worksteal' 'nice -n 3 sh tools/test_qgis.sh'
 
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
-	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults
+	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults tests/fuzz
 
 live-test: set-up-dev ## Run the live system through all that breaks, minutes long; `make test` runs the short part
 	@sh tools/get_mosquitto.sh

@@ -17,7 +17,8 @@ from filelock import FileLock
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.cli.console import run_group
-from gis_radar.scans.pdal import VARIABLE, find_pdal
+from gis_radar.scans import find_pdal
+from gis_radar.scans.pdal import VARIABLE
 from gis_radar.tiles import fingerprint
 
 FETCHED = Path(__file__).parents[1] / ".pdal" / "bin" / "pdal"

@@ -22,7 +22,7 @@ from gis_radar.dataset import (
 )
 from gis_radar.dataset.measure import measure
 from gis_radar.dataset.tables import HIT_TABLES, HOUR_TABLES, POSES, RECORDINGS, SIGHTS
-from gis_radar.tiles.tiles import fingerprint
+from gis_radar.tiles import fingerprint
 
 HOUR = 472_222  # 2023-11-14, 22 h
 BEGIN = HOUR * STEPS_PER_HOUR

@@ -11,7 +11,7 @@ from sites import pose
 
 from gis_radar.dataset import STEPS_PER_HOUR
 from gis_radar.dataset.tables import EVERY, FRAMES
-from gis_radar.tiles.tiles import polygons
+from gis_radar.tiles import polygons
 
 FIRST = 34_000_000_000
 

@@ -13,9 +13,8 @@ import fake_work
 
 from gis_radar.files import only_writer
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site.execution import Execution, RunState
-from gis_radar.site.plan import Stage
-from gis_radar.site.worker import Pool, process_pool
+from gis_radar.site import Pool, RunState, Stage, process_pool
+from gis_radar.site.execution import Execution
 
 
 def stage(root, name, inputs=(), *, work="join", parts=(), sensor="", **options):

@@ -4,12 +4,19 @@ from dataclasses import replace
 from functools import cache
 
 import gis_radar as gr
-from gis_radar.live.detections import DetectionSelector, pack_detections
+from gis_radar.live import (
+    DetectionSelector,
+    Envelope,
+    PoseContent,
+    Spool,
+    SpooledFrames,
+    frames_of_recording,
+    key_of_pose,
+    pack_detections,
+    pack_message,
+)
 from gis_radar.live.hour_work import MeasuredSite
-from gis_radar.live.payload import Envelope, PoseContent, key_of_pose, pack_message
-from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.spool import Spool, SpooledFrames
-from gis_radar.measures.views import road_near
+from gis_radar.measures import road_near
 from gis_radar.sight import SightTiles, find_sight
 
 SAMPLE = gr.sample_folder()

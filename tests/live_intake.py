@@ -7,15 +7,22 @@ import numpy as np
 from live_site import SAMPLE
 
 import gis_radar as gr
-from gis_radar.live.broker import Received
-from gis_radar.live.detections import FrameDetections, pack_detections
-from gis_radar.live.intake import Intake
-from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.payload import Envelope, PoseContent, key_of_pose, pack_message
-from gis_radar.live.spool import Spool, SpoolFile, spool_files
-from gis_radar.live.windows import Windows
-from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.measures.views import ViewBook
+from gis_radar.live import (
+    Envelope,
+    FrameDetections,
+    Intake,
+    MapOfNow,
+    PoseContent,
+    Received,
+    Spool,
+    SpoolFile,
+    Windows,
+    key_of_pose,
+    pack_detections,
+    pack_message,
+    spool_files,
+)
+from gis_radar.measures import FrameCounter, ViewBook
 from gis_radar.sight import SightTiles
 
 STREAM = b"abcd"

@@ -20,12 +20,17 @@ import pytest
 from live_site import LONGEST_S, SAMPLE, free_port
 
 import gis_radar as gr
-from gis_radar.live.detections import DetectionSelector, unpack_detections
-from gis_radar.live.edge import Edge
-from gis_radar.live.payload import unpack_message
-from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.spool import FRAMES, SpoolFile, spool_files
-from gis_radar.measures.views import road_near
+from gis_radar.live import (
+    DetectionSelector,
+    Edge,
+    SpoolFile,
+    frames_of_recording,
+    spool_files,
+    unpack_detections,
+    unpack_message,
+)
+from gis_radar.live.spool import FRAMES
+from gis_radar.measures import road_near
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles, find_sight
 

@@ -13,7 +13,8 @@ from contextlib import suppress
 import pytest
 
 import gis_radar as gr
-from gis_radar.live.broker_files import password_lines, write_broker_files
+from gis_radar.live import write_broker_files
+from gis_radar.live.broker_files import password_lines
 
 SAMPLE = gr.sample_folder()
 # For what hangs: whatever else is waited for comes sooner, also on a machine that is busy.

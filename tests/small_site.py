@@ -7,7 +7,7 @@ from maps import write_osm
 from scans import write_points
 from streets import WIDTH_M, Street
 
-from gis_radar.poses.files import write_pose
+from gis_radar.poses import write_pose
 
 FRAMES = 600
 SCAN_BOX = (-95.0, -95.0, 95.0, 12.0)

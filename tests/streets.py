@@ -11,7 +11,7 @@ from shapely import LineString, Polygon
 from sites import EAST, NORTH, START, UTM, recording
 
 from gis_radar.lanelets import LaneletMap
-from gis_radar.poses.pose import Pose, View
+from gis_radar.poses import Pose, View
 
 WIDTH_M = 3.5
 CROSSING = (((-90.0, -1.75), (90.0, -1.75)), ((90.0, 1.75), (-90.0, 1.75)),

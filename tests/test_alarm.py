@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sites import START
 from streets import Street
 
-from gis_radar.calibration import MOVED, track
+from gis_radar.calibration import MONITOR, MOVED, track
 from gis_radar.calibration.alarm import (
     STRETCH_HABIT_M,
     Alarm,
@@ -22,7 +22,7 @@ from gis_radar.calibration.kalman_filter import Estimate, Innovation, Measuremen
 from gis_radar.calibration.lane_places import LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
 from gis_radar.calibration.moves import FAR_WINDOW, MoveTest, Scatter, score
-from gis_radar.calibration.settings import ALARM, MONITOR
+from gis_radar.calibration.settings import ALARM
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.watch import Watch

@@ -10,7 +10,7 @@ import pytest
 import shapely
 from pyproj import CRS
 
-from gis_radar.poses.pose import Pose, View
+from gis_radar.poses import Pose, View
 from gis_radar.steps import STEP_S
 from simulation.clutter import Clutter
 from simulation.movement import Traffic

@@ -19,9 +19,8 @@ from test_formats_pcd import rows_of, write_pcd
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.recordings import settings, unpacking
+from gis_radar.recordings import open_recording, settings, unpacking
 from gis_radar.recordings.readers.pcd import decompress, read_pcd
-from gis_radar.recordings.recording import open_recording
 from gis_radar.scans.cells import _counted
 from gis_radar.scans.settings import RoadSettings
 

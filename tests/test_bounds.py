@@ -7,18 +7,18 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Polygon
 
-from gis_radar.lanelets.bounds import (
+from gis_radar.lanelets import (
     CannotMendError,
     at_fractions,
-    drawn_direction,
     length,
-    matched,
+    outline,
     rungs,
     slices,
     sound,
     sound_rungs,
 )
-from gis_radar.lanelets.mending import _first_loop_cut, is_sound, mend, outline, without_loops
+from gis_radar.lanelets.bounds import drawn_direction, matched
+from gis_radar.lanelets.mending import _first_loop_cut, is_sound, mend, without_loops
 
 SHIFT = np.array([678_123.25, 5_403_456.5])
 

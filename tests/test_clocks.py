@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
-from gis_radar.calibration import ClockSettings, measure_clocks
+from gis_radar.calibration import ClockSettings, SensorClock, measure_clocks
 from gis_radar.calibration.clock_offsets import (
     ClockOffset,
     NoCommonTrafficError,
@@ -19,7 +19,7 @@ from gis_radar.calibration.clock_offsets import (
     rough_offset,
     validate_offset,
 )
-from gis_radar.calibration.clocks import SensorClock, _reason, adjust_network, best_linked
+from gis_radar.calibration.clocks import _reason, adjust_network, best_linked
 from gis_radar.calibration.lane_detections import LaneDetections, lanelets_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gis_radar.errors import InputError
-from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings import open_recording
 
 HEADER = "time,x,y,z,range_rate,rcs,note"
 ROWS = [f"1700000000.{i},{i + 1},2,-5,0.5,7,word" for i in range(5)]

@@ -6,8 +6,8 @@ import pytest
 from sites import START, recording, table
 
 from gis_radar.errors import InputError
+from gis_radar.recordings import as_recording, open_recording
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
-from gis_radar.recordings.recording import as_recording, open_recording
 
 NAN = np.nan
 

@@ -23,7 +23,7 @@ from gis_radar.calibration.kalman_filter import (
     same_sign,
     widened,
 )
-from gis_radar.poses.pose import Pose
+from gis_radar.poses import Pose
 
 HOUR_S = 3600.0
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])

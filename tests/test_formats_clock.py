@@ -10,8 +10,8 @@ from radars import START, Notes, frame_times
 from test_formats_order import LATER, capture, convert
 
 from gis_radar.errors import InputError
+from gis_radar.recordings import Frame
 from gis_radar.recordings.frame_clock import FrameClock
-from gis_radar.recordings.frames import Frame
 
 EMPTY = np.empty((0, 3), dtype=np.float32)
 

@@ -21,10 +21,10 @@ from gis_radar.calibration.surroundings import read_slow
 from gis_radar.cli import group
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.measures import Filters
-from gis_radar.poses.files import as_track, write_pose
+from gis_radar.poses import as_track, write_pose
 from gis_radar.projection import project
-from gis_radar.recordings.recording import RangeCounts, open_recording
-from gis_radar.tiles.tiles import write_tiles
+from gis_radar.recordings import RangeCounts, open_recording
+from gis_radar.tiles import write_tiles
 
 ROAD_M = 370.0  # of the crossing; the sensor is 5 m over it
 

@@ -23,7 +23,7 @@ from radars import (
 
 import gis_radar as gr
 from gis_radar.errors import InputError, OutputError, UsageError
-from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings import open_recording
 
 LATER = 0.06
 

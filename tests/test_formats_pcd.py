@@ -11,7 +11,7 @@ from radars import START, Notes, times
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.recordings.frames import DamagedError
+from gis_radar.recordings import DamagedError
 from gis_radar.recordings.readers.pcd import decompress, read_pcd, time_in_name
 
 FIELDS = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("doppler", "f8"), ("rcs", "i1"), ("snr", "u2")]

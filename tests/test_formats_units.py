@@ -14,12 +14,8 @@ from streets import Street
 import gis_radar as gr
 from gis_radar.cli import main
 from gis_radar.errors import InputError
-from gis_radar.recordings.recording import open_recording
-from gis_radar.recordings.units import (
-    compare_speeds,
-    refuse_degrees,
-    refuse_positions_in_other_units,
-)
+from gis_radar.recordings import compare_speeds, open_recording
+from gis_radar.recordings.units import refuse_degrees, refuse_positions_in_other_units
 
 
 def scene(count=400, seed=0):

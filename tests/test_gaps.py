@@ -10,8 +10,7 @@ from test_sight import ROAD_M, SENSOR
 from test_sight_recorded import traffic
 
 import gis_radar as gr
-from gis_radar.recordings.recording import open_recording
-from gis_radar.recordings.speeds import odd_speeds
+from gis_radar.recordings import odd_speeds, open_recording
 from gis_radar.sight import MovingHits, SightTiles, find_gaps, find_sight
 
 FRAMES = 4000

@@ -16,7 +16,7 @@ from test_qgis_project import a_pose
 import gis_radar as gr
 from gis_radar.dataset.measure import measure
 from gis_radar.geopackage import content_digest
-from gis_radar.site.execution import RunState
+from gis_radar.site import RunState
 
 MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.40\"/>"
 

@@ -21,7 +21,7 @@ from gis_radar.heatmap.picture import (
     map_picture,
     round_length,
 )
-from gis_radar.poses.pose import Pose
+from gis_radar.poses import Pose
 from gis_radar.steps import step_of
 
 SITE = np.array([677_000.0, 5_403_000.0])

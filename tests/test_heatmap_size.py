@@ -19,7 +19,7 @@ from gis_radar.heatmap.intervals import Timeline
 from gis_radar.heatmap.layers import write_package
 from gis_radar.heatmap.occupancy import Occupancy
 from gis_radar.progress import QUIET
-from gis_radar.tiles.tiles import fingerprint
+from gis_radar.tiles import fingerprint
 
 MOST_BYTES = 40e6 / (12_000 * 96)  # of a tile in an interval, its share of all else too
 QUARTER = 18_000  # steps

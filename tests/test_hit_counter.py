@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.errors import InputError
+from gis_radar.measures import FrameCounter, PoseNumbers
 from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT
-from gis_radar.measures.hit_counter import FrameCounter, HitCounter, rows_of_columns
-from gis_radar.measures.placing import PLACED_AT_ONCE, PoseNumbers
-from gis_radar.recordings.recording import RangeCounts
+from gis_radar.measures.hit_counter import HitCounter, rows_of_columns
+from gis_radar.measures.placing import PLACED_AT_ONCE
+from gis_radar.recordings import RangeCounts
 from gis_radar.sight import SightTiles
 
 SAMPLE = gr.sample_folder()

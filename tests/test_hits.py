@@ -10,12 +10,11 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 
 import gis_radar as gr
 from gis_radar.errors import CrsError, InputError, NoAnswerError, UsageError
-from gis_radar.measures import Filters, HitSettings
-from gis_radar.measures.views import name_of_view, standing_for
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import View
+from gis_radar.measures import Filters, HitSettings, standing_for
+from gis_radar.measures.views import name_of_view
+from gis_radar.poses import PoseTrack, View
 from gis_radar.sight import SightTiles, find_sight
-from gis_radar.tiles.tiles import fingerprint
+from gis_radar.tiles import fingerprint
 
 FIRST_STEP = int(START * 20)
 

@@ -19,7 +19,7 @@ from sites import START, UTM, recording
 from streets import CROSSING, Street, errors
 
 import gis_radar as gr
-from gis_radar.calibration import CLASH_HINT, AmbiguousError
+from gis_radar.calibration import CLASH_HINT, AmbiguousError, adjust_poses
 from gis_radar.calibration.adjustment import (
     STRETCH_SIGMA_M,
     Correspondences,
@@ -28,11 +28,11 @@ from gis_radar.calibration.adjustment import (
 )
 from gis_radar.calibration.certainty import plane_covariance, stated_covariance
 from gis_radar.calibration.correspondences import HALF_LENGTH_M, Moments, assign, compare
-from gis_radar.calibration.joint import adjust_poses, common_time, locate_all
+from gis_radar.calibration.joint import common_time, locate_all
 from gis_radar.calibration.moving import Span, best_end, read_span
 from gis_radar.calibration.network import FIRM_PAIRS
 from gis_radar.cli import group
-from gis_radar.poses.pose import COMPONENTS, View
+from gis_radar.poses import COMPONENTS, View
 
 LONG = Street(
     lanes=(

@@ -9,10 +9,10 @@ import shapely
 from maps import SHARED, Listener, needs_shared_maps, write_osm
 
 import gis_radar as gr
-from gis_radar.lanelets.lanes import chain_lanelets
+from gis_radar.lanelets import chain_lanelets
 from gis_radar.lanelets.streets import name_streets
 from gis_radar.progress import QUIET
-from gis_radar.tiles.lanes import lanes_of
+from gis_radar.tiles import lanes_of
 
 
 @pytest.fixture(scope="module")

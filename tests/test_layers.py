@@ -109,6 +109,42 @@ def test_no_cycle_between_files():
         raise AssertionError("imports in a circle: " + " <- ".join(cycle.args[1])) from None
 
 
+def offered_by(room):
+    """Return the names that a room offers: those in `__all__` of its stub, or of its front."""
+    stub = PACKAGE / room / "__init__.pyi"
+    text = (stub if stub.exists() else stub.with_suffix(".py")).read_text(encoding="utf-8")
+    lists = [each.value for each in ast.parse(text).body if isinstance(each, ast.Assign)]
+    return {name for each in lists if isinstance(each, ast.List) for name in ast.literal_eval(each)}
+
+
+def past_the_front(text, offered):
+    """Yield the lines that import from a room's inner module what the room itself offers."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gis_radar."):
+            _, room, *inner = node.module.split(".")
+            known = {alias.name for alias in node.names} & offered.get(room, set())
+            if inner and known:
+                yield f"{node.lineno}: {sorted(known)} of {room}"
+
+
+def test_tests_take_from_a_room_what_it_offers():
+    rooms = [path.parent.name for path in PACKAGE.glob("*/__init__.py")]
+    offered = {room: offered_by(room) for room in rooms}
+    assert len(offered["live"]) > 20  # names of a stub
+    assert len(offered["lanelets"]) > 10  # of a front
+    found = [
+        f"{path.name}:{line}"
+        for path in sorted(Path(__file__).parent.rglob("*.py"))
+        for line in past_the_front(path.read_text(encoding="utf-8"), offered)
+    ]
+    assert found == []
+
+
+def test_an_import_past_the_front_is_found():
+    text = "from gis_radar.poses.pose import Pose\nfrom gis_radar.poses import Pose as Other\n"
+    assert list(past_the_front(text, {"poses": {"Pose"}})) == ["1: ['Pose'] of poses"]
+
+
 def test_the_reader_sees_every_kind_of_import(tmp_path):
     package = tmp_path / "gis_radar"
     (package / "heatmap").mkdir(parents=True)

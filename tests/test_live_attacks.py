@@ -10,23 +10,28 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from live_replay import Replay
-from live_site import LONGEST_S, free_port, wait_for
+from live_site import LONGEST_S, free_port
 
 from gis_radar.cli.console import JsonConsole, TerminalConsole
 from gis_radar.errors import InputError
-from gis_radar.live import web_server
-from gis_radar.live.broker import Received
-from gis_radar.live.health import SensorHealth, prometheus_text, serve_metrics
-from gis_radar.live.intake import Intake
-from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.page import MOST_READERS, make_app
-from gis_radar.live.payload import PoseContent
-from gis_radar.live.spool import Spool
-from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S, WebServer
-from gis_radar.live.windows import Windows
-from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.measures.views import ViewBook
-from gis_radar.poses.pose import pose_from_dict
+from gis_radar.live import (
+    Intake,
+    MapOfNow,
+    PoseContent,
+    Received,
+    SensorHealth,
+    Spool,
+    WebServer,
+    Windows,
+    make_app,
+    prometheus_text,
+    web_server,
+)
+from gis_radar.live.health import serve_metrics
+from gis_radar.live.page import MOST_READERS
+from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S
+from gis_radar.measures import FrameCounter, ViewBook
+from gis_radar.poses import pose_from_dict
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles
 
@@ -74,15 +79,15 @@ def is_closed(connection):
     return True
 
 
-def test_idle_connections_take_no_more_files_than_there_are_and_nobody_waits_for_them(place):
+def test_idle_connections_take_no_more_files_than_there_are(place, monkeypatch):
+    monkeypatch.setattr(web_server, "REQUEST_S", LONGEST_S)  # none is closed for its time
     with ExitStack() as stack:
         idle = [stack.enter_context(socket.create_connection(place, LONGEST_S))
                 for _ in range(MOST_CONNECTIONS + 100)]  # fmt: skip
         assert code_of(place, "/state.json") == 200
         still_open = [each for each in idle if not is_closed(each)]
-        assert len(still_open) <= MOST_CONNECTIONS
+        assert MOST_CONNECTIONS - 5 <= len(still_open) <= MOST_CONNECTIONS
         assert still_open[-1] is idle[-1]  # those that waited longest were closed
-        wait_for(lambda: all(is_closed(each) for each in still_open))
 
 
 @pytest.mark.parametrize("before", [b"", b"GET /ogc HTTP/1.1\r\nHost: localhost\r\n\r\n"])

@@ -33,11 +33,17 @@ from live_site import (
     wait_for,
 )
 
-from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
-from gis_radar.live.edge import Edge
-from gis_radar.live.fusion import Fusion
+from gis_radar.live import (
+    BrokerAddress,
+    Edge,
+    Fusion,
+    Link,
+    SensorTopics,
+    read_edge_file,
+    read_live_site,
+)
 from gis_radar.live.payload import MOST_BYTES
-from gis_radar.live.settings import LiveSettings, read_edge_file, read_live_site
+from gis_radar.live.settings import LiveSettings
 
 pytestmark = needs_mosquitto
 
@@ -109,9 +115,10 @@ def test_killed_again_and_again_while_it_measures(site):
     assert len(holes) <= 3  # one for each time that the sensor's program was dead
 
 
+@takes_long
 @pytest.mark.parametrize(
     ("speed", "silent"),
-    [(0.0, False), pytest.param(100.0 / 64.0, True, marks=takes_long)],
+    [(0.0, False), (100.0 / 64.0, True)],
     ids=["refused", "a minute without a word"],
 )
 def test_a_link_that_is_cut_loses_nothing(site, speed, silent):
@@ -141,6 +148,7 @@ def test_a_link_that_is_cut_loses_nothing(site, speed, silent):
     assert_equal_to_batch(site, ["R1"])
 
 
+@takes_long
 def test_fusion_on_a_full_disk_acknowledges_nothing_and_goes_on_once_there_is_room(tmp_path, once):
     disk = FullDisk(tmp_path / "live", "400k")
     try:

@@ -12,7 +12,7 @@ import yaml
 from live_site import LiveSite, needs_mosquitto
 
 from gis_radar.errors import InputError
-from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.live import read_edge_file, read_live_site
 
 
 @pytest.fixture

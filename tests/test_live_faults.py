@@ -10,22 +10,24 @@ from live_site import LONGEST_S, SAMPLE
 
 import gis_radar as gr
 from gis_radar.errors import NoAnswerError
-from gis_radar.live import own_pose
-from gis_radar.live.broker import Received, SensorTopics
-from gis_radar.live.buffer import DiskBuffer
-from gis_radar.live.detections import FrameDetections, pack_detections, unpack_detections
-from gis_radar.live.outbox import Outbox
-from gis_radar.live.payload import (
-    MOST_BYTES,
-    MOST_CONTENT,
+from gis_radar.live import (
     Acknowledgement,
+    DiskBuffer,
     Envelope,
+    FrameDetections,
+    Outbox,
+    Radar,
+    Received,
+    SensorTopics,
     check_of,
-    in_parts,
+    frames_of_recording,
+    own_pose,
+    pack_detections,
     pack_message,
+    unpack_detections,
     unpack_message,
 )
-from gis_radar.live.sources import Radar, frames_of_recording
+from gis_radar.live.payload import MOST_BYTES, MOST_CONTENT, in_parts
 
 PRINT = "00112233445566778899aabbccddeeff"
 STREAM = b"abcd"

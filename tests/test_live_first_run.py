@@ -83,7 +83,7 @@ def test_no_vehicle_waits_for_the_compiler():
     assert "_follow" in loops
 
 
-@pytest.mark.parametrize("word", ["edge", "live"])
+@pytest.mark.parametrize("word", ["edge", pytest.param("live", marks=takes_long)])
 def test_a_stop_does_not_wait_for_the_compiler(word, tmp_path, once, monkeypatch):
     """Nothing is kept yet, so all must be compiled; there is no broker, and none is asked."""
     kept = tmp_path / "kept"

@@ -13,7 +13,7 @@ from live_site import wait_for
 import gis_radar as gr
 from gis_radar.dataset import read_hours
 from gis_radar.errors import InputError
-from gis_radar.live import hour_work
+from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
 from gis_radar.live.hour_work import (
     QUARTER_US,
     Done,
@@ -23,8 +23,8 @@ from gis_radar.live.hour_work import (
     take_up,
 )
 from gis_radar.live.jobs import HourJobs
-from gis_radar.live.quarters import KEPT, Lately, Quarters, TileOccupancy, read_quarters
-from gis_radar.live.recordings import CUT_US, HOUR_US, end_of_hour_s, recording_path
+from gis_radar.live.quarters import KEPT, Quarters, read_quarters
+from gis_radar.live.recordings import end_of_hour_s
 
 HOUR = 486_111  # since 1970: 2025-06-15T15Z
 FULL_US = (HOUR + 1) * HOUR_US  # the full hour after it

@@ -5,7 +5,7 @@ import pytest
 from live_intake import NOW_US, ROAD, STREAM, FedIntake, frame, pose_message
 from live_programs import Lines
 
-from gis_radar.live.payload import Envelope, key_of_pose, pack_message
+from gis_radar.live import Envelope, key_of_pose, pack_message
 from gis_radar.live.recordings import hour_of_time
 from gis_radar.live.spool import FRAMES, PASSED, POSE
 

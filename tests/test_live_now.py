@@ -13,12 +13,15 @@ from live_site import Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
 from gis_radar.dataset.tables import TRACKS
-from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live import vehicles_now
-from gis_radar.live.detections import pack_detections
-from gis_radar.live.edge import Edge
-from gis_radar.live.fusion import Fusion
-from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.lanelets import lane_graph
+from gis_radar.live import (
+    Edge,
+    Fusion,
+    pack_detections,
+    read_edge_file,
+    read_live_site,
+    vehicles_now,
+)
 from gis_radar.live.vehicles_now import LiveVehicles, _Following
 from gis_radar.steps import STEPS_PER_SECOND
 

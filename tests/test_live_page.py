@@ -37,14 +37,19 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from gis_radar.errors import OutputError
 from gis_radar.heatmap import style
-from gis_radar.live.edge import Edge
-from gis_radar.live.fusion import Fusion
-from gis_radar.live.page import HIT, VEHICLE, difference, make_app, whole_event
+from gis_radar.live import (
+    Edge,
+    Fusion,
+    Snapshot,
+    WebServer,
+    make_app,
+    read_edge_file,
+    read_live_site,
+)
+from gis_radar.live.page import HIT, VEHICLE, difference, whole_event
 from gis_radar.live.server import Page
-from gis_radar.live.settings import read_edge_file, read_live_site
-from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
-from gis_radar.live.web_server import WebServer
-from gis_radar.site.live_table import PageTable
+from gis_radar.live.snapshot import NOT_OBSERVED
+from gis_radar.site import PageTable
 from gis_radar.steps import step_begin
 from gis_radar.texts import Text
 

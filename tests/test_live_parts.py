@@ -17,36 +17,39 @@ from pydantic import ValidationError
 import gis_radar as gr
 from gis_radar.errors import GisRadarError, InputError
 from gis_radar.languages import catalogue
-from gis_radar.live.broker import BrokerAddress, parts_of
-from gis_radar.live.buffer import ROW_BYTES, DiskBuffer, FullError
-from gis_radar.live.detections import (
-    FARTHEST,
-    UNKNOWN_Z,
-    DetectionSelector,
-    FrameDetections,
-    pack_detections,
-    unpack_detections,
-)
-from gis_radar.live.health import ALARMS, SensorHealth, prometheus_text
-from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.payload import (
+from gis_radar.live import (
     Acknowledgement,
+    BrokerAddress,
+    DetectionSelector,
+    DiskBuffer,
     Envelope,
+    FrameDetections,
+    MapOfNow,
     PoseContent,
-    VersionError,
+    RecentCounts,
+    SensorHealth,
+    Windows,
+    frames_of_recording,
+    pack_detections,
     pack_message,
+    prometheus_text,
+    unpack_detections,
     unpack_message,
 )
-from gis_radar.live.recent import RecentCounts
+from gis_radar.live.broker import parts_of
+from gis_radar.live.buffer import ROW_BYTES, FullError
+from gis_radar.live.detections import FARTHEST, UNKNOWN_Z
+from gis_radar.live.health import ALARMS
+from gis_radar.live.payload import VersionError
 from gis_radar.live.server import read_token
 from gis_radar.live.settings import BufferTable
-from gis_radar.live.sources import Replay, frames_of_recording
-from gis_radar.live.windows import Seen, Windows
-from gis_radar.measures.frames import NO_FURTHER
+from gis_radar.live.sources import Replay
+from gis_radar.live.windows import Seen
+from gis_radar.measures import NO_FURTHER
 from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import Detections
+from gis_radar.recordings import Detections
 from gis_radar.sight import SightTiles
-from gis_radar.site.live_table import PageTable
+from gis_radar.site import PageTable
 
 PRINT = "00112233445566778899aabbccddeeff"
 KEY = b"pose"

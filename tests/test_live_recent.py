@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gis_radar.live import recent
-from gis_radar.live.recent import RecentCounts
+from gis_radar.live import RecentCounts, recent
 
 FIRST = 20 * 1_700_000_100
 LANE_OF_TILE, LANES = np.array([0, 0, 1, 2]), [7, 9, 30]

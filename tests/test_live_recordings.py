@@ -13,16 +13,20 @@ from live_programs import Lines, pose_beside
 
 import gis_radar as gr
 from gis_radar.errors import OutputError
-from gis_radar.live.recordings import (
+from gis_radar.live import (
     CUT_US,
     HOUR_US,
+    Spool,
+    SpooledFrames,
+    SpoolFile,
     join_parts,
     make_parts,
     recording_path,
-    remove_old,
+    spool_files,
     waiting_hours,
 )
-from gis_radar.live.spool import FRAMES, POSE, Spool, SpooledFrames, SpoolFile, spool_files
+from gis_radar.live.recordings import remove_old
+from gis_radar.live.spool import FRAMES, POSE
 from gis_radar.steps import STEP_US
 
 HOUR = 486_111  # since 1970: 2025-06

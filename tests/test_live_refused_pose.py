@@ -10,12 +10,9 @@ from live_site import SAMPLE, LiveSite
 import gis_radar as gr
 from gis_radar.calibration import LOCALIZATION
 from gis_radar.errors import NoAnswerError
+from gis_radar.live import Edge, PoseContent, frames_of_recording, read_edge_file
 from gis_radar.live import edge as edge_module
-from gis_radar.live.edge import Edge
 from gis_radar.live.own_pose import Followed
-from gis_radar.live.payload import PoseContent
-from gis_radar.live.settings import read_edge_file
-from gis_radar.live.sources import frames_of_recording
 
 RIGHT = gr.read_pose(SAMPLE / "R1.json")
 WRONG = replace(RIGHT, easting=RIGHT.easting + 6.0)

@@ -18,12 +18,11 @@ from live_site import LONGEST_S, SAMPLE, LiveSite
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.live.fusion import Fusion, _counted_since
+from gis_radar.live import Fusion, Place, read_live_site
+from gis_radar.live.fusion import _counted_since
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.sensorthings import LaneMeasure, LaneServer, ServerError, Service
-from gis_radar.live.settings import read_live_site
-from gis_radar.live.snapshot import Place
-from gis_radar.site.live_table import SensorThingsTable
+from gis_radar.site import SensorThingsTable
 
 MANDATORY = {
     "Things": {"name", "description"},

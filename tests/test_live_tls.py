@@ -8,10 +8,7 @@ from live_programs import Lines, assert_all_recorded
 from live_site import Background, LiveSite, needs_mosquitto, wait_for
 
 from gis_radar.errors import InputError
-from gis_radar.live.broker import BrokerAddress, Link
-from gis_radar.live.edge import Edge
-from gis_radar.live.fusion import Fusion
-from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.live import BrokerAddress, Edge, Fusion, Link, read_edge_file, read_live_site
 
 pytestmark = [
     needs_mosquitto,

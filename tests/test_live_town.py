@@ -16,9 +16,7 @@ from live_site import Background, LiveSite, needs_mosquitto
 from maps import SHARED
 
 import gis_radar as gr
-from gis_radar.live.edge import Edge
-from gis_radar.live.fusion import Fusion
-from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.live import Edge, Fusion, read_edge_file, read_live_site
 
 TOWN = SHARED / "town02"
 NAMES = ("R1", "R2", "R3")

@@ -24,7 +24,7 @@ from live_programs import (
 from live_site import OF_THE_SAMPLE, SAMPLE, LiveSite, needs_mosquitto, wait_for
 
 from gis_radar.dataset import read_hours
-from gis_radar.live.recordings import HOUR_US
+from gis_radar.live import HOUR_US
 
 NAMES = ("R1", "R2")
 EDGES_US = [(486_112 + k) * HOUR_US for k in range(2)]  # 2025-06-15T16Z and an hour later

@@ -10,11 +10,8 @@ from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 from radars import SENSOR, detection, detection_list, ethernet, ip_packets, write_pcap
 
 import gis_radar as gr
-from gis_radar.live.edge import Edge
-from gis_radar.live.fusion import Fusion
-from gis_radar.live.settings import read_edge_file, read_live_site
-from gis_radar.live.sources import Radar, frames_of_recording
-from gis_radar.recordings.frames import Frame
+from gis_radar.live import Edge, Fusion, Radar, frames_of_recording, read_edge_file, read_live_site
+from gis_radar.recordings import Frame
 
 FRAMES = 100
 GROUP = "224.0.2.2"

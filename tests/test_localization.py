@@ -14,7 +14,7 @@ from gis_radar.calibration.icp import pose_information, voxels
 from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.state import State
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.poses.files import read_pose, write_pose
+from gis_radar.poses import read_pose, write_pose
 from gis_radar.progress import Reporter
 
 CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])

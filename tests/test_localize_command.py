@@ -18,8 +18,8 @@ from gis_radar.calibration import localization as localizing
 from gis_radar.calibration.localization import METHODS
 from gis_radar.cli import group
 from gis_radar.crs import yaw_from_compass
-from gis_radar.poses.files import read_pose
-from gis_radar.scans.scan import road_crs
+from gis_radar.poses import read_pose
+from gis_radar.scans import road_crs
 
 
 @pytest.fixture

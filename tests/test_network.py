@@ -22,7 +22,7 @@ from gis_radar.errors import CrsError, InputError
 from gis_radar.geopackage import opened_package
 from gis_radar.heatmap.layers import read_package
 from gis_radar.processes import OFFLINE, go_offline
-from gis_radar.sight.layers import SightFile
+from gis_radar.sight import SightFile
 from gis_radar.vector_files import read_vector
 
 BOX = shapely.box(EAST, NORTH, EAST + 60, NORTH + 8)

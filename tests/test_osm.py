@@ -5,7 +5,8 @@ import pytest
 from maps import write_osm, write_road
 
 from gis_radar.errors import InputError
-from gis_radar.lanelets.osm import Member, read_osm
+from gis_radar.lanelets import read_osm
+from gis_radar.lanelets.osm import Member
 
 
 def written(path, text):

@@ -15,7 +15,8 @@ from pyproj import CRS
 from gis_radar.crs import transformer
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.progress import Reporter
-from gis_radar.scans.pdal import INSTALL_HINT, VARIABLE, find_pdal
+from gis_radar.scans import find_pdal
+from gis_radar.scans.pdal import INSTALL_HINT, VARIABLE
 
 needs_sh = pytest.mark.skipif(os.name == "nt", reason="stand-ins are shell scripts")
 

@@ -482,7 +482,7 @@ def test_an_earlier_site_file_is_kept(drafts, tmp_path):
 
 def test_the_wizard_knows_every_key_that_it_can(drafts):
     """A key of the site file that the wizard does not offer is left out on purpose."""
-    from gis_radar.site.settings import Sensor, Site
+    from gis_radar.site import Sensor, Site
 
     left_out = {
         "tiles",  # half a metre is the unit of all statistics

@@ -9,8 +9,15 @@ from scipy.spatial.transform import Rotation
 from sites import EAST, NORTH, UTM, pose
 
 from gis_radar.errors import CrsError, InputError
-from gis_radar.poses.files import PoseTrack, read_pose, read_track, write_pose, write_track
-from gis_radar.poses.pose import View, pose_from_dict
+from gis_radar.poses import (
+    PoseTrack,
+    View,
+    pose_from_dict,
+    read_pose,
+    read_track,
+    write_pose,
+    write_track,
+)
 
 ANGLE = st.floats(-179.0, 179.0)
 RECORD = {

@@ -23,7 +23,7 @@ from maps import (
 
 from gis_radar.errors import CrsError, UsageError
 from gis_radar.lanelets import read_map
-from gis_radar.tiles.tiles import make_tiles
+from gis_radar.tiles import make_tiles
 
 
 def test_a_map_across_zones_gets_one_zone(tmp_path):

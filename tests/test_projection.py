@@ -10,7 +10,7 @@ from sites import EAST, NORTH, START, UTM, pose, recording
 
 import gis_radar as gr
 from gis_radar.errors import InputError, OutputError, UsageError
-from gis_radar.poses.files import PoseTrack
+from gis_radar.poses import PoseTrack
 from gis_radar.progress import Reporter
 from gis_radar.projection import project, write_projection
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE

@@ -19,7 +19,7 @@ import gis_radar as gr
 from gis_radar.dataset.measure import measure
 from gis_radar.heatmap import style
 from gis_radar.languages import LANGUAGES, translated
-from gis_radar.poses.pose import ellipse
+from gis_radar.poses import ellipse
 from gis_radar.qgis.project_xml import TimeRange, fit_box, map_clock
 
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
@@ -135,7 +135,7 @@ def test_a_project_of_a_site(results):
         results / "site.qgz",
     ]
     root = read_project(results / "site.qgz")
-    assert root.findtext("title") == "Knoten 7"
+    assert root.findtext("title") == root.get("projectname") == "Knoten 7"
     layers = root.findall("projectlayers/maplayer")
     sources = [layer.findtext("datasource") for layer in layers]
     assert sources[0] == "./sensors.gpkg|layername=sensors"
@@ -206,16 +206,17 @@ def test_no_style_of_a_heat_map_that_was_given_comes_into_the_project(results, t
 def test_the_print_layout_of_a_project(results, tmp_path):
     gr.write_qgis_project(
         tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=results / "sensors.gpkg",
-        title="Knoten 7", timezone="Europe/Berlin", source="Stadt & Land",
+        title="Knoten [% 1+1 %]", timezone="Europe/Berlin", source="Stadt & Land [% 2 %]",
     )  # fmt: skip
     root = read_project(tmp_path / "site.qgz")
     layout = root.find("Layouts/Layout")
     texts = [item.get("labelText") for item in layout.iter("LayoutItem") if item.get("labelText")]
-    assert texts[:2] == [
-        "Knoten 7", "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)"
+    assert texts[:2] == [  # QGIS prints the title as it was given: `[%` is a text in it
+        "Knoten [% '[' || '%' %] 1+1 %]",
+        "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)"
     ]  # fmt: skip
     assert texts[2].startswith("Hit share: the share of the observed time")
-    assert texts[3] == "Source: Stadt & Land"
+    assert texts[3] == "Source: Stadt & Land [% '[' || '%' %] 2 %]"
     names = {layer.findtext("id"): layer.findtext("layername") for layer in root.iter("maplayer")}
     shown = [names[layer.text] for layer in layout.iter("Layer")]
     assert shown == ["Sensors", "Views",

@@ -9,10 +9,8 @@ import shapely
 from maps import SHARED_MAPS, Listener, map_name, needs_shared_maps
 from pyproj import Transformer
 
-from gis_radar.lanelets import read_map
-from gis_radar.lanelets.bounds import rungs, slices, sound
-from gis_radar.lanelets.osm import read_osm
-from gis_radar.tiles.tiles import make_tiles, quads
+from gis_radar.lanelets import read_map, read_osm, rungs, slices, sound
+from gis_radar.tiles import make_tiles, quads
 
 # reading a map takes longer than most of what is checked of it
 map_at, osm_at = cache(read_map), cache(read_osm)

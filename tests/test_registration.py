@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
+from gis_radar.calibration import LOCALIZATION
 from gis_radar.calibration.adaptation import adapted, heights
 from gis_radar.calibration.certainty import (
     CLEAR_RISE,
@@ -35,12 +36,12 @@ from gis_radar.calibration.residuals import (
     height_over_road,
     lateral,
 )
-from gis_radar.calibration.settings import LOCALIZATION, Schedule
+from gis_radar.calibration.settings import Schedule
 from gis_radar.calibration.solver import at_least, solve
 from gis_radar.calibration.state import POSE, SIZE, TURN, State, angles_from_turn
 from gis_radar.calibration.traces import SPELL_S, Moving, Samples, link_tracks, thin
 from gis_radar.errors import NoAnswerError
-from gis_radar.poses.pose import Pose
+from gis_radar.poses import Pose
 
 
 @pytest.fixture(scope="module")

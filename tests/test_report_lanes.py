@@ -23,7 +23,7 @@ from gis_radar.report import chart
 from gis_radar.report.lanes import lane_table, sum_by_lane, write_lanes
 from gis_radar.report.plan import place_numbers
 from gis_radar.steps import Clock
-from gis_radar.tiles.lanes import lanes_of
+from gis_radar.tiles import lanes_of
 
 
 def chains_of(lanes):

@@ -13,7 +13,7 @@ from test_heatmap_occupancy import BEGIN
 
 from gis_radar.crs import bearing_of
 from gis_radar.heatmap.intervals import HOUR
-from gis_radar.measures.validity import Runs
+from gis_radar.measures import Runs
 from gis_radar.report.basis import _recorded
 from gis_radar.steps import Clock, utc_offsets
 from gis_radar.words import WINDS, direction, figure_text, listed, percent, wind_of

@@ -16,7 +16,7 @@ import shapely
 from pyproj import CRS, Transformer
 from scipy.spatial import cKDTree
 
-from gis_radar.poses.files import read_pose
+from gis_radar.poses import read_pose
 
 SAMPLE = Path(__file__).parents[1] / "sample_maps"
 START = 1_749_713_400.0

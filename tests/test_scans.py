@@ -16,7 +16,8 @@ from scans import EAST, NORTH, UTM, box_roads, ground, write_points
 import gis_radar as gr
 from gis_radar.crs import transformer
 from gis_radar.errors import CrsError, GisRadarError, InputError, UsageError
-from gis_radar.scans.scan import days_flown, open_scan
+from gis_radar.scans import open_scan
+from gis_radar.scans.scan import days_flown
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-5.0, -5.0, 65.0, 13.0)

@@ -13,8 +13,8 @@ from scans import ground, hidden, strewn, write_points
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar.errors import InputError
-from gis_radar.measures.views import sight_of_tiles
-from gis_radar.poses.pose import View
+from gis_radar.measures import sight_of_tiles
+from gis_radar.poses import View
 from gis_radar.sight import (
     HIDDEN,
     IN_SIGHT,

@@ -14,12 +14,10 @@ from test_sight import HOUSE, ROAD_M, ROOF_M, SENSOR, across, flat, left_m, sigh
 
 import gis_radar as gr
 from gis_radar.errors import InputError, UsageError
-from gis_radar.measures.settings import HitSettings
-from gis_radar.measures.views import ViewBook
-from gis_radar.poses.files import as_track
-from gis_radar.poses.pose import View
+from gis_radar.measures import HitSettings, ViewBook
+from gis_radar.poses import View, as_track
 from gis_radar.progress import QUIET
-from gis_radar.recordings.recording import Detections, open_recording
+from gis_radar.recordings import Detections, open_recording
 from gis_radar.sight import (
     HIDDEN,
     IN_SIGHT,
@@ -34,7 +32,7 @@ from gis_radar.sight import (
     write_sights,
 )
 from gis_radar.sight.sight import HIDERS
-from gis_radar.tiles.lookup import TileGrid
+from gis_radar.tiles import TileGrid
 
 
 def traffic(path, *, unseen=(), seconds=200, seed=3):

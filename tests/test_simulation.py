@@ -16,7 +16,7 @@ import pytest
 import shapely
 from pyproj import CRS
 
-from gis_radar.poses.pose import Pose, View
+from gis_radar.poses import Pose, View
 from simulation import sumo
 from simulation.clutter import draw_clutter
 from simulation.curves import arc_length, offset, points_at, tangents, turn

@@ -22,9 +22,7 @@ from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputErr
 from gis_radar.files import only_writer
 from gis_radar.geopackage import content_digest
 from gis_radar.processes import workers_here
-from gis_radar.site import execution
-from gis_radar.site.execution import RunState
-from gis_radar.site.worker import Pool, process_pool
+from gis_radar.site import Pool, RunState, execution, process_pool
 
 HERE = Path(__file__).parent
 NAMES = ["road", "a1", "b1", "a2", "b2", "map"]

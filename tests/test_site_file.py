@@ -13,7 +13,8 @@ from pydantic import TypeAdapter
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.site.settings import Site, site_reference
+from gis_radar.site import Site
+from gis_radar.site.settings import site_reference
 from gis_radar.site.values import Name, lines_of, table_of
 
 ROOT = Path(__file__).parents[1]

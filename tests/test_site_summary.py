@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from gis_radar.errors import InputError
-from gis_radar.site import stages
-from gis_radar.site.plan import Outcome, Stage
+from gis_radar.site import Site, Stage, stages
+from gis_radar.site.plan import Outcome
 from gis_radar.site.run import _summary, _unmarked
-from gis_radar.site.settings import Site
 
 HOSTILE = "<script>alert(1)</script> [a](javascript:x) `b` **c** __d__ | e &lt; \\ ~~f~~\n# g"
 

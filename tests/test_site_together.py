@@ -18,10 +18,10 @@ from test_joint import LONG, TRAFFIC, stated
 
 import gis_radar as gr
 from gis_radar.calibration import AmbiguousError
-from gis_radar.poses.pose import View
+from gis_radar.poses import View
 from gis_radar.report.content import how_found
 from gis_radar.site import stages as work
-from gis_radar.site.plan import stages_of
+from gis_radar.site import stages_of
 from gis_radar.site.run import SiteRun, _summary
 
 POSES = (

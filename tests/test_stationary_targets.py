@@ -23,7 +23,7 @@ from gis_radar.calibration.stationary_targets import (
     polar_of,
 )
 from gis_radar.calibration.watch import BLOW_BLOCKS, Watch, decided
-from gis_radar.recordings.recording import Detections
+from gis_radar.recordings import Detections
 
 OF = MONITOR.stationary
 FRAME_S, FRAMES = 0.5, 40  # one frame of ten

@@ -13,17 +13,17 @@ from sites import EAST, NORTH, UTM, crossing, lane_quads, tiles_of
 
 from gis_radar.errors import CrsError, InputError, OutputError, UsageError
 from gis_radar.lanelets import LaneletMap
-from gis_radar.scans.scan import read_road
-from gis_radar.tiles.lookup import with_road_heights
-from gis_radar.tiles.tiles import (
-    COLUMNS,
+from gis_radar.scans import read_road
+from gis_radar.tiles import (
     LANE,
     fingerprint,
     make_tiles,
     quads,
     read_tiles,
+    with_road_heights,
     write_tiles,
 )
+from gis_radar.tiles.tiles import COLUMNS
 
 NO_PROBLEMS = gpd.GeoDataFrame(
     {"lanelet_id": np.empty(0, np.int64), "action": [], "reason": []}, geometry=[], crs=UTM

@@ -14,7 +14,7 @@ from gis_radar.calibration import LOCALIZATION
 from gis_radar.calibration.icp import source_voxels, voxels
 from gis_radar.calibration.moving import MovingWindow, read_moving
 from gis_radar.calibration.traces import Moving, link_tracks, thin, vehicles_of
-from gis_radar.recordings.recording import Detections
+from gis_radar.recordings import Detections
 
 
 def plain_dbscan(points, eps, least):

@@ -17,17 +17,17 @@ from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
-from gis_radar.calibration import MONITOR, draw_track, track
+from gis_radar.calibration import MONITOR, Follower, WindowFitter, draw_track, start_estimate, track
 from gis_radar.calibration.kalman_filter import Measurement
-from gis_radar.calibration.monitor import Follower, _cycles, start_estimate
+from gis_radar.calibration.monitor import _cycles
 from gis_radar.calibration.moves import agreement
 from gis_radar.calibration.traces import Moving
-from gis_radar.calibration.windows import WindowFitter, WindowTraffic
+from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError
-from gis_radar.poses.files import read_track, write_track
+from gis_radar.poses import read_track, write_track
 from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings import open_recording
 from gis_radar.steps import seconds_from_iso
 
 STREET = Street()

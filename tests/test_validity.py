@@ -9,7 +9,8 @@ from sites import START, crossing, pose, recording
 
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
-from gis_radar.measures.validity import Runs, union, valid_steps, valid_until, validity_of
+from gis_radar.measures import Runs, union, valid_steps, validity_of
+from gis_radar.measures.validity import valid_until
 from gis_radar.progress import Reporter
 
 ON_TILE_4 = [12.25, 0.0, -5.0]

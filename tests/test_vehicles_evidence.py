@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.lanelets import LaneGraph
 from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.detections import MapDetections, still_rate
 from gis_radar.tracking.duplicates import distinct_targets, join_tall, without_duplicates

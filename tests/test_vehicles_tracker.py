@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
-from gis_radar.lanelets.graph import lane_graph
+from gis_radar.lanelets import lane_graph
 from gis_radar.tracking.bodies import join_directions
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MapDetections

@@ -1,5 +1,5 @@
 """What is measured on tiles: which were hit in which 50 ms steps, and which could have been."""
 
-from gis_radar.measures.settings import Filters, HitSettings
+import lazy_loader
 
-__all__ = ["Filters", "HitSettings"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

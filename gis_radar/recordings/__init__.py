@@ -1,5 +1,5 @@
 """Recordings of radar detections, and their conversion from the formats of radars."""
 
-from gis_radar.recordings.conversion import Conversion, SensorRecording, convert
+import lazy_loader
 
-__all__ = ["Conversion", "SensorRecording", "convert"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,3 +2,7 @@
 
 Nothing is imported here: a worker of a run starts with what it needs.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

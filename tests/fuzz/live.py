@@ -13,32 +13,39 @@ import numpy as np
 from maps import EAST, NORTH
 
 import gis_radar as gr
-from gis_radar.live.broker import BrokerAddress, Link, Received, SensorTopics
-from gis_radar.live.buffer import DiskBuffer
-from gis_radar.live.detections import FrameDetections, pack_detections, unpack_detections
-from gis_radar.live.edge import Edge
-from gis_radar.live.health import prometheus_text
-from gis_radar.live.intake import Intake
-from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.outbox import ONLINE, Outbox, status_message
-from gis_radar.live.payload import (
+from gis_radar.live import (
     Acknowledgement,
+    BrokerAddress,
+    DiskBuffer,
+    Edge,
     Envelope,
+    FrameDetections,
+    Intake,
+    Link,
+    MapOfNow,
+    Outbox,
     PoseContent,
+    Received,
+    SensorTopics,
+    Spool,
+    SpoolFile,
+    Windows,
     check_of,
+    join_parts,
     key_of_pose,
+    make_parts,
+    pack_detections,
     pack_message,
+    prometheus_text,
+    read_edge_file,
+    read_live_site,
+    unpack_detections,
+    waiting_hours,
 )
-from gis_radar.live.recordings import join_parts, make_parts, waiting_hours
-from gis_radar.live.settings import read_edge_file, read_live_site
-from gis_radar.live.spool import Spool, SpoolFile
-from gis_radar.live.windows import Windows
-from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.measures.views import ViewBook
+from gis_radar.live.outbox import ONLINE, status_message
+from gis_radar.measures import FrameCounter, ViewBook
 from gis_radar.progress import QUIET
-from gis_radar.sight import SightTiles
-from gis_radar.sight.layers import SightFile, write_sights
-from gis_radar.sight.sight import find_sight
+from gis_radar.sight import SightFile, SightTiles, find_sight, write_sights
 
 STREAM, BEGIN_US = b"abcd", 1_700_000_000_000_000
 MESSAGES = ("status", "pose", "detections")  # in the order in which they come

@@ -20,9 +20,9 @@ from radars import detection, detection_list
 import gis_radar as gr
 from fuzz import edits, live
 from gis_radar.dataset.tables import HOUR_TABLES
+from gis_radar.recordings import open_recording
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
-from gis_radar.recordings.recording import open_recording
-from gis_radar.scans.scan import open_scan
+from gis_radar.scans import open_scan
 
 SECONDS = 10.0  # of the processor; who reads a file of some kilobytes for longer hangs
 OURS = "gis_radar"

@@ -221,6 +221,7 @@ fuzz(Target(name="planted", paths=("a",), read=read), Path(sys.argv[1]) / "a", P
 """
 
 
+@pytest.mark.skipif(os.environ.get("GIS_RADAR_FAULTS") != "all", reason="takes long: make faults")
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
 def test_the_fuzzer_finds_what_is_planted(tmp_path):
     (tmp_path / "a").mkdir()

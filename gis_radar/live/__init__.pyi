@@ -1,0 +1,78 @@
+from .broker import BrokerAddress, Link, Received, SensorTopics
+from .broker_files import write_broker_files
+from .buffer import DiskBuffer
+from .detections import DetectionSelector, FrameDetections, pack_detections, unpack_detections
+from .edge import Edge
+from .fusion import Fusion
+from .health import SensorHealth, prometheus_text
+from .intake import Intake
+from .map_of_now import MapOfNow
+from .outbox import Outbox
+from .page import make_app
+from .payload import (
+    Acknowledgement,
+    Envelope,
+    PoseContent,
+    check_of,
+    key_of_pose,
+    pack_message,
+    unpack_message,
+)
+from .quarters import Lately, TileOccupancy
+from .recent import RecentCounts
+from .recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
+from .settings import read_edge_file, read_live_site
+from .snapshot import Place, Snapshot
+from .sources import Radar, frames_of_recording
+from .spool import Spool, SpooledFrames, SpoolFile, spool_files
+from .web_server import WebServer
+from .windows import Windows
+
+__all__ = [
+    "CUT_US",
+    "HOUR_US",
+    "Acknowledgement",
+    "BrokerAddress",
+    "DetectionSelector",
+    "DiskBuffer",
+    "Edge",
+    "Envelope",
+    "FrameDetections",
+    "Fusion",
+    "Intake",
+    "Lately",
+    "Link",
+    "MapOfNow",
+    "Outbox",
+    "Place",
+    "PoseContent",
+    "Radar",
+    "Received",
+    "RecentCounts",
+    "SensorHealth",
+    "SensorTopics",
+    "Snapshot",
+    "Spool",
+    "SpoolFile",
+    "SpooledFrames",
+    "TileOccupancy",
+    "WebServer",
+    "Windows",
+    "check_of",
+    "frames_of_recording",
+    "join_parts",
+    "key_of_pose",
+    "make_app",
+    "make_parts",
+    "pack_detections",
+    "pack_message",
+    "prometheus_text",
+    "read_edge_file",
+    "read_live_site",
+    "recording_path",
+    "spool_files",
+    "unpack_detections",
+    "unpack_message",
+    "waiting_hours",
+    "write_broker_files",
+]

@@ -1,0 +1,29 @@
+from .frame_hash import HashedFrames
+from .frames import NO_FURTHER
+from .hit_counter import FrameCounter
+from .hour import HourWindow
+from .placing import PoseNumbers
+from .sensor_reading import SensorHour
+from .settings import Filters, HitSettings
+from .validity import Runs, union, valid_steps, validity_of
+from .views import PlacedRecording, ViewBook, road_near, sight_of_tiles, standing_for
+
+__all__ = [
+    "NO_FURTHER",
+    "Filters",
+    "FrameCounter",
+    "HashedFrames",
+    "HitSettings",
+    "HourWindow",
+    "PlacedRecording",
+    "PoseNumbers",
+    "Runs",
+    "SensorHour",
+    "ViewBook",
+    "road_near",
+    "sight_of_tiles",
+    "standing_for",
+    "union",
+    "valid_steps",
+    "validity_of",
+]
