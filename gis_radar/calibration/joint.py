@@ -30,7 +30,8 @@ from gis_radar.calibration.moving import (
     read_span,
     read_until,
 )
-from gis_radar.calibration.network import CLASH_HINT, Solved, Station, solve_network
+from gis_radar.calibration.network import CLASH_HINT, Solved, solve_network
+from gis_radar.calibration.placing import Station
 from gis_radar.calibration.result import AmbiguousError, Localization
 from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings

@@ -42,13 +42,15 @@ from gis_radar.calibration.placing import (
     STEP_M,
     Choice,
     Placing,
-    Shift,
+    Station,
+    clash_text,
+    contradiction_text,
     find_place,
     preference,
 )
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import NONE, Moving, link_tracks
+from gis_radar.calibration.traces import NONE, link_tracks
 from gis_radar.errors import NoAnswerError
 from gis_radar.poses.pose import Pose
 from gis_radar.texts import Text
@@ -68,28 +70,6 @@ PAIRING_ROUNDS = 6  # of pairing and fitting; two or three are enough
 
 AT_REST = 1e-4  # a step of the adjustment, metres and radians
 CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Station:
-    """A sensor of a network.
-
-    Parameters
-    ----------
-    name : str
-        Of the sensor.
-    moving : Moving
-        What it saw while the others recorded, too.
-    poses : tuple of Pose
-        The poses that it may have by itself: its answer, or several that fit alike.
-    clock_s : float, optional
-        Standard deviation of its clock, where that was measured.
-    """
-
-    name: str
-    moving: Moving
-    poses: tuple[Pose, ...]
-    clock_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,7 +253,8 @@ class _Network:
         """Record whether two sensors with certain poses agree or contradict each other."""
         found = find_place([choice], {other: at})
         if found.beyond is not None:
-            self.clashes[self._pair(other, name)] = _clash(self._pair(other, name), found.beyond)
+            pair = self._pair(other, name)
+            self.clashes[pair] = clash_text(pair, found.beyond)
         elif found.inside is not None:
             self.agreeing.add(self._pair(other, name))
 
@@ -288,7 +269,7 @@ class _Network:
         choices, found = self._look(member)
         if found.beyond is not None:
             most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
-            self.clashes[self._pair(most, name)] = _clash(self._pair(most, name), found.beyond)
+            self.clashes[self._pair(most, name)] = clash_text(self._pair(most, name), found.beyond)
             return False
         if found.inside is None or found.z_score < CLEAR_Z:
             self.unclear |= {name} if found.inside is not None else set()
@@ -400,7 +381,7 @@ class _Network:
             matched = correspondences[pair]
             gap = matched.gap - matched.slope[:, :, : 2 * PLANE] @ own.ravel()
             apart_m = float(np.median(np.hypot(*gap.T)))
-            found[pair] = _contradiction(pair, len(gap), apart_m)
+            found[pair] = contradiction_text(pair, len(gap), apart_m)
         return found
 
     def _clock_s(self, member: _Member) -> float:
@@ -507,17 +488,3 @@ class _Network:
             unmatched=self.unmatched(pairs, held),
             remarks=tuple(self.clock_remarks(correspondences)),
         )
-
-
-def _contradiction(names: Names, vehicles: int, gap_m: float) -> str:
-    return Text(
-        "{} and {}: their poses contradict each other: {} vehicles that both see lie "
-        "{:.1f} m apart",
-        *names,
-        vehicles,
-        gap_m,
-    )
-
-
-def _clash(names: Names, shift: Shift) -> str:
-    return _contradiction(names, sum(shift.pairs.values()), float(np.hypot(*shift.step[:2])))

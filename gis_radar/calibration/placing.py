@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.calibration.certainty import z_score
+from gis_radar.calibration.certainty import Names, z_score
 from gis_radar.calibration.correspondences import (
     FARTHEST_M,
     LEAST_PAIRS,
@@ -22,6 +22,9 @@ from gis_radar.calibration.correspondences import (
     mean_gaps,
 )
 from gis_radar.calibration.lane_detections import LaneDetections
+from gis_radar.calibration.traces import Moving
+from gis_radar.poses.pose import Pose
+from gis_radar.texts import Text
 
 GATE_CHI2 = 13.8  # two degrees of freedom: 1 in 1000 true pairs is lost
 # Grid on which the shift between two sensors is looked for, and how far at least.
@@ -38,6 +41,28 @@ CONTRADICTION_CHI2 = 16.3  # three degrees of freedom: 1 in 1000 sites is refuse
 
 TRIED = 30  # shifts scored one to one, of those that look best
 GRID_YAW = math.radians(0.5)  # between the headings that correspondences are looked for under
+
+
+@dataclass(frozen=True, kw_only=True)
+class Station:
+    """A sensor of a network.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    moving : Moving
+        What it saw while the others recorded, too.
+    poses : tuple of Pose
+        The poses that it may have by itself: its answer, or several that fit alike.
+    clock_s : float, optional
+        Standard deviation of its clock, where that was measured.
+    """
+
+    name: str
+    moving: Moving
+    poses: tuple[Pose, ...]
+    clock_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,3 +296,19 @@ class _Score:
             np.add.at(scores, rows.tracks[taken, 1], GATE_CHI2 - chi2[taken])
             pairs[name] = len(taken)
         return Shift(choice=choice, step=step, scores=scores, pairs=pairs)
+
+
+def contradiction_text(names: Names, vehicles: int, gap_m: float) -> str:
+    """Return that the poses of two sensors contradict each other."""
+    return Text(
+        "{} and {}: their poses contradict each other: {} vehicles that both see lie "
+        "{:.1f} m apart",
+        *names,
+        vehicles,
+        gap_m,
+    )
+
+
+def clash_text(names: Names, shift: Shift) -> str:
+    """Return that a sensor's pose contradicts another's, by a shift that fits better."""
+    return contradiction_text(names, sum(shift.pairs.values()), float(np.hypot(*shift.step[:2])))
