@@ -17,6 +17,7 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.duplicates import without_duplicates
 from gis_radar.tracking.forward import follow_both_ways
 from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.posterior import improve
 from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.track_management import complete_tracks
 
@@ -54,4 +55,5 @@ def vehicles_in(
     for each in motions:
         free[each.rows] = False
     found = complete_tracks(detections, graph, driven, states, free, settings)
-    return without_duplicates(found, detections, settings)
+    distinct = without_duplicates(found, detections, settings)
+    return improve(distinct, detections, graph, settings.motion)

@@ -1,0 +1,60 @@
+"""Vehicles as one estimate: the probability of all detections, and moves that raise it.
+
+Detections are a superposition of Poisson processes, one a vehicle and one of the background (Khan
+et al. 2005, Oh et al. 2009: moves of tracks; Meyer and Williams 2021: extended objects).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.posterior.cuts import cut
+from gis_radar.tracking.posterior.ends import lengthen
+from gis_radar.tracking.posterior.estimate import Posterior
+from gis_radar.tracking.posterior.refits import reassign, refit
+from gis_radar.tracking.posterior.sizes import join_neighbours, resize
+from gis_radar.tracking.settings import MotionSettings
+
+__all__ = ["Posterior", "improve"]
+
+
+def improve(
+    motions: Sequence[Motion],
+    detections: MapDetections,
+    graph: LaneGraph,
+    settings: MotionSettings,
+) -> list[Motion]:
+    """Return vehicles under which the detections are more likely.
+
+    Lengths are chosen, neighbours joined to long vehicles, stretches that nothing supports cut;
+    ends lengthened along the lanes, motions fitted to the detections that are then theirs; and
+    once more lengths, neighbours and stretches.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The vehicles to begin with.
+    detections : MapDetections
+        All of them.
+    graph : LaneGraph
+        The lanes.
+    settings : MotionSettings
+        Of the smoothing.
+    """
+    if not motions:
+        return []
+    posterior = Posterior(detections, motions)
+    posterior.learn(_sized_and_cut(posterior))
+    posterior.place(lengthen(posterior, graph))
+    posterior.place(reassign(posterior))
+    posterior.place(refit(posterior, settings))
+    return _sized_and_cut(posterior)
+
+
+def _sized_and_cut(posterior: Posterior) -> list[Motion]:
+    posterior.place(resize(posterior))
+    posterior.place(join_neighbours(posterior))
+    return cut(posterior)

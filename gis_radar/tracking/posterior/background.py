@@ -1,0 +1,138 @@
+"""Detections that are of no vehicle: of what stands, and of clutter that moves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.posterior.frames import Frames
+from gis_radar.tracking.posterior.likelihood import CELL_M, RATE_MPS
+
+SPOT_M = 0.5  # what stands returns from a spot of that size
+STILL_MPS = 0.3
+STILL_DENSITY = 1.0 / (math.sqrt(2.0 * math.pi) * RATE_MPS)  # s / m; of a vehicle at rest, too
+AFTER_S = 1.5  # so long after a vehicle has driven over a spot hardly another one stands there
+DRIVES_MPS = 2.0
+BESIDE_M = 0.5  # about a body its own detections are not told from what stands
+FEW = 20.0  # frames that what is usual counts as
+SPEEDS = (3.0, 8.0)  # m/s, between slow, middling and fast clutter
+WIDTHS = np.array([2.0 * SPEEDS[0], 2.0 * (SPEEDS[1] - SPEEDS[0]), 44.0])  # m/s; fast up to 30
+FLOOR = 1e-7  # per frame, m2 and m/s: one such detection anywhere in a minute
+
+
+class Background:
+    """Expected detections of no vehicle, per frame, m2 and m/s.
+
+    What returns from a spot is learned just after a vehicle drove over it, and while none is on it:
+    never while one may stand there, so that who stands throughout is not taken for what is built.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        In the order of the frames.
+    frames : Frames
+        Of all sensors.
+    """
+
+    def __init__(self, detections: MapDetections, frames: Frames) -> None:
+        self._frames, self._sensor = frames, detections.sensor
+        self._still = np.abs(detections.range_rate) < STILL_MPS
+        self._corner = detections.points.min(axis=0) - 4.0 * SPOT_M
+        spot = ((detections.points - self._corner) / SPOT_M).astype(np.int64)
+        self._spot = spot
+        self._shape = (len(frames.eyes), *(spot.max(axis=0) + 5).tolist())
+        cell = (spot * SPOT_M / CELL_M).astype(np.int64)
+        rows, columns = cell.max(axis=0) + 1
+        speed = np.digitize(np.abs(detections.range_rate), SPEEDS)
+        self._clutter = ((detections.sensor * rows + cell[:, 0]) * columns + cell[:, 1]) * 3 + speed
+        self._still_rate = np.zeros(len(detections))
+
+    def watch(self, order: Integers, frame: Integers, shape: Floats) -> None:
+        """Learn what stands, from the frames in which no vehicle is on a spot.
+
+        Parameters
+        ----------
+        order : (n,) int64 array
+            States of vehicles by frame.
+        frame, shape : arrays
+            Of all states.
+        """
+        frames = self._frames
+        bare, counted, after, found = (np.zeros(self._shape) for _ in range(4))
+        for k, (low, high) in enumerate(zip(frames.begin[:-1], frames.begin[1:], strict=True)):
+            bare[k] = high - low
+        _watch(
+            order, frame, shape, frames.sensor, frames.time, frames.first, self._still, self._spot,
+            self._corner, bare, counted, after, found,
+        )  # fmt: skip
+        known = bare > 5.0 * FEW
+        usual = counted[known].sum() / max(bare[known].sum(), 1.0)
+        rate = (counted + FEW * usual) / (np.maximum(bare, 0.0) + FEW)
+        rate = (found + 0.5 * FEW * rate) / (after + 0.5 * FEW)
+        here = rate[(self._sensor, *self._spot.T)]
+        self._still_rate = self._still * here / SPOT_M**2 * STILL_DENSITY
+
+    def rates(self, left: Floats) -> Floats:
+        """Return the rate of each detection by what is no vehicle.
+
+        Parameters
+        ----------
+        left : (n,) array
+            The share of each detection that no vehicle explains.
+        """
+        size = (int(self._clutter.max()) // 3 + 1) * 3
+        cells = np.bincount(self._clutter, left * ~self._still, size).reshape(-1, 3)
+        used = np.bincount(self._clutter // 3, minlength=len(cells)) > 0
+        frames = len(self._frames.time) / len(self._frames.eyes)
+        each = 0.5 * (cells + cells[used].mean(axis=0)) / (frames * CELL_M**2 * WIDTHS)
+        return np.asarray(self._still_rate + each.ravel()[self._clutter] + FLOOR)
+
+
+@compiled
+def _watch(  # noqa: PLR0917 - numba takes plain arrays
+    order: Integers, frame: Integers, shape: Floats, sensor: Integers, time: Floats,
+    first: Integers, still: Booleans, spot: Integers, corner: Floats, bare: Floats,
+    counted: Floats, after: Floats, found: Floats,
+) -> None:  # fmt: skip
+    """Count frames without a vehicle on a spot and still detections in them; and just after one.
+
+    `bare` and `counted` are of all frames without one, `after` and `found` of those after one.
+    """
+    drove, last = np.full(bare.shape, -1e18), np.full(bare.shape, -1e18)
+    at = 0
+    for f in range(len(time)):
+        k = sensor[f]
+        while at < len(order) and frame[order[at]] == f:
+            _cover(shape[order[at]], k, time[f], corner, bare, after, drove, last)
+            at += 1
+        for d in range(first[f], first[f + 1]):
+            i, j = spot[d, 0], spot[d, 1]
+            if still[d] and last[k, i, j] < time[f]:
+                counted[k, i, j] += 1.0
+                found[k, i, j] += 1.0 if time[f] - drove[k, i, j] < AFTER_S else 0.0
+
+
+@compiled
+def _cover(
+    shape: Floats, k: int, now: float, corner: Floats, bare: Floats, after: Floats, drove: Floats,
+    last: Floats,
+) -> None:  # fmt: skip
+    """Note that a vehicle is on the spots under it."""
+    x, y, c, s, speed, length, width = shape
+    a, b = 0.5 * length + BESIDE_M, 0.5 * width + BESIDE_M
+    reach = math.hypot(a, b)
+    low_i, low_j = int((x - reach - corner[0]) / SPOT_M), int((y - reach - corner[1]) / SPOT_M)
+    high_i, high_j = int((x + reach - corner[0]) / SPOT_M), int((y + reach - corner[1]) / SPOT_M)
+    for i in range(max(low_i, 0), min(high_i + 1, bare.shape[1])):
+        for j in range(max(low_j, 0), min(high_j + 1, bare.shape[2])):
+            dx, dy = corner[0] + (i + 0.5) * SPOT_M - x, corner[1] + (j + 0.5) * SPOT_M - y
+            if abs(dx * c + dy * s) > a or abs(dy * c - dx * s) > b or last[k, i, j] == now:
+                continue
+            bare[k, i, j] -= 1.0
+            if drove[k, i, j] > 0.0 and last[k, i, j] == drove[k, i, j]:
+                after[k, i, j] += 20.0 * min(max(now - drove[k, i, j] - 0.05, 0.0), AFTER_S)
+            last[k, i, j] = now
+            drove[k, i, j] = now if speed > DRIVES_MPS else -1e18

@@ -1,0 +1,260 @@
+"""The posterior of vehicles: expected detections, brightness, background, and evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.posterior.background import Background
+from gis_radar.tracking.posterior.frames import (
+    SPEED,
+    Frames,
+    States,
+    groups_of,
+    states_of,
+    window_of,
+)
+from gis_radar.tracking.posterior.likelihood import (
+    CELL_M,
+    KINDS,
+    STANDS_MPS,
+    Rates,
+    Seen,
+    evaluate,
+    fill_pairs,
+    hide,
+    kinds_and_cells,
+)
+
+ROUNDS = 4  # of expectation and maximization
+FIRST_GUESS = 0.5  # detections a frame
+KIND_FEW, CELL_FEW = 40.0, 5.0  # expected detections that what is usual counts as
+DULLEST, BRIGHTEST = 0.02, 4.0  # factor of a cell
+ALPHAS = (0.3, 8.0)  # shape of the distribution of brightness: at least, at most
+LEAST_GROUPS = 50
+
+
+class Posterior:
+    """All detections of a span of time against the vehicles in it.
+
+    Detections are a Poisson process, whose rate is the sum of those of all vehicles and of the
+    background. How many a vehicle gives is learned by range, aspect, length and whether it stands,
+    and by cell of the map and sensor; its brightness to a sensor is gamma distributed from half
+    second to half second, because a radar loses a vehicle for seconds.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        All of them, one at least.
+    motions : sequence of Motion
+        The vehicles to begin with.
+
+    Attributes
+    ----------
+    motions : list of Motion
+        The vehicles.
+    alive : (n,) bool array
+        Which of their states count.
+    """
+
+    def __init__(self, detections: MapDetections, motions: Sequence[Motion]) -> None:
+        self.given = detections
+        self.frames = Frames.of(detections)
+        self.d = detections.take(self.frames.row)
+        self._background = Background(self.d, self.frames)
+        self._corner = self.d.points.min(axis=0) - 2.0 * CELL_M
+        span = self.d.points.max(axis=0) + 2.0 * CELL_M - self._corner
+        self._size = np.ceil(span / CELL_M).astype(np.int64) + 1
+        self._table = np.full(int(np.prod(KINDS)), FIRST_GUESS)
+        self._factor = np.ones(len(self.frames.eyes) * int(self._size.prod()))
+        self.alpha = np.array([2.0, 1.0])
+        self.total = np.zeros(len(self.d))
+        self.learn(motions)
+
+    @property
+    def rates(self) -> Rates:
+        """What is expected of a state, as compiled loops take it."""
+        return self.frames.eyes, self._table, self._factor, self._corner, self._size
+
+    @property
+    def seen(self) -> Seen:
+        """The detections, as compiled loops take them."""
+        d = self.d
+        return (
+            self.frames.first, d.points, d.sight, d.range_m, d.range_rate, d.height_m, self.total,
+        )  # fmt: skip
+
+    def learn(self, motions: Sequence[Motion]) -> None:
+        """Take motions as the vehicles; learn from them what to expect."""
+        self._place(motions)
+        self._background.watch(self._by_frame, self.states.frame, self.states.shape)
+        n, share = len(self.states.frame), np.zeros(len(self.d))
+        share[self._pair_row] = 0.5
+        mu, bright = FIRST_GUESS * self.open, np.ones(n)
+        for _ in range(ROUNDS):
+            base = self._background.rates(1.0 - share)
+            rate = self._density * (mu * bright)[self._pair_state]
+            total = base + np.bincount(self._pair_row, rate, len(self.d))
+            part = rate / total[self._pair_row]
+            share = np.minimum(np.bincount(self._pair_row, part, len(self.d)), 1.0)
+            explained = np.bincount(self._pair_state, part, n).astype(np.float64)
+            self._expect(explained)
+            mu = self._mu()
+            bright = self._brightness(explained, mu)
+        self._base = self._background.rates(1.0 - share)
+        self._sum_up(mu * bright)
+
+    def place(self, motions: Sequence[Motion]) -> None:
+        """Take motions as the vehicles; expect what was learned before."""
+        self._place(motions)
+        mu = self._mu()
+        bright = np.ones(len(mu))
+        for _ in range(2):
+            rate = self._density * (mu * bright)[self._pair_state]
+            total = self._base + np.bincount(self._pair_row, rate, len(self.d))
+            part = rate / total[self._pair_row]
+            explained = np.bincount(self._pair_state, part, len(mu)).astype(np.float64)
+            bright = self._brightness(explained, mu)
+        self._sum_up(mu * bright)
+
+    def _place(self, motions: Sequence[Motion]) -> None:
+        """Compute states, which detections each may explain, and what hides it."""
+        self.motions = list(motions)
+        self.states = states = States.of(motions, self.frames)
+        self.sensor = self.frames.sensor[states.frame]
+        self.alive = np.ones(len(states.frame), np.bool_)
+        found = kinds_and_cells(states.shape, self.sensor, self.rates)
+        self._kind, self._cell = found[:, 0], found[:, 1]
+        self._find_pairs()
+        self.cover()
+
+    def _find_pairs(self) -> None:
+        states = self.states
+        most = max(1 << 16, int(np.diff(self.frames.first).max()))
+        room, row = np.empty((most, 2)), np.empty(most, np.int64)
+        begin = np.zeros(len(states.frame) + 1, np.int64)
+        parts: list[tuple[Floats, Integers]] = []
+        reached = 0
+        while reached < len(states.frame):
+            reached, n = fill_pairs(
+                states.shape, states.frame, self.seen, reached, room, row, begin
+            )
+            parts.append((room[:n, 0].copy(), row[:n].copy()))
+        self._density = np.concatenate([np.zeros(0), *(each[0] for each in parts)])
+        self._pair_row = np.concatenate([np.zeros(0, np.int64), *(each[1] for each in parts)])
+        self._pair_begin = np.concatenate([[0], np.cumsum(begin[1:])])
+        self._pair_state = np.repeat(np.arange(len(states.frame)), begin[1:])
+
+    def cover(self) -> None:
+        """Compute which share of each state others hide."""
+        states, alive = self.states, np.flatnonzero(self.alive)
+        self._by_frame = alive[np.argsort(states.frame[alive], kind="stable")]
+        self._frame_begin = np.searchsorted(
+            states.frame[self._by_frame], np.arange(len(self.frames.time) + 1)
+        )
+        self.open = np.ones(len(states.frame))
+        hide(
+            self._by_frame, self._frame_begin, self.frames.sensor, states.shape, self.frames.eyes,
+            self.open,
+        )  # fmt: skip
+
+    @property
+    def by_frame(self) -> tuple[Integers, Integers]:
+        """States in the order of frames, and where each frame begins among them."""
+        return self._by_frame, self._frame_begin
+
+    def _expect(self, explained: Floats) -> None:
+        """Learn expected detections by kind and cell."""
+        seen = np.bincount(self._kind, explained, len(self._table)).reshape(KINDS)
+        due = np.bincount(self._kind, self.open, len(self._table)).reshape(KINDS)
+        usual = (seen.sum(axis=(1, 2, 3)) + 1.0) / (due.sum(axis=(1, 2, 3)) + 3.0)
+        self._table = (
+            (seen + KIND_FEW * usual[:, None, None, None]) / (due + KIND_FEW)
+        ).ravel()  # fmt: skip
+        count = len(self._factor)
+        got = np.bincount(self._cell, explained, count)
+        want = np.bincount(self._cell, self._table[self._kind] * self.open, count)
+        self._factor = np.clip((got + CELL_FEW) / (want + CELL_FEW), DULLEST, BRIGHTEST)
+
+    def _mu(self) -> Floats:
+        return self._table[self._kind] * self._factor[self._cell] * self.open
+
+    def _brightness(self, explained: Floats, mu: Floats) -> Floats:
+        """Return the brightness of each state; learn how much it varies."""
+        group = self.states.group
+        n, m = np.bincount(group, explained), np.bincount(group, mu)
+        first = np.flatnonzero(np.diff(group, prepend=-1))
+        stands = (self.states.shape[first, SPEED] < STANDS_MPS).astype(np.int64)
+        for kind in (0, 1):
+            mine = (stands == kind) & (m > 0.5)
+            if mine.sum() > LEAST_GROUPS:
+                extra = float(((n - m) ** 2 - n)[mine].sum())
+                shape = float((m[mine] ** 2).sum()) / max(extra, 1e-9)
+                self.alpha[kind] = min(max(shape, ALPHAS[0]), ALPHAS[1])
+        alpha = self.alpha[stands]
+        return np.asarray(((alpha + n) / (alpha + m))[group])
+
+    def _sum_up(self, weight: Floats) -> None:
+        self._rate = self._density * weight[self._pair_state]
+        self.total = self._base + np.bincount(self._pair_row, self._rate, len(self.d))
+
+    def gains(self, rows: Integers, shape: Floats, *, add: bool = False) -> Floats:
+        """Return (groups, 2) the gain of states over all else, and what is due.
+
+        Parameters
+        ----------
+        rows : (n,) int64 array
+            States whose frames, groups and hiding are taken over.
+        shape : (n, 7) array
+            The vehicle there.
+        add : bool
+            Whether it joins what is there.
+        """
+        return evaluate(
+            groups_of(self.states.group[rows]), self.states.frame[rows], self.sensor[rows], shape,
+            self.open[rows], self.rates, self.seen, self.alpha, add,
+        )  # fmt: skip
+
+    def gain(self, motion: Motion, *, add: bool = False, within: tuple[float, float] | None = None
+    ) -> float:  # fmt: skip
+        """Return the gain of a motion over all else, in view, between two times if given."""
+        frame, shape = states_of(motion, self.frames)
+        if within is not None:
+            time = self.frames.time[frame]
+            inside = (time > within[0]) & (time < within[1])
+            frame, shape = frame[inside], shape[inside]
+        sensor = self.frames.sensor[frame]
+        group = groups_of(sensor, window_of(self.frames.time[frame]))
+        found = evaluate(
+            group, frame, sensor, shape, np.ones(len(frame)), self.rates, self.seen, self.alpha,
+            add,
+        )  # fmt: skip
+        return float(found[:, 0].sum())
+
+    def lift(self, vehicle: int, sign: float = -1.0) -> None:
+        """Take a vehicle from what is there; with +1, put it back."""
+        rows, rate = self._pairs_of(vehicle)
+        np.add.at(self.total, rows, sign * rate)
+
+    def _pairs_of(self, vehicle: int) -> tuple[Integers, Floats]:
+        rows = self.states.rows(vehicle)
+        part = slice(self._pair_begin[rows.start], self._pair_begin[rows.stop])
+        return self._pair_row[part], self._rate[part]
+
+    def remove(self, states: Integers) -> None:
+        """Remove states."""
+        for e in states.tolist():
+            part = slice(self._pair_begin[e], self._pair_begin[e + 1])
+            self.total[self._pair_row[part]] -= self._rate[part]
+            self._rate[part] = 0.0
+        self.alive[states] = False
+
+    def explained(self, vehicle: int) -> Integers:
+        """Return the detections of a vehicle, in the order of time: those more likely of it."""
+        rows, rate = self._pairs_of(vehicle)
+        mine = np.unique(self.frames.row[rows[rate > 0.5 * self.total[rows]]])
+        return mine[np.argsort(self.given.time[mine], kind="stable")]

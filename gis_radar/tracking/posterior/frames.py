@@ -1,0 +1,150 @@
+"""Frames, and the states of vehicles in them, as flat arrays for compiled loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.steps import STEP_S
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.motion import Motion
+
+WINDOW_S = 0.5  # the brightness of a vehicle, and whether it is there, is constant so long
+X, Y, COS, SIN, SPEED, LENGTH, WIDTH = range(7)  # columns of a shape
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frames:
+    """Detections by sensor and frame.
+
+    Parameters
+    ----------
+    row : (n,) int64 array
+        Positions in the detections that were given, by sensor and time.
+    sensor, time : (f,) arrays
+        Of each frame; UNIX seconds.
+    first : (f + 1,) int64 array
+        Where in `row` the detections of each frame begin.
+    begin : (k + 1,) int64 array
+        The first frame of each sensor.
+    eyes : (k, 2) array
+        Places of the sensors, metres.
+    """
+
+    row: Integers
+    sensor: Integers
+    time: Floats
+    first: Integers
+    begin: Integers
+    eyes: Floats
+
+    @classmethod
+    def of(cls, detections: MapDetections) -> Frames:
+        """Gather the frames of detections; those without any on lanes are filled in."""
+        count = int(detections.sensor.max()) + 1
+        order = np.lexsort((detections.time, detections.sensor))
+        sensor, time = detections.sensor[order], detections.time[order]
+        away = detections.points - detections.sight * detections.range_m[:, None]
+        eyes = np.zeros((count, 2))
+        times = []
+        for k in range(count):
+            times.append(_without_gaps(np.unique(time[sensor == k])))
+            if len(times[k]):
+                eyes[k] = np.median(away[detections.sensor == k], axis=0)
+        begin = np.concatenate([[0], np.cumsum([len(each) for each in times])])
+        frame = np.concatenate(
+            [begin[k] + np.searchsorted(times[k], time[sensor == k]) for k in range(count)]
+        )
+        return cls(
+            row=order, sensor=np.repeat(np.arange(count), np.diff(begin)),
+            time=np.concatenate(times), first=np.searchsorted(frame, np.arange(begin[-1] + 1)),
+            begin=begin, eyes=eyes,
+        )  # fmt: skip
+
+    def between(self, begin: float, end: float) -> Integers:
+        """Return the frames of all sensors from one time to another, by sensor and time."""
+        spans = zip(self.begin[:-1].tolist(), self.begin[1:].tolist(), strict=True)
+        parts = []
+        for low, high in spans:
+            inside = low + np.searchsorted(self.time[low:high], [begin, end])
+            parts.append(np.arange(inside[0], inside[1]))
+        return np.concatenate(parts)
+
+
+def _without_gaps(known: Floats) -> Floats:
+    """Return the times of frames with those that are missing in between."""
+    gaps = np.diff(known)
+    cadence = float(np.median(gaps)) if len(gaps) else STEP_S
+    missing = np.maximum(np.round(gaps / cadence).astype(np.int64) - 1, 0)
+    between = [
+        np.linspace(known[k], known[k + 1], missing[k] + 2)[1:-1]
+        for k in np.flatnonzero(missing).tolist()
+    ]
+    return np.sort(np.concatenate([known, *between]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class States:
+    """Vehicles in each frame of each sensor, by vehicle, sensor and time.
+
+    Parameters
+    ----------
+    vehicle, frame, window : (n,) int64 arrays
+        Of whom, in which frame, and in which half second.
+    shape : (n, 7) array
+        Middle east and north, cosine and sine of the heading, speed, length, width.
+    first : (v + 1,) int64 array
+        The first state of each vehicle.
+    group : (n,) int64 array
+        States of one vehicle, sensor and half second are a group.
+    """
+
+    vehicle: Integers
+    frame: Integers
+    window: Integers
+    shape: Floats
+    first: Integers
+    group: Integers
+
+    @classmethod
+    def of(cls, motions: Sequence[Motion], frames: Frames) -> States:
+        """Return the states of some motions."""
+        parts = [states_of(each, frames) for each in motions]
+        sizes = [len(each[0]) for each in parts]
+        frame = np.concatenate([np.zeros(0, np.int64), *(each[0] for each in parts)])
+        vehicle = np.repeat(np.arange(len(parts)), sizes)
+        window = window_of(frames.time[frame])
+        return cls(
+            vehicle=vehicle, frame=frame, window=window,
+            shape=np.concatenate([np.zeros((0, 7)), *(each[1] for each in parts)]),
+            first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+            group=groups_of(vehicle, frames.sensor[frame], window),
+        )  # fmt: skip
+
+    def rows(self, vehicle: int) -> slice:
+        """Return where the states of a vehicle are."""
+        return slice(int(self.first[vehicle]), int(self.first[vehicle + 1]))
+
+
+def window_of(time: Floats) -> Integers:
+    """Return the half second of each time."""
+    return np.floor(time / WINDOW_S).astype(np.int64)
+
+
+def groups_of(*columns: Integers) -> Integers:
+    """Return the number of the run of equal rows that each row is in."""
+    changes = np.ones(len(columns[0]), np.bool_)
+    changes[1:] = np.any([np.diff(each) != 0 for each in columns], axis=0)
+    return np.cumsum(changes) - 1
+
+
+def states_of(motion: Motion, frames: Frames) -> tuple[Integers, Floats]:
+    """Return the frames in which a motion has states, and its shape in each."""
+    frame = frames.between((motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S)
+    s_m, speed = motion.at(frames.time[frame])
+    place, heading = motion.path.at(s_m)
+    size = np.tile([motion.length_m, motion.width_m], (len(frame), 1))
+    return frame, np.column_stack([place, np.cos(heading), np.sin(heading), speed, size])

@@ -1,0 +1,282 @@
+"""Detections of a vehicle: where on it, how fast, how many, and how much others hide."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+
+ON_FACES = 0.75  # share of detections of the faces that are seen; others are of all the body
+FACE_M, FACE_RAD = 0.35, 0.004  # standard deviation across a face: its depth, and of the azimuth
+RATE_MPS, RATE_SHARE = 0.25, 0.02  # standard deviation of the range rate of a body
+WHEELS, TURNS = 0.13, 2.1  # share of detections of wheels, and up to how often the body's speed
+REACH_M = 2.0  # farther from the body no detection is of it
+THROUGH = 0.3  # share that a vehicle returns of what another one hides
+MAST_M, LOOK_M = 6.0, 0.6  # heights over the road: of a sensor, and of what is seen of a vehicle
+CAR_M, LORRY_M, BOTTOM_M = 1.5, 3.2, 0.2  # heights of bodies, and where they begin
+HEIGHT_M, HEIGHT_RAD = 0.2, 0.0185  # standard deviation of a height over the road
+LONG_M = 7.0  # longer vehicles are lorries and buses
+STANDS_MPS = 0.5
+CELL_M = 4.0  # in a cell a sensor sees all vehicles alike
+FAR_M, ASPECTS = 10.0, (0.5, 0.87)  # kinds of states: by range, and by the cosine of the aspect
+KINDS = (21, 3, 2, 2)  # ranges, aspects, long or not, standing or not
+
+Rates: TypeAlias = tuple[Floats, Floats, Floats, Floats, Integers]  # eyes table factor corner size
+Seen: TypeAlias = tuple[Integers, Floats, Floats, Floats, Floats, Floats, Floats]
+# first points sight range rate height total
+
+
+@compiled
+def _blurred(x: float, half: float, sigma: float) -> float:
+    """Return the density of a uniform distribution on +-half, blurred."""
+    root = sigma * 1.4142135623730951
+    return 0.25 * (math.erf((x + half) / root) - math.erf((x - half) / root)) / half
+
+
+@compiled
+def _normal(x: float, sigma: float) -> float:
+    z = x / sigma
+    return 0.3989422804014327 / sigma * math.exp(-0.5 * z * z)
+
+
+@compiled
+def _place_density(
+    along: float, left: float, cos: float, sin: float, length: float, width: float, away: float
+) -> float:
+    """Return the density of a place on a body, 1 / m2.
+
+    `cos` and `sin` are of the angle from the heading to the line of sight.
+    """
+    ends = width * abs(cos)
+    share = ends / (ends + length * abs(sin) + 1e-9)
+    along_sigma = math.hypot(FACE_M, FACE_RAD * away * sin)
+    left_sigma = math.hypot(FACE_M, FACE_RAD * away * cos)
+    half, side = 0.5 * length, 0.5 * width
+    end = -half if cos > 0.0 else half
+    flank = -side if sin > 0.0 else side
+    by_length, by_width = _blurred(along, half, along_sigma), _blurred(left, side, left_sigma)
+    of_end = _normal(along - end, along_sigma) * by_width
+    of_flank = _normal(left - flank, left_sigma) * by_length
+    faces = share * of_end + (1.0 - share) * of_flank
+    return ON_FACES * faces + (1.0 - ON_FACES) * by_length * by_width
+
+
+@compiled
+def _rate_density(rate: float, radial: float) -> float:
+    """Return the density of a range rate of a body that moves so along the line of sight, s / m."""
+    found = (1.0 - WHEELS) * _normal(rate - radial, RATE_MPS + RATE_SHARE * abs(radial))
+    top = max(TURNS * abs(radial), 2.0 * RATE_MPS)
+    turned = rate if radial >= 0.0 else -rate
+    if -RATE_MPS < turned < top:
+        found += WHEELS / (top + RATE_MPS)
+    return found
+
+
+@compiled
+def taller(height: float, away: float) -> float:
+    """Return how much denser a height is for a lorry or bus than for a car; 1 where unknown."""
+    if not math.isfinite(height):
+        return 1.0
+    sigma = HEIGHT_M + HEIGHT_RAD * away
+    tall, low = 0.5 * (LORRY_M - BOTTOM_M), 0.5 * (CAR_M - BOTTOM_M)
+    of_lorry = _blurred(height - BOTTOM_M - tall, tall, sigma)
+    of_car = _blurred(height - BOTTOM_M - low, low, sigma)
+    return min(max(of_lorry / max(of_car, 1e-9), 0.2), 5.0)  # heights of one body are off alike
+
+
+@compiled
+def kind_and_cell(shape: Floats, sensor: int, rates: Rates) -> tuple[int, int]:
+    """Return the kind of a state, as a position in the table of rates, and its cell."""
+    eyes, _, _, corner, size = rates
+    x, y, c, s, speed, length, _ = shape
+    dx, dy = x - eyes[sensor, 0], y - eyes[sensor, 1]
+    far = math.hypot(dx, dy)
+    facing = abs(dx * c + dy * s) / max(far, 1e-6)
+    aspect = 0 if facing < ASPECTS[0] else (1 if facing < ASPECTS[1] else 2)
+    kind = (min(int(far / FAR_M), KINDS[0] - 1) * KINDS[1] + aspect) * 2
+    kind = (kind + (1 if length > LONG_M else 0)) * 2 + (1 if speed < STANDS_MPS else 0)
+    i = min(max(int((x - corner[0]) / CELL_M), 0), size[0] - 1)
+    j = min(max(int((y - corner[1]) / CELL_M), 0), size[1] - 1)
+    return kind, (sensor * size[0] + i) * size[1] + j
+
+
+@compiled
+def kinds_and_cells(shape: Floats, sensor: Integers, rates: Rates) -> Integers:
+    """Return (n, 2) the kind and the cell of each state."""
+    found = np.empty((len(shape), 2), np.int64)
+    for e in range(len(shape)):
+        found[e, 0], found[e, 1] = kind_and_cell(shape[e], sensor[e], rates)
+    return found
+
+
+@compiled
+def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers, n: int) -> int:
+    """Fill in the detections that a state may explain, and how dense each is, from place n on.
+
+    Returns
+    -------
+    int
+        The place after the last; what finds no room is left out.
+    """
+    first, points, sight, away, rate, height, _ = seen
+    x, y, c, s, speed, length, width = shape
+    for d in range(first[frame], first[frame + 1]):
+        dx, dy = points[d, 0] - x, points[d, 1] - y
+        along, left = dx * c + dy * s, dy * c - dx * s
+        near = abs(along) < 0.5 * length + REACH_M and abs(left) < 0.5 * width + REACH_M
+        if not near or n >= len(room):
+            continue
+        cos = c * sight[d, 0] + s * sight[d, 1]
+        sin = c * sight[d, 1] - s * sight[d, 0]
+        found = _place_density(along, left, cos, sin, length, width, away[d])
+        found *= _rate_density(rate[d], speed * cos)
+        if length > LONG_M:
+            found *= taller(height[d], away[d])
+        room[n, 0], row[n] = found, d
+        n += 1
+    return n
+
+
+@compiled
+def gain_of(room: Floats, count: int, due: float, alpha: float) -> tuple[float, float]:
+    """Return by how much the log-probability is higher with a vehicle, and its brightness.
+
+    Parameters
+    ----------
+    room : (n, 2) array
+        Of each detection its rate by the vehicle and by all else.
+    count : int
+        How many there are.
+    due : float
+        Expected number of detections.
+    alpha : float
+        Shape of the gamma distribution of brightness, whose mean is 1. Brightness is integrated
+        out by Laplace's method in its logarithm.
+    """
+    n, bright = 0.0, 1.0
+    for _ in range(5):
+        n = 0.0
+        for q in range(count):
+            lit = room[q, 0] * bright
+            n += lit / (room[q, 1] + lit)
+        bright = (alpha + n) / (alpha + due)
+    gain = alpha * math.log(alpha * bright) - math.lgamma(alpha) - (alpha + due) * bright
+    gain += 0.5 * math.log(2.0 * math.pi / (alpha + n))
+    for q in range(count):
+        gain += math.log(1.0 + room[q, 0] * bright / room[q, 1])
+    return gain, bright
+
+
+@compiled
+def evaluate(  # noqa: PLR0917 - numba takes plain arrays
+    group: Integers, frame: Integers, sensor: Integers, shape: Floats, open_share: Floats,
+    rates: Rates, seen: Seen, alpha: Floats, add: bool,  # noqa: FBT001
+) -> Floats:  # fmt: skip
+    """Return (groups, 2) the gain of a vehicle over all else in each group, and what is due.
+
+    With `add` its rates are added to the total of `seen`.
+    """
+    count = group[-1] - group[0] + 1 if len(group) else 0
+    found = np.zeros((count, 2))
+    room, row = np.empty((4096, 2)), np.empty(4096, np.int64)
+    total, e = seen[6], 0
+    for g in range(count):
+        n, due, stands = 0, 0.0, 1 if shape[e, 4] < STANDS_MPS else 0
+        while e < len(group) and group[e] - group[0] == g:
+            kind, cell = kind_and_cell(shape[e], sensor[e], rates)
+            mu = rates[1][kind] * rates[2][cell] * open_share[e]
+            begin, n = n, densities(shape[e], frame[e], seen, room, row, n)
+            for q in range(begin, n):
+                room[q, 0], room[q, 1] = room[q, 0] * mu, total[row[q]]
+            due += mu
+            e += 1
+        found[g, 0], bright = gain_of(room, n, due, alpha[stands])
+        found[g, 1] = due
+        for q in range(n if add else 0):
+            total[row[q]] += room[q, 0] * bright
+    return found
+
+
+@compiled
+def _half_across(shape: Floats, x: float, y: float, far: float) -> float:
+    """Return half the width of a body as seen along a direction (x, y) of length far."""
+    _, _, c, s, _, length, width = shape
+    across = length * abs(c * y - s * x) + width * abs(c * x + s * y)
+    return float(0.5 * across / far)
+
+
+@compiled
+def hide(
+    order: Integers, first: Integers, sensor: Integers, shape: Floats, eyes: Floats,
+    open_share: Floats,
+) -> None:  # fmt: skip
+    """Fill in which share of each state others do not hide; `order` sorts them by frame."""
+    for f in range(len(first) - 1):
+        ex, ey = eyes[sensor[f], 0], eyes[sensor[f], 1]
+        for a in range(first[f], first[f + 1]):
+            i = order[a]
+            x, y = shape[i, 0] - ex, shape[i, 1] - ey
+            far = max(math.hypot(x, y), 1.0)
+            half = _half_across(shape[i], x, y, far)
+            for b in range(first[f], first[f + 1]):
+                j = order[b]
+                jx, jy = shape[j, 0] - ex, shape[j, 1] - ey
+                near = (jx * x + jy * y) / far
+                if j == i or near <= 1.0 or near >= far:
+                    continue
+                over = LOOK_M + (MAST_M - LOOK_M) * (1.0 - near / far)  # of the ray over the road
+                if over > (LORRY_M if shape[j, 5] > LONG_M else CAR_M):
+                    continue
+                mine, aside = half * near / far, (jx * y - jy * x) / far
+                other = _half_across(shape[j], x, y, far)
+                both = min(mine, aside + other) - max(-mine, aside - other)
+                open_share[i] *= 1.0 - (1.0 - THROUGH) * max(both, 0.0) / (2.0 * mine + 1e-9)
+
+
+@compiled
+def overlap(
+    rows: Integers, frame: Integers, shape: Floats, alive: Booleans, order: Integers,
+    first: Integers,
+) -> Floats:  # fmt: skip
+    """Return which share of the shorter of two lies on another vehicle, for states of one."""
+    share = np.zeros(len(rows))
+    for k in range(len(rows)):
+        e = rows[k]
+        x, y, c, s, _, length, width = shape[e]
+        for a in range(first[frame[e]], first[frame[e] + 1]):
+            o = order[a]
+            if rows[0] <= o <= rows[-1] or not alive[o]:
+                continue
+            dx, dy = shape[o, 0] - x, shape[o, 1] - y
+            aside = abs(dy * c - dx * s)
+            if aside > 0.3 * (width + shape[o, 6]) or abs(c * shape[o, 2] + s * shape[o, 3]) < 0.8:
+                continue
+            least = min(length, shape[o, 5])
+            both = 0.5 * (length + shape[o, 5]) - abs(dx * c + dy * s)
+            share[k] = max(share[k], min(both, least) / least)
+    return share
+
+
+@compiled
+def fill_pairs(
+    shape: Floats, frame: Integers, seen: Seen, begin: int, room: Floats, row: Integers,
+    counts: Integers,
+) -> tuple[int, int]:  # fmt: skip
+    """Fill in the detections of states from one on, while there is room.
+
+    Returns
+    -------
+    int, int
+        The state to go on with, and how many detections were filled in. `counts` gets how many are
+        of each state, from place 1 on.
+    """
+    n = 0
+    for e in range(begin, len(frame)):
+        if n + seen[0][frame[e] + 1] - seen[0][frame[e]] > len(room):
+            return e, n
+        after = densities(shape[e], frame[e], seen, room, row, n)
+        counts[e + 1], n = after - n, after
+    return len(frame), n

@@ -1,0 +1,207 @@
+"""Vehicles as one estimate: what the posterior says of tracks, right, wrong or too short."""
+
+import math
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gis_radar.lanelets import lane_graph
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.paths import Path
+from gis_radar.tracking.posterior import Posterior, improve
+from gis_radar.tracking.posterior.cuts import _best_stretches
+from gis_radar.tracking.posterior.likelihood import gain_of
+from gis_radar.tracking.settings import MotionSettings
+
+BEGIN, RATE = 1e9, 20
+EYE = np.array([-30.0, -20.0])
+CAR, BUS = 4.5, 12.0
+
+
+@pytest.fixture(name="graph", scope="module")
+def straight_lane():
+    line = shapely.LineString([(0, 0, 0), (300, 0, 0)])
+    sides = [shapely.force_3d(shapely.offset_curve(line, d), 0.0) for d in (1.75, -1.75)]
+    row = (1, *sides, ["vehicle"], True, [])
+    names = ["lanelet_id", "left", "right", "participants", "one_way", "successors"]
+    return lane_graph(gpd.GeoDataFrame([row], columns=names, geometry="left", crs="EPSG:25832"))
+
+
+def returns(rng, begin_s, end_s, start_m, speed, length=CAR, each=2.0):
+    """Return (n, 4) time, east, north, range rate of a vehicle's rear and its side to the eye."""
+    rows = []
+    for time in np.arange(begin_s, end_s, 1.0 / RATE):
+        for _ in range(rng.poisson(each)):
+            at_rear = rng.random() < 0.4
+            along = -length / 2 if at_rear else rng.uniform(-length / 2, length / 2)
+            left = rng.uniform(-0.9, 0.9) if at_rear else -0.9
+            east = start_m + speed * (time - begin_s) + along + rng.normal(0.0, 0.15)
+            north = left + rng.normal(0.0, 0.15)
+            away = np.array([east, north]) - EYE
+            rate = speed * away[0] / np.hypot(*away) + rng.normal(0.0, 0.05)
+            rows.append((BEGIN + time, east, north, rate))
+    return np.array(rows)
+
+
+def clutter(rng, seconds, a_frame=1.0):
+    """Return (n, 4) detections at rest all over the lane."""
+    count = rng.poisson(seconds * RATE * a_frame)
+    time = BEGIN + rng.integers(0, int(seconds * RATE), count) / RATE
+    east, north = rng.uniform(0, 250, count), rng.uniform(-1.7, 1.7, count)
+    return np.column_stack([time, east, north, np.zeros(count)])
+
+
+def detected(*parts):
+    rows = np.vstack(parts)
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    away = rows[:, 1:3] - EYE
+    range_m = np.hypot(*away.T)
+    return MapDetections(
+        time=rows[:, 0], points=rows[:, 1:3].copy(), height_m=np.full(len(rows), np.nan),
+        range_rate=rows[:, 3], sight=away / range_m[:, None], range_m=range_m,
+        sensor=np.zeros(len(rows), np.int64), rcs=np.zeros(len(rows)),
+    )  # fmt: skip
+
+
+def track(detections, begin_s, end_s, start_m, speed, length=CAR):
+    """Return a motion along the lane, with the detections that lie on it."""
+    first = round((BEGIN + begin_s) * RATE)
+    count = round((end_s - begin_s) * RATE)
+    s_m = start_m + speed / RATE * np.arange(count)
+    time = detections.time - BEGIN
+    off = detections.points[:, 0] - start_m - speed * (time - begin_s)
+    rows = np.flatnonzero((np.abs(off) < length / 2 + 0.5) & (time >= begin_s) & (time < end_s))
+    return Motion(
+        rows=rows, path=Path(np.column_stack([np.arange(300.0), np.zeros(300)])), first_step=first,
+        s_m=s_m, speed=np.full(count, speed), var_s=np.full(count, 0.1), length_m=length,
+        width_m=1.8, length_sigma_m=1.0, p_heavy=0.1, along_m=np.zeros(len(rows)),
+        left_m=np.zeros(len(rows)),
+    )  # fmt: skip
+
+
+def span_s(motion):
+    return motion.first_step / RATE - BEGIN, motion.last_step / RATE - BEGIN
+
+
+def test_a_right_track_stays_and_one_of_nothing_goes(graph):
+    rng = np.random.default_rng(1)
+    found = detected(returns(rng, 0, 12, 20.0, 10.0), clutter(rng, 20))
+    right = track(found, 0, 12, 20.0, 10.0)
+    wrong = track(found, 4, 16, 200.0, -10.0)
+    assert Posterior(found, [right]).total.min() > 0.0
+    kept = improve([right, wrong], found, graph, MotionSettings())
+    assert len(kept) == 1
+    assert span_s(kept[0]) == pytest.approx((0.0, 12.0), abs=1.0)
+    places = np.interp(5.0, np.arange(len(kept[0].s_m)) / RATE, kept[0].places[0][:, 0])
+    assert places == pytest.approx(70.0, abs=1.0)
+
+
+def test_a_track_that_runs_on_without_support_is_trimmed(graph):
+    rng = np.random.default_rng(2)
+    found = detected(
+        returns(rng, 0, 8, 20.0, 10.0), returns(rng, 10, 20, 20.0, 10.0), clutter(rng, 20)
+    )
+    others = track(found, 10, 20, 20.0, 10.0)
+    (first, *_), *_ = sorted(
+        (span_s(each), k)
+        for k, each in enumerate(
+            improve([track(found, 0, 14, 20.0, 10.0), others], found, graph, MotionSettings())
+        )
+    )
+    assert first == pytest.approx((0.0, 8.0), abs=1.0)
+
+
+def test_a_track_goes_on_along_the_lane_as_far_as_it_is_detected(graph):
+    rng = np.random.default_rng(3)
+    found = detected(returns(rng, 0, 15, 20.0, 10.0), clutter(rng, 20))
+    (longer,) = improve([track(found, 6, 9, 80.0, 10.0)], found, graph, MotionSettings())
+    assert span_s(longer) == pytest.approx((0.0, 15.0), abs=1.6)
+    assert len(longer.rows) > 400
+
+
+def test_two_tracks_on_one_bus_become_one_that_is_as_long(graph):
+    rng = np.random.default_rng(4)
+    found = detected(returns(rng, 0, 12, 30.0, 10.0, length=BUS, each=5.0), clutter(rng, 14))
+    parts = [track(found, 0, 12, 30.0 + shift, 10.0) for shift in (-3.7, 3.7)]
+    (bus,) = improve(parts, found, graph, MotionSettings())
+    assert bus.length_m == pytest.approx(BUS, abs=2.0)
+    assert bus.p_heavy > 0.5
+
+
+def test_who_stands_throughout_is_not_taken_for_what_is_built(graph):
+    rng = np.random.default_rng(5)
+    found = detected(
+        returns(rng, 0, 60, 100.0, 0.0), returns(rng, 0, 9, 10.0, 9.0), clutter(rng, 60, 0.3)
+    )
+    stands = track(found, 0, 60, 100.0, 0.0)
+    kept = improve([stands, track(found, 0, 9, 10.0, 9.0)], found, graph, MotionSettings())
+    assert max(len(each.s_m) for each in kept if each.speed.max() < 1.0) > 55 * RATE
+
+
+def test_no_two_are_in_one_place_for_over_a_second(graph):
+    rng = np.random.default_rng(6)
+    found = detected(returns(rng, 0, 12, 20.0, 10.0, each=4.0), clutter(rng, 14))
+    twice = [track(found, 0, 12, 20.0 + shift, 10.0) for shift in (0.0, 0.5)]
+    assert len(improve(twice, found, graph, MotionSettings())) == 1
+
+
+def test_the_same_detections_give_the_same_vehicles(graph):
+    rng = np.random.default_rng(7)
+    found = detected(
+        returns(rng, 0, 12, 20.0, 10.0), returns(rng, 3, 12, 20.0, 12.0), clutter(rng, 14)
+    )
+    given_tracks = [track(found, 0, 12, 20.0, 10.0), track(found, 3, 12, 20.0, 12.0)]
+    one, other = (improve(given_tracks, found, graph, MotionSettings()) for _ in range(2))
+    assert [each.s_m.tobytes() for each in one] == [each.s_m.tobytes() for each in other]
+    assert improve([], found, graph, MotionSettings()) == []
+
+
+def test_gains_are_those_of_the_sum_of_all_vehicles():
+    """Adding a vehicle raises each detection's rate by its own; taking it away restores it."""
+    rng = np.random.default_rng(8)
+    found = detected(returns(rng, 0, 6, 20.0, 10.0), clutter(rng, 8))
+    posterior = Posterior(found, [track(found, 0, 6, 20.0, 10.0)])
+    before = posterior.total.copy()
+    posterior.lift(0)
+    assert (posterior.total <= before + 1e-12).all()
+    assert posterior.total.sum() < before.sum()
+    posterior.lift(0, 1.0)
+    np.testing.assert_allclose(posterior.total, before, rtol=1e-9, atol=1e-15)
+
+
+@given(
+    count=st.integers(0, 30), due=st.floats(0.1, 50.0), alpha=st.floats(0.5, 8.0),
+    rest=st.floats(1e-6, 1e-3),
+)  # fmt: skip
+def test_brightness_is_integrated_out(count, due, alpha, rest):
+    """Where the background is faint, the gain is that of a negative binomial distribution."""
+    room = np.column_stack([np.full(max(count, 1), 50.0), np.full(max(count, 1), rest)])
+    gain, bright = gain_of(room, count, due, alpha)
+    exact = (
+        math.lgamma(alpha + count) - math.lgamma(alpha) + alpha * math.log(alpha)
+        - (alpha + count) * math.log(alpha + due) + count * math.log(50.0 / rest)
+    )  # fmt: skip
+    assert bright == pytest.approx((alpha + count) / (alpha + due), rel=1e-3)
+    assert gain == pytest.approx(exact, abs=0.25)  # Laplace's error at the smallest shape
+
+
+@given(
+    value=st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=9),
+    cost=st.floats(0.0, 10.0), end=st.floats(0.0, 8.0),
+)  # fmt: skip
+def test_stretches_are_the_best_of_all(value, cost, end):
+    value = np.array(value)
+    n = len(value)
+
+    def worth(kept):
+        runs = np.diff(np.concatenate([[0], kept.astype(int), [0]]))
+        return value[kept].sum() - (runs == 1).sum() * cost - (runs == -1).sum() * end
+
+    best = max(worth(np.array([k >> j & 1 for j in range(n)], bool)) for k in range(2**n))
+    kept = _best_stretches(value, np.full(n, cost), np.full(n, end))
+    assert worth(kept) == pytest.approx(best, abs=1e-9)
