@@ -15,7 +15,7 @@ from gis_radar.tracking.posterior.frames import (
     Frames,
     States,
     groups_of,
-    states_of,
+    motion_states,
     window_of,
 )
 from gis_radar.tracking.posterior.likelihood import (
@@ -222,7 +222,7 @@ class Posterior:
     def gain(self, motion: Motion, *, add: bool = False, within: tuple[float, float] | None = None
     ) -> float:  # fmt: skip
         """Return the gain of a motion over all else, in view, between two times if given."""
-        frame, shape = states_of(motion, self.frames)
+        frame, shape = motion_states(motion, self.frames)
         if within is not None:
             time = self.frames.time[frame]
             inside = (time > within[0]) & (time < within[1])

@@ -112,7 +112,7 @@ class States:
     @classmethod
     def of(cls, motions: Sequence[Motion], frames: Frames) -> States:
         """Return the states of some motions."""
-        parts = [states_of(each, frames) for each in motions]
+        parts = [motion_states(each, frames) for each in motions]
         sizes = [len(each[0]) for each in parts]
         frame = np.concatenate([np.zeros(0, np.int64), *(each[0] for each in parts)])
         vehicle = np.repeat(np.arange(len(parts)), sizes)
@@ -141,7 +141,7 @@ def groups_of(*columns: Integers) -> Integers:
     return np.cumsum(changes) - 1
 
 
-def states_of(motion: Motion, frames: Frames) -> tuple[Integers, Floats]:
+def motion_states(motion: Motion, frames: Frames) -> tuple[Integers, Floats]:
     """Return the frames in which a motion has states, and its shape in each."""
     frame = frames.between((motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S)
     s_m, speed = motion.at(frames.time[frame])
