@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.steps import STEP_S
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.posterior.frames import Frames
 from gis_radar.tracking.posterior.likelihood import CELL_M, RATE_MPS
@@ -38,13 +39,9 @@ class Background:
     """
 
     def __init__(self, detections: MapDetections, frames: Frames) -> None:
-        self._frames, self._sensor = frames, detections.sensor
+        self._frames, self._points = frames, detections.points
         self._still = np.abs(detections.range_rate) < STILL_MPS
-        self._corner = detections.points.min(axis=0) - 4.0 * SPOT_M
-        spot = ((detections.points - self._corner) / SPOT_M).astype(np.int64)
-        self._spot = spot
-        self._shape = (len(frames.eyes), *(spot.max(axis=0) + 5).tolist())
-        cell = (spot * SPOT_M / CELL_M).astype(np.int64)
+        cell = ((detections.points - detections.points.min(axis=0)) / CELL_M).astype(np.int64)
         rows, columns = cell.max(axis=0) + 1
         speed = np.digitize(np.abs(detections.range_rate), SPEEDS)
         self._clutter = ((detections.sensor * rows + cell[:, 0]) * columns + cell[:, 1]) * 3 + speed
@@ -61,19 +58,33 @@ class Background:
             Of all states.
         """
         frames = self._frames
-        bare, counted, after, found = (np.zeros(self._shape) for _ in range(4))
-        for k, (low, high) in enumerate(zip(frames.begin[:-1], frames.begin[1:], strict=True)):
-            bare[k] = high - low
+        for low, high in zip(frames.begin[:-1].tolist(), frames.begin[1:].tolist(), strict=True):
+            rows = slice(int(frames.first[low]), int(frames.first[high]))
+            if rows.start < rows.stop:
+                part = order[slice(*np.searchsorted(frame[order], [low, high]))]
+                self._still_rate[rows] = self._of_sensor((low, high), rows, part, frame, shape)
+
+    def _of_sensor(
+        self, span: tuple[int, int], rows: slice, order: Integers, frame: Integers, shape: Floats
+    ) -> Floats:
+        """Return the rate of each detection of a sensor by what stands; its frames are a span."""
+        frames, points = self._frames, self._points[rows]
+        corner = points.min(axis=0) - SPOT_M
+        spot = ((points - corner) / SPOT_M).astype(np.int64)
+        size = tuple((spot.max(axis=0) + 2).tolist())
+        bare, (counted, after, found) = (
+            np.full(size, float(span[1] - span[0])),
+            np.zeros((3, *size)),
+        )
         _watch(
-            order, frame, shape, frames.sensor, frames.time, frames.first, self._still, self._spot,
-            self._corner, bare, counted, after, found,
+            order, frame, shape, frames.time, frames.first, span, self._still, spot, corner, bare,
+            counted, after, found,
         )  # fmt: skip
         known = bare > 5.0 * FEW
         usual = counted[known].sum() / max(bare[known].sum(), 1.0)
         rate = (counted + FEW * usual) / (np.maximum(bare, 0.0) + FEW)
         rate = (found + 0.5 * FEW * rate) / (after + 0.5 * FEW)
-        here = rate[(self._sensor, *self._spot.T)]
-        self._still_rate = self._still * here / SPOT_M**2 * STILL_DENSITY
+        return np.asarray(self._still[rows] * rate[tuple(spot.T)] / SPOT_M**2 * STILL_DENSITY)
 
     def rates(self, left: Floats) -> Floats:
         """Return the rate of each detection by what is no vehicle.
@@ -93,8 +104,8 @@ class Background:
 
 @compiled
 def _watch(  # noqa: PLR0917 - numba takes plain arrays
-    order: Integers, frame: Integers, shape: Floats, sensor: Integers, time: Floats,
-    first: Integers, still: Booleans, spot: Integers, corner: Floats, bare: Floats,
+    order: Integers, frame: Integers, shape: Floats, time: Floats, first: Integers,
+    span: tuple[int, int], still: Booleans, spot: Integers, corner: Floats, bare: Floats,
     counted: Floats, after: Floats, found: Floats,
 ) -> None:  # fmt: skip
     """Count frames without a vehicle on a spot and still detections in them; and just after one.
@@ -102,22 +113,21 @@ def _watch(  # noqa: PLR0917 - numba takes plain arrays
     `bare` and `counted` are of all frames without one, `after` and `found` of those after one.
     """
     drove, last = np.full(bare.shape, -1e18), np.full(bare.shape, -1e18)
-    at = 0
-    for f in range(len(time)):
-        k = sensor[f]
+    at, begin = 0, first[span[0]]
+    for f in range(span[0], span[1]):
         while at < len(order) and frame[order[at]] == f:
-            _cover(shape[order[at]], k, time[f], corner, bare, after, drove, last)
+            _cover(shape[order[at]], time[f], corner, bare, after, drove, last)
             at += 1
         for d in range(first[f], first[f + 1]):
-            i, j = spot[d, 0], spot[d, 1]
-            if still[d] and last[k, i, j] < time[f]:
-                counted[k, i, j] += 1.0
-                found[k, i, j] += 1.0 if time[f] - drove[k, i, j] < AFTER_S else 0.0
+            i, j = spot[d - begin, 0], spot[d - begin, 1]
+            if still[d] and last[i, j] < time[f]:
+                counted[i, j] += 1.0
+                found[i, j] += 1.0 if time[f] - drove[i, j] < AFTER_S else 0.0
 
 
 @compiled
 def _cover(
-    shape: Floats, k: int, now: float, corner: Floats, bare: Floats, after: Floats, drove: Floats,
+    shape: Floats, now: float, corner: Floats, bare: Floats, after: Floats, drove: Floats,
     last: Floats,
 ) -> None:  # fmt: skip
     """Note that a vehicle is on the spots under it."""
@@ -126,13 +136,14 @@ def _cover(
     reach = math.hypot(a, b)
     low_i, low_j = int((x - reach - corner[0]) / SPOT_M), int((y - reach - corner[1]) / SPOT_M)
     high_i, high_j = int((x + reach - corner[0]) / SPOT_M), int((y + reach - corner[1]) / SPOT_M)
-    for i in range(max(low_i, 0), min(high_i + 1, bare.shape[1])):
-        for j in range(max(low_j, 0), min(high_j + 1, bare.shape[2])):
+    for i in range(max(low_i, 0), min(high_i + 1, bare.shape[0])):
+        for j in range(max(low_j, 0), min(high_j + 1, bare.shape[1])):
             dx, dy = corner[0] + (i + 0.5) * SPOT_M - x, corner[1] + (j + 0.5) * SPOT_M - y
-            if abs(dx * c + dy * s) > a or abs(dy * c - dx * s) > b or last[k, i, j] == now:
+            if abs(dx * c + dy * s) > a or abs(dy * c - dx * s) > b or last[i, j] == now:
                 continue
-            bare[k, i, j] -= 1.0
-            if drove[k, i, j] > 0.0 and last[k, i, j] == drove[k, i, j]:
-                after[k, i, j] += 20.0 * min(max(now - drove[k, i, j] - 0.05, 0.0), AFTER_S)
-            last[k, i, j] = now
-            drove[k, i, j] = now if speed > DRIVES_MPS else -1e18
+            bare[i, j] -= 1.0
+            if drove[i, j] > 0.0 and last[i, j] == drove[i, j]:
+                frames = min(max(now - drove[i, j] - STEP_S, 0.0), AFTER_S) / STEP_S
+                after[i, j] += frames
+            last[i, j] = now
+            drove[i, j] = now if speed > DRIVES_MPS else -1e18
