@@ -13,6 +13,7 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 
 WINDOW_S = 0.5  # the brightness of a vehicle, and whether it is there, is constant so long
+SILENT_S = 10.0  # who detects nothing on any lane for longer may be off
 X, Y, COS, SIN, SPEED, LENGTH, WIDTH = range(7)  # columns of a shape
 
 
@@ -79,6 +80,7 @@ def _without_gaps(known: Floats) -> Floats:
     gaps = np.diff(known)
     cadence = float(np.median(gaps)) if len(gaps) else STEP_S
     missing = np.maximum(np.round(gaps / cadence).astype(np.int64) - 1, 0)
+    missing[gaps > SILENT_S] = 0
     between = [
         np.linspace(known[k], known[k + 1], missing[k] + 2)[1:-1]
         for k in np.flatnonzero(missing).tolist()
