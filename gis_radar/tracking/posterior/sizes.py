@@ -15,7 +15,8 @@ from gis_radar.tracking.posterior.frames import COS, LENGTH, SIN, SPEED, WIDTH, 
 from gis_radar.tracking.posterior.likelihood import LONG_M, STANDS_MPS
 from gis_radar.tracking.size import LONGEST_M, length_prior
 
-TRIED_M = (2.2, 4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
+# Shorter ones are only the tracker's: one scatterer looks like a motorcycle.
+TRIED_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
 STAYS = (-1.0, 0.0, 1.0)  # what of a body stays where it is: rear, middle, front
 MOST_WINDOWS = 40  # half seconds that are looked at, spread over its time
 DRIVEN, AT_REST = 20.0, 2.0  # half seconds after which the same scatterers tell no more of a body
