@@ -115,10 +115,9 @@ def test_killed_again_and_again_while_it_measures(site):
     assert len(holes) <= 3  # one for each time that the sensor's program was dead
 
 
-@takes_long
 @pytest.mark.parametrize(
     ("speed", "silent"),
-    [(0.0, False), (100.0 / 64.0, True)],
+    [(0.0, False), pytest.param(100.0 / 64.0, True, marks=takes_long)],
     ids=["refused", "a minute without a word"],
 )
 def test_a_link_that_is_cut_loses_nothing(site, speed, silent):
@@ -148,7 +147,6 @@ def test_a_link_that_is_cut_loses_nothing(site, speed, silent):
     assert_equal_to_batch(site, ["R1"])
 
 
-@takes_long
 def test_fusion_on_a_full_disk_acknowledges_nothing_and_goes_on_once_there_is_room(tmp_path, once):
     disk = FullDisk(tmp_path / "live", "400k")
     try:

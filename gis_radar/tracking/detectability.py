@@ -145,11 +145,8 @@ class Detectability:
         settings : DetectabilitySettings
             Constants.
         """
-        count = int(detections.sensor.max()) + 1
-        away = detections.points - detections.sight * detections.range_m[:, None]
-        eyes = np.zeros((count, 2))
-        for sensor in np.unique(detections.sensor).tolist():
-            eyes[sensor] = np.median(away[detections.sensor == sensor], axis=0)
+        eyes = detections.eyes()
+        count = len(eyes)
         corner = detections.points.min(axis=0) - settings.cell_m
         size = (
             np.ceil((detections.points.max(axis=0) - corner) / settings.cell_m).astype(np.int64) + 1

@@ -57,6 +57,14 @@ class MapDetections:
         """Return some rows."""
         return type(self)(**{each.name: getattr(self, each.name)[keep] for each in fields(self)})
 
+    def eyes(self) -> Floats:
+        """Return (sensors, 2) where each sensor stands, metres; 0 for one without detections."""
+        away = self.points - self.sight * self.range_m[:, None]
+        found = np.zeros((int(self.sensor.max(initial=-1)) + 1, 2))
+        for sensor in np.unique(self.sensor).tolist():
+            found[sensor] = np.median(away[self.sensor == sensor], axis=0)
+        return found
+
     def reversed(self) -> MapDetections:
         """Return the same detections as they come when time runs backward."""
         back = self.take(slice(None, None, -1))

@@ -21,8 +21,14 @@ class Size:
 
 
 LONGEST_M = 18.75  # a lorry with trailer (directive 96/53/EC, annex I)
+LONG_M = 7.0  # longer vehicles are lorries and buses
 LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
 SHIFTS = np.arange(-6.0, 6.1, 0.5)
+
+
+def width_of(length: float) -> float:
+    """Return the usual width of a vehicle of some length, metres."""
+    return 2.5 if length > LONG_M else (0.8 if length < 2.8 else 1.85)
 
 
 def length_prior(lengths: Floats) -> Floats:
@@ -84,9 +90,8 @@ def size_of(
     near = np.exp(fine - fine.max())
     near /= near.sum()
     length = float(near.sum(axis=1) @ fine_l)
-    p_heavy = float(by_length[LENGTHS > 7.0].sum())
-    width = 2.5 if length > 7.0 else (0.8 if length < 2.8 else 1.85)
-    size = Size(length_m=length, width_m=width, sigma_m=max(sigma, 0.1), p_heavy=p_heavy)
+    p_heavy = float(by_length[LENGTHS > LONG_M].sum())
+    size = Size(length_m=length, width_m=width_of(length), sigma_m=max(sigma, 0.1), p_heavy=p_heavy)
     return size, float(near.sum(axis=0) @ fine_d)
 
 
@@ -130,7 +135,7 @@ def _likelihood(
     out = np.zeros((len(lengths), len(shifts)))
     for a in range(len(lengths)):
         half = 0.5 * lengths[a]
-        width = 2.5 if lengths[a] > 7.0 else 1.8
+        width = 2.5 if lengths[a] > LONG_M else 1.8
         for i in range(len(along)):
             share = end_share * width * ends[i, 1]
             share /= width * ends[i, 1] + lengths[a] * ends[i, 2] + 1e-9

@@ -25,6 +25,7 @@ from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.resting import with_rest
 from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking.size import LONG_M, width_of
 from gis_radar.tracking.stationary import StationaryTarget, find_stationary, not_built
 from gis_radar.tracking.strips import Strips
 
@@ -236,10 +237,10 @@ def _stationary_only(
     count = int(np.ceil(end * STEPS_PER_SECOND)) - step + 1
     along, left = path.project(detections.points[rows], np.full(len(rows), 20.0), 25.0)
     length = target.front_m - target.rear_m
-    heavy = length > 7.0
+    heavy = length > LONG_M
     return Motion(
         rows=rows, path=path, first_step=step, s_m=np.full(count, 20.0), speed=np.zeros(count),
         var_s=np.full(count, limits.place_m**2), length_m=length,
-        width_m=2.5 if heavy else 1.85, length_sigma_m=0.6, p_heavy=float(heavy),
+        width_m=width_of(length), length_sigma_m=0.6, p_heavy=float(heavy),
         along_m=along - 20.0, left_m=left,
     )  # fmt: skip

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.steps import STEP_S
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.posterior.frames import Frames
 from gis_radar.tracking.posterior.likelihood import CELL_M, RATE_MPS
@@ -21,7 +20,7 @@ BESIDE_M = 0.5  # about a body its own detections are not told from what stands
 FEW = 20.0  # frames that what is usual counts as
 SPEEDS = (3.0, 8.0)  # m/s, between slow, middling and fast clutter
 WIDTHS = np.array([2.0 * SPEEDS[0], 2.0 * (SPEEDS[1] - SPEEDS[0]), 44.0])  # m/s; fast up to 30
-FLOOR = 1e-7  # per frame, m2 and m/s: one such detection anywhere in a minute
+FLOOR = 1e-7  # per frame, m2 and m/s: a hundredth of faint clutter; no logarithm of nothing
 
 
 class Background:
@@ -112,23 +111,29 @@ def _watch(  # noqa: PLR0917 - numba takes plain arrays
 
     `bare` and `counted` are of all frames without one, `after` and `found` of those after one.
     """
+    frames = max(span[1] - span[0] - 1, 1)
+    gap = max((time[span[1] - 1] - time[span[0]]) / frames, 1e-3)
     drove, last = np.full(bare.shape, -1e18), np.full(bare.shape, -1e18)
     at, begin = 0, first[span[0]]
     for f in range(span[0], span[1]):
         while at < len(order) and frame[order[at]] == f:
-            _cover(shape[order[at]], time[f], corner, bare, after, drove, last)
+            _cover(shape[order[at]], time[f], gap, corner, bare, after, drove, last)
             at += 1
         for d in range(first[f], first[f + 1]):
             i, j = spot[d - begin, 0], spot[d - begin, 1]
             if still[d] and last[i, j] < time[f]:
                 counted[i, j] += 1.0
                 found[i, j] += 1.0 if time[f] - drove[i, j] < AFTER_S else 0.0
+    for i in range(bare.shape[0]):
+        for j in range(bare.shape[1]):
+            if drove[i, j] > 0.0:
+                after[i, j] += min(time[span[1] - 1] - drove[i, j], AFTER_S) / gap
 
 
 @compiled
 def _cover(
-    shape: Floats, now: float, corner: Floats, bare: Floats, after: Floats, drove: Floats,
-    last: Floats,
+    shape: Floats, now: float, gap: float, corner: Floats, bare: Floats, after: Floats,
+    drove: Floats, last: Floats,
 ) -> None:  # fmt: skip
     """Note that a vehicle is on the spots under it."""
     x, y, c, s, speed, length, width = shape
@@ -143,7 +148,6 @@ def _cover(
                 continue
             bare[i, j] -= 1.0
             if drove[i, j] > 0.0 and last[i, j] == drove[i, j]:
-                frames = min(max(now - drove[i, j] - STEP_S, 0.0), AFTER_S) / STEP_S
-                after[i, j] += frames
+                after[i, j] += min(max(now - drove[i, j] - gap, 0.0), AFTER_S) / gap
             last[i, j] = now
             drove[i, j] = now if speed > DRIVES_MPS else -1e18

@@ -48,13 +48,7 @@ class Frames:
         count = int(detections.sensor.max()) + 1
         order = np.lexsort((detections.time, detections.sensor))
         sensor, time = detections.sensor[order], detections.time[order]
-        away = detections.points - detections.sight * detections.range_m[:, None]
-        eyes = np.zeros((count, 2))
-        times = []
-        for k in range(count):
-            times.append(_without_gaps(np.unique(time[sensor == k])))
-            if len(times[k]):
-                eyes[k] = np.median(away[detections.sensor == k], axis=0)
+        times = [_without_gaps(np.unique(time[sensor == k])) for k in range(count)]
         begin = np.concatenate([[0], np.cumsum([len(each) for each in times])])
         frame = np.concatenate(
             [begin[k] + np.searchsorted(times[k], time[sensor == k]) for k in range(count)]
@@ -62,7 +56,7 @@ class Frames:
         return cls(
             row=order, sensor=np.repeat(np.arange(count), np.diff(begin)),
             time=np.concatenate(times), first=np.searchsorted(frame, np.arange(begin[-1] + 1)),
-            begin=begin, eyes=eyes,
+            begin=begin, eyes=detections.eyes(),
         )  # fmt: skip
 
     def between(self, begin: float, end: float) -> Integers:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.tracking.size import LONG_M
 
 ON_FACES = 0.75  # share of detections of the faces that are seen; others are of all the body
 FACE_M, FACE_RAD = 0.35, 0.004  # standard deviation across a face: its depth, and of the azimuth
@@ -18,7 +19,6 @@ THROUGH = 0.3  # share that a vehicle returns of what another one hides
 MAST_M, LOOK_M = 6.0, 0.6  # heights over the road: of a sensor, and of what is seen of a vehicle
 CAR_M, LORRY_M, BOTTOM_M = 1.5, 3.2, 0.2  # heights of bodies, and where they begin
 HEIGHT_M, HEIGHT_RAD = 0.2, 0.0185  # standard deviation of a height over the road
-LONG_M = 7.0  # longer vehicles are lorries and buses
 STANDS_MPS = 0.5
 CELL_M = 4.0  # in a cell a sensor sees all vehicles alike
 FAR_M, ASPECTS = 10.0, (0.5, 0.87)  # kinds of states: by range, and by the cosine of the aspect
@@ -154,7 +154,7 @@ def gain_of(room: Floats, count: int, due: float, alpha: float) -> tuple[float, 
         Expected number of detections.
     alpha : float
         Shape of the gamma distribution of brightness, whose mean is 1. Brightness is integrated
-        out by Laplace's method in its logarithm.
+        out: exactly where no detection is of the vehicle (0 where none is due), and where all are.
     """
     n, bright = 0.0, 1.0
     for _ in range(5):
@@ -163,8 +163,8 @@ def gain_of(room: Floats, count: int, due: float, alpha: float) -> tuple[float, 
             lit = room[q, 0] * bright
             n += lit / (room[q, 1] + lit)
         bright = (alpha + n) / (alpha + due)
-    gain = alpha * math.log(alpha * bright) - math.lgamma(alpha) - (alpha + due) * bright
-    gain += 0.5 * math.log(2.0 * math.pi / (alpha + n))
+    gain = alpha * math.log(alpha * bright) - (alpha + n) * math.log(alpha + n)
+    gain += math.lgamma(alpha + n) - math.lgamma(alpha)
     for q in range(count):
         gain += math.log(1.0 + room[q, 0] * bright / room[q, 1])
     return gain, bright

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Integers
+from gis_radar.arrays import Floats, Integers
 from gis_radar.steps import STEP_S
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.posterior.estimate import Posterior
@@ -29,17 +29,19 @@ def refit(posterior: Posterior, settings: MotionSettings) -> list[Motion]:
     settings : MotionSettings
         Of the smoothing.
     """
+    states = np.zeros((len(posterior.given), 6))  # of which each fit fills in its own rows
     count = len(posterior.motions)
-    return [_refitted(posterior, k, settings) for k in range(count)]
+    return [_refitted(posterior, k, states, settings) for k in range(count)]
 
 
-def _refitted(posterior: Posterior, vehicle: int, settings: MotionSettings) -> Motion:
+def _refitted(
+    posterior: Posterior, vehicle: int, states: Floats, settings: MotionSettings
+) -> Motion:
     motion, detections = posterior.motions[vehicle], posterior.given
     rows = posterior.explained(vehicle)
     if len(rows) < LEAST_ROWS or motion.speed.max() < MOVES_MPS:
         return motion
     s_m, speed = motion.at(detections.time[rows])
-    states = np.zeros((len(detections), 6))
     states[rows, :2], states[rows, 2] = motion.path.at(s_m)
     states[rows, 3] = speed
     new = fit_motion(detections, rows, states, settings)

@@ -12,13 +12,13 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import EXISTS
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import COS, LENGTH, SIN, SPEED, WIDTH, X, Y
-from gis_radar.tracking.posterior.likelihood import LONG_M, STANDS_MPS
-from gis_radar.tracking.size import LONGEST_M, length_prior
+from gis_radar.tracking.posterior.likelihood import STANDS_MPS
+from gis_radar.tracking.size import LONG_M, LONGEST_M, length_prior, width_of
 
 # Shorter ones are only the tracker's: one scatterer looks like a motorcycle.
 TRIED_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
 STAYS = (-1.0, 0.0, 1.0)  # what of a body stays where it is: rear, middle, front
-MOST_WINDOWS = 40  # half seconds that are looked at, spread over its time
+MOST_WINDOWS = 20  # half seconds that are looked at, spread over its time: no more count
 DRIVEN, AT_REST = 20.0, 2.0  # half seconds after which the same scatterers tell no more of a body
 LEAST_GAIN, LEAST_JOIN = 2.0, 1.0  # of the log-probability
 ASIDE_M, SAME_WAY = 1.7, 0.9  # of two that may be one: lateral distance, cosine of headings
@@ -32,11 +32,6 @@ def prior(length: float) -> float:
 
 
 _PRIORS = {length: prior(length) for length in TRIED_M}
-
-
-def width_of(length: float) -> float:
-    """Return the usual width of a vehicle of some length, metres."""
-    return 2.5 if length > LONG_M else (0.8 if length < 2.8 else 1.85)
 
 
 def resized(shape: Floats, length: float, ahead: float) -> Floats:
