@@ -56,12 +56,12 @@ def once(tmp_path_factory):
     return make
 
 
-@pytest.fixture
-def measured_once(monkeypatch, once):
-    """Make a dataset that several examples measure with the same words only once."""
+@pytest.fixture(scope="session")
+def measure_once(once):
+    """Give a function that measures for all who ask in the same words, and gives the folder."""
     measure = gr.measure
 
-    def measured(recordings, poses, tiles, map_path, out, **options):
+    def measured(recordings, poses, tiles, map_path, **options):
         asked = [recordings, [vars(pose) for pose in poses], fingerprint(tiles), map_path, options]
         name = f"dataset-{hashlib.sha256(repr(asked).encode()).hexdigest()[:16]}"
 
@@ -69,7 +69,18 @@ def measured_once(monkeypatch, once):
             measure(recordings, poses, tiles, map_path, folder / "made", **options)
             return folder / "made"
 
-        return gr.open_dataset(shutil.copytree(once(name, make), out))
+        return once(name, make)
+
+    return measured
+
+
+@pytest.fixture
+def measured_once(monkeypatch, measure_once):
+    """Make a dataset that several examples measure with the same words only once."""
+
+    def measured(recordings, poses, tiles, map_path, out, **options):
+        made = measure_once(recordings, poses, tiles, map_path, **options)
+        return gr.open_dataset(shutil.copytree(made, out))
 
     monkeypatch.setattr(gr, "measure", measured, raising=False)
 

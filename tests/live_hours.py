@@ -23,20 +23,22 @@ SAMPLE = gr.sample_folder()
 
 
 @cache
-def selected_frames(name):
-    """Return what a sensor of the sample sends."""
+def selected_frames(name, path=None):
+    """Return what a sensor of the sample sends, of its recording or another."""
     road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
     pose = gr.read_pose(SAMPLE / f"{name}.json")
     selector, height = DetectionSelector(road), road_near(find_sight(pose, road), road)
-    recording = SAMPLE / f"{name}.parquet"
+    recording = path or SAMPLE / f"{name}.parquet"
     return [selector.find(each, pose, road_m=height) for each in frames_of_recording(recording)]
 
 
-def frames_at(name, begin_us):
-    """Return these frames as if the first of all sensors came at a time."""
+def frames_at(name, begin_us, *, seconds=100.0):
+    """Return the first seconds of them as if the first of all sensors came at a time."""
     first = min(selected_frames(each)[0].time_us for each in ("R1", "R2"))
     return [
-        replace(each, time_us=each.time_us - first + begin_us) for each in selected_frames(name)
+        replace(each, time_us=each.time_us - first + begin_us)
+        for each in selected_frames(name)
+        if each.time_us - first < 1e6 * seconds
     ]
 
 

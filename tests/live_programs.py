@@ -17,22 +17,19 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
-from live_site import LONGEST_S, SAMPLE, free_port
+from live_hours import selected_frames
+from live_site import LONGEST_S, free_port
 
 import gis_radar as gr
 from gis_radar.live import (
-    DetectionSelector,
     Edge,
     SpoolFile,
-    frames_of_recording,
     spool_files,
     unpack_detections,
     unpack_message,
 )
 from gis_radar.live.spool import FRAMES
-from gis_radar.measures import road_near
 from gis_radar.progress import Reporter
-from gis_radar.sight import SightTiles, find_sight
 
 LONG = os.environ.get("GIS_RADAR_LIVE") == "all"
 takes_long = pytest.mark.skipif(not LONG, reason="takes long: make live-test")
@@ -275,13 +272,7 @@ def frames_that_wait(buffer):
 
 def selected(name, *, path=None):
     """Return the rows that a sensor sends of its sample, as its recording should hold them."""
-    road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
-    pose = gr.read_pose(SAMPLE / f"{name}.json")
-    selector, height = DetectionSelector(road), road_near(find_sight(pose, road), road)
-    rows = [
-        selector.find(frame, pose, road_m=height).as_rows()
-        for frame in frames_of_recording(path or SAMPLE / f"{name}.parquet")
-    ]
+    rows = [each.as_rows() for each in selected_frames(name, path)]
     points = np.concatenate([each.points for each in rows])
     table = {"time": np.concatenate([each.time for each in rows])}
     table |= {axis: points[:, k] for k, axis in enumerate("xyz")}

@@ -41,9 +41,9 @@ class Clock:
         return self.now_s
 
 
-def recorded_at(made, begin_us, names=NAMES):
+def recorded_at(made, begin_us, names=NAMES, **given):
     for name in names:
-        made.add(name, frames_at(name, begin_us))
+        made.add(name, frames_at(name, begin_us, **given))
     return made.spool.closed
 
 
@@ -63,7 +63,7 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     made = SpooledSite(tmp_path, vehicles=True)
     clock = Clock(end_of_hour_s(HOUR) + 20.0)
     monkeypatch.setattr(hour_work, "time", clock)
-    done = make_hours(made.site, recorded_at(made, FULL_US - 50_000_000), [HOUR])
+    done = make_hours(made.site, recorded_at(made, FULL_US - 12_000_000, seconds=20.0), [HOUR])
     assert [text for text in done.said if "not measured" in text] == []
     assert list(read_hours(made.site.dataset)) == [HOUR]
     first = made.parts("15")
@@ -71,7 +71,8 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     assert len(gr.open_dataset(made.site.dataset).continued()) == 0
     stamps = {path: path.stat().st_mtime_ns for path in made.site.dataset.glob("*/date=*/15.*")}
     clock.now_s += 3600.0
-    make_hours(made.site, recorded_at(made, FULL_US + CUT_US + 9_000_000), [HOUR + 1])
+    late_us = FULL_US + CUT_US + 9_000_000
+    make_hours(made.site, recorded_at(made, late_us, seconds=10.0), [HOUR + 1])
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps  # not made again
     assert len(gr.open_dataset(made.site.dataset).continued()) > 0
@@ -93,7 +94,8 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     quarter = FULL_US // QUARTER_US - 2  # from a quarter past to half past
     begin_us = quarter * QUARTER_US
     monkeypatch.setattr(hour_work, "time", Clock(end_of_hour_s(HOUR) + 20.0))
-    done = make_quarter(made.site, recorded_at(made, begin_us + 300_000_000), quarter)
+    spooled = recorded_at(made, begin_us + 300_000_000, seconds=30.0)
+    done = make_quarter(made.site, spooled, quarter)
     assert not made.site.dataset.exists()
     (found,) = done.quarters
     assert found.until_step == (begin_us + QUARTER_US) // 50_000 - 1

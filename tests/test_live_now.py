@@ -35,17 +35,12 @@ def graph():
 
 
 @pytest.fixture(scope="module")
-def batch(once):
+def batch(measure_once):
     """Give the states of vehicles that the batch finds, metres."""
-
-    def make(folder):
-        roads = SAMPLE / "junction.osm"
-        recordings = [SAMPLE / f"{name}.parquet" for name in NAMES]
-        tiles = gr.make_tiles(gr.read_map(roads))
-        gr.measure(recordings, list(POSES.values()), tiles, roads, folder / "dataset")
-        return folder / "dataset"
-
-    dataset = gr.open_dataset(once("live_vehicles_batch", make))
+    roads = SAMPLE / "junction.osm"
+    recordings = [SAMPLE / f"{name}.parquet" for name in NAMES]
+    tiles = gr.make_tiles(gr.read_map(roads))
+    dataset = gr.open_dataset(measure_once(recordings, list(POSES.values()), tiles, roads))
     rows = pd.concat([part.to_pandas() for part in dataset.batches(TRACKS)], ignore_index=True)
     east, north = dataset.manifest.origin
     return rows.assign(easting=0.01 * rows["x_cm"] + east, northing=0.01 * rows["y_cm"] + north)

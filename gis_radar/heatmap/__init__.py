@@ -1,6 +1,9 @@
-"""Heat maps: occupancy of every tile, and its hit share."""
+"""Heat maps: occupancy of every tile, and its hit share.
 
-from gis_radar.heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
-from gis_radar.heatmap.intervals import MapLabels
+What is offered is listed in `__init__.pyi` and loaded when it is first used: the live system sums
+by lane and draws nothing.
+"""
 
-__all__ = ["HeatMap", "MapLabels", "make_heatmap", "read_heatmap"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

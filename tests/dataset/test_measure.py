@@ -90,10 +90,10 @@ def test_hits_and_observed_steps_are_those_of_a_plain_loop(tmp_path_factory, see
 
 @pytest.fixture(scope="module")
 def halves(tmp_path_factory):
-    """Two recordings over an hour's edge: 6 s before it and 6 s after it."""
+    """Two recordings over an hour's edge: 3 s before it and 3 s after it."""
     folder = tmp_path_factory.mktemp("halves")
     return {
-        sensor: cut(folder / f"{sensor}.parquet", sensor, 14.0, 26.0, edge_s=20.0)
+        sensor: cut(folder / f"{sensor}.parquet", sensor, 17.0, 23.0, edge_s=20.0)
         for sensor in ("R1", "R2")
     }
 
@@ -121,7 +121,7 @@ def test_several_processes_write_the_same_bytes(halves, both, tmp_path):
 
 def test_a_recording_cut_in_two_gives_the_same_hours(halves, both, tmp_path):
     names = []
-    for begin, end in ((14.0, 17.3), (17.3, 26.0)):
+    for begin, end in ((17.0, 18.3), (18.3, 23.0)):
         path = cut(tmp_path / f"R1_{begin}.parquet", "R1", begin, end, edge_s=20.0)
         names.append(("R1", path))
     measured(tmp_path / "site", *names, ("R2", halves["R2"]))
@@ -150,7 +150,7 @@ def test_the_same_recording_twice_counts_once(halves, both, tmp_path):
 
 def test_recordings_that_overlap_count_once(halves, both, tmp_path):
     names = []
-    for begin, end in ((14.0, 19.0), (17.3, 22.0), (18.0, 26.0)):
+    for begin, end in ((17.0, 19.5), (18.3, 22.0), (18.5, 23.0)):
         path = cut(tmp_path / f"R1_{begin}.parquet", "R1", begin, end, edge_s=20.0)
         names.append(("R1", path))
     measured(tmp_path / "site", *names, ("R2", halves["R2"]))
