@@ -7,6 +7,7 @@ import os
 import pickle
 import shutil
 import signal
+import socket
 import sys
 import warnings
 from pathlib import Path
@@ -167,6 +168,21 @@ def run(capfd, monkeypatch):
         return leave.value.code, out, err
 
     return call
+
+
+@pytest.fixture
+def port():
+    """Give a port for datagrams that nobody has."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def without_pdf(monkeypatch):
+    """Leave the PDF of reports empty where a test looks at other files: it takes the most time."""
+    writing = importlib.import_module("gis_radar.report.report")  # there is a function, too
+    monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
 
 
 @pytest.fixture

@@ -7,18 +7,16 @@ import signal
 import socket
 import subprocess
 import threading
-import time
 from contextlib import suppress
 
 import pytest
+from waiting import LONGEST_S, wait_for
 
 import gis_radar as gr
 from gis_radar.live import write_broker_files
 from gis_radar.live.broker_files import password_lines
 
 SAMPLE = gr.sample_folder()
-# For what hangs: whatever else is waited for comes sooner, also on a machine that is busy.
-LONGEST_S = 300.0
 OF_THE_SAMPLE = 'oldest = "36500d"\nkeep = "36500d"'  # it is of 2025
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("/usr/sbin/mosquitto")
 
@@ -55,13 +53,6 @@ class Broker:
 def is_open(port):
     with socket.socket() as each:
         return each.connect_ex(("127.0.0.1", port)) == 0
-
-
-def wait_for(what, message="it did not happen"):
-    end = time.monotonic() + LONGEST_S
-    while not what():
-        assert time.monotonic() < end, message
-        time.sleep(0.05)
 
 
 class Background(threading.Thread):

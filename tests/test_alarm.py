@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from maps import Listener
 from scipy.spatial.transform import Rotation
 from sites import START
 from streets import Street
@@ -27,7 +28,6 @@ from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowTraffic
-from gis_radar.progress import Reporter
 from gis_radar.steps import seconds_from_iso
 
 STREET = Street()
@@ -284,14 +284,6 @@ def test_the_watch_cuts_a_recording_in_blocks(cells, detections):
     assert np.degrees(last[5]) > 0.3
 
 
-class Heard(Reporter):
-    def __init__(self):
-        self.lines = []
-
-    def log(self, message, level="info"):
-        self.lines.append((level, message))
-
-
 def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     STREET.record(tmp_path / "R1.parquet", POSE, frames=700, vehicles=50)
     sigma = dict.fromkeys(("easting", "northing", "height"), 0.1)
@@ -321,7 +313,7 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Watch, "look", look)
     monkeypatch.setattr(Watch, "restart", restart)
-    heard = Heard()
+    heard = Listener()
     found = track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start,
                   settings=settings, reporter=heard)  # fmt: skip
     moved = [event for event in found.events if event.kind == MOVED]
@@ -334,7 +326,7 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     assert after.yaw - before.yaw == pytest.approx(0.4, abs=0.05)
     assert after.evidence["sigma"]["yaw"] > before.evidence["sigma"]["yaw"]
     assert len(restarts) == 2  # at the beginning, and at the move
-    (line,) = [text for level, text in heard.lines if level == "warning"]
+    (line,) = [text for level, text in heard.messages if level == "warning"]
     assert "R1 was moved by about 0.27 m and 0.40 deg around 2023-11-14T22:13:" in line
 
 

@@ -23,13 +23,6 @@ from gis_radar.errors import InputError, UsageError
 GISRADAR = [sys.executable, "-m", "gis_radar"]
 
 
-@pytest.fixture
-def port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 class Sender(threading.Thread):
     """Sends detection lists, each its own, or the same bytes, until told to stop."""
 

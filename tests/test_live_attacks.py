@@ -9,6 +9,7 @@ import urllib.request
 from contextlib import ExitStack, contextmanager
 
 import pytest
+from live_programs import Lines
 from live_replay import Replay
 from live_site import LONGEST_S, free_port
 
@@ -209,14 +210,6 @@ def test_a_pose_that_is_nowhere_is_not_taken(live, changes):
     pose_from_dict(record, what="R1")
     with pytest.raises(InputError, match=f"{next(iter(changes))}"):
         pose_from_dict(record | changes, what="R1")
-
-
-class Lines(Reporter):
-    def __init__(self):
-        self.lines = []
-
-    def log(self, message, _level="info"):
-        self.lines.append(message)
 
 
 @pytest.fixture

@@ -2,21 +2,15 @@
 
 import re
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from live_programs import takes_long
-from live_site import LONGEST_S, needs_mosquitto, wait_for
+from live_site import LONGEST_S, is_open, needs_mosquitto, wait_for
 
 ROOT = Path(__file__).parents[1]
-
-
-def is_open(port):
-    with socket.socket() as each:
-        return each.connect_ex(("127.0.0.1", port)) == 0
 
 
 @takes_long

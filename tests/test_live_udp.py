@@ -52,13 +52,6 @@ def need_multicast(port):
             pytest.skip("no multicast on this machine's loopback")
 
 
-@pytest.fixture
-def port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @needs_mosquitto
 @pytest.mark.parametrize("group", ["127.0.0.1", GROUP], ids=["unicast", "multicast"])
 def test_a_radar_on_udp_is_stored_as_its_capture_is_counted(tmp_path, once, port, group):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from maps import Listener
 from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
@@ -15,17 +16,8 @@ from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.state import State
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.poses import read_pose, write_pose
-from gis_radar.progress import Reporter
 
 CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])
-
-
-class Heard(Reporter):
-    def __init__(self):
-        self.said = []
-
-    def log(self, message, level="info"):
-        self.said.append((level, message))
 
 
 @pytest.fixture(scope="module")
@@ -193,11 +185,11 @@ def test_two_poses_that_fit_alike_are_refused(tmp_path):
 
 def test_lanes_without_direction_do_with_a_warning(scene):
     street, pose, path = scene
-    heard = Heard()
+    heard = Listener()
     both = replace(street, one_way=False)
     found = find(both, path, near(pose), heading=pose.yaw, reporter=heard)
     assert (np.abs(errors(found.pose, pose))[:3] < [0.5, 0.5, 0.3]).all()
-    assert [level for level, message in heard.said if "direction" in message] == ["warning"]
+    assert [level for level, message in heard.messages if "direction" in message] == ["warning"]
 
 
 def test_a_scan_of_another_place_is_refused(scene):

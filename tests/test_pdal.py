@@ -10,27 +10,16 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+from maps import Listener
 from pyproj import CRS
+from waiting import wait_for
 
 from gis_radar.crs import transformer
 from gis_radar.errors import GisRadarError, InputError, OutputError
-from gis_radar.progress import Reporter
 from gis_radar.scans import find_pdal
 from gis_radar.scans.pdal import INSTALL_HINT, VARIABLE
 
 needs_sh = pytest.mark.skipif(os.name == "nt", reason="stand-ins are shell scripts")
-
-
-class Notes(Reporter):
-    def __init__(self):
-        self.lines = []
-        self.stages = []
-
-    def progress(self, stage, done, total):
-        self.stages.append((stage, done, total))
-
-    def log(self, message, level="info"):
-        self.lines.append((level, message))
 
 
 def make_program(path, body="", version="2.6.1"):
@@ -113,9 +102,9 @@ def test_a_broken_program_is_passed_over(no_pdal, tmp_path, monkeypatch, text, r
     broken.write_text(f"#!/bin/sh\n{text}\n")
     broken.chmod(0o755)
     monkeypatch.setenv(VARIABLE, str(broken))
-    notes = Notes()
+    notes = Listener()
     assert find_pdal(reporter=notes) is None
-    [(level, line)] = notes.lines
+    [(level, line)] = notes.messages
     assert level == "warning"
     assert line.startswith(f"{VARIABLE}={broken} is passed over")
     assert remark in line
@@ -123,9 +112,9 @@ def test_a_broken_program_is_passed_over(no_pdal, tmp_path, monkeypatch, text, r
 
 def test_a_named_program_that_is_not_there(no_pdal, tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path / "nowhere"))
-    notes = Notes()
+    notes = Listener()
     assert find_pdal(reporter=notes) is None
-    assert "does not start: No such file" in notes.lines[0][1]
+    assert "does not start: No such file" in notes.messages[0][1]
 
 
 @needs_sh
@@ -175,10 +164,10 @@ def test_a_lost_reprojection_is_an_error_though_pdal_ends_well(stand_in):
 
 @needs_sh
 def test_other_remarks_of_pdal_are_handed_on(stand_in):
-    notes = Notes()
+    notes = Listener()
     runner = stand_in("echo '(pdal pipeline readers.las Error) WKT flag not set' >&2")
     runner.run({"pipeline": []}, reporter=notes)
-    assert notes.lines == [("warning", "PDAL: WKT flag not set")]
+    assert notes.messages == [("warning", "PDAL: WKT flag not set")]
 
 
 @needs_sh
@@ -190,10 +179,10 @@ def test_a_killed_program_is_no_answer(stand_in):
 
 @needs_sh
 def test_progress_and_much_output(stand_in):
-    notes = Notes()
+    notes = Listener()
     body = "i=0; while [ $i -lt 4000 ]; do echo $i-------------------------; i=$((i+1)); done"
     stand_in(f"{body}; ({body}) >&2; sleep 0.7").run({"pipeline": []}, reporter=notes)
-    assert len(notes.lines) == 4000
+    assert len(notes.messages) == 4000
     assert notes.stages
     assert {stage for stage, _, _ in notes.stages} == {"running PDAL"}
 
@@ -230,13 +219,6 @@ def test_an_interrupt_ends_the_child(no_pdal, tmp_path, monkeypatch, number):
 def state_of(pid):
     """Return what a process does: R where it runs, or would if it could; S where it waits."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-
-
-def wait_for(condition, seconds=300.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 # The real one

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import is_gone, wait_for
 
 from gis_radar.errors import GisRadarError
 from gis_radar.processes import _GONE_S, WATCHDOG_VARIABLE, run_child, watch_parent
@@ -112,7 +113,7 @@ def test_ctrl_c_twice_leaves_no_child(tmp_path):
             parent.send_signal(signal.SIGINT)
             time.sleep(0.1)
         parent.communicate(timeout=45.0)
-    wait_for(lambda: is_gone(int((tmp_path / "pid").read_text())), 30.0)
+    wait_for(lambda: is_gone(int((tmp_path / "pid").read_text())))
 
 
 @posix
@@ -224,18 +225,6 @@ def test_workers_of_a_pool_go_with_their_children(tmp_path, end):
             assert run.wait(300) == 0
     for number in note.read_text().split():
         wait_for(lambda number=number: is_gone(number))
-
-
-def is_gone(number):
-    state = Path(f"/proc/{number}/stat")
-    return not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
-
-
-def wait_for(condition, seconds=300.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_only_a_worker_has_a_parent_to_watch():

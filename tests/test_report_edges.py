@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,21 +32,13 @@ from gis_radar.heatmap.heatmap import OWNED
 from gis_radar.report.names import REPORT_FILES
 from gis_radar.spreadsheets import safe
 
-writing = import_module("gis_radar.report.report")
-
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     return write_whole_run(tmp_path_factory.mktemp("site"))
 
 
-@pytest.fixture
-def blank_paper(monkeypatch):
-    """Leave the PDF empty where a test looks at the other files: it takes the most time."""
-    monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
-
-
-def test_text_of_others_stays_text(tmp_path):
+def test_text_of_others_stays_text(tmp_path, without_pdf):
     folder = write_results(tmp_path, names=(HOSTILE, FORMULA), interval=None, steps=400)
     write_run(folder, title=f"Site {HOSTILE} & \"quotes'")
     gr.write_report(folder)
@@ -79,7 +70,7 @@ def test_what_is_not_known_is_empty():
     assert [safe(None), safe(float("nan")), safe(pd.NaT)] == ["", "", ""]
 
 
-def test_a_heat_map_alone(results, tmp_path, blank_paper):
+def test_a_heat_map_alone(results, tmp_path, without_pdf):
     shutil.copytree(results / "heatmap", tmp_path / "map")
     report = gr.write_report(tmp_path / "map")
     names = sorted(path.name for path in report.outputs)
@@ -96,7 +87,7 @@ def test_a_heat_map_alone(results, tmp_path, blank_paper):
     assert not (tmp_path / "map" / "report.html").exists()
 
 
-def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
+def test_a_pose_in_another_plane_is_told(results, tmp_path, without_pdf):
     shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
     for name, crs in (("R1", "EPSG:25832"), ("R2", "EPSG:25833")):
         (tmp_path / "run" / "sensors" / name).mkdir(parents=True)
@@ -126,7 +117,7 @@ def tiles_file(folder):
     return folder / "tiles.gpkg"
 
 
-def test_a_sensor_without_a_result_is_told_first(results, tmp_path, blank_paper):
+def test_a_sensor_without_a_result_is_told_first(results, tmp_path, without_pdf):
     shutil.copytree(results, tmp_path / "run")
     write_run(
         tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"],
@@ -142,7 +133,7 @@ def test_a_sensor_without_a_result_is_told_first(results, tmp_path, blank_paper)
     assert "no result: two places fit" in (tmp_path / "run" / "sensors.csv").read_text()
 
 
-def test_a_warning_of_several_stages_is_told_once(results, tmp_path, blank_paper):
+def test_a_warning_of_several_stages_is_told_once(results, tmp_path, without_pdf):
     shutil.copytree(results, tmp_path / "run")
     stages = [{"name": name, "warnings": ["27 repaired"] * 2} for name in ("mask", "tiles")]
     write_run(tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"], stages=stages)
@@ -173,7 +164,7 @@ def test_a_zone_that_is_none(results, tmp_path):
         gr.write_report(results, output=tmp_path, timezone="Mars/Olympus")
 
 
-def test_very_many_intervals_share_pictures(tmp_path):
+def test_very_many_intervals_share_pictures(tmp_path, without_pdf):
     folder = write_results(tmp_path, interval="250ms", names=("R1",), steps=500)
     report = gr.write_report(folder)
     text = (folder / "report.html").read_text(encoding="utf-8")
@@ -219,7 +210,7 @@ def test_a_heat_map_takes_the_place_of_a_report_in_its_folder():
     assert all(name.startswith(OWNED) for name in REPORT_FILES)
 
 
-def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_paper):
+def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, without_pdf):
     shutil.copytree(results, tmp_path / "run")
     gr.write_report(tmp_path / "run")
     assert (tmp_path / "run" / "quality.csv").is_file()

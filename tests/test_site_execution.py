@@ -8,7 +8,6 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import time
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import closing
 from pathlib import Path
@@ -17,6 +16,7 @@ from queue import SimpleQueue
 import pytest
 from fake_stages import diamond, execute, stage, threads
 from maps import Listener
+from waiting import is_gone, wait_for
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import only_writer
@@ -60,23 +60,11 @@ def states(outcomes):
     return {name: outcome.state for name, outcome in outcomes.items()}
 
 
-def is_gone(pid):
-    """Tell whether a process has ended, even if nobody has asked for its exit code."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
-
-
 def all_gone(root):
-    return soon_gone({int(line) for line in (root / "workers").read_text().split()})
-
-
-def soon_gone(pids, *, within_s=300.0):
-    end = time.monotonic() + within_s
-    while not all(map(is_gone, pids)) and time.monotonic() < end:
-        time.sleep(0.05)
-    return all(map(is_gone, pids))
+    """Wait until all workers have ended."""
+    pids = (root / "workers").read_text().split()
+    wait_for(lambda: all(map(is_gone, pids)))
+    return True
 
 
 def test_stages_are_done_once_in_the_order_of_need(root, source):

@@ -33,7 +33,7 @@ from PIL import Image
 from sites import START, recording
 from small_site import write_site
 from streets import errors
-from test_site_execution import soon_gone
+from waiting import is_gone, wait_for
 
 import gis_radar as gr
 from gis_radar.cli import group
@@ -411,7 +411,7 @@ def test_ctrl_c_ends_with_130_and_leaves_no_process(small, tmp_path):
     assert said[-1]["event"] == "error"
     assert any("goes on from there" in event.get("message", "") for event in said)
     assert children
-    assert soon_gone(children)
+    wait_for(lambda: all(map(is_gone, children)))
 
 
 def test_a_worker_ended_while_it_measures_leaves_nothing_that_counts(copied):

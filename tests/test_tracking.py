@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from maps import Listener
 from scipy.stats import ttest_1samp
 from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
@@ -96,14 +97,6 @@ def still(seen, once):
         return follow(path, begin, reporter=heard), heard, begin, path
 
     return once("still", standing)
-
-
-class Listener(Reporter):
-    def __init__(self):
-        self.stages = []
-
-    def progress(self, stage, done, total):
-        self.stages.append((stage, done, total))
 
 
 def test_a_pose_is_corrected_every_five_seconds(still, seen):

@@ -5,26 +5,18 @@ import pytest
 from datasets import measured as measured_by
 from hypothesis import given
 from hypothesis import strategies as st
+from maps import Listener
 from sites import START, crossing, pose, recording
 
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.measures import Runs, union, valid_steps, validity_of
 from gis_radar.measures.validity import valid_until
-from gis_radar.progress import Reporter
 
 ON_TILE_4 = [12.25, 0.0, -5.0]
 FIRST_STEP = int(START * 20)
 STAGGERED_US = np.array([41_300, 51_500, 57_200])  # a recorded ARS548
 SENSORS = ("R1", "R2")
-
-
-class Notes(Reporter):
-    def __init__(self):
-        self.lines = []
-
-    def log(self, message, level="info"):
-        self.lines.append((level, message))
 
 
 times_us = st.lists(st.integers(50_000, 400_000), min_size=1, max_size=20).map(
@@ -98,28 +90,28 @@ def test_time_without_frames_is_not_observed(tmp_path):
 
 def test_a_slow_radar_is_valid_by_its_stated_cycle(tmp_path):
     """At 4 Hz 100 ms leave two of five steps empty, which a warning tells; the cycle mends it."""
-    notes = Notes()
+    notes = Listener()
     found = measured(tmp_path, cycle_s=0.25, reporter=notes)
     row = make_heatmap(found).wide().iloc[4]
     assert row["observed_s"] == pytest.approx(40 * 3 / 20)
-    assert any("--cycle R1=250ms" in line and "40 %" in line for _, line in notes.lines)
-    notes = Notes()
+    assert any("--cycle R1=250ms" in line and "40 %" in line for _, line in notes.messages)
+    notes = Listener()
     found = measured(tmp_path, "b", cycle_s=0.25, cycles={"R1": 0.25}, reporter=notes)
     row = make_heatmap(found).wide().iloc[4]
     assert (row["observed_s"], row["hit_share"]) == ((39 * 5 + 8) / 20, 1.0)
     assert found.recordings()["validity_s"].tolist() == [0.375]
-    assert not any("delivers every" in line for _, line in notes.lines)
+    assert not any("delivers every" in line for _, line in notes.messages)
 
 
 @pytest.mark.parametrize("cycle_s", [0.05, 0.057, 0.066, 0.1, 0.15])
 def test_radars_of_usual_cycles_need_no_statement(tmp_path, cycle_s):
-    notes = Notes()
+    notes = Listener()
     found = measured(tmp_path, cycle_s=cycle_s, reporter=notes)
     row = make_heatmap(found).wide().iloc[4]
     valid = found.frame_steps()
     assert (row["observed_s"], row["hit_share"]) == (valid.steps / 20, 1.0)
     assert len(valid) == 1
-    assert not any("delivers every" in line for _, line in notes.lines)
+    assert not any("delivers every" in line for _, line in notes.messages)
 
 
 def test_a_cycle_sets_validity_and_nothing_else_does():

@@ -16,7 +16,7 @@ from gis_radar.tracking.settings import BlockSettings, VehicleSettings
 SAMPLE = gr.sample_folder()
 
 
-SECONDS = 40.0  # of the sample's hundred: enough traffic
+SECONDS = 25.0  # of the sample's hundred: enough traffic
 
 
 def begin_of(path, seconds=SECONDS):
