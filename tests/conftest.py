@@ -12,6 +12,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from filelock import FileLock
 
@@ -58,6 +59,22 @@ def once(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def first_seconds(once):
+    """Give a function that cuts a recording of the sample: its hundred seconds take longer."""
+
+    def cut(path, seconds):
+        def write(folder):
+            table = pd.read_parquet(path)
+            kept = table[table["time"] < table["time"].iloc[0] + seconds]
+            kept.to_parquet(folder / path.name, index=False)
+            return folder / path.name
+
+        return once(f"{path.stem}-{seconds:.0f}s", write)
+
+    return cut
+
+
+@pytest.fixture(scope="session")
 def measure_once(once):
     """Give a function that measures for all who ask in the same words, and gives the folder."""
     measure = gr.measure
@@ -82,6 +99,17 @@ def measured_once(monkeypatch, measure_once):
     def measured(recordings, poses, tiles, map_path, out, **options):
         made = measure_once(recordings, poses, tiles, map_path, **options)
         return gr.open_dataset(shutil.copytree(made, out))
+
+    monkeypatch.setattr(gr, "measure", measured, raising=False)
+
+
+@pytest.fixture
+def measured_briefly(monkeypatch, measured_once, first_seconds):
+    """Do so with half a minute of the sample."""
+    measure = gr.measure
+
+    def measured(recordings, *given, **options):
+        return measure([first_seconds(each, 30.0) for each in recordings], *given, **options)
 
     monkeypatch.setattr(gr, "measure", measured, raising=False)
 

@@ -168,7 +168,7 @@ def outcome(left, right):
     return mended.repairs, mended.left, mended.right
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(scribbles())
 def test_whatever_comes_is_either_sound_afterwards_or_refused_with_a_reason(lines):
     left, right = driven(*lines)

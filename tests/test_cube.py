@@ -93,7 +93,7 @@ def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
 
 def test_memory_is_that_of_the_result(tmp_path):
     """Hits of 20 times the memory allowed pass through."""
-    tiles, steps = lane_tiles(400), 60_000
+    tiles, steps = lane_tiles(400), 24_000
     ids = tiles["tile_id"].to_numpy()
     step = np.arange(T0, T0 + steps)
     frames = {"sensor": np.full(steps, "R1"), "time_us": step * 50_000, "first_step": step,

@@ -183,7 +183,7 @@ def with_examples():
 
 
 @pytest.mark.parametrize("name", with_examples())
-def test_the_examples_of_docstrings_run(name, tmp_path, monkeypatch, measured_once):
+def test_the_examples_of_docstrings_run(name, tmp_path, monkeypatch, measured_briefly):
     monkeypatch.chdir(tmp_path)
     result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
     assert result.attempted > 0

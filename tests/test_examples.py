@@ -25,7 +25,7 @@ def elsewhere(tmp_path, monkeypatch, measured_once):
     plt.close("all")
 
 
-def test_the_python_of_the_readme(elsewhere, capsys):
+def test_the_python_of_the_readme(elsewhere, capsys, measured_briefly):
     (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own example
     printed = capsys.readouterr().out

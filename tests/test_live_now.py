@@ -26,6 +26,7 @@ from gis_radar.live.vehicles_now import LiveVehicles, _Following
 from gis_radar.steps import STEPS_PER_SECOND
 
 NAMES, KEY, EVERY = ("R1", "R2"), b"pose", 4
+SECONDS = 60.0  # of the sample's hundred
 POSES = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in NAMES}
 
 
@@ -35,10 +36,10 @@ def graph():
 
 
 @pytest.fixture(scope="module")
-def batch(measure_once):
+def batch(measure_once, first_seconds):
     """Give the states of vehicles that the batch finds, metres."""
     roads = SAMPLE / "junction.osm"
-    recordings = [SAMPLE / f"{name}.parquet" for name in NAMES]
+    recordings = [first_seconds(SAMPLE / f"{name}.parquet", SECONDS) for name in NAMES]
     tiles = gr.make_tiles(gr.read_map(roads))
     dataset = gr.open_dataset(measure_once(recordings, list(POSES.values()), tiles, roads))
     rows = pd.concat([part.to_pandas() for part in dataset.batches(TRACKS)], ignore_index=True)
@@ -55,7 +56,7 @@ def messages():
 
 def test_vehicles_of_now_are_where_the_batch_has_them(graph, batch):
     """The filter alone, a third of a second late: most vehicles, within some metres."""
-    following, sent = _Following(graph), messages()
+    following, sent = _Following(graph), messages()[: round(20 * SECONDS) * len(NAMES)]
     placed = {(name, KEY): (k, POSES[name], np.nan) for k, name in enumerate(NAMES)}
     true = found = shown = 0
     for begin in range(0, len(sent), 20):
