@@ -16,7 +16,6 @@ from gis_radar.cli.console import JsonConsole, TerminalConsole
 from gis_radar.errors import InputError
 from gis_radar.live import (
     Intake,
-    MapOfNow,
     PoseContent,
     Received,
     SensorHealth,
@@ -30,7 +29,7 @@ from gis_radar.live import (
 from gis_radar.live.health import serve_metrics
 from gis_radar.live.page import MOST_READERS
 from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S
-from gis_radar.measures import FrameCounter, ViewBook
+from gis_radar.measures import FrameCounter
 from gis_radar.poses import pose_from_dict
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles
@@ -223,9 +222,9 @@ class Lines(Reporter):
 def intake(live, tmp_path):
     road = SightTiles.of(live.place.tiles)
     return Intake(
-        ["R1"], site="s", spool=Spool(tmp_path / "spool"), book=ViewBook(road=road),
+        ["R1"], site="s", spool=Spool(tmp_path / "spool"), road=road,
         counter=FrameCounter(road), windows=Windows(0.2),
-        current=MapOfNow(len(road.tile_id), interval=18_000), oldest_s=1e6, reporter=Lines(),
+        oldest_s=1e6, reporter=Lines(),
     )  # fmt: skip
 
 

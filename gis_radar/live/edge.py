@@ -32,7 +32,7 @@ from gis_radar.live.own_pose import (
 from gis_radar.live.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
-from gis_radar.measures.views import road_near
+from gis_radar.measures.pose_sights import road_near
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose
 from gis_radar.progress import QUIET, Reporter
