@@ -165,6 +165,18 @@ def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
     assert made.parts() == before
 
 
+def test_frames_of_a_sensor_that_left_the_site_are_measured_all_the_same(tmp_path):
+    """They were acknowledged; the hour is not taken up at each start."""
+    made = SpooledSite(tmp_path)
+    alone = replace(made.site, sensors=("R1",))
+    spooled = recorded_at(made, FULL_US - 50_000_000)
+    assert take_up(alone, spooled).hours == [HOUR]
+    make_hours(alone, [], [HOUR])
+    assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
+    assert take_up(alone, []).hours == []
+    assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
+
+
 def test_a_dataset_of_other_tiles_or_settings_is_refused(tmp_path):
     made = SpooledSite(tmp_path)
     make_hours(made.site, recorded_at(made, FULL_US - 50_000_000), [HOUR])

@@ -163,15 +163,19 @@ def test_making_parts_and_joining_them_again_changes_nothing(tmp_path):
     assert (said.lines, list((made.folder / "parts" / "R1").iterdir())) == ([], [])
 
 
-def test_frames_that_contradict_each_other_are_named_and_the_first_stay(tmp_path):
+@pytest.mark.parametrize("at_once", [False, True], ids=["two files of the spool", "one file"])
+def test_frames_that_contradict_each_other_are_named_and_the_first_stay(tmp_path, at_once):
     """Two programs with one name, or a clock that is set back."""
-    made = SpooledSite(tmp_path)
+    made, said = SpooledSite(tmp_path), Lines()
     frames = frames_at("R1", BEGIN_US)
-    made.add("R1", frames[:100])
     other = [replace(each, points=each.points + 250) for each in frames[90:110]]
-    for path in made.add("R1", other):
-        make_parts(made.folder, path)
-    said = Lines()
+    if at_once:
+        made.add("R1", [*frames[:100], *frames[:50], *other])
+    else:
+        made.add("R1", frames[:100])
+        made.add("R1", other)
+    for path in made.spool.closed:
+        make_parts(made.folder, path, said)
     path = join_parts(made.folder, "R1", HOUR, said)
     assert said.told("R1: 10 frames differ from others of the same time")
     assert times(path) == [each.time_us for each in frames[:110]]

@@ -28,6 +28,7 @@ from gis_radar.live.recordings import (
     hour_of_time,
     join_parts,
     make_parts,
+    name_of_hour,
     name_of_time,
     parts_of_hour,
     recording_path,
@@ -198,7 +199,7 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
     """Measure hours side by side on the cores that fusion leaves; one that cannot be is named."""
     found: dict[int, list[tuple[Path, PoseTrack]]] = {}
     for hour in hours:
-        paths = (_recording_of(site, sensor, hour, done) for sensor in site.sensors)
+        paths = (_recording_of(site, sensor, hour, done) for sensor in _sensors_of(site, hour))
         try:
             found[hour] = [(path, track_beside(path)) for path in paths if path is not None]
         except InputError as error:
@@ -216,6 +217,16 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
             site.measure(recordings, site.dataset, before_hour=before_hour, reporter=done)
         except InputError as error:
             done.not_measured.append(Text("{} is not measured: {}", hour_text(hour), error.message))
+
+
+def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:
+    """Return the site's sensors, and those that left it while frames of the hour waited."""
+    made = (site.folder / RECORDINGS).glob(f"*/{name_of_hour(hour)}.parquet")
+    waiting = [
+        *(site.folder / PARTS).glob(f"*/{name_of_hour(hour)}.*.parquet"),
+        *(path for path in made if _is_newer(path, site.dataset, hour)),
+    ]
+    return sorted({*site.sensors, *(path.parent.name for path in waiting)})
 
 
 def _measured(site: MeasuredSite) -> set[str]:

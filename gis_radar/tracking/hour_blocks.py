@@ -189,20 +189,19 @@ def _frames_of(
     sensor: SensorHour, section: Section
 ) -> Iterator[tuple[PlacedRecording, Detections]]:
     """Read the whole frames of a sensor in a section, each once, with corrected times."""
-    until = -np.inf
-    for source in sensor.sources:
-        reached, clock = until, source.right_clock
-        limits = np.array([section.first - 1, section.after + 1]) * STEP_S
+    limits = np.array([section.first - 1, section.after + 1]) * STEP_S
+    for number, source in enumerate(sensor.sources):
+        mine_us, clock = sensor.frames.time_us[sensor.source == number], source.right_clock
+        if not len(mine_us):
+            continue
         begin, end = clock.shown(limits).tolist()
         for read in whole_frames(source.recording.read_between(begin, end)):
             time = clock.corrected(read.time)
             step = step_of(time)
-            inside = (step >= section.first) & (step < section.after) & (time > until)
+            inside = (step >= section.first) & (step < section.after)
+            inside &= np.rint(time * 1e6) >= mine_us[0]  # before, an earlier recording counts
             if inside.any():
-                rows = rows_of(replace(read, time=time), inside)
-                reached = max(reached, float(rows.time[-1]))
-                yield source, rows
-        until = reached
+                yield source, rows_of(replace(read, time=time), inside)
 
 
 def _still_rate(
