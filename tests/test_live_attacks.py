@@ -249,7 +249,7 @@ def test_a_status_writes_no_line_of_its_own_and_no_long_one(intake, status):
     for text in (status, '{"version": 2, "state": "online", "stream": "0011aabb"}', status):
         intake.handle(Received("v1/s/R1/status", text.encode(), 1.0, retained=False))
     health = intake.sensors["R1"].health
-    for text in (*intake._reporter.lines, *health.alarms.values(), str(health.lost)):
+    for text in (*intake._reporter.lines, *health.alarms.values(), str(health.counts["lost"])):
         assert len(text.splitlines()) == 1
         assert len(text) < 600
     assert intake.sensors["R1"].stream == "0011aabb"

@@ -268,10 +268,12 @@ class Intake:
         sensor.health.alarm(
             "offline", None if online else Text("the broker lost it, or it was stopped")
         )
-        lost = record.get("lost")
-        if isinstance(lost, int) and 0 <= lost < MOST_LOST:
-            sensor.health.lost = lost
-            sensor.health.alarm("lost", Text("{} messages", lost) if lost > 0 else None)
+        for name in ("lost", "not_followed"):
+            count = record.get(name)
+            if isinstance(count, int) and 0 <= count < MOST_LOST:
+                sensor.health.counts[name] = count
+                if name == "lost":
+                    sensor.health.alarm(name, Text("{} messages", count) if count else None)
         trusted = record.get("trusted") is not False
         sensor.health.alarm("moved", None if trusted else Text("its pose is not known"))
         stream = record.get("stream")
