@@ -167,7 +167,10 @@ def measure(
     if len(recordings) != len(poses) or not recordings:
         raise UsageError("{} recordings, but {} poses", len(recordings), len(poses))
     if map is None and not hits_only:
-        raise UsageError("vehicles need the map that the tiles were made from")
+        raise UsageError(
+            "vehicles need the map that the tiles were made from",
+            hint=Text("give it by {}, or leave vehicles out by {}", "--map", "--hits-only"),
+        )
     if settings is None:
         settings = MeasureSettings(filters=filters or Filters())
     settings = replace(settings, vehicles=None) if hits_only else settings
@@ -226,10 +229,18 @@ def _given(
 
 
 def _refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
-    """Refuse a recording that is named like a sensor, but is given for another one."""
-    names = [Path(each.path).stem for each in recordings]
+    """Refuse a recording that is named like a sensor, but is given for another one.
+
+    By its file's name, or where that is no sensor's, by the name that `convert` wrote into it.
+    """
+    sensors = {track.sensor for track in tracks}
+    stems = [Path(each.path).stem for each in recordings]
+    names = [
+        stem if stem in sensors else each.sensor
+        for stem, each in zip(stems, recordings, strict=True)
+    ]
     own = {named for named, track in zip(names, tracks, strict=True) if named == track.sensor}
-    others = {track.sensor for track in tracks} - own
+    others = sensors - own
     for recording, named, track in zip(recordings, names, tracks, strict=True):
         if named in others and named != track.sensor:
             raise InputError(

@@ -54,12 +54,17 @@ class ValidFrames:
     def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
         """Compute the steps with a frame and the last step in which each is valid."""
         step = each_once(sensor.frames.time_us // STEP_US)
-        before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
-        return cls(step=step, until=np.minimum(step + most, before_next))
+        return cls(step=step, until=valid_until(step, most))
 
     def until_of(self, step: Integers) -> Integers:
         """Return the last valid step of frames in some steps."""
         return np.asarray(self.until[np.searchsorted(self.step, step)])
+
+
+def valid_until(step: Integers, most: int) -> Integers:
+    """Return the last step in which frames of ascending steps are valid: `most` after their own."""
+    before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
+    return np.asarray(np.minimum(step + most, before_next))
 
 
 def each_once(ascending: Integers) -> Integers:
