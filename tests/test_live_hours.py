@@ -11,7 +11,7 @@ from live_programs import Lines, pose_beside
 from live_site import wait_for
 
 import gis_radar as gr
-from gis_radar.dataset import read_hours
+from gis_radar.dataset import hour_text, read_hours
 from gis_radar.errors import InputError
 from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
 from gis_radar.live.hour_work import (
@@ -120,9 +120,8 @@ def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path
     made.add("R2", same)  # the same frames for two sensors
     recorded_at(made, FULL_US + 2 * HOUR_US)
     done = make_hours(made.site, made.spool.closed, [HOUR, HOUR + 2])
-    (said,) = done.not_measured
-    assert "is not measured" in said
-    assert "those of R1" in said
+    assert list(done.not_measured) == [HOUR]
+    assert "those of R1" in done.not_measured[HOUR]
     assert list(read_hours(made.site.dataset)) == [HOUR + 3]
     make_hours(replace(made.site, keep_s=1.0), [], [])  # what is measured is old and goes
     there = {path.stem for path in (made.folder / "recordings").glob("*/*.parquet")}
@@ -149,8 +148,7 @@ def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path,
     for name in NAMES:
         made.add(name, same)
     done = make_hours(made.site, recorded_at(made, FULL_US + 7 * HOUR_US), [HOUR + 5, HOUR + 7])
-    (said,) = done.not_measured
-    assert said.startswith(f"{hour_work.hour_text(HOUR + 5)} is not measured")
+    assert list(done.not_measured) == [HOUR + 5]
     assert HOUR + 8 in read_hours(made.site.dataset)
 
 
@@ -199,9 +197,29 @@ def test_each_hour_that_is_not_measured_is_named(tmp_path):
         jobs.touch([hour])
         jobs._quarter = 1 << 40
         jobs.turn_at(end_of_hour_s(hour) + 1.0, end_of_hour_s(hour) + 1.0)
-        jobs.end(Done(not_measured=[f"{hour} is not measured: why"]))
+        jobs.end(Done(not_measured={hour: "why"}))
         jobs._take()
-    assert said.lines == [f"{hour} is not measured: why" for hour in (HOUR, HOUR + 1)]
+    assert said.lines == [f"{hour_text(hour)} is not measured: why" for hour in (HOUR, HOUR + 1)]
+
+
+def test_an_hour_that_is_not_measured_is_tried_again_ever_more_rarely(tmp_path):
+    said = Lines()
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said)
+    jobs._quarter = 1 << 40
+    jobs.touch([HOUR])
+    begin_s, tried = end_of_hour_s(HOUR) + 1.0, []
+    for quarter in range(16):
+        now_s = begin_s + 900.0 * quarter
+        for _ in range(2):  # once in a quarter
+            if jobs.turn_at(now_s, now_s) is not None:
+                tried.append(quarter)
+                why = "why" if quarter < 7 else "another reason"
+                jobs.end(Done(not_measured={HOUR: why} if quarter < 15 else {}))
+                jobs._take()
+    assert tried == [0, 1, 3, 7, 15]
+    assert jobs.figures()["hours_not_measured"] == 0.0
+    assert [line.rpartition(": ")[2] for line in said.lines] == ["why", "another reason"]
+    assert jobs.turn_at(begin_s + 1e6, begin_s + 1e6) is None
 
 
 class JobsHere(HourJobs):

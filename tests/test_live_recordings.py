@@ -223,6 +223,28 @@ def test_recordings_are_kept_for_a_time_and_in_a_room(tmp_path):
     assert not list((made.folder / "recordings" / "R1").glob("*T*Z.json"))[2:]
 
 
+def test_where_the_room_is_full_what_is_not_measured_goes_too_and_the_newest_stays(tmp_path):
+    made = SpooledSite(tmp_path)
+    now, frames = NOW_US // HOUR_US, selected_frames("R1")[:40]
+    for hour in (now - 200, now - 199, now - 3):
+        shift = hour * HOUR_US + CUT_US - frames[0].time_us
+        for path in made.add("R1", [replace(f, time_us=f.time_us + shift) for f in frames]):
+            make_parts(made.folder, path)
+        join_parts(made.folder, "R1", hour, Lines())
+    paths = [recording_path(made.folder, "R1", now - k) for k in (200, 199, 3)]
+    size, said = paths[0].stat().st_size, Lines()
+
+    def left(most_bytes):
+        keep = {"keep_s": 168 * 3600.0, "is_needed": paths[:2].__contains__}
+        remove_old(made.folder, most_bytes=most_bytes, reporter=said, **keep)
+        return [path.exists() for path in paths]
+
+    assert (left(1e12), said.lines) == ([True, True, True], [])
+    assert left(2.5 * size) == [False, True, True]
+    assert left(0.0) == [False, False, True]
+    assert sum("1 recordings are removed before their time" in line for line in said.lines) == 2
+
+
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
 @pytest.mark.parametrize("whole_head", [False, True])
 def test_a_damaged_record_of_the_spool_costs_itself_alone(tmp_path, share, whole_head):
