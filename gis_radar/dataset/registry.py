@@ -27,7 +27,7 @@ from gis_radar.errors import InputError
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import pose_from_dict
-from gis_radar.recordings.recording import Recording, open_recording
+from gis_radar.recordings.recording import Recording, has_height, open_recording
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.texts import Text
 
@@ -316,7 +316,7 @@ def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
 def entry_of(
     recording: Recording, sensor: str, pose: str, clock: SensorClock | None, validity_s: float
 ) -> RecordingEntry:
-    """Look at a recording: digest, time, rows, and whether it has range rates.
+    """Look at a recording: digest, time, rows, and whether it has range rates and elevation.
 
     Raises
     ------
@@ -324,7 +324,7 @@ def entry_of(
         If it cannot be read, or its times jump by more than a day.
     """
     path = Path(recording.path).resolve()
-    first, last, rows, has_rates = _looked_at(recording)
+    first, last, rows, has_rates, has_elevation = _looked_at(recording)
     times = np.array([first, last])
     begin, end = (times if clock is None else clock.corrected(times)).tolist()
     step_of(np.array([begin, end]))
@@ -334,22 +334,24 @@ def entry_of(
         path=path.as_posix(), digest=digest_of(path), sensor=sensor, pose=pose, first_time=begin,
         last_time=end, clock_offset=known.offset_s, clock_drift_ppm=known.drift_ppm,
         clock_at=0.0 if still else known.at, validity_s=validity_s, rows=rows,
-        has_rates=has_rates, has_elevation=recording.measures_elevation(),
+        has_rates=has_rates, has_elevation=has_elevation,
     )  # fmt: skip
 
 
-def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
-    """Return first and last time, rows, and whether detections have range rates."""
+def _looked_at(recording: Recording) -> tuple[float, float, int, bool, bool]:
+    """Return first and last time, rows, and whether detections have range rates and elevation."""
     spans = recording.time_spans() if recording.time_spans is not None else None
     stated = spans is not None and all(last - first <= LONGEST_GAP_S for first, last in spans)
     first = last = math.nan
-    rows, has_rates, detections, rates = 0, False, 0, 0
+    rows, has_rates, has_elevation, detections, rates = 0, False, True, 0, 0
     for batch in recording.read():
         time = batch.time if rows == 0 else np.concatenate([[last], batch.time])
         if len(gap := np.flatnonzero(np.diff(time) > LONGEST_GAP_S)):
             _refuse_gap(recording, *time[gap[0] : gap[0] + 2].tolist())
         first, last = (float(time[0]) if rows == 0 else first), float(time[-1])
         rows += len(batch)
+        if detections == 0 and batch.present.any():
+            has_elevation = has_height(batch)
         detections += int(batch.present.sum())
         rates += int(np.isfinite(batch.range_rate[batch.present]).sum())
         has_rates = rates > LEAST_RATES * detections
@@ -360,7 +362,7 @@ def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
             if after - before > LONGEST_GAP_S:
                 _refuse_gap(recording, before, after)
         first, last, rows = spans[0][0], spans[-1][1], recording.rows
-    return first, last, rows, has_rates or detections == 0
+    return first, last, rows, has_rates or detections == 0, has_elevation
 
 
 def _refuse_gap(recording: Recording, last: float, then: float) -> None:

@@ -194,7 +194,7 @@ class Recording:
         """Return whether the sensor measures elevation: whether the first detection has a z."""
         for rows in self.read():
             if rows.present.any():
-                return bool(np.isfinite(rows.points[rows.present, 2][0]))
+                return has_height(rows)
         return True
 
     def require_elevation(self, what: str) -> None:
@@ -217,6 +217,11 @@ class Recording:
                 what,
                 hint="survey the sensor and give its pose; measure and project take it",
             )
+
+
+def has_height(rows: Detections) -> bool:
+    """Return whether the first detection has a height; all of a recording have one, or none."""
+    return bool(np.isfinite(rows.points[rows.present, 2][0]))
 
 
 def open_recording(path: str | Path) -> Recording:
