@@ -80,6 +80,7 @@ def _write_hour(folder: Path, hour: int, origin: Origin) -> None:
     first = hour * STEPS_PER_HOUR + np.arange(0, STEPS_PER_HOUR, 20)
     frames = dict.fromkeys(FRAMES.names, np.ones(len(first), np.int64)) | {
         "sensor": np.full(len(first), "R1"), "pose": np.full(len(first), "a"),
+        "pose_in_force": np.full(len(first), "a"),
         "time_us": first * 50_000, "first_step": first, "last_step": first + 19,
     }  # fmt: skip
     with HourWriter(folder=folder, hour=hour, origin=origin) as writer:

@@ -42,7 +42,7 @@ from gis_radar.live.payload import PoseContent, key_of_pose
 from gis_radar.live.settings import read_live_site
 from gis_radar.live.sources import frames_of_recording
 from gis_radar.live.windows import Seen
-from gis_radar.measures.views import road_near
+from gis_radar.measures.pose_sights import road_near
 from gis_radar.processes import stopped_by_signals
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles, find_sight

@@ -33,6 +33,13 @@ def nearest(known: Floats, wanted: Floats) -> Integers:
     return np.asarray(order[np.where(is_earlier, earlier, later)])
 
 
+def contiguous(values: Any) -> Any:
+    """Return values one after the other and read-only: numba compiles anew for any other kind."""
+    values = np.ascontiguousarray(values).view()
+    values.flags.writeable = False
+    return values
+
+
 def give_back_memory() -> None:
     """Give the memory of arrays that are gone back to the system, where the C library keeps it.
 

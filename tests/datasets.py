@@ -137,7 +137,8 @@ def stepwise_dataset(
     tables = {
         "frames": {
             "sensor": np.array(columns[0], object), "time_us": np.array(columns[1], np.int64),
-            "first_step": step, "last_step": step, "pose": np.array(columns[3], object), **count,
+            "first_step": step, "last_step": step, "pose": np.array(columns[3], object),
+            "pose_in_force": np.array(columns[3], object), **count,
         },
         "hits": {"tile_id": hits[:, 0], "step": hits[:, 1]},
         "observed": run_rows(observed, ["tile_id"]),

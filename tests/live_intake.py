@@ -22,7 +22,7 @@ from gis_radar.live import (
     pack_message,
     spool_files,
 )
-from gis_radar.measures import FrameCounter, ViewBook
+from gis_radar.measures import FrameCounter
 from gis_radar.sight import SightTiles
 
 STREAM = b"abcd"
@@ -54,8 +54,8 @@ class FedIntake:
         self.map = MapOfNow(len(ROAD.tile_id), interval=18_000)
         self.windows = Windows(0.2)
         self.intake = Intake(
-            names, site="s", spool=self.spool, book=ViewBook(road=ROAD),
-            counter=FrameCounter(ROAD), windows=self.windows, current=self.map,
+            names, site="s", spool=self.spool, road=ROAD,
+            counter=FrameCounter(ROAD), windows=self.windows,
             oldest_s=3 * 86_400.0, **given,
         )  # fmt: skip
         self.intake.resume(files, begin_us)

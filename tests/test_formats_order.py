@@ -208,6 +208,7 @@ def test_each_sensor_has_a_recording_of_its_own(two_sensors):
     assert not two_sensors.with_suffix(".parquet").exists()
     assert "2 sensors, a recording each (--sensor takes one)" in text
     assert [len(frame_times(path)) for path in result.outputs] == [10, 7]
+    assert [gr.open_recording(path).sensor for path in result.outputs] == [SENSOR, OTHER_SENSOR]
 
 
 def test_one_of_two_sensors(two_sensors):

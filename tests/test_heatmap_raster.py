@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pyogrio
 import pytest
@@ -10,6 +12,7 @@ import rasterio.features
 import shapely
 from test_heatmap import T0, Remarks, lane_tiles, make_site, two_sensors
 
+from gis_radar.dataset.tables import TILE_COUNTS
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 
@@ -182,5 +185,11 @@ def test_a_share_of_the_time_has_a_map_and_a_style(tmp_path):
 
 
 def test_a_map_of_what_is_no_share_is_refused():
-    with pytest.raises(UsageError, match="'observed_steps'"):
+    with pytest.raises(UsageError, match="'observed_steps'") as caught:
         make_heatmap(two_sensors().dataset, further=["observed_steps"])
+    assert caught.value.hint.endswith("; occupancy is mapped anyway")
+
+
+def test_the_help_names_what_can_be_mapped(run):
+    _, shown, _ = run("heatmap", "--help")
+    assert set(re.findall(r"\w+_steps", shown)) == {*TILE_COUNTS.shares}

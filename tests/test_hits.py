@@ -11,7 +11,6 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 import gis_radar as gr
 from gis_radar.errors import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.measures import Filters, HitSettings, standing_for
-from gis_radar.measures.views import name_of_view
 from gis_radar.poses import PoseTrack, View
 from gis_radar.sight import SightTiles, find_sight
 from gis_radar.tiles import fingerprint
@@ -97,17 +96,31 @@ def test_tiny_corrections_share_a_view_and_a_move_makes_a_new_one(tmp_path):
     path = recording(tmp_path / "r.parquet", time, np.tile([12.25, 0.0, -5.0], (5000, 1)))
     road = SightTiles.of(crossing())
     seeing = corrected(1000, view=view).poses
-    exact = {name_of_view(find_sight(each, road).seen) for each in seeing}
+    exact = {find_sight(each, road).seen.tobytes() for each in seeing}
     assert len(exact) > 1  # or the test could not fail
-    for moved, views in (((), 1), ((500,), 2)):
+    for moved, sights in (((), 1), ((500,), 2)):
         track = corrected(1000, moved=moved, view=view)
         ds = hits_of([path], [track], crossing(), tmp_path / f"site{len(moved)}")
         frames = ds.frames()
-        assert frames["pose"].nunique() == views
-        assert len(ds.poses()) == 1000
+        assert frames["pose"].nunique() == sights
+        assert frames["pose_in_force"].nunique() == len(ds.poses()) == 1000
         assert len(frames) == 5000
     late = frames["pose"].to_numpy()
     assert set(late[:2500]) & set(late[2500:]) == set()
+
+
+def test_frames_name_the_pose_in_force_and_join_to_what_it_sees(tmp_path):
+    track = corrected(4, view=View(max_range_m=25.0))
+    time = START + np.arange(20)
+    path = recording(tmp_path / "r.parquet", time, np.tile([12.25, 0.0, -5.0], (20, 1)))
+    ds = hits_of([path], [track], crossing(), tmp_path / "site")
+    frames, poses = ds.frames(), ds.poses().set_index("pose")
+    assert frames["pose"].nunique() == 1
+    placed = poses.loc[frames["pose_in_force"], "easting"]
+    assert placed.tolist() == [p.easting for p in track.poses for _ in range(5)]
+    assert poses.loc[frames["pose_in_force"], "sight"].tolist() == frames["pose"].tolist()
+    in_sight = ds.sights()["pose"].value_counts()
+    assert in_sight.loc[frames["pose"]].tolist() == frames["tiles_seen"].tolist()
 
 
 def test_a_pose_shares_a_view_with_near_ones_only():
@@ -141,6 +154,7 @@ def test_a_track_gives_the_same_hour_to_parts_of_a_recording(tmp_path):
     whole = recording(tmp_path / "whole.parquet", time, points)
     one = hits_of([whole], [track], crossing(), tmp_path / "a")
     other = hits_of(paths, [track] * 4, crossing(), tmp_path / "b")
+    assert one.frames()["pose_in_force"].nunique() == 40
     assert 3 < one.frames()["pose"].nunique() < 40
     for path in (tmp_path / "a").rglob("*.parquet"):
         if path.name != "recordings.parquet":

@@ -17,7 +17,6 @@ from gis_radar.cli.console import JsonConsole, TerminalConsole
 from gis_radar.errors import InputError
 from gis_radar.live import (
     Intake,
-    MapOfNow,
     PoseContent,
     Received,
     SensorHealth,
@@ -31,7 +30,7 @@ from gis_radar.live import (
 from gis_radar.live.health import serve_metrics
 from gis_radar.live.page import MOST_READERS
 from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S
-from gis_radar.measures import FrameCounter, ViewBook
+from gis_radar.measures import FrameCounter
 from gis_radar.poses import pose_from_dict
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles
@@ -216,9 +215,9 @@ def test_a_pose_that_is_nowhere_is_not_taken(live, changes):
 def intake(live, tmp_path):
     road = SightTiles.of(live.place.tiles)
     return Intake(
-        ["R1"], site="s", spool=Spool(tmp_path / "spool"), book=ViewBook(road=road),
+        ["R1"], site="s", spool=Spool(tmp_path / "spool"), road=road,
         counter=FrameCounter(road), windows=Windows(0.2),
-        current=MapOfNow(len(road.tile_id), interval=18_000), oldest_s=1e6, reporter=Lines(),
+        oldest_s=1e6, reporter=Lines(),
     )  # fmt: skip
 
 
@@ -243,7 +242,7 @@ def test_a_status_writes_no_line_of_its_own_and_no_long_one(intake, status):
     for text in (status, '{"version": 2, "state": "online", "stream": "0011aabb"}', status):
         intake.handle(Received("v1/s/R1/status", text.encode(), 1.0, retained=False))
     health = intake.sensors["R1"].health
-    for text in (*intake._reporter.lines, *health.alarms.values(), str(health.lost)):
+    for text in (*intake._reporter.lines, *health.alarms.values(), str(health.counts["lost"])):
         assert len(text.splitlines()) == 1
         assert len(text) < 600
     assert intake.sensors["R1"].stream == "0011aabb"

@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+from threading import Event
 
 import numpy as np
 import pytest
@@ -189,6 +190,31 @@ def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeyp
             with pytest.raises(ZeroDivisionError):
                 follower.latest()
         follower.close()
+
+
+def test_frames_that_a_slow_follower_leaves_out_are_counted(monkeypatch):
+    frame = next(frames_of_recording(SAMPLE / "R1.parquet"))
+    free = Event()
+    monkeypatch.setattr(own_pose, "_map_of", lambda *_: (None, None))
+    monkeypatch.setattr(own_pose, "WindowFitter", lambda *_, **__: None)
+    monkeypatch.setattr(own_pose, "Follower", lambda *_, **__: Slow(free))
+    monkeypatch.setattr(own_pose, "WAITING_FRAMES", 10)
+    follower = own_pose.PoseFollower(None, gr.read_pose(SAMPLE / "R1.json"), float(frame.time[0]))
+    taken = [follower.push(frame) for _ in range(40)]
+    assert 10 <= sum(taken) <= 11  # one of them is being fitted
+    assert taken[:10] == [True] * 10
+    free.set()
+    follower.close()
+
+
+class Slow:
+    """A follower of poses that waits."""
+
+    def __init__(self, free):
+        self._free = free
+
+    def push(self, _frame):
+        self._free.wait(LONGEST_S)
 
 
 class Faulty:

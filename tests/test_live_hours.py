@@ -11,7 +11,7 @@ from live_programs import Lines, pose_beside
 from live_site import wait_for
 
 import gis_radar as gr
-from gis_radar.dataset import read_hours
+from gis_radar.dataset import hour_text, read_hours
 from gis_radar.errors import InputError
 from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
 from gis_radar.live.hour_work import (
@@ -122,9 +122,8 @@ def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path
     made.add("R2", same)  # the same frames for two sensors
     recorded_at(made, FULL_US + 2 * HOUR_US)
     done = make_hours(made.site, made.spool.closed, [HOUR, HOUR + 2])
-    (said,) = done.not_measured
-    assert "is not measured" in said
-    assert "those of R1" in said
+    assert list(done.not_measured) == [HOUR]
+    assert "those of R1" in done.not_measured[HOUR]
     assert list(read_hours(made.site.dataset)) == [HOUR + 3]
     make_hours(replace(made.site, keep_s=1.0), [], [])  # what is measured is old and goes
     there = {path.stem for path in (made.folder / "recordings").glob("*/*.parquet")}
@@ -151,8 +150,7 @@ def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path,
     for name in NAMES:
         made.add(name, same)
     done = make_hours(made.site, recorded_at(made, FULL_US + 7 * HOUR_US), [HOUR + 5, HOUR + 7])
-    (said,) = done.not_measured
-    assert said.startswith(f"{hour_work.hour_text(HOUR + 5)} is not measured")
+    assert list(done.not_measured) == [HOUR + 5]
     assert HOUR + 8 in read_hours(made.site.dataset)
 
 
@@ -165,6 +163,18 @@ def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
     done = make_hours(made.site, made.add("R1", frames[-20:]), [HOUR])
     assert any("came after its recording was removed" in text for text in done.said)
     assert made.parts() == before
+
+
+def test_frames_of_a_sensor_that_left_the_site_are_measured_all_the_same(tmp_path):
+    """They were acknowledged; the hour is not taken up at each start."""
+    made = SpooledSite(tmp_path)
+    alone = replace(made.site, sensors=("R1",))
+    spooled = recorded_at(made, FULL_US - 50_000_000)
+    assert take_up(alone, spooled).hours == [HOUR]
+    make_hours(alone, [], [HOUR])
+    assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
+    assert take_up(alone, []).hours == []
+    assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
 
 
 def test_a_dataset_of_other_tiles_or_settings_is_refused(tmp_path):
@@ -189,9 +199,29 @@ def test_each_hour_that_is_not_measured_is_named(tmp_path):
         jobs.touch([hour])
         jobs._quarter = 1 << 40
         jobs.turn_at(end_of_hour_s(hour) + 1.0, end_of_hour_s(hour) + 1.0)
-        jobs.end(Done(not_measured=[f"{hour} is not measured: why"]))
+        jobs.end(Done(not_measured={hour: "why"}))
         jobs._take()
-    assert said.lines == [f"{hour} is not measured: why" for hour in (HOUR, HOUR + 1)]
+    assert said.lines == [f"{hour_text(hour)} is not measured: why" for hour in (HOUR, HOUR + 1)]
+
+
+def test_an_hour_that_is_not_measured_is_tried_again_ever_more_rarely(tmp_path):
+    said = Lines()
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said)
+    jobs._quarter = 1 << 40
+    jobs.touch([HOUR])
+    begin_s, tried = end_of_hour_s(HOUR) + 1.0, []
+    for quarter in range(16):
+        now_s = begin_s + 900.0 * quarter
+        for _ in range(2):  # once in a quarter
+            if jobs.turn_at(now_s, now_s) is not None:
+                tried.append(quarter)
+                why = "why" if quarter < 7 else "another reason"
+                jobs.end(Done(not_measured={HOUR: why} if quarter < 15 else {}))
+                jobs._take()
+    assert tried == [0, 1, 3, 7, 15]
+    assert jobs.figures()["hours_not_measured"] == 0.0
+    assert [line.rpartition(": ")[2] for line in said.lines] == ["why", "another reason"]
+    assert jobs.turn_at(begin_s + 1e6, begin_s + 1e6) is None
 
 
 class JobsHere(HourJobs):

@@ -60,7 +60,8 @@ def test_vehicles_of_now_are_where_the_batch_has_them(graph, batch):
     placed = {(name, KEY): (k, POSES[name], np.nan) for k, name in enumerate(NAMES)}
     true = found = shown = 0
     for begin in range(0, len(sent), 20):
-        now = following.go_on(placed, (), sent[begin : begin + 20])
+        now, unread, late = following.go_on(placed, (), sent[begin : begin + 20])
+        assert (unread, late) == (0, 0)
         placed = {}
         step = round(now.time * STEPS_PER_SECOND) // EVERY * EVERY
         rows = batch[(batch["step"] == step) & batch["seen"]]
@@ -97,6 +98,7 @@ def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph, mo
         each.kill()
     wait_for(lambda: follows() is None or vehicles.restarts)
     assert said.told("a new one begins anew")
+    assert vehicles.figures()["vehicles_dropped_messages"] >= 40  # which the process had
     assert len(vehicles.now()) == 0
     wait_for(follows)
     monkeypatch.setattr(vehicles_now, "OLD_S", 0.0)
@@ -111,6 +113,29 @@ def test_what_a_busy_process_cannot_take_is_dropped_and_counted(graph, monkeypat
     for name, content in messages()[:5]:
         vehicles.take(name, content)
     assert vehicles.dropped == 2
+
+
+def test_what_the_process_leaves_out_is_counted(graph):
+    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832")
+    vehicles.make_ready().result()
+    vehicles.place("R1", KEY, POSES["R1"], np.nan)
+    mine = [each for each in messages() if each[0] == "R1"]
+
+    def counted(*rows):
+        for name, content in rows:
+            vehicles.take(name, content)
+        vehicles.turn()
+        found = vehicles.figures()
+        return found["vehicles_dropped_messages"], found["vehicles_late_frames"]
+
+    counted(*mine[100:200])
+    wait_for(lambda: counted() and len(vehicles.now()))
+    counted(("R1", KEY + b"no frame"), ("R2", mine[0][1]))
+    wait_for(lambda: counted() == (2, 0))
+    old = [each for each in selected_frames("R1")[:100] if len(each.points)]
+    counted(*mine[:100])
+    wait_for(lambda: counted() == (2, len(old)))
+    vehicles.close()
 
 
 @needs_mosquitto

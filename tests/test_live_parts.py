@@ -249,8 +249,8 @@ def test_a_buffer_of_other_tiles_is_put_aside_and_one_in_use_refused(tmp_path):
         assert database.execute("SELECT content FROM messages").fetchall() == [(b"old",)]
 
 
-def seen(*tiles, view="v"):
-    return Seen(np.array(tiles, np.int64), view)
+def seen(*tiles, in_sight=()):
+    return Seen(np.array(tiles, np.int64), np.array(in_sight, np.int64))
 
 
 def test_windows_close_in_order_at_their_lateness():
@@ -275,7 +275,7 @@ def test_windows_close_in_order_at_their_lateness():
 
 def test_a_clock_that_is_set_back_begins_the_map_anew():
     windows, current = Windows(0.2), MapOfNow(3, interval=1 << 40)
-    current.views["v"], current.holds_s["R1"] = np.array([True, True, True]), 0.1
+    current.holds_s["R1"] = 0.1
     recent = RecentCounts(np.array([0, 0, 0]), [7])
 
     def close(step):
@@ -285,17 +285,19 @@ def test_a_clock_that_is_set_back_begins_the_map_anew():
             recent.take(closed, state.hit, state.observed)
         return current.state()
 
-    windows.add("R1", 100_000, seen(0))
+    every = [0, 1, 2]
+    windows.add("R1", 100_000, seen(0, in_sight=every))
     assert close(100_001).hit.tolist() == [True, False, False]
-    windows.add("R1", 172_000, seen(1))
+    windows.add("R1", 172_000, seen(1, in_sight=every))
     windows.close(100_002 * 50_000)
     ahead = close(172_001)
     assert ahead.step == 172_000
-    windows.add("R1", 99_990, seen(2))  # within what a map may be late by: nothing happens
+    # within what a map may be late by: nothing happens
+    windows.add("R1", 99_990, seen(2, in_sight=every))
     assert close(171_990).step == 172_000
     back = close(100_010)
     assert (back.step, back.hit.any()) == (100_009, False)
-    assert windows.add("R1", 100_011, seen(2))
+    assert windows.add("R1", 100_011, seen(2, in_sight=every))
     after = close(100_012)
     assert (after.step, after.hit.tolist()) == (100_011, [False, False, True])
     assert after.hit_steps.tolist() == [0, 0, 1]
@@ -306,9 +308,9 @@ def test_a_clock_that_is_set_back_begins_the_map_anew():
 
 def test_cumulative_counts_begin_anew_with_the_interval():
     current = MapOfNow(3, interval=10)
-    current.views["v"], current.holds_s["R1"] = np.array([True, True, False]), 0.1
+    current.holds_s["R1"] = 0.1
     for step in range(5, 13):
-        current.take(step, {"R1": seen(0)} if step in {6, 9, 11} else {})
+        current.take(step, {"R1": seen(0, in_sight=[0, 1])} if step in {6, 9, 11} else {})
     state = current.state()
     # a frame is valid in its own step and two more, on tiles that are seen
     assert state.begin == 10
@@ -390,11 +392,10 @@ def test_topics():
 
 def test_a_state_that_was_given_does_not_change():
     current = MapOfNow(3, interval=10)
-    current.views["v"] = np.array([True, True, False])
-    current.take(1, {"R1": Seen(np.array([0]), "v")})
+    current.take(1, {"R1": seen(0, in_sight=[0, 1])})
     before = current.state()
     kept = before.hit.copy(), before.observed_steps.copy()
-    current.take(2, {"R1": Seen(np.array([1]), "v")})
+    current.take(2, {"R1": seen(1, in_sight=[0, 1])})
     assert (before.hit == kept[0]).all()
     assert (before.observed_steps == kept[1]).all()
     assert current.state().observed_steps.tolist() == [2, 2, 0]

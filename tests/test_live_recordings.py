@@ -163,15 +163,19 @@ def test_making_parts_and_joining_them_again_changes_nothing(tmp_path):
     assert (said.lines, list((made.folder / "parts" / "R1").iterdir())) == ([], [])
 
 
-def test_frames_that_contradict_each_other_are_named_and_the_first_stay(tmp_path):
+@pytest.mark.parametrize("at_once", [False, True], ids=["two files of the spool", "one file"])
+def test_frames_that_contradict_each_other_are_named_and_the_first_stay(tmp_path, at_once):
     """Two programs with one name, or a clock that is set back."""
-    made = SpooledSite(tmp_path)
+    made, said = SpooledSite(tmp_path), Lines()
     frames = frames_at("R1", BEGIN_US)
-    made.add("R1", frames[:100])
     other = [replace(each, points=each.points + 250) for each in frames[90:110]]
-    for path in made.add("R1", other):
-        make_parts(made.folder, path)
-    said = Lines()
+    if at_once:
+        made.add("R1", [*frames[:100], *frames[:50], *other])
+    else:
+        made.add("R1", frames[:100])
+        made.add("R1", other)
+    for path in made.spool.closed:
+        make_parts(made.folder, path, said)
     path = join_parts(made.folder, "R1", HOUR, said)
     assert said.told("R1: 10 frames differ from others of the same time")
     assert times(path) == [each.time_us for each in frames[:110]]
@@ -217,6 +221,28 @@ def test_recordings_are_kept_for_a_time_and_in_a_room(tmp_path):
     assert there == [False, True, True]
     assert said.told("1 recordings are removed before their time")
     assert not list((made.folder / "recordings" / "R1").glob("*T*Z.json"))[2:]
+
+
+def test_where_the_room_is_full_what_is_not_measured_goes_too_and_the_newest_stays(tmp_path):
+    made = SpooledSite(tmp_path)
+    now, frames = NOW_US // HOUR_US, selected_frames("R1")[:40]
+    for hour in (now - 200, now - 199, now - 3):
+        shift = hour * HOUR_US + CUT_US - frames[0].time_us
+        for path in made.add("R1", [replace(f, time_us=f.time_us + shift) for f in frames]):
+            make_parts(made.folder, path)
+        join_parts(made.folder, "R1", hour, Lines())
+    paths = [recording_path(made.folder, "R1", now - k) for k in (200, 199, 3)]
+    size, said = paths[0].stat().st_size, Lines()
+
+    def left(most_bytes):
+        keep = {"keep_s": 168 * 3600.0, "is_needed": paths[:2].__contains__}
+        remove_old(made.folder, most_bytes=most_bytes, reporter=said, **keep)
+        return [path.exists() for path in paths]
+
+    assert (left(1e12), said.lines) == ([True, True, True], [])
+    assert left(2.5 * size) == [False, True, True]
+    assert left(0.0) == [False, False, True]
+    assert sum("1 recordings are removed before their time" in line for line in said.lines) == 2
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.999])

@@ -49,6 +49,7 @@ class Script:
     def push(self, _frame):
         assert not self.closed
         self.seen += 1
+        return self.seen > 1  # too slow for the first one
 
     def latest(self):
         if self.seen == 100 and self.start.easting == WRONG.easting:
@@ -101,6 +102,7 @@ def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run, monkeypatch)
     assert edge._outbox.poses == [wrong, wrong, right]
     assert edge._outbox.sent[1] == 0  # nothing is sent by a pose that is doubted
     assert edge.not_sent == 4650 - sum(edge._outbox.sent) > 2400
+    assert edge.not_followed == len(Script.made)
     assert Script.made == ((wrong, False), (right, False))
     assert sum("not confirmed: traffic lies elsewhere" in line for line in said) == 1
     assert edge.frames == 4650

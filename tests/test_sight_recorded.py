@@ -14,7 +14,7 @@ from test_sight import HOUSE, ROAD_M, ROOF_M, SENSOR, across, flat, left_m, sigh
 
 import gis_radar as gr
 from gis_radar.errors import InputError, UsageError
-from gis_radar.measures import HitSettings, ViewBook
+from gis_radar.measures import HitSettings, SightBook
 from gis_radar.poses import View, as_track
 from gis_radar.progress import QUIET
 from gis_radar.recordings import Detections, open_recording
@@ -298,15 +298,18 @@ def test_a_short_recording_corrects_no_sight(rebuilt, run, tmp_path):
     assert (gpd.read_file("sight.gpkg", layer="sight")["state"] == "in sight").all()
 
 
-def test_sensors_that_see_the_same_tiles_keep_their_own_sight():
+def test_sensors_that_see_the_same_tiles_keep_their_own_sight(tmp_path):
     lanes = [lane_quads(EAST + 20.0, NORTH - 10.0, 90.0), lane_quads(EAST + 60.0, NORTH, 90.0)]
     road = SightTiles.of(tiles_of(lanes, height_m=[370.0, 374.0]))
-    book = ViewBook(road=road, settings=HitSettings(road_tiles=20))
+    book = SightBook(road=road, settings=HitSettings(road_tiles=20))
     near, far = pose(), pose(sensor="R2", easting=EAST + 80.0, yaw=180.0)
-    (one,), (other,) = book.enter_all([as_track(near), as_track(far)], QUIET)
-    assert one == other
-    assert [book.sights[name, one].pose for name in ("R1", "R2")] == [near, far]
-    assert [book.road_m[name, one] for name in ("R1", "R2")] == [370.0, 374.0]
+    time = START + np.arange(2.0)
+    paths = [recording(tmp_path / f"{k}.parquet", time, np.ones((2, 3))) for k in range(2)]
+    placed = book.place(paths, [as_track(near), as_track(far)], None, QUIET)
+    (one,), (other,) = (each.sights for each in placed)
+    np.testing.assert_array_equal(one.tile_id, other.tile_id)
+    assert [book.sights[each.name].pose for each in (one, other)] == [near, far]
+    assert [each.road_m for each in (one, other)] == [370.0, 374.0]
 
 
 def test_recordings_of_sight_are_one_a_pose(rebuilt, run):

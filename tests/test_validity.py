@@ -10,8 +10,8 @@ from sites import START, crossing, pose, recording
 
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
-from gis_radar.measures import Runs, union, valid_steps, validity_of
-from gis_radar.measures.validity import valid_until
+from gis_radar.measures import valid_steps, validity_of
+from gis_radar.measures.hour_hits import valid_until
 
 ON_TILE_4 = [12.25, 0.0, -5.0]
 FIRST_STEP = int(START * 20)
@@ -28,7 +28,7 @@ times_us = st.lists(st.integers(50_000, 400_000), min_size=1, max_size=20).map(
 def test_no_frame_is_valid_in_a_step_that_begins_later(times_us, valid_ms):
     """The words of the rule, with times: exact for whole steps of validity, else never longer."""
     own = times_us // 50_000
-    until = valid_until(own, union([Runs(first=own, last=own)]), valid_ms / 1000)
+    until = valid_until(own, valid_steps(valid_ms / 1000))
     for time, step, last, following in zip(times_us, own, until, [*own[1:], None], strict=True):
         spoken = step
         while (spoken + 1) * 50_000 <= time + valid_ms * 1000 and spoken + 1 != following:
@@ -44,7 +44,7 @@ def test_no_clock_phase_loses_a_step_of_a_staggered_cycle():
         for turn in range(3):
             gaps = np.tile(np.roll(STAGGERED_US, turn), 40)
             steps = np.unique((phase_us + np.cumsum(gaps)) // 50_000)
-            until = valid_until(steps, union([Runs(first=steps, last=steps)]), 0.1)
+            until = valid_until(steps, valid_steps(0.1))
             assert (until[:-1] + 1 == steps[1:]).all()
             lost.append(1.0 - len(steps) / (steps[-1] - steps[0] + 1))
     assert 0.30 < max(lost) < 0.35

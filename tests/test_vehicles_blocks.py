@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.lanelets import lane_graph
-from gis_radar.measures import HashedFrames, HourWindow, PlacedRecording, SensorHour
+from gis_radar.measures import HashedFrames, HourWindow, PlacedRecording, PoseSight, SensorHour
 from gis_radar.measures.counting_loop import FRAME_COLUMNS
 from gis_radar.measures.hour import STEPS_PER_HOUR
 from gis_radar.poses import as_track
@@ -38,9 +38,13 @@ def sensor_of(steps, window, sensor="R1"):
     values = {"x": 30.0, "y": 30.0, "z": -2.0, "range_rate": 1.0, "rcs": 1.0}
     columns = {name: np.full(len(time), values.get(name)) for name in COLUMNS} | {"time": time}
     batch = pa.RecordBatch.from_pydict({n: np.array(each, float) for n, each in columns.items()})
+    track = as_track(gr.read_pose(SAMPLE / f"{sensor}.json"))
+    sight = PoseSight(
+        name="p", pose=track.poses[0], tile_id=np.empty(0, np.int64), road_m=float("nan")
+    )
     source = PlacedRecording(
         recording=Recording(path=SAMPLE / "R1", rows=len(time), batches=lambda _: iter([batch])),
-        track=as_track(gr.read_pose(SAMPLE / f"{sensor}.json")), views=["view"], clock=None,
+        track=track, track_name="p", sights=[sight], clock=None,
     )  # fmt: skip
     step = np.rint(time * STEPS_PER_SECOND)
     inside = time[(step >= first) & (step < after)]
@@ -54,9 +58,7 @@ def sensor_of(steps, window, sensor="R1"):
 
 def blocks(steps, hour=HOUR):
     window = HourWindow(hour=hour, margin=20)
-    found = blocks_of(
-        [sensor_of(steps, window)], window, graph(), {("R1", "view"): np.nan}, SETTINGS
-    )
+    found = blocks_of([sensor_of(steps, window)], window, graph(), SETTINGS)
     return [block for _, block in found]
 
 

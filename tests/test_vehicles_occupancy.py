@@ -11,16 +11,17 @@ from driven import FIRST, drive, straight_tiles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.affinity import rotate, translate
+from sites import pose
 
+from gis_radar.measures import PoseSight
 from gis_radar.tiles import quads
 from gis_radar.tracking.footprints import MOST_PARTS, PathBook, overlapped_m
 from gis_radar.tracking.occupancy import OccupancyEngine
 from gis_radar.tracking.occupancy_settings import DEFAULTS
 from gis_radar.tracking.passages import LaneletPlaces, PassageBook, levels_of
-from gis_radar.tracking.visibility import SensorView
 
 EVERY_STEP = replace(DEFAULTS, look_steps=1)
-NO_FRAMES = pd.DataFrame({"sensor": [], "view": [], "first_step": [], "last_step": []})
+NO_FRAMES = pd.DataFrame({"sight": [], "first_step": [], "last_step": []})
 
 
 def rows_of(tracks, *, length=4.5, width=1.8, p_heavy=0.0):
@@ -68,7 +69,7 @@ def occupied_pairs(tables):
 
 
 def run_engine(tiles, tracks, rows, *, views=(), held=NO_FRAMES, span=None, chosen=EVERY_STEP):
-    engine = OccupancyEngine(tiles, views, chosen)
+    engine = OccupancyEngine(tiles, {each.name: each for each in views}, chosen)
     span = span or (int(tracks["step"].min()), int(tracks["step"].max()) + 1)
     passages = engine.advance(tracks, rows, held, span)
     return passages, *engine.flush()
@@ -212,17 +213,17 @@ def test_a_passing_car_occupies_each_tile_for_length_by_speed():
 def tower_views(tiles, places):
     ids = tiles["tile_id"].to_numpy(np.int64)
     return [
-        SensorView(sensor=f"R{n}", view="v", tile_id=ids[seen], position=np.array(place))
+        PoseSight(
+            name=f"R{n}", tile_id=ids[seen], road_m=float("nan"),
+            pose=pose(easting=place[0], northing=place[1], height=place[2]),
+        )
         for n, (place, seen) in enumerate(places)
-    ]
+    ]  # fmt: skip
 
 
 def held_by(views, first, last):
     return pd.DataFrame(
-        [
-            {"sensor": v.sensor, "view": v.view, "first_step": first, "last_step": last}
-            for v in views
-        ]
+        [{"sight": each.name, "first_step": first, "last_step": last} for each in views]
     )
 
 
@@ -234,7 +235,7 @@ def hidden_by(state, rows, tiles, view):
     over = shapely.length(shapely.intersection(cross_lines(tiles), box))
     on_it = shapely.contains(box, centre) | (over >= min(0.5, row["width_m"] / 2))
     ends = shapely.get_coordinates(centre)
-    eye = view.position
+    eye = view.pose.position
     inside = shapely.intersection(
         shapely.linestrings(np.stack([np.broadcast_to(eye[:2], ends.shape), ends], axis=1)), box
     )
@@ -356,7 +357,7 @@ def test_passages_are_counted_once_and_where_visible():
     )
     rows = rows_of(tracks, p_heavy=0.9)
     views = tower_views(tiles, [((-20.0, 0.0, 6.0), slice(None))])
-    engine, passed = OccupancyEngine(tiles, views, EVERY_STEP), []
+    engine, passed = OccupancyEngine(tiles, {each.name: each for each in views}, EVERY_STEP), []
     held = held_by(views, FIRST, FIRST + 11)
     for low, high in ((0, 2), (2, 10), (10, 12)):
         part = tracks.iloc[low:high].reset_index(drop=True)

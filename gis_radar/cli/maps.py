@@ -96,8 +96,9 @@ def mask(
     "further",
     multiple=True,
     metavar="COLUMN",
-    help="A further GeoTIFF, of a column of tile_counts that is a share of another one: "
-    "hidden_steps shows for which share of the observed time vehicles hid a tile; repeatable.",
+    help="A further GeoTIFF, of a column of tile_counts as a share of another one: hit_steps, "
+    "occupied_steps, hidden_steps (for which share of the observed time vehicles hid a tile) or "
+    "inferred_steps; repeatable.",
 )
 def heatmap(
     *, folder: Path, output: Path, title: str, language: str, sources: tuple[str, ...],

@@ -44,11 +44,11 @@ from gis_radar.measures.hour_hits import (
     sorted_hits,
     valid_runs,
 )
+from gis_radar.measures.pose_sights import PlacedRecording, PoseSight
 from gis_radar.measures.sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
 from gis_radar.measures.settings import DEFAULTS as HIT_DEFAULTS
 from gis_radar.measures.settings import Filters, HitSettings
 from gis_radar.measures.validity import valid_steps
-from gis_radar.measures.views import PlacedRecording
 from gis_radar.sight import SightTiles
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tracking.hour_vehicles import HourVehicles, vehicles_of_hour
@@ -56,9 +56,8 @@ from gis_radar.tracking.occupancy_settings import DEFAULTS as OCCUPANCY_DEFAULTS
 from gis_radar.tracking.occupancy_settings import OccupancySettings
 from gis_radar.tracking.settings import DEFAULTS as VEHICLE_DEFAULTS
 from gis_radar.tracking.settings import VehicleSettings
-from gis_radar.tracking.visibility import SensorView
 
-METHOD = 2
+METHOD = 3
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
@@ -113,28 +112,6 @@ class MeasureSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseView:
-    """What a sensor sees from a pose.
-
-    Parameters
-    ----------
-    sensor : str
-        Its name.
-    position : (float, float, float)
-        Easting, northing, height, metres.
-    tile_id : (n,) int64 array
-        Tiles in sight, ascending.
-    road_m : float
-        Height of the road near the sensor, metres; NaN where it is not known.
-    """
-
-    sensor: str
-    position: tuple[float, float, float]
-    tile_id: Integers
-    road_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class HourSite:
     """What all hours of a dataset have in common.
 
@@ -150,8 +127,6 @@ class HourSite:
         From where tracks count, whole metres.
     settings : MeasureSettings
         In effect.
-    views : mapping
-        What is seen, by the name of the pose.
     validity_s : mapping
         By sensor, how long its frames are valid.
     """
@@ -161,7 +136,6 @@ class HourSite:
     graph: LaneGraph | None
     origin: tuple[int, int]
     settings: MeasureSettings
-    views: Mapping[str, PoseView]
     validity_s: Mapping[str, float]
 
     @cached_property
@@ -170,20 +144,9 @@ class HourSite:
         road = SightTiles.of(self.tiles)
         return HitTarget(
             road=road, grid=TileGrid(road.quads), filters=self.settings.filters,
-            settings=self.settings.hits, road_m=self.road_m,
+            settings=self.settings.hits,
             rcs=self.settings.vehicles is not None or self.settings.filters.min_rcs is not None,
         )  # fmt: skip
-
-    @cached_property
-    def road_m(self) -> dict[tuple[str, str], float]:
-        """By sensor and view, the height of the road near the sensor."""
-        return {(view.sensor, name): view.road_m for name, view in self.views.items()}
-
-    @cached_property
-    def in_sight(self) -> dict[str, Integers]:
-        """By view, the positions of the tiles in sight."""
-        ids = self.target.road.tile_id
-        return {name: np.searchsorted(ids, view.tile_id) for name, view in self.views.items()}
 
     @property
     def finds_vehicles(self) -> bool:
@@ -248,16 +211,17 @@ def make_hour(
     sensors = [sensor for sensor in sensors if len(sensor.frames)]
     valid = [ValidFrames.of(each, valid_steps(site.validity_s[each.sensor])) for each in sensors]
     held = valid_runs(sensors, valid, window)
+    sights = {each.name: each for sensor in sensors for each in sensor.sights}
     origin = Origin(
         fingerprint=site.target.road.fingerprint, method=METHOD,
         inputs=digest_of_inputs(sensors, site),
     )  # fmt: skip
     vehicles, on_lanes = 0, list[pd.DataFrame]()
     with HourWriter(folder=site.folder, hour=hour, origin=origin) as writer:
-        _write_hits(writer, sensors, valid, held, site, window)
+        _write_hits(writer, sensors, valid, held, sights, site, window)
         sensors = [replace(each, tile=[]) for each in sensors]  # of five in an hour, 150 MB
         if site.finds_vehicles:
-            found = _vehicles(sensors, window, held, site)
+            found = _vehicles(sensors, window, held, sights, site)
             _write_vehicles(writer, found, site.origin)
             vehicles, on_lanes = len(found.vehicles), found.on_lanes
     return MadeHour(hour=hour, evidence=evidence, vehicles=vehicles, on_lanes=on_lanes)
@@ -329,7 +293,7 @@ def digest_of_inputs(sensors: Sequence[SensorHour], site: HourSite) -> str:
         for k, source in enumerate(sensor.sources):
             mine = sensor.source == k
             for index in np.unique(sensor.pose[mine]).tolist():
-                text = _described(source, index, site)
+                text = _described(source, index)
                 number[mine & (sensor.pose == index)] = known.setdefault(text, len(known))
         digest.update(json.dumps(list(known)).encode())
         for column in (number, sensor.frames.time_us, sensor.frames.hash):
@@ -337,45 +301,39 @@ def digest_of_inputs(sensors: Sequence[SensorHour], site: HourSite) -> str:
     return digest.hexdigest()
 
 
-def _described(source: PlacedRecording, index: int, site: HourSite) -> str:
+def _described(source: PlacedRecording, index: int) -> str:
     """Return a pose, what is seen from it, and the clock, as a text that compares."""
-    view = site.views[source.views[index]]
+    seen = source.sights[index]
     clock = None if source.clock is None else asdict(source.clock)
-    sight = hashlib.sha256(view.tile_id.tobytes()).hexdigest()
+    sight = hashlib.sha256(seen.tile_id.tobytes()).hexdigest()
     return json.dumps(
-        [source.track.poses[index].as_dict(), source.views[index], view.road_m, sight, clock],
+        [source.track.poses[index].as_dict(), seen.name, seen.road_m, sight, clock],
         sort_keys=True,
     )
 
 
 def _write_hits(
     writer: HourWriter, sensors: Sequence[SensorHour], valid: Sequence[ValidFrames],
-    held: pd.DataFrame, site: HourSite, window: HourWindow,
+    held: pd.DataFrame, sights: Mapping[str, PoseSight], site: HourSite, window: HourWindow,
 ) -> None:  # fmt: skip
     ids = site.target.road.tile_id
-    seen = {name: len(view.tile_id) for name, view in site.views.items()}
     pairs = zip(sensors, valid, strict=True)
-    writer.write(FRAMES, (frame_columns(each, frames, window, seen) for each, frames in pairs))
+    writer.write(FRAMES, (frame_columns(each, frames, window) for each, frames in pairs))
     writer.write(HITS, sorted_hits(sensors, valid, ids, window))
-    tile, first, last = observed_runs(held, site.in_sight, len(ids), window)
+    tile, first, last = observed_runs(held, sights, ids, window)
     writer.write(OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
 
 
 def _vehicles(
-    sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame, site: HourSite
-) -> HourVehicles:
-    views = [
-        SensorView(
-            sensor=view.sensor, view=name, tile_id=view.tile_id, position=np.array(view.position)
-        )
-        for name, view in site.views.items()
-    ]
+    sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame,
+    sights: Mapping[str, PoseSight], site: HourSite,
+) -> HourVehicles:  # fmt: skip
     settings = site.settings.vehicles
     assert settings is not None  # noqa: S101 - the caller has looked
     assert site.graph is not None  # noqa: S101
     return vehicles_of_hour(
-        sensors, window, held=held, tiles=site.tiles, views=views, graph=site.graph,
-        road_m=site.road_m, settings=settings, occupancy=site.settings.occupancy,
+        sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
+        settings=settings, occupancy=site.settings.occupancy,
     )  # fmt: skip
 
 

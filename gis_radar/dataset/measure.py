@@ -33,15 +33,15 @@ from gis_radar.files import output_errors
 from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.graph import LaneGraph, lane_graph
 from gis_radar.lanelets.lanes import lanes, stop_lines
+from gis_radar.measures.pose_sights import PlacedRecording, SightBook
 from gis_radar.measures.sensor_reading import RecordingCounts
 from gis_radar.measures.settings import Filters
 from gis_radar.measures.validity import validity_of
-from gis_radar.measures.views import PlacedRecording, ViewBook, place_recordings
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
-from gis_radar.sight import Sight, SightSource, SightTiles, describe_sight, open_sight
+from gis_radar.sight import SightSource, SightTiles, describe_sight, open_sight
 from gis_radar.steps import zone_of
 from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint
@@ -61,8 +61,7 @@ class _Given:
     sources: dict[str, PlacedRecording]
     entries: list[RecordingEntry]
     poses: PoseBook
-    book: ViewBook
-    sights: dict[str, Sight]
+    book: SightBook
 
 
 def measure(
@@ -168,7 +167,10 @@ def measure(
     if len(recordings) != len(poses) or not recordings:
         raise UsageError("{} recordings, but {} poses", len(recordings), len(poses))
     if map is None and not hits_only:
-        raise UsageError("vehicles need the map that the tiles were made from")
+        raise UsageError(
+            "vehicles need the map that the tiles were made from",
+            hint=Text("give it by {}, or leave vehicles out by {}", "--map", "--hits-only"),
+        )
     if settings is None:
         settings = MeasureSettings(filters=filters or Filters())
     settings = replace(settings, vehicles=None) if hits_only else settings
@@ -178,11 +180,11 @@ def measure(
     scan = open_sight(
         road, scans=scans, scan_crs=scan_crs, sight=sight, cache=sight_cache, reporter=reporter
     )
-    book = ViewBook(road=road, scan=scan, settings=settings.hits)
+    book = SightBook(road=road, scan=scan, settings=settings.hits)
     opened = [as_recording(each) for each in recordings]
     tracks = [as_track(pose) for pose in poses]
     _refuse_swapped(opened, tracks)
-    sources = place_recordings(opened, tracks, book, clocks, reporter)
+    sources = book.place(opened, tracks, clocks, reporter)
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
     folder = Path(folder)
     with writing(folder, reporter):
@@ -196,7 +198,7 @@ def measure(
 
 
 def _given(
-    sources: Sequence[PlacedRecording], book: ViewBook, tiles: gpd.GeoDataFrame,
+    sources: Sequence[PlacedRecording], book: SightBook, tiles: gpd.GeoDataFrame,
     map_path: str | Path | None, cycles: Mapping[str, float] | None, settings: MeasureSettings,
     timezone: str, reporter: Reporter,
 ) -> _Given:  # fmt: skip
@@ -207,16 +209,14 @@ def _given(
         digest = described["digest"]
     sensors = sorted({source.track.sensor for source in sources})
     validity_s = validity_of(cycles, sensors, settings.hits)
-    poses, entries, sights = PoseBook(), list[RecordingEntry](), dict[str, Sight]()
+    poses, entries = PoseBook(), list[RecordingEntry]()
     placed = dict[str, PlacedRecording]()
     for source in sources:
-        sensor = source.track.sensor
-        name = poses.enter(source.track, source.views, book)
+        sensor, name = source.track.sensor, source.track_name
+        poses.tracks[name], poses.sights[name] = source.track, source.sights
         entry = entry_of(source.recording, sensor, name, source.clock, validity_s[sensor])
         entries.append(entry)
         placed[entry.path] = source
-        seen = zip(poses.sights[name], source.views, strict=True)
-        sights |= {head: book.sights[sensor, view] for head, view in seen if head not in sights}
     entries = _each_once(entries, reporter)
     _refuse_clearance(settings.filters, book.road, entries)
     graph, settings = _lanes(roads, settings, entries, reporter)
@@ -224,15 +224,23 @@ def _given(
     return _Given(
         map_file=map_path, roads=roads, manifest=manifest, tiles=tiles, graph=graph,
         settings=settings,
-        sources=placed, entries=entries, poses=poses, book=book, sights=sights,
+        sources=placed, entries=entries, poses=poses, book=book,
     )  # fmt: skip
 
 
 def _refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
-    """Refuse a recording that is named like a sensor, but is given for another one."""
-    names = [Path(each.path).stem for each in recordings]
+    """Refuse a recording that is named like a sensor, but is given for another one.
+
+    By its file's name, or where that is no sensor's, by the name that `convert` wrote into it.
+    """
+    sensors = {track.sensor for track in tracks}
+    stems = [Path(each.path).stem for each in recordings]
+    names = [
+        stem if stem in sensors else each.sensor
+        for stem, each in zip(stems, recordings, strict=True)
+    ]
     own = {named for named, track in zip(names, tracks, strict=True) if named == track.sensor}
-    others = {track.sensor for track in tracks} - own
+    others = sensors - own
     for recording, named, track in zip(recordings, names, tracks, strict=True):
         if named in others and named != track.sensor:
             raise InputError(
@@ -348,7 +356,7 @@ def _add(
     registry = _joined(before, given, only=only)
     site = HourSite(
         folder=folder, tiles=given.tiles, graph=given.graph, origin=manifest.origin,
-        settings=given.settings, views=registry.poses.views,
+        settings=given.settings,
         validity_s=validity_by_sensor(registry.entries),
     )  # fmt: skip
     if is_new:
@@ -469,7 +477,7 @@ def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None
         source = given.sources[each.path]
         examined.append(Examined(entry=each, source=source, evidence=evidence))
     given.book.report(reporter)
-    remark_on_recordings(examined, given.book, given.sights, given.settings.hits, reporter)
+    remark_on_recordings(examined, given.book, given.settings.hits, reporter)
     if given.settings.vehicles is not None:
         on_lanes = [table for hour in made for table in hour.on_lanes]
         count = sum(hour.vehicles for hour in made)

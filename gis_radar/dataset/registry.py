@@ -21,14 +21,13 @@ import numpy as np
 import pyarrow as pa
 
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.hour_job import PoseView
 from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_of_step, whole_table, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.errors import InputError
-from gis_radar.measures.views import PlacedRecording, ViewBook, standing_for
+from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import pose_from_dict
-from gis_radar.recordings.recording import Recording, open_recording
+from gis_radar.recordings.recording import Recording, has_height, open_recording
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.texts import Text
 
@@ -123,54 +122,26 @@ class PoseBook:
     tracks : dict
         By name; a single pose is a track of one.
     sights : dict
-        By the same name, for each pose the name of the one whose sight it has.
-    views : dict
-        What is seen, by the name of a pose.
+        By the same name, what is seen from each pose.
     """
 
     tracks: dict[str, PoseTrack] = field(default_factory=dict)
-    sights: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    views: dict[str, PoseView] = field(default_factory=dict)
+    sights: dict[str, Sequence[PoseSight]] = field(default_factory=dict)
 
     def joined(self, other: PoseBook) -> PoseBook:
         """Return the poses of both."""
-        return PoseBook(
-            tracks=self.tracks | other.tracks, sights=self.sights | other.sights,
-            views=self.views | other.views,
-        )  # fmt: skip
+        return PoseBook(tracks=self.tracks | other.tracks, sights=self.sights | other.sights)
 
     def of(self, names: Iterable[str]) -> PoseBook:
         """Return the poses of some tracks."""
         tracks = {name: self.tracks[name] for name in sorted(set(names))}
-        sights = {name: self.sights[name] for name in tracks}
-        heads = {head for names in sights.values() for head in names}
-        return PoseBook(
-            tracks=tracks, sights=sights,
-            views={head: self.views[head] for head in sorted(heads)},
-        )  # fmt: skip
+        return PoseBook(tracks=tracks, sights={name: self.sights[name] for name in tracks})
 
-    def enter(self, track: PoseTrack, views: Sequence[str], book: ViewBook) -> str:
-        """Take a track with what its poses see; return its name."""
-        documents = [json.dumps(pose.as_dict(), sort_keys=True) for pose in track.poses]
-        text = json.dumps([documents, track.since.tolist()])
-        name = f"{track.sensor}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
-        names = pose_names(name, len(documents))
-        heads = standing_for(track.poses, book.settings).tolist()
-        self.tracks[name], self.sights[name] = track, tuple(names[k] for k in heads)
-        for k in sorted(set(heads)):
-            pose = track.poses[k]
-            self.views[names[k]] = PoseView(
-                sensor=track.sensor,
-                position=(pose.easting, pose.northing, pose.height),
-                tile_id=np.sort(book.tiles[views[k]]),
-                road_m=book.road_m[track.sensor, views[k]],
-            )
-        return name
-
-
-def pose_names(track: str, count: int) -> list[str]:
-    """Return the names of the poses of a track."""
-    return [track] if count == 1 else [f"{track}/{k:06d}" for k in range(count)]
+    @property
+    def different(self) -> dict[str, PoseSight]:
+        """All sights by the name of their pose, each once."""
+        found = {each.name: each for sights in self.sights.values() for each in sights}
+        return dict(sorted(found.items()))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,15 +243,18 @@ class Registry:
         return entry, self.poses.tracks[entry.pose], self.poses.sights[entry.pose]
 
 
-Placing: TypeAlias = tuple[RecordingEntry, PoseTrack, tuple[str, ...]]
-"""A recording, its pose track, and for each pose the one whose sight it has."""
+Placing: TypeAlias = tuple[RecordingEntry, PoseTrack, Sequence[PoseSight]]
+"""A recording, its pose track, and what is seen from each pose."""
 
 
-def source_of(entry: RecordingEntry, track: PoseTrack, sights: tuple[str, ...]) -> PlacedRecording:
+def source_of(
+    entry: RecordingEntry, track: PoseTrack, sights: Sequence[PoseSight]
+) -> PlacedRecording:
     """Open a recording, with what is known of its sensor."""
     return PlacedRecording(
-        recording=open_recording(entry.path), track=track, views=sights, clock=entry.clock
-    )
+        recording=open_recording(entry.path), track=track, track_name=entry.pose, sights=sights,
+        clock=entry.clock,
+    )  # fmt: skip
 
 
 def digest_of(path: Path) -> str:
@@ -342,7 +316,7 @@ def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
 def entry_of(
     recording: Recording, sensor: str, pose: str, clock: SensorClock | None, validity_s: float
 ) -> RecordingEntry:
-    """Look at a recording: digest, time, rows, and whether it has range rates.
+    """Look at a recording: digest, time, rows, and whether it has range rates and elevation.
 
     Raises
     ------
@@ -350,7 +324,7 @@ def entry_of(
         If it cannot be read, or its times jump by more than a day.
     """
     path = Path(recording.path).resolve()
-    first, last, rows, has_rates = _looked_at(recording)
+    first, last, rows, has_rates, has_elevation = _looked_at(recording)
     times = np.array([first, last])
     begin, end = (times if clock is None else clock.corrected(times)).tolist()
     step_of(np.array([begin, end]))
@@ -360,22 +334,24 @@ def entry_of(
         path=path.as_posix(), digest=digest_of(path), sensor=sensor, pose=pose, first_time=begin,
         last_time=end, clock_offset=known.offset_s, clock_drift_ppm=known.drift_ppm,
         clock_at=0.0 if still else known.at, validity_s=validity_s, rows=rows,
-        has_rates=has_rates, has_elevation=recording.measures_elevation(),
+        has_rates=has_rates, has_elevation=has_elevation,
     )  # fmt: skip
 
 
-def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
-    """Return first and last time, rows, and whether detections have range rates."""
+def _looked_at(recording: Recording) -> tuple[float, float, int, bool, bool]:
+    """Return first and last time, rows, and whether detections have range rates and elevation."""
     spans = recording.time_spans() if recording.time_spans is not None else None
     stated = spans is not None and all(last - first <= LONGEST_GAP_S for first, last in spans)
     first = last = math.nan
-    rows, has_rates, detections, rates = 0, False, 0, 0
+    rows, has_rates, has_elevation, detections, rates = 0, False, True, 0, 0
     for batch in recording.read():
         time = batch.time if rows == 0 else np.concatenate([[last], batch.time])
         if len(gap := np.flatnonzero(np.diff(time) > LONGEST_GAP_S)):
             _refuse_gap(recording, *time[gap[0] : gap[0] + 2].tolist())
         first, last = (float(time[0]) if rows == 0 else first), float(time[-1])
         rows += len(batch)
+        if detections == 0 and batch.present.any():
+            has_elevation = has_height(batch)
         detections += int(batch.present.sum())
         rates += int(np.isfinite(batch.range_rate[batch.present]).sum())
         has_rates = rates > LEAST_RATES * detections
@@ -386,7 +362,7 @@ def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
             if after - before > LONGEST_GAP_S:
                 _refuse_gap(recording, before, after)
         first, last, rows = spans[0][0], spans[-1][1], recording.rows
-    return first, last, rows, has_rates or detections == 0
+    return first, last, rows, has_rates or detections == 0, has_elevation
 
 
 def _refuse_gap(recording: Recording, last: float, then: float) -> None:
@@ -405,16 +381,16 @@ def _poses_table(poses: PoseBook) -> Mapping[str, Any]:
     for name, track in poses.tracks.items():
         names = pose_names(name, len(track.poses))
         since = [each if math.isfinite(each) else None for each in track.since.tolist()]
-        for own, pose, begin, head in zip(
+        for own, pose, begin, sight in zip(
             names, track.poses, since, poses.sights[name], strict=True
         ):
-            road_m = poses.views[head].road_m
             rows.append(
                 {
                     "pose": own, "sensor": pose.sensor, "easting": pose.easting,
                     "northing": pose.northing, "height": pose.height, "yaw": pose.yaw,
                     "pitch": pose.pitch, "roll": pose.roll, "track": name, "since": begin,
-                    "sight": head, "road_m": road_m if math.isfinite(road_m) else None,
+                    "sight": sight.name,
+                    "road_m": sight.road_m if math.isfinite(sight.road_m) else None,
                     "document": json.dumps(pose.as_dict(), sort_keys=True),
                 }
             )  # fmt: skip
@@ -423,8 +399,8 @@ def _poses_table(poses: PoseBook) -> Mapping[str, Any]:
 
 
 def _sights_table(poses: PoseBook) -> Mapping[str, Any]:
-    names = sorted(poses.views)
-    tiles = [poses.views[name].tile_id for name in names]
+    names = [*poses.different]
+    tiles = [each.tile_id for each in poses.different.values()]
     return {
         "pose": np.repeat(np.array([*names, ""], object)[:-1], [len(each) for each in tiles]),
         "tile_id": np.concatenate([np.empty(0, np.int64), *tiles]),
@@ -442,11 +418,14 @@ def _poses_from(poses: pa.Table, sights: pa.Table, folder: Path) -> PoseBook:
         )
         since = rows["since"].fillna(-math.inf).to_numpy(np.float64)
         book.tracks[str(name)] = PoseTrack(poses=found, since=since)
-        book.sights[str(name)] = tuple(rows["sight"])
-        for own, pose, road_m in zip(rows["pose"], found, rows["road_m"], strict=True):
-            if own in set(rows["sight"]):
-                book.views[own] = PoseView(
-                    sensor=pose.sensor, position=(pose.easting, pose.northing, pose.height),
-                    tile_id=tiles.get(own, np.empty(0, np.int64)), road_m=float(road_m),
-                )  # fmt: skip
+        heads = set(rows["sight"])
+        seen = {
+            own: PoseSight(
+                name=own, pose=pose, road_m=float(road_m),
+                tile_id=tiles.get(own, np.empty(0, np.int64)),
+            )
+            for own, pose, road_m in zip(rows["pose"], found, rows["road_m"], strict=True)
+            if own in heads
+        }  # fmt: skip
+        book.sights[str(name)] = tuple(seen[head] for head in rows["sight"])
     return book

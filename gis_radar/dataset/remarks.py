@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.dataset.registry import RecordingEntry
+from gis_radar.measures.pose_sights import PlacedRecording, SightBook
 from gis_radar.measures.sensor_reading import RecordingCounts
 from gis_radar.measures.settings import HitSettings
 from gis_radar.measures.validity import valid_steps
-from gis_radar.measures.views import PlacedRecording, ViewBook
 from gis_radar.poses.pose import View
 from gis_radar.progress import Reporter
 from gis_radar.recordings.overlaps import overlap_warnings
@@ -44,9 +44,9 @@ class Examined:
     entry : RecordingEntry
         Its row in the dataset.
     source : PlacedRecording
-        The recording with its poses; the views are those of the book.
+        The recording with its poses.
     evidence : RecordingCounts
-        The counts; by the name of a pose where they are by view.
+        The counts.
     """
 
     entry: RecordingEntry
@@ -56,8 +56,7 @@ class Examined:
 
 def remark_on_recordings(
     examined: Sequence[Examined],
-    book: ViewBook,
-    sights: Mapping[str, Sight],
+    book: SightBook,
     settings: HitSettings,
     reporter: Reporter,
 ) -> None:
@@ -67,16 +66,14 @@ def remark_on_recordings(
     ----------
     examined : sequence of Examined
         Those of this run.
-    book : ViewBook
+    book : SightBook
         What their sensors see.
-    sights : mapping
-        The same by the name of a pose.
     settings : HitSettings
         Limits.
     reporter : Reporter
         Receives the warnings.
     """
-    hits = _moving_hits(examined, sights)
+    hits = _moving_hits(examined, book.sights)
     if book.scan is not None:
         judged = [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
         report_contradictions(find_contradictions(judged, book.road), reporter)
@@ -86,7 +83,7 @@ def remark_on_recordings(
         lines = (
             *_view_warnings(each, settings),
             *_cycle_warnings(each, settings),
-            *_placing_warnings(each, book, settings),
+            *_placing_warnings(each, settings),
         )
         for line in lines:
             reporter.warn(line)
@@ -105,18 +102,18 @@ def remark_on_vehicles(
 
 
 def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> list[MovingHits]:
-    """Return what moved on the tiles in each view, of all recordings of a sensor together."""
+    """Return what moved on the tiles in each sight, of all recordings of a sensor together."""
     together: dict[str, list[tuple[np.ndarray, int]]] = {}
     for each in examined:
-        for view, count in each.evidence.movement.items():
-            frames = each.evidence.frames.get(view, 0)
-            together.setdefault(view, []).append((count, frames))
+        for name, count in each.evidence.movement.items():
+            frames = each.evidence.frames.get(name, 0)
+            together.setdefault(name, []).append((count, frames))
     return [
         MovingHits(
-            sight=sights[view], count=np.sum([count for count, _ in found], axis=0),
+            sight=sights[name], count=np.sum([count for count, _ in found], axis=0),
             frames=sum(frames for _, frames in found),
         )
-        for view, found in together.items()
+        for name, found in together.items()
     ]  # fmt: skip
 
 
@@ -173,12 +170,12 @@ def _cycle_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
         )
 
 
-def _placing_warnings(each: Examined, book: ViewBook, settings: HitSettings) -> Iterator[str]:
+def _placing_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
     """Yield what is odd about heights and clock."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     evidence = each.evidence
     if evidence.level:
-        heights = sorted({f"{book.road_m[sensor, name]:.1f}" for name in each.source.views})
+        heights = sorted({f"{sight.road_m:.1f}" for sight in each.source.sights})
         yield Text(
             "{}: {} measures no elevation: its detections are placed at the height of "
             "the road near it ({} m)",

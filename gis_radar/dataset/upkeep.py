@@ -70,7 +70,7 @@ def withdraw(
             graph = lane_graph(map_of_tiles(folder / MAP, tiles, reporter)[0].lanelets)
         site = HourSite(
             folder=folder, tiles=tiles, graph=graph, origin=dataset.manifest.origin,
-            settings=settings, views=after.poses.views,
+            settings=settings,
             validity_s=validity_by_sensor(after.entries),
         )  # fmt: skip
         change(site, before, after, processes=processes, reporter=reporter)

@@ -424,7 +424,9 @@ def _require_share(name: str) -> None:
     """Refuse a column that is no share of another one."""
     if name not in SHARES:
         raise UsageError(
-            "no map shows {}", repr(name), hint=Text("choose one of {}", ", ".join(SHARES))
+            "no further map shows {}",
+            repr(name),
+            hint=Text("choose one of {}; occupancy is mapped anyway", ", ".join(SHARES)),
         )
 
 

@@ -32,7 +32,7 @@ from gis_radar.live.own_pose import (
 from gis_radar.live.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
-from gis_radar.measures.views import road_near
+from gis_radar.measures.pose_sights import road_near
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose
 from gis_radar.progress import QUIET, Reporter
@@ -64,7 +64,7 @@ class Edge:
     def __init__(
         self, file: EdgeFile, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
     ) -> None:
-        self.frames = self.not_sent = 0
+        self.frames = self.not_sent = self.not_followed = 0
         self._file, self._settings, self._reporter = file, settings, reporter
         tiles = read_tiles(file.tiles)
         self._road = SightTiles.of(tiles)
@@ -138,6 +138,7 @@ class Edge:
             "fingerprint": self._road.fingerprint,
             "frames": self.frames,
             "lost": self._outbox.lost,
+            "not_followed": self.not_followed,
             "waiting_bytes": buffer.bytes_used,
             "pose": "found" if self._pose else "searched",
             "trusted": self._trusted,
@@ -196,7 +197,7 @@ class Edge:
             self._take_over(Followed(pose=self._given))  # type: ignore[arg-type]
             self._follow(frame)
         if self._follower is not None:
-            self._follower.push(frame)
+            self.not_followed += not self._follower.push(frame)
             self._next = self._follower.latest() or self._next
             if self._next is not None and self._next.refused:
                 self._doubt()

@@ -34,7 +34,6 @@ from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.measures.validity import validity_of
-from gis_radar.measures.views import ViewBook
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import SightTiles, open_sight
 from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, interval_steps
@@ -115,9 +114,9 @@ class Fusion:
         self._map.holds_s = dict(validity_of(site.cycles(), names))
         self._spool = Spool(folder / SPOOL)
         self.intake = Intake(
-            names, site=site.live.site, spool=self._spool, book=ViewBook(road=road, scan=scan),
+            names, site=site.live.site, spool=self._spool, road=road, scan=scan,
             counter=FrameCounter(road, filters=filters), windows=self._windows,
-            current=self._map, oldest_s=site.live.oldest, vehicles=self.vehicles,
+            oldest_s=site.live.oldest, vehicles=self.vehicles,
             settings=settings, reporter=reporter,
         )  # fmt: skip
         self.sensors = self.intake.sensors

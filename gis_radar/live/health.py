@@ -30,6 +30,8 @@ COUNTS = {
     "damaged": "messages that could not be read",
     "refused": "messages that were not taken: other tiles or version",
     "off_time": "frames of a time that is too far from now, left out",
+    "lost": "messages that the sensor had no room for",
+    "not_followed": "frames by which the sensor did not follow its pose, as fits are too slow",
 }
 GAUGES = {  # meaning, attribute of SensorHealth
     "clock_offset_seconds": ("least delay of the last live frames", "clock_offset_s"),
@@ -70,7 +72,6 @@ class SensorHealth:
     alarms: dict[str, str] = field(default_factory=dict)
     newest_s: float = float("nan")
     heard_s: float = field(default_factory=time.time)
-    lost: int = 0
     raised_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import geopandas as gpd
 
-from gis_radar.dataset import Dataset, clear_unfinished, hour_text, open_dataset, record_path
+from gis_radar.dataset import Dataset, clear_unfinished, open_dataset, record_path
 from gis_radar.dataset.hour_job import MeasureSettings
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.measure import manifest_of, measure, require_same_settings
@@ -28,6 +28,7 @@ from gis_radar.live.recordings import (
     hour_of_time,
     join_parts,
     make_parts,
+    name_of_hour,
     name_of_time,
     parts_of_hour,
     recording_path,
@@ -42,7 +43,6 @@ from gis_radar.poses.files import PoseTrack
 from gis_radar.processes import workers_here
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightSource
-from gis_radar.texts import Text
 from gis_radar.tiles import read_tiles
 from gis_radar.tracking.map_check import map_of_tiles
 
@@ -117,8 +117,8 @@ class Done(Reporter):
     ----------
     said : list of str
         Warnings.
-    not_measured : list of str
-        What keeps an hour from being measured.
+    not_measured : dict
+        By hour, what keeps it from being measured.
     quarters : list of Lately
         What was measured.
     hours : list of int
@@ -126,7 +126,7 @@ class Done(Reporter):
     """
 
     said: list[str] = field(default_factory=list)
-    not_measured: list[str] = field(default_factory=list)
+    not_measured: dict[int, str] = field(default_factory=dict)
     quarters: list[Lately] = field(default_factory=list)
     hours: list[int] = field(default_factory=list)
 
@@ -198,11 +198,11 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
     """Measure hours side by side on the cores that fusion leaves; one that cannot be is named."""
     found: dict[int, list[tuple[Path, PoseTrack]]] = {}
     for hour in hours:
-        paths = (_recording_of(site, sensor, hour, done) for sensor in site.sensors)
+        paths = (_recording_of(site, sensor, hour, done) for sensor in _sensors_of(site, hour))
         try:
             found[hour] = [(path, track_beside(path)) for path in paths if path is not None]
         except InputError as error:
-            done.not_measured.append(Text("{} is not measured: {}", hour_text(hour), error.message))
+            done.not_measured[hour] = error.message
     groups = [each for each in found.items() if each[1]]
     processes = max(workers_here() - 1, 1)
     if len(groups) > 1 and processes > 1:
@@ -215,7 +215,17 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
         try:  # the recordings stay; other hours are made all the same
             site.measure(recordings, site.dataset, before_hour=before_hour, reporter=done)
         except InputError as error:
-            done.not_measured.append(Text("{} is not measured: {}", hour_text(hour), error.message))
+            done.not_measured[hour] = error.message
+
+
+def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:
+    """Return the site's sensors, and those that left it while frames of the hour waited."""
+    made = (site.folder / RECORDINGS).glob(f"*/{name_of_hour(hour)}.parquet")
+    waiting = [
+        *(site.folder / PARTS).glob(f"*/{name_of_hour(hour)}.*.parquet"),
+        *(path for path in made if _is_newer(path, site.dataset, hour)),
+    ]
+    return sorted({*site.sensors, *(path.parent.name for path in waiting)})
 
 
 def _measured(site: MeasuredSite) -> set[str]:

@@ -11,13 +11,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import require_same
 from gis_radar.errors import InputError
 from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
 from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
-from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
     DETECTIONS,
@@ -40,10 +39,11 @@ from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.measures.placing import PoseNumbers
-from gis_radar.measures.views import ViewBook
+from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections
+from gis_radar.sight import IN_SIGHT, SightSource, SightTiles, find_sight
 from gis_radar.steps import STEP_US, iso_from_step
 from gis_radar.texts import Text
 
@@ -77,22 +77,19 @@ class KnownPose:
     ----------
     message : bytes
         The message that holds it.
-    pose : Pose, optional
-        The pose; None if refused.
-    view : str
-        Name of what the sensor sees from it.
-    road_m : float
-        Height of the road near it, metres; NaN where it is not known.
+    seen : PoseSight, optional
+        The pose and what is seen from it; None if refused.
+    in_sight : (n,) int64 array
+        Positions of the tiles in sight.
     numbers : PoseNumbers, optional
-        The same as frames are counted by.
+        What frames are counted by.
     other_tiles : str
         Fingerprint of the tiles that it speaks of, where they are others.
     """
 
     message: bytes
-    pose: Pose | None
-    view: str = ""
-    road_m: float = float("nan")
+    seen: PoseSight | None = None
+    in_sight: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     numbers: PoseNumbers | None = None
     other_tiles: str = ""
 
@@ -150,16 +147,16 @@ class Intake:
         The site's name in topics.
     spool : Spool
         Where frames go.
-    book : ViewBook
-        All tiles, and the views met so far.
+    road : SightTiles
+        All tiles.
     counter : FrameCounter
         Finds the tiles that frames hit.
     windows : Windows
         Where frames go for the map of now.
-    current : MapOfNow
-        The map, which is told what views see.
     oldest_s : float
         How old a frame may be.
+    scan : SightScan or SightFile, optional
+        What hides tiles.
     settings : LiveSettings
         Of the alarms.
     reporter : Reporter
@@ -178,15 +175,16 @@ class Intake:
     """
 
     def __init__(
-        self, names: Iterable[str], *, site: str, spool: Spool, book: ViewBook,
-        counter: FrameCounter, windows: Windows, current: MapOfNow, oldest_s: float,
+        self, names: Iterable[str], *, site: str, spool: Spool, road: SightTiles,
+        counter: FrameCounter, windows: Windows, oldest_s: float, scan: SightSource | None = None,
         vehicles: LiveVehicles | None = None, settings: LiveSettings = DEFAULTS,
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.unknown: set[str] = set()
         self.touched: set[int] = set()
         self.vehicles, self._spool = vehicles, spool
-        self._book, self._counter, self._windows, self._map = book, counter, windows, current
+        self._road, self._scan = road, scan
+        self._counter, self._windows = counter, windows
         self._oldest_s, self._reporter = oldest_s, reporter
         self.sensors = {
             name: SensorState(
@@ -237,7 +235,7 @@ class Intake:
             return
         key, frames = unpack_detections(content)
         known = sensor.poses.get(key)
-        if known is not None and known.pose is not None:
+        if known is not None and known.seen is not None:
             for step, seen in self._seen(frames, known):
                 self._windows.add(sensor.health.name, step, seen)
 
@@ -270,10 +268,12 @@ class Intake:
         sensor.health.alarm(
             "offline", None if online else Text("the broker lost it, or it was stopped")
         )
-        lost = record.get("lost")
-        if isinstance(lost, int) and 0 <= lost < MOST_LOST:
-            sensor.health.lost = lost
-            sensor.health.alarm("lost", Text("{} messages", lost) if lost > 0 else None)
+        for name in ("lost", "not_followed"):
+            count = record.get(name)
+            if isinstance(count, int) and 0 <= count < MOST_LOST:
+                sensor.health.counts[name] = count
+                if name == "lost":
+                    sensor.health.alarm(name, Text("{} messages", count) if count else None)
         trusted = record.get("trusted") is not False
         sensor.health.alarm("moved", None if trusted else Text("its pose is not known"))
         stream = record.get("stream")
@@ -313,9 +313,9 @@ class Intake:
         if known is None:  # the sensor sends it again, too
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
         elif known.other_tiles:
-            expected = self._book.road.fingerprint
+            expected = self._road.fingerprint
             self._refuse(sensor, Text("tiles {}, expected {}", known.other_tiles, expected))
-        elif known.pose is None:
+        elif known.seen is None:
             self._pass_over(
                 sensor, message, envelope, content, "damaged", Text("its pose is damaged")
             )
@@ -398,19 +398,19 @@ class Intake:
         if key in sensor.poses:
             return
         found = PoseContent.unpack(message)
-        if found.fingerprint != self._book.road.fingerprint:
-            known = KnownPose(message=message, pose=None, other_tiles=found.fingerprint)
+        if found.fingerprint != self._road.fingerprint:
+            known = KnownPose(message=message, other_tiles=found.fingerprint)
         else:
             try:
                 known = self._known(name, found, message)
-                sensor.pose = known.pose
+                sensor.pose = known.seen.pose if known.seen is not None else None
             except InputError as error:
                 sensor.health.counts["damaged"] += 1
                 sensor.health.alarm("damaged", error.message)
-                known = KnownPose(message=message, pose=None)
+                known = KnownPose(message=message)
         sensor.poses[key] = known
-        if self.vehicles is not None and known.pose is not None:
-            self.vehicles.place(name, key, known.pose, known.road_m)
+        if self.vehicles is not None and known.seen is not None:
+            self.vehicles.place(name, key, known.seen.pose, known.seen.road_m)
         if len(sensor.poses) > POSES_KEPT:
             self._forget(sensor, next(iter(sensor.poses)))
 
@@ -419,27 +419,24 @@ class Intake:
         pose = pose_from_dict(found.pose, what=what)
         if pose.sensor != name:
             raise InputError("{}: it is that of {}", what, f"{pose.sensor:.40}")
-        require_same(pose.crs, self._book.road.crs, what=what, other_what="the tiles")
-        apart: Floats = self._book.road.centres[:, :2] - pose.position[:2]
+        require_same(pose.crs, self._road.crs, what=what, other_what="the tiles")
+        apart: Floats = self._road.centres[:, :2] - pose.position[:2]
         if not np.hypot(*apart.T).min() <= FARTHEST_M:
             raise InputError("{}: it is over {:g} km from the tiles", what, FARTHEST_M / 1000)
-        view = self._book.see(pose)
-        if view not in self._map.views:
-            mask: Booleans = np.isin(self._book.road.tile_id, self._book.tiles[view])
-            self._map.views[view] = mask
-        road_m = self._book.road_m[pose.sensor, view]
-        numbers = PoseNumbers.of(pose, road_m=road_m)
-        return KnownPose(message=message, pose=pose, view=view, road_m=road_m, numbers=numbers)
+        if self._scan is not None:
+            self._scan.read([pose])
+        sight = find_sight(pose, self._road, self._scan)
+        seen = PoseSight.of(sight, self._road, name=name)
+        return KnownPose(
+            message=message, seen=seen, numbers=PoseNumbers.of(pose, road_m=seen.road_m),
+            in_sight=np.flatnonzero(sight.state == IN_SIGHT),
+        )  # fmt: skip
 
     def _forget(self, sensor: SensorState, key: bytes) -> None:
         """Forget a pose; a sensor that names it again sends it again."""
         del sensor.poses[key]
         if self.vehicles is not None:
             self.vehicles.forget(sensor.health.name, key)
-        known = {(each.pose.sensor, each.view) for state in self.sensors.values()
-                 for each in state.poses.values() if each.pose is not None}  # fmt: skip
-        self._book.keep(known)
-        self._map.views = {view: self._map.views[view] for _, view in known}
 
     def _take_frames(
         self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
@@ -465,7 +462,7 @@ class Intake:
         assert known.numbers is not None  # noqa: S101 - the caller has looked
         rows = rows_of_frames([each.as_rows() for each in frames])
         for counted in self._counter.count(rows, known.numbers):
-            yield counted.time_us // STEP_US, Seen(counted.tiles, known.view)
+            yield counted.time_us // STEP_US, Seen(counted.tiles, known.in_sight)
 
 
 _LAST_STEP = 5_000_000_000 * 20  # within the years that ISO 8601 writes

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -44,6 +45,23 @@ def _begin() -> None:
     watch_parent()
     if hasattr(os, "nice"):
         os.nice(NICE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Unmeasured:
+    """An hour that could not be measured.
+
+    Parameters
+    ----------
+    why : str
+        What keeps it from that.
+    tried, waits : int
+        The quarter in which it was tried, and after how many it is tried again.
+    """
+
+    why: str
+    tried: int
+    waits: int
 
 
 class HourJobs:
@@ -80,7 +98,9 @@ class HourJobs:
         self._pool: ProcessPoolExecutor | None = None
         self._running: Future[Done] | None = None
         self._next: Work | None = None
-        self._hours: dict[int, float] = {}  # that are being made, and when they were touched
+        self._hours: dict[int, float | None] = {}  # that are being made, and when they were touched
+        self._unmeasured: dict[int, _Unmeasured] = {}
+        self._now = 0  # the quarter that runs
         self._quarter = 0  # that was measured last
         self._said: set[str] = set()
         self._again_at, self._told_s = 0.0, BEHIND_S
@@ -114,14 +134,17 @@ class HourJobs:
         due = sorted(hour for hour in self.touched if self._is_due(hour, now_s, newest))
         self._look_behind(now_s, due)
         quarter = self._due_quarter(now_s, newest)
+        self._now = int(now_s * 1e6) // QUARTER_US
+        again = (h for h, each in self._unmeasured.items() if self._now >= each.tried + each.waits)
+        hours = sorted({*due, *again})
         if quarter is not None and self.behind_s < BEHIND_S:  # the page waits for it
             left = quarter - self._quarter - 1 if self._quarter else 0
             self.quarters_left_out += max(left, 0)
             self._quarter = quarter
             self._next = partial(_of_quarter, quarter)
-        elif due:
-            self._hours = {hour: self.touched[hour] for hour in due}
-            self._next = partial(_of_hours, due)
+        elif hours:
+            self._hours = {hour: self.touched.get(hour) for hour in hours}
+            self._next = partial(_of_hours, hours)
         elif full:
             self._next = make_recordings
 
@@ -190,12 +213,22 @@ class HourJobs:
             return
         for hour, touched in hours.items():
             if self.touched.get(hour) == touched:  # else frames came meanwhile: once more
-                del self.touched[hour]
+                self.touched.pop(hour, None)
+            if hour not in done.not_measured:
+                self._unmeasured.pop(hour, None)
         self.touch(done.hours)
         self._quarters.add(done.quarters)
         self._say(done.said)
-        for line in done.not_measured:  # each hour: its recordings wait
-            self._reporter.warn(line)
+        for hour, why in done.not_measured.items():
+            self._wait(hour, why)
+
+    def _wait(self, hour: int, why: str) -> None:
+        """Name an hour that is not measured; try it again after a quarter, then twice that, ..."""
+        known = self._unmeasured.get(hour)
+        if known is None or known.why != why:
+            self._reporter.warn("{} is not measured: {}", hour_text(hour), why)
+        waits = 1 if known is None else 2 * known.waits
+        self._unmeasured[hour] = _Unmeasured(why=why, tried=self._now, waits=waits)
 
     def touch(self, hours: Iterable[int]) -> None:
         """Take note of hours of which frames came."""
@@ -233,6 +266,7 @@ class HourJobs:
         return {
             "hours_waiting": float(len(self.touched)),
             "hours_behind_seconds": self.behind_s,
+            "hours_not_measured": float(len(self._unmeasured)),
             "quarters_left_out": self.quarters_left_out,
         }
 

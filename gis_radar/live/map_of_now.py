@@ -54,7 +54,6 @@ class MapOfNow:
     """
 
     def __init__(self, tiles: int, *, interval: int) -> None:
-        self.views: dict[str, Booleans] = {}
         self.holds_s: dict[str, float] = {}
         self._tiles, self._interval = tiles, interval
         self._latest: dict[str, tuple[int, Seen]] = {}
@@ -82,9 +81,7 @@ class MapOfNow:
         for sensor, (since, seen) in self._latest.items():
             if step - since <= valid_steps(self.holds_s.get(sensor, 0.0)):
                 hit[seen.tiles] = True
-                view = self.views.get(seen.view)
-                if view is not None:
-                    observed |= view
+                observed[seen.in_sight] = True
         hit &= observed  # as a heat map: a hit beyond every view is none
         anew = set_back or begin != last.begin
         # whoever looks meanwhile has the last one: arrays of a state never change

@@ -97,10 +97,16 @@ class NowFilter:
         The lanes.
     tracker : VehicleSettings
         Those of the tracker.
+
+    Attributes
+    ----------
+    late : int
+        Frames of which detections were too old to be followed.
     """
 
     graph: LaneGraph
     tracker: VehicleSettings
+    late: int = 0
     _waiting: list[MapDetections] = field(default_factory=list)
     _known: dict[int, _Known] = field(default_factory=dict)
     _stood: dict[int, Floats] = field(default_factory=dict)  # by number, the row and when it was
@@ -114,8 +120,10 @@ class NowFilter:
         self._filter = ForwardFilter(self.graph, self.tracker.forward, moving_mps=moving)
 
     def take(self, detections: MapDetections) -> None:
-        """Take detections. Detections older than the last published moment are dropped."""
-        self._waiting.append(detections.take(detections.time > self._reached))
+        """Take the detections of a frame, unless it is older than the last published moment."""
+        fresh = detections.take(detections.time > self._reached)
+        self.late += len(fresh) < len(detections)
+        self._waiting.append(fresh)
 
     def go_on(self, until: float) -> None:
         """Follow what came up to a time."""

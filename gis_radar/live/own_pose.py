@@ -150,11 +150,14 @@ class PoseFollower:
         self._thread = Thread(target=self._work, daemon=True, name="pose")
         self._thread.start()
 
-    def push(self, frame: Detections) -> None:
-        """Take the next frame; it is left out where fits are too slow, or nothing follows."""
-        if not self._ended.is_set():
-            with suppress(Full):
+    def push(self, frame: Detections) -> bool:
+        """Take the next frame; return False where fits are too slow for it."""
+        try:
+            if not self._ended.is_set():  # else nothing follows
                 self._frames.put_nowait(frame)
+        except Full:
+            return False
+        return True
 
     def latest(self) -> Followed | None:
         """Return the newest pose, if there is one since the last call; raise what broke."""

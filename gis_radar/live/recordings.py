@@ -70,16 +70,19 @@ def time_of_name(name: str) -> int:
     return round(parsed.timestamp() * 1e6)
 
 
+def name_of_hour(hour: int) -> str:
+    """Return the name of the recordings of an hour: when they begin."""
+    return name_of_time(hour * HOUR_US + CUT_US)
+
+
 def recording_path(folder: Path, sensor: str, hour: int) -> Path:
     """Return where the recording of an hour lies."""
-    name = name_of_time(hour * HOUR_US + CUT_US)
-    return folder / RECORDINGS / sensor / f"{name}.parquet"
+    return folder / RECORDINGS / sensor / f"{name_of_hour(hour)}.parquet"
 
 
 def parts_of_hour(folder: Path, sensor: str, hour: int) -> list[Path]:
     """Return the parts of a recording that are not in it yet, in the order in which they came."""
-    name = name_of_time(hour * HOUR_US + CUT_US)
-    return sorted((folder / PARTS / sensor).glob(f"{name}.*.parquet"))
+    return sorted((folder / PARTS / sensor).glob(f"{name_of_hour(hour)}.*.parquet"))
 
 
 def waiting_hours(folder: Path) -> set[int]:
@@ -110,9 +113,11 @@ def make_parts(folder: Path, spooled: Path, reporter: Reporter = QUIET) -> None:
             for hour in np.unique(hours).tolist():
                 mine = [row for row, of in zip(rows, hours.tolist(), strict=True) if of == hour]
                 numbers[hour] = numbers.get(hour, -1) + 1
-                name = name_of_time(hour * HOUR_US + CUT_US)
-                number = f"{spooled.stem}-{numbers[hour]:04d}"
-                _write(folder / PARTS / sensor / f"{name}.{number}.parquet", _table(mine), poses)
+                name = f"{name_of_hour(hour)}.{spooled.stem}-{numbers[hour]:04d}.parquet"
+                path = folder / PARTS / sensor / name
+                table, differing = _table(mine)
+                _write(path, table, poses)
+                _warn_of_differing(sensor, differing, path, reporter)
     with output_errors(spooled):
         if file.damaged:
             aside = spooled.replace(spooled.with_suffix(".damaged"))
@@ -148,11 +153,27 @@ def _frames(
         yield rows
 
 
-def _table(rows: Sequence[tuple[FrameDetections, str]]) -> pa.Table:
-    """Return frames as rows of a recording, in the order of time, those of one time once."""
+def _warn_of_differing(sensor: str, count: int, path: Path, reporter: Reporter) -> None:
+    if count:
+        reporter.warn(
+            "{}: {:,} frames differ from others of the same time and are left out of {}: "
+            "has another program the same name?",
+            sensor,
+            count,
+            path.name,
+        )
+
+
+def _table(rows: Sequence[tuple[FrameDetections, str]]) -> tuple[pa.Table, int]:
+    """Return frames as rows of a recording, in the order of time, each time once.
+
+    Of two frames of one time the first counts; the others that differ from it are counted.
+    """
     known: dict[int, tuple[FrameDetections, str]] = {}
+    differing = 0
     for row in rows:
-        known.setdefault(row[0].time_us, row)
+        first, _ = known.setdefault(row[0].time_us, row)
+        differing += not np.array_equal(first.points, row[0].points)
     ordered = [known[time_us] for time_us in sorted(known)]
     frames = [each.as_rows() for each, _ in ordered]
     points = np.concatenate([each.points for each in frames])
@@ -167,7 +188,7 @@ def _table(rows: Sequence[tuple[FrameDetections, str]]) -> pa.Table:
         pa.array(values, field.type)
         for values, field in zip([*columns, pose], _SCHEMA, strict=True)
     ]
-    return pa.Table.from_arrays(arrays, schema=_SCHEMA)
+    return pa.Table.from_arrays(arrays, schema=_SCHEMA), differing
 
 
 def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
@@ -269,14 +290,7 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
     if not parts:
         return path if there else None
     rows = JoinedRows([*there, *parts])
-    if rows.differing:
-        reporter.warn(
-            "{}: {:,} frames differ from others of the same time and are left out of {}: "
-            "has another program the same name?",
-            sensor,
-            rows.differing,
-            path.name,
-        )
+    _warn_of_differing(sensor, rows.differing, path, reporter)
     rows.write(path)
     for each in parts:
         with output_errors(each):

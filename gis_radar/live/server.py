@@ -119,7 +119,7 @@ class ShownMap:
             pose=sensor.pose,
             lag_s=health.lag_s,
             frames_per_s=rate,
-            lost=health.lost,
+            lost=health.counts["lost"],
         )
 
 

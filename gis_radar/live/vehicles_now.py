@@ -6,8 +6,7 @@ import multiprocessing
 import time
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import geopandas as gpd
 import numpy as np
@@ -39,6 +38,22 @@ Message = tuple[str, bytes]
 """Name of a sensor, and the content of what it sent."""
 
 
+class _Turn(NamedTuple):
+    """What the process answers.
+
+    Parameters
+    ----------
+    now : VehiclesNow
+        The vehicles.
+    unread, late : int
+        Messages that are damaged or of no known pose, and frames that were too old, of this turn.
+    """
+
+    now: VehiclesNow
+    unread: int
+    late: int
+
+
 class _Following:
     """What the process keeps."""
 
@@ -46,24 +61,30 @@ class _Following:
         self._filter = NowFilter(graph=graph, tracker=TRACKER)
         self._graph, self._newest = graph, -np.inf
         self._placed: dict[PoseName, Placed] = {}
+        self._unread = 0
 
     def go_on(
         self, placed: Mapping[PoseName, Placed], gone: Collection[PoseName],
         rows: Sequence[Message],
-    ) -> VehiclesNow:  # fmt: skip
+    ) -> _Turn:  # fmt: skip
         """Take new poses and messages; return the vehicles up to a moment before the newest."""
         self._placed |= placed
         for name in gone:
             self._placed.pop(name, None)
         for sensor, content in rows:
-            with suppress(InputError):
+            try:
                 self._take(sensor, content)
+            except InputError:
+                self._unread += 1
         self._filter.go_on(min(self._newest, time.time()) - REORDER_S)
-        return self._filter.now()
+        found = _Turn(self._filter.now(), self._unread, self._filter.late)
+        self._unread = self._filter.late = 0
+        return found
 
     def _take(self, sensor: str, content: bytes) -> None:
         known = self._placed.get((sensor, content[:POSE_BYTES]))
         if known is None:
+            self._unread += 1
             return
         number, pose, road_m = known
         for frame in unpack_detections(content)[1]:
@@ -88,7 +109,7 @@ def _start(graph: LaneGraph | None) -> None:
 
 def _go_on(
     placed: Mapping[PoseName, Placed], gone: Collection[PoseName], rows: Sequence[Message]
-) -> VehiclesNow:
+) -> _Turn:
     assert _following is not None  # noqa: S101 - set when the process starts
     return _following.go_on(placed, gone, rows)
 
@@ -121,13 +142,15 @@ class LiveVehicles:
     Attributes
     ----------
     dropped : int
-        Messages that the process was too busy for.
+        Messages that the process was too busy for or could not read, or that ended with it.
+    late : int
+        Frames that came too late to be followed.
     """
 
     def __init__(
         self, graph: LaneGraph, sensors: Sequence[str], crs: Any, *, reporter: Reporter = QUIET
     ) -> None:
-        self.dropped = self.restarts = 0
+        self.dropped = self.late = self.restarts = 0
         self._graph, self._crs, self._reporter = graph, crs, reporter
         self._number = {name: k for k, name in enumerate(sorted(sensors))}
         self._placed: dict[PoseName, Placed] = {}
@@ -135,7 +158,8 @@ class LiveVehicles:
         self._gone: set[PoseName] = set()
         self._waiting: list[Message] = []
         self._pool: ProcessPoolExecutor | None = None
-        self._work: Future[VehiclesNow] | None = None
+        self._work: Future[_Turn] | None = None
+        self._handed = 0  # messages that the process has at the moment
         self._now, self._told, self._start_at = VehiclesNow.none(), 0.0, 0.0
 
     def make_ready(self) -> Future[None]:
@@ -172,13 +196,16 @@ class LiveVehicles:
                 return
             work, self._work = self._work, None
             try:
-                self._now, self._told = work.result(), now
+                self._now, unread, late = work.result()
+                self.dropped, self.late = self.dropped + unread, self.late + late
+                self._told, self._handed = now, 0
             except Exception as error:  # noqa: BLE001 - whatever it is, a new process begins anew
                 self._lose(error)
         if self._pool is None and now >= self._start_at and self._start_at > 0.0:
             self.make_ready()
         if self._pool is not None and self._waiting and now - self._told >= NOW_S:
             rows, self._waiting = self._waiting, []
+            self._handed = len(rows)
             fresh, gone = self._fresh, self._gone
             self._fresh, self._gone = {}, set()
             try:
@@ -189,6 +216,8 @@ class LiveVehicles:
     def _lose(self, error: Exception) -> None:
         """Go on without the process for a while."""
         self.restarts += 1
+        self.dropped += self._handed + len(self._waiting)
+        self._handed = 0
         reason = error.message if isinstance(error, GisRadarError) else type(error).__name__
         self._reporter.warn(
             "the process that follows the vehicles of now has ended ({}); a new one begins anew",
@@ -215,6 +244,7 @@ class LiveVehicles:
         return {
             "vehicles_now": float(len(self.now())),
             "vehicles_dropped_messages": float(self.dropped),
+            "vehicles_late_frames": float(self.late),
             "vehicles_process_restarts": float(self.restarts),
         }
 

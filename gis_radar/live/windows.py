@@ -22,12 +22,12 @@ class Seen(NamedTuple):
     ----------
     tiles : (k,) int64 array
         Positions of the tiles that it hit.
-    view : str
-        Name of what it sees.
+    in_sight : (n,) int64 array
+        Positions of the tiles that it sees.
     """
 
     tiles: Integers
-    view: str
+    in_sight: Integers
 
 
 class Windows:
@@ -63,7 +63,7 @@ class Windows:
             return False
         sensors = self._open.setdefault(step, {})
         if (other := sensors.get(sensor)) is not None:
-            seen = Seen(np.union1d(other.tiles, seen.tiles), seen.view)
+            seen = Seen(np.union1d(other.tiles, seen.tiles), seen.in_sight)
         sensors[sensor] = seen
         return True
 

@@ -3,10 +3,17 @@ from .frames import NO_FURTHER
 from .hit_counter import FrameCounter
 from .hour import HourWindow
 from .placing import PoseNumbers
+from .pose_sights import (
+    PlacedRecording,
+    PoseSight,
+    SightBook,
+    road_near,
+    sight_of_tiles,
+    standing_for,
+)
 from .sensor_reading import SensorHour
 from .settings import Filters, HitSettings
 from .validity import Runs, union, valid_steps, validity_of
-from .views import PlacedRecording, ViewBook, road_near, sight_of_tiles, standing_for
 
 __all__ = [
     "NO_FURTHER",
@@ -17,9 +24,10 @@ __all__ = [
     "HourWindow",
     "PlacedRecording",
     "PoseNumbers",
+    "PoseSight",
     "Runs",
     "SensorHour",
-    "ViewBook",
+    "SightBook",
     "road_near",
     "sight_of_tiles",
     "standing_for",

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.arrays import Floats, Integers, compiled, contiguous
 from gis_radar.recordings.raw_rows import RawRows
 
 Hashes: TypeAlias = NDArray[np.uint64]
@@ -89,7 +89,7 @@ class FrameHasher:
         )
         times, frames = np.empty(end - begin + 1), np.empty((end - begin + 1, 2), np.uint64)
         count = _hash_rows(
-            _fixed(time[begin:end]), x, y, z, rate, rcs, self._time, self._state, times, frames
+            contiguous(time[begin:end]), x, y, z, rate, rcs, self._time, self._state, times, frames
         )
         self._found.append((times[:count].copy(), frames[:count].copy()))
 
@@ -106,14 +106,7 @@ class FrameHasher:
 
 
 def _bits(values: Floats) -> Bits:
-    return np.asarray(_fixed(values.astype(np.float32, copy=False)).view(np.uint32))
-
-
-def _fixed(values: Any) -> Any:
-    """Return values one after the other and read-only: numba compiles anew for any other kind."""
-    values = np.ascontiguousarray(values).view()
-    values.flags.writeable = False
-    return values
+    return np.asarray(contiguous(values.astype(np.float32, copy=False)).view(np.uint32))
 
 
 @compiled

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, contiguous
 from gis_radar.errors import InputError
 from gis_radar.measures.counting_loop import (
     COUNTS,
@@ -274,11 +273,4 @@ def rows_of_columns(
     shift_us: Integers = NO_TILES,
 ) -> RowColumns:  # fmt: skip
     """Return columns as the counting loop takes them: arguments as of :class:`RowColumns`."""
-    return RowColumns(*map(_fixed, (time, shift_us, x, y, z, range_rate, rcs)))
-
-
-def _fixed(values: Any) -> Any:
-    """Return values one after the other and read-only: numba compiles anew for any other kind."""
-    values = np.ascontiguousarray(values).view()
-    values.flags.writeable = False
-    return values
+    return RowColumns(*map(contiguous, (time, shift_us, x, y, z, range_rate, rcs)))

@@ -19,6 +19,7 @@ from gis_radar.measures.counting_loop import (
     WILD,
 )
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, STEPS_PER_HOUR, HourWindow
+from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union
 from gis_radar.steps import STEP_US
@@ -53,12 +54,17 @@ class ValidFrames:
     def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
         """Compute the steps with a frame and the last step in which each is valid."""
         step = each_once(sensor.frames.time_us // STEP_US)
-        before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
-        return cls(step=step, until=np.minimum(step + most, before_next))
+        return cls(step=step, until=valid_until(step, most))
 
     def until_of(self, step: Integers) -> Integers:
         """Return the last valid step of frames in some steps."""
         return np.asarray(self.until[np.searchsorted(self.step, step)])
+
+
+def valid_until(step: Integers, most: int) -> Integers:
+    """Return the last step in which frames of ascending steps are valid: `most` after their own."""
+    before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
+    return np.asarray(np.minimum(step + most, before_next))
 
 
 def each_once(ascending: Integers) -> Integers:
@@ -66,9 +72,7 @@ def each_once(ascending: Integers) -> Integers:
     return ascending[np.diff(ascending, prepend=NEVER) > 0]
 
 
-def frame_columns(
-    sensor: SensorHour, valid: ValidFrames, window: HourWindow, seen: Mapping[str, int]
-) -> dict[str, object]:
+def frame_columns(sensor: SensorHour, valid: ValidFrames, window: HourWindow) -> dict[str, object]:
     """Return the columns of the table `frames` for a sensor's frames in the hour.
 
     Parameters
@@ -79,8 +83,6 @@ def frame_columns(
         When its frames are valid.
     window : HourWindow
         The hour.
-    seen : mapping
-        By view, how many tiles it has in sight.
     """
     time_us = sensor.counted[:, TIME_US]
     mine = time_us >= window.begin * STEP_US
@@ -88,43 +90,45 @@ def frame_columns(
     rows = sensor.counted[mine]
     step = rows[:, TIME_US] // STEP_US
     place = np.searchsorted(sensor.frames.time_us, rows[:, TIME_US])
-    view = sensor.view[place]
+    pose = sensor.place[place]
+    names = [name for source in sensor.sources for name in source.pose_names]
+    heads = [each.name for each in sensor.sights]
+    seen = [len(each.tile_id) for each in sensor.sights]
     checksum = (sensor.frames.hash[place] & CHECKSUM_BITS).astype(np.int64)
     return {
         "sensor": np.full(len(rows), sensor.sensor, object), "time_us": rows[:, TIME_US],
         "first_step": step, "last_step": valid.until_of(step),
-        "detections": rows[:, DETECTIONS], "moving": rows[:, MOVING], "pose": view,
+        "detections": rows[:, DETECTIONS], "moving": rows[:, MOVING],
+        "pose": np.array(heads, object)[pose],
         "wild": rows[:, WILD], "tiles_hit": rows[:, TILES_HIT],
-        "tiles_seen": np.array([seen[name] for name in view], np.int64),
+        "tiles_seen": np.array(seen, np.int64)[pose],
         "checksum": checksum, "shift_us": rows[:, SHIFT_US],
+        "pose_in_force": np.array(names, object)[pose],
     }  # fmt: skip
 
 
 def valid_runs(
     sensors: Sequence[SensorHour], valid: Sequence[ValidFrames], window: HourWindow
 ) -> pd.DataFrame:
-    """Return `sensor, view, first_step, last_step`: in which steps a frame with a view is valid.
+    """Return `sight, first_step, last_step`: in which steps a frame with a sight is valid.
 
-    Those of the window, by sensor, view and step.
+    Those of the window, by sensor, name of the sight and step.
     """
-    tables = [pd.DataFrame({"sensor": [], "view": [], "first_step": [], "last_step": []})]
+    tables = [pd.DataFrame({"sight": [], "first_step": [], "last_step": []})]
     for sensor, frames in zip(sensors, valid, strict=True):
         step = sensor.frames.time_us // STEP_US
-        for view in sorted(set(sensor.view.tolist())):
-            mine = each_once(step[sensor.view == view])
+        name = np.array([each.name for each in sensor.sights], object)[sensor.place]
+        for sight in sorted(set(name.tolist())):
+            mine = each_once(step[name == sight])
             runs = union([Runs(first=mine, last=frames.until_of(mine))])
             first, last = runs.first, np.minimum(runs.last, window.span[1] - 1)
-            tables.append(
-                pd.DataFrame(
-                    {"sensor": sensor.sensor, "view": view, "first_step": first, "last_step": last}
-                )
-            )
+            tables.append(pd.DataFrame({"sight": sight, "first_step": first, "last_step": last}))
     whole = pd.concat(tables, ignore_index=True)
     return whole.astype({"first_step": np.int64, "last_step": np.int64})
 
 
 def observed_runs(
-    held: pd.DataFrame, tiles: Mapping[str, Integers], count: int, window: HourWindow
+    held: pd.DataFrame, sights: Mapping[str, PoseSight], tile_id: Integers, window: HourWindow
 ) -> tuple[Integers, Integers, Integers]:
     """Return the runs of steps in which each tile is observed in the hour.
 
@@ -132,10 +136,10 @@ def observed_runs(
     ----------
     held : DataFrame
         Of :func:`valid_runs`.
-    tiles : mapping
-        By view, the positions of the tiles in sight.
-    count : int
-        How many tiles there are.
+    sights : mapping
+        By name.
+    tile_id : (n,) int64 array
+        Ids of all tiles, ascending.
     window : HourWindow
         The hour.
 
@@ -144,14 +148,14 @@ def observed_runs(
     tile, first, last : (n,) int64 arrays
         Positions of tiles and steps, ascending.
     """
-    views = sorted(set(held["view"]))
-    seen = np.zeros((count, len(views)), np.bool_)
-    for k, view in enumerate(views):
-        seen[tiles[view], k] = True
+    names = sorted(set(held["sight"]))
+    seen = np.zeros((len(tile_id), len(names)), np.bool_)
+    for k, name in enumerate(names):
+        seen[np.searchsorted(tile_id, sights[name].tile_id), k] = True
     kinds, kind = np.unique(seen, axis=0, return_inverse=True)
     parts = []
     for number, row in enumerate(kinds):
-        rows = held[held["view"].isin([view for view, on in zip(views, row, strict=True) if on])]
+        rows = held[held["sight"].isin([name for name, on in zip(names, row, strict=True) if on])]
         if rows.empty:
             continue
         first, last = (rows[name].to_numpy(np.int64) for name in ("first_step", "last_step"))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import InputError
@@ -15,9 +14,9 @@ from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
 from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.placing import PoseNumbers
+from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, places_of
 from gis_radar.measures.settings import Filters, HitSettings
 from gis_radar.measures.validity import FrameTimes
-from gis_radar.measures.views import PlacedRecording, places_of
 from gis_radar.recordings.raw_rows import RawRows, read_raw
 from gis_radar.recordings.recording import RangeCounts
 from gis_radar.sight import SightTiles
@@ -41,8 +40,6 @@ class HitTarget:
         Which detections count.
     settings : HitSettings
         Constants.
-    road_m : mapping
-        By sensor and view, the height of the road near the sensor, metres.
     rcs : bool
         Whether radar cross sections are read, by which frames are told apart, too.
     """
@@ -51,7 +48,6 @@ class HitTarget:
     grid: TileGrid
     filters: Filters
     settings: HitSettings
-    road_m: Mapping[tuple[str, str], float]
     rcs: bool
 
 
@@ -69,12 +65,10 @@ class RecordingCounts:
         Detections by their range, as of :class:`RangeCounts`.
     level : bool
         Whether the sensor measures no elevation.
-    views : set of str
-        Views that the sensor had.
     movement : dict
-        By the first view after the last move, frames with movement on each tile.
+        By the first sight after the last move, frames with movement on each tile.
     frames : dict
-        By the same view, all frames.
+        By the same sight, all frames.
     """
 
     rows: int = 0
@@ -82,7 +76,6 @@ class RecordingCounts:
     times: FrameTimes = field(default_factory=FrameTimes)
     ranges: Integers = field(default_factory=lambda: RangeCounts().counts)
     level: bool = False
-    views: set[str] = field(default_factory=set)
     movement: dict[str, Integers] = field(default_factory=dict)
     frames: dict[str, int] = field(default_factory=dict)
 
@@ -92,11 +85,10 @@ class RecordingCounts:
         self.times.join(other.times)
         self.ranges = self.ranges + other.ranges
         self.level |= other.level
-        self.views |= other.views
-        for view, count in other.movement.items():
-            self.movement[view] = self.movement.get(view, 0) + count
-        for view, frames in other.frames.items():
-            self.frames[view] = self.frames.get(view, 0) + frames
+        for sight, count in other.movement.items():
+            self.movement[sight] = self.movement.get(sight, 0) + count
+        for sight, frames in other.frames.items():
+            self.frames[sight] = self.frames.get(sight, 0) + frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,11 +124,15 @@ class SensorHour:
     evidence: list[RecordingCounts]
 
     @property
-    def view(self) -> NDArray[np.object_]:
-        """The view of each frame of the window."""
-        names = [name for source in self.sources for name in source.views]
-        begins = np.cumsum([0, *(len(source.views) for source in self.sources)])
-        return np.array([*names, ""], object)[begins[self.source] + self.pose]
+    def sights(self) -> list[PoseSight]:
+        """What is seen from each pose of all sources, one after the other."""
+        return [sight for source in self.sources for sight in source.sights]
+
+    @property
+    def place(self) -> Integers:
+        """The number among these of the pose in force at each frame of the window."""
+        begins = np.cumsum([0, *(len(source.sights) for source in self.sources)])
+        return np.asarray(begins[self.source] + self.pose)
 
 
 def read_sensor(
@@ -272,7 +268,7 @@ class _Counter:
         )
         for index, begin, end in source.track.runs(time[low:high]):
             counter = evidence.movement.setdefault(
-                source.views[self._places[index]],
+                source.sights[self._places[index]].name,
                 np.zeros(len(reading.target.road.tile_id), np.int64),
             )
             placing = self._placing(index)
@@ -285,8 +281,7 @@ class _Counter:
     def _placing(self, index: int) -> PoseNumbers:
         if index not in self._placed:
             source = self._reading.source
-            road_m = self._reading.target.road_m[source.track.sensor, source.views[index]]
-            pose = source.track.poses[index]
+            pose, road_m = source.track.poses[index], source.sights[index].road_m
             self._placed[index] = PoseNumbers.of(pose, road_m=road_m, number=index)
         return self._placed[index]
 
@@ -301,10 +296,9 @@ class _Counter:
                 reading.evidence.times.add(mine[:, TIME_US])
                 reading.evidence.hits += int(mine[:, TILES_HIT].sum())
             for index, count in zip(*np.unique(mine[:, POSE], return_counts=True), strict=True):
-                view = reading.source.views[self._places[index]]
+                sight = reading.source.sights[self._places[index]].name
                 known = reading.evidence.frames
-                known[view] = known.get(view, 0) + int(count)
-                reading.evidence.views.add(reading.source.views[index])
+                known[sight] = known.get(sight, 0) + int(count)
 
     def _take(self, counted: Counted) -> None:
         self._reading.counted.append(counted.frames)

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import pandas as pd
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import UsageError
@@ -19,7 +18,6 @@ from gis_radar.steps import CYCLE_HINT, LONGEST_CYCLE_S, SHORTEST_CYCLE_S, STEP_
 
 GAP_US = 100  # resolution of measured cycles: jitter is larger
 MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
-NEVER = np.iinfo(np.int64).max
 
 
 def validity_of(
@@ -66,24 +64,6 @@ def validity_of(
 def valid_steps(validity_s: float) -> int:
     """Return in how many steps after its own a frame is valid at most."""
     return round(validity_s * 1e6) // STEP_US
-
-
-def valid_until(step: Integers, frames: Runs, validity_s: float) -> Integers:
-    """Return the last step in which the frames of each step are valid.
-
-    Parameters
-    ----------
-    step : (n,) int64 array
-        Steps with a frame of a sensor.
-    frames : Runs
-        All steps with a frame of that sensor.
-    validity_s : float
-        How long its frames are valid, seconds.
-    """
-    run = np.minimum(np.searchsorted(frames.last, step), len(frames) - 1)
-    before_next = np.append(frames.first[1:], NEVER)[run] - 1
-    reached = np.minimum(step + valid_steps(validity_s), before_next)
-    return np.where(step == frames.last[run], reached, step)
 
 
 @dataclass(kw_only=True)
@@ -191,9 +171,3 @@ def union(parts: Sequence[Runs]) -> Runs:
     begins, ends = np.ones(len(first), np.bool_), np.ones(len(first), np.bool_)
     begins[1:] = ends[:-1] = apart
     return Runs(first=first[begins], last=reached[ends])
-
-
-def steps_in(frames: pd.DataFrame) -> Runs:
-    """Return the steps in any row of a table of frames."""
-    first, last = (frames[name].to_numpy(np.int64) for name in ("first_step", "last_step"))
-    return union([Runs(first=first, last=last)])

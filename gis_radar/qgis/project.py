@@ -27,7 +27,7 @@ from gis_radar.heatmap.step_table import LONG, TIMES
 from gis_radar.heatmap.wide_table import WIDE
 from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_style
 from gis_radar.languages import LANGUAGES
-from gis_radar.measures.views import sight_of_tiles
+from gis_radar.measures.pose_sights import sight_of_tiles
 from gis_radar.poses.files import read_track
 from gis_radar.poses.layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
 from gis_radar.poses.pose import pose_from_dict

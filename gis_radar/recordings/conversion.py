@@ -196,7 +196,7 @@ class Tracks:
         track = self._tracks.get(frame.sensor)
         if track is None:
             part = self._folder / f"{len(self._tracks)}.parquet"
-            file = RecordingFile(part, self._place, self._context.counts)
+            file = RecordingFile(part, self._place, self._context.counts, sensor=frame.sensor)
             track = _Track(frame.sensor, file, self._clock, self._context)
             self._tracks[frame.sensor] = track
         track.put(frame)

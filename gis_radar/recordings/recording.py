@@ -23,6 +23,7 @@ from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_y
 from gis_radar.texts import Text
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
+SENSOR = b"gis_radar.sensor"  # key of a file's metadata
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
 
@@ -120,6 +121,8 @@ class Recording:
     time_spans : callable, optional
         Returns first and last time of consecutive parts of the file, without reading them; None
         where it does not tell them.
+    sensor : str
+        Name of the sensor, as `convert` wrote it into the file; empty where it is not there.
     """
 
     path: Path
@@ -129,6 +132,7 @@ class Recording:
         None
     )
     time_spans: Callable[[], list[tuple[float, float]] | None] | None = None
+    sensor: str = ""
 
     def read(self, *, further: bool = False) -> Iterator[Detections]:
         """Read the recording in batches, in bounded memory.
@@ -190,7 +194,7 @@ class Recording:
         """Return whether the sensor measures elevation: whether the first detection has a z."""
         for rows in self.read():
             if rows.present.any():
-                return bool(np.isfinite(rows.points[rows.present, 2][0]))
+                return has_height(rows)
         return True
 
     def require_elevation(self, what: str) -> None:
@@ -213,6 +217,11 @@ class Recording:
                 what,
                 hint="survey the sensor and give its pose; measure and project take it",
             )
+
+
+def has_height(rows: Detections) -> bool:
+    """Return whether the first detection has a height; all of a recording have one, or none."""
+    return bool(np.isfinite(rows.points[rows.present, 2][0]))
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -266,6 +275,7 @@ def _open_parquet(path: Path) -> Recording:
         for name in COLUMNS:
             _require_numbers(file.schema_arrow.field(name).type, name, path)
         rows = file.metadata.num_rows
+        sensor = (file.schema_arrow.metadata or {}).get(SENSOR, b"").decode(errors="replace")
 
     def batches_from(begin: float, columns: Sequence[str]) -> tuple[int, Iterator[pa.RecordBatch]]:
         group, before = first_group_of(path, "time", begin)
@@ -273,7 +283,7 @@ def _open_parquet(path: Path) -> Recording:
 
     return Recording(
         path=path, rows=rows, batches=partial(parquet_batches, path), batches_from=batches_from,
-        time_spans=partial(spans_of_groups, path, "time"),
+        time_spans=partial(spans_of_groups, path, "time"), sensor=sensor,
     )  # fmt: skip
 
 

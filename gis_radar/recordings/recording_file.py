@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from gis_radar.errors import InputError
 from gis_radar.files import output_errors
 from gis_radar.recordings.frames import Column, Frame
+from gis_radar.recordings.recording import SENSOR
 from gis_radar.recordings.units import compare_speeds, refuse_positions_in_other_units
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
@@ -36,6 +37,8 @@ class RecordingFile:
         Where it shall be in the end, as messages name it.
     counts : Counter
         What was left out, by kind.
+    sensor : str
+        Its name, which the file's metadata keep.
 
     Attributes
     ----------
@@ -48,8 +51,8 @@ class RecordingFile:
         Further columns that came only after the first row group.
     """
 
-    def __init__(self, path: Path, place: Path, counts: Counter[str]) -> None:
-        self.path = path
+    def __init__(self, path: Path, place: Path, counts: Counter[str], *, sensor: str) -> None:
+        self.path, self._sensor = path, sensor
         self.elevation: bool | None = None
         self.odd = ""
         self._place, self._counts = place, counts
@@ -102,7 +105,8 @@ class RecordingFile:
         with output_errors(self._place):
             if self._writer is None:
                 options = parquet_options(table.schema.names)
-                self._writer = pq.ParquetWriter(self.path, table.schema, **options)
+                schema = table.schema.with_metadata({SENSOR: self._sensor})
+                self._writer = pq.ParquetWriter(self.path, schema, **options)
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
 
     def _level(self, frame: Frame) -> Frame:

@@ -28,7 +28,7 @@ from gis_radar.heatmap.picture import (
     map_picture,
     png,
 )
-from gis_radar.measures.views import sight_of_tiles
+from gis_radar.measures.pose_sights import sight_of_tiles
 from gis_radar.notebooks import FONTS
 from gis_radar.progress import Reporter
 from gis_radar.report.content import WORDS, Figure, MapSeries

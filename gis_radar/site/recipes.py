@@ -210,7 +210,7 @@ def _sights(
     tracks: Sequence[PoseTrack], road: SightTiles, source: SightSource | None
 ) -> tuple[list[Sight], list[Pose]]:
     """Return what sensors see from each of their views, and the first pose of its place."""
-    from gis_radar.measures.views import places_of, standing_for
+    from gis_radar.measures.pose_sights import places_of, standing_for
     from gis_radar.sight import find_sight
 
     found: list[Sight] = []
@@ -228,7 +228,7 @@ def _moving_hits(
 ) -> list[MovingHits]:  # fmt: skip
     """Return what moves on the tiles, of each place where the sensor stood for long enough."""
     from gis_radar.measures.frames import rows_of, whole_frames
-    from gis_radar.measures.views import places_of, road_near, standing_for
+    from gis_radar.measures.pose_sights import places_of, road_near, standing_for
     from gis_radar.recordings.recording import open_recording
     from gis_radar.sight import MovementCounter, MovingHits
     from gis_radar.sight.settings import DEFAULTS

@@ -6,7 +6,7 @@ others lie between them, at the same places in every hour.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -16,8 +16,8 @@ from gis_radar.arrays import Integers, give_back_memory
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.measures.frames import rows_of, whole_frames
 from gis_radar.measures.hour import HourWindow
+from gis_radar.measures.pose_sights import PlacedRecording
 from gis_radar.measures.sensor_reading import SensorHour
-from gis_radar.measures.views import PlacedRecording
 from gis_radar.recordings.recording import Detections
 from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, step_of
 from gis_radar.tracking.blocks import Block
@@ -63,7 +63,6 @@ def blocks_of(
     sensors: Sequence[SensorHour],
     window: HourWindow,
     graph: LaneGraph,
-    road_m: Mapping[tuple[str, str], float],
     settings: VehicleSettings,
 ) -> Iterator[tuple[tuple[int, int], Block]]:
     """Read the blocks of an hour that have frames, one after the other.
@@ -76,8 +75,6 @@ def blocks_of(
         The hour.
     graph : LaneGraph
         The lanes.
-    road_m : mapping
-        By sensor and view, the height of the road near the sensor.
     settings : VehicleSettings
         Of detections and blocks.
 
@@ -94,7 +91,7 @@ def blocks_of(
     known = np.unique(np.concatenate([np.empty(0, np.int64), *steps]))
     for section in sections_of(window, settings.blocks):
         streams = [
-            _Stream(_batches(sensor, number, section, graph, road_m, settings))
+            _Stream(_batches(sensor, number, section, graph, settings))
             for number, sensor in enumerate(sensors)
         ]
         for begin, after in section.spans:
@@ -163,7 +160,7 @@ class _Stream:
 
 def _batches(
     sensor: SensorHour, number: int, section: Section, graph: LaneGraph,
-    road_m: Mapping[tuple[str, str], float], settings: VehicleSettings,
+    settings: VehicleSettings,
 ) -> Iterator[tuple[MapDetections, int]]:  # fmt: skip
     """Yield the detections on lanes of a sensor in a section, with the last step of each batch.
 
@@ -181,31 +178,30 @@ def _batches(
         if still_mps is None:
             still_mps = _still_rate(waiting, settings)
         for each in waiting:
-            yield from _on_lanes(*each, number, graph, road_m, settings, still_mps)
+            yield from _on_lanes(*each, number, graph, settings, still_mps)
         waiting = []
     still_mps = _still_rate(waiting, settings) if still_mps is None else still_mps
     for each in waiting:
-        yield from _on_lanes(*each, number, graph, road_m, settings, still_mps)
+        yield from _on_lanes(*each, number, graph, settings, still_mps)
 
 
 def _frames_of(
     sensor: SensorHour, section: Section
 ) -> Iterator[tuple[PlacedRecording, Detections]]:
     """Read the whole frames of a sensor in a section, each once, with corrected times."""
-    until = -np.inf
-    for source in sensor.sources:
-        reached, clock = until, source.right_clock
-        limits = np.array([section.first - 1, section.after + 1]) * STEP_S
+    limits = np.array([section.first - 1, section.after + 1]) * STEP_S
+    for number, source in enumerate(sensor.sources):
+        mine_us, clock = sensor.frames.time_us[sensor.source == number], source.right_clock
+        if not len(mine_us):
+            continue
         begin, end = clock.shown(limits).tolist()
         for read in whole_frames(source.recording.read_between(begin, end)):
             time = clock.corrected(read.time)
             step = step_of(time)
-            inside = (step >= section.first) & (step < section.after) & (time > until)
+            inside = (step >= section.first) & (step < section.after)
+            inside &= np.rint(time * 1e6) >= mine_us[0]  # before, an earlier recording counts
             if inside.any():
-                rows = rows_of(replace(read, time=time), inside)
-                reached = max(reached, float(rows.time[-1]))
-                yield source, rows
-        until = reached
+                yield source, rows_of(replace(read, time=time), inside)
 
 
 def _still_rate(
@@ -221,7 +217,7 @@ def _still_rate(
 
 def _on_lanes(
     source: PlacedRecording, rows: Detections, number: int, graph: LaneGraph,
-    road_m: Mapping[tuple[str, str], float], settings: VehicleSettings, still_mps: float,
+    settings: VehicleSettings, still_mps: float,
 ) -> Iterator[tuple[MapDetections, int]]:  # fmt: skip
     """Yield the detections of a batch that lie on lanes, pose by pose."""
     held = source.track.at(rows.time)
@@ -230,6 +226,6 @@ def _on_lanes(
         here = now & rows.present
         detections = map_detections(
             rows_of(rows, here), source.track.poses[index], number, graph, settings.detections,
-            road_m=road_m[source.track.sensor, source.views[index]], still_mps=still_mps,
+            road_m=source.sights[index].road_m, still_mps=still_mps,
         )  # fmt: skip
         yield detections, int(step_of(rows.time[now][-1:])[0])

@@ -17,6 +17,7 @@ import pandas as pd
 from gis_radar.arrays import Integers
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.measures.hour import HourWindow
+from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.tracking.batches import BatchMaker, joined_rows
 from gis_radar.tracking.hour_blocks import blocks_of
@@ -25,7 +26,6 @@ from gis_radar.tracking.occupancy_settings import OccupancySettings
 from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.tables import PASSAGES, TRACKS, VEHICLES
 from gis_radar.tracking.tracker import vehicles_in
-from gis_radar.tracking.visibility import SensorView
 
 NUMBERS_PER_HOUR = 1_000_000
 EVERY = 4  # steps between two states that are kept
@@ -67,9 +67,8 @@ def vehicles_of_hour(
     *,
     held: pd.DataFrame,
     tiles: gpd.GeoDataFrame,
-    views: Sequence[SensorView],
+    sights: Mapping[str, PoseSight],
     graph: LaneGraph,
-    road_m: Mapping[tuple[str, str], float],
     settings: VehicleSettings,
     occupancy: OccupancySettings,
 ) -> HourVehicles:
@@ -82,22 +81,20 @@ def vehicles_of_hour(
     window : HourWindow
         The hour.
     held : DataFrame
-        `sensor, view, first_step, last_step`: runs of the window in which frames are valid.
+        `sight, first_step, last_step`: runs of the window in which frames are valid.
     tiles : GeoDataFrame
         All tiles.
-    views : sequence of SensorView
-        Of all sensors.
+    sights : mapping
+        What sensors see, by name.
     graph : LaneGraph
         The lanes.
-    road_m : mapping
-        By sensor and view, the height of the road near the sensor.
     settings, occupancy : VehicleSettings, OccupancySettings
         Constants.
     """
-    engine = OccupancyEngine(tiles, views, occupancy)
+    engine = OccupancyEngine(tiles, sights, occupancy)
     gathered = _Gathered(window=window, engine=engine, held=held)
     makes = BatchMaker(graph, settings)
-    for (begin, _), block in blocks_of(sensors, window, graph, road_m, settings):
+    for (begin, _), block in blocks_of(sensors, window, graph, settings):
         number = np.unique(block.detections.sensor, return_inverse=True)[1].astype(np.int64)
         motions = vehicles_in(replace(block.detections, sensor=number), graph, settings)
         batch = makes.batch(block, motions)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
+from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.tracking.footprints import (
     CrossLines,
     Footprints,
@@ -19,7 +20,7 @@ from gis_radar.tracking.footprints import (
 from gis_radar.tracking.occupancy_settings import DEFAULTS, OccupancySettings
 from gis_radar.tracking.passages import HEAVY, LaneletPlaces, PassageBook, levels_of
 from gis_radar.tracking.tables import OCCUPIED, VISIBLE
-from gis_radar.tracking.visibility import SensorView, Visibility
+from gis_radar.tracking.visibility import Visibility
 
 
 class OccupancyEngine:
@@ -29,8 +30,8 @@ class OccupancyEngine:
     ----------
     tiles : GeoDataFrame
         All tiles.
-    views : sequence of SensorView
-        Of all sensors.
+    sights : mapping
+        What sensors see, by name.
     settings : OccupancySettings
         Of footprints and visibility.
     """
@@ -38,7 +39,7 @@ class OccupancyEngine:
     def __init__(
         self,
         tiles: gpd.GeoDataFrame,
-        views: Sequence[SensorView],
+        sights: Mapping[str, PoseSight],
         settings: OccupancySettings = DEFAULTS,
     ) -> None:
         tiles = tiles.sort_values("tile_id", ignore_index=True)
@@ -48,7 +49,7 @@ class OccupancyEngine:
         self._places = LaneletPlaces.of(tiles)
         self._paths = PathBook(settings=settings)
         self._passages = PassageBook(places=self._places)
-        self._visibility = Visibility(tiles, self._lines, views, settings)
+        self._visibility = Visibility(tiles, self._lines, sights, settings)
         self._open = np.full((len(tiles), 3), -1)
         self._stamps = np.full((len(tiles), 3), -1)
         self._ended: list[Integers] = []
@@ -69,7 +70,7 @@ class OccupancyEngine:
         vehicles : DataFrame
             The vehicles that they are of.
         held : DataFrame
-            `sensor, view, first_step, last_step`: runs of steps in which frames are valid.
+            `sight, first_step, last_step`: runs of steps in which frames are valid.
         span : (int, int)
             First step, and the step after the last; of one block of runs.
         """
@@ -82,14 +83,6 @@ class OccupancyEngine:
         asked = (passages["step"].to_numpy(np.int64), passages["tile"].to_numpy(np.int64))
         visible = self._visibility.advance(prints, tall, held, span, asked)
         return passages[visible].drop(columns="tile")
-
-    def add_view(self, view: SensorView) -> None:
-        """Add a view for the following steps."""
-        self._visibility.add_view(view)
-
-    def keep_views(self, *, known: set[tuple[str, str]], used: set[tuple[str, str]]) -> None:
-        """Remove all views but the given ones, and lines of sight that were not used lately."""
-        self._visibility.keep_views(known=known, used=used)
 
     def _heights(self, vehicles: pd.DataFrame) -> Floats:
         """Return the height of the box of each vehicle, metres."""

@@ -10,7 +10,7 @@ are left out: they bring some detections from behind it, but none to rely on.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import geopandas as gpd
@@ -19,7 +19,8 @@ import pandas as pd
 import shapely
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.errors import InputError
+from gis_radar.measures.pose_sights import PoseSight
+from gis_radar.poses.pose import Pose
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.tracking.footprints import (
     MOST_PARTS,
@@ -33,29 +34,9 @@ from gis_radar.tracking.occupancy_settings import OccupancySettings
 BINS = 720  # of the azimuth around a sensor: half a degree, a tenth of a car at 20 m
 
 
-@dataclass(frozen=True, kw_only=True)
-class SensorView:
-    """Where a sensor stood, and the tiles that it had in sight from there.
-
-    Parameters
-    ----------
-    sensor, view : str
-        Names, as in the table of frames.
-    tile_id : (n,) int64 array
-        The tiles in sight.
-    position : (3,) array
-        Easting, northing, height in the map, metres.
-    """
-
-    sensor: str
-    view: str
-    tile_id: Integers
-    position: Floats
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rays:
-    """The lines of sight of a view, by azimuth and range.
+    """The lines of sight from a pose, by azimuth and range.
 
     Parameters
     ----------
@@ -79,12 +60,12 @@ class Rays:
 
     @classmethod
     def of(
-        cls, view: SensorView, tile: Integers, targets: Floats, origin: Floats,
+        cls, pose: Pose, tile: Integers, targets: Floats, origin: Floats,
         settings: OccupancySettings,
     ) -> Rays:  # fmt: skip
         """Return the rays to some tiles, whose (n, 3) targets may have unknown heights."""
-        x, y = view.position[:2] - origin
-        height = float(view.position[2])
+        x, y = pose.position[:2] - origin
+        height = float(pose.position[2])
         road_m = height - settings.sensor_over_road_m
         if np.isfinite(targets[:, 2]).any():
             road_m = float(np.nanmedian(targets[:, 2]))
@@ -110,46 +91,30 @@ class Visibility:
         All tiles.
     lines : CrossLines
         Theirs.
-    views : sequence of SensorView
-        Of all sensors.
+    sights : mapping
+        What sensors see, by name.
     settings : OccupancySettings
         Of boxes and times.
     """
 
     def __init__(
-        self, tiles: gpd.GeoDataFrame, lines: CrossLines, views: Sequence[SensorView],
+        self, tiles: gpd.GeoDataFrame, lines: CrossLines, sights: Mapping[str, PoseSight],
         settings: OccupancySettings,
     ) -> None:  # fmt: skip
         self._lines, self._settings = lines, settings
         self._tile_id = tiles["tile_id"].to_numpy(np.int64)
         middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array)) - lines.origin
         self._targets = np.column_stack([middle, lines.height_m])
-        self._views = {(each.sensor, each.view): each for each in views}
-        self._rays: dict[tuple[str, str], Rays] = {}
+        self._sights, self._rays = sights, dict[str, Rays]()
         count = len(tiles)
         self._hidden = np.zeros(count, np.int64)  # steps on end
         self._begun = np.full(count, -1)  # first step of an open run
         self._seen = np.ones(count, np.bool_)  # whether it is of steps that are not hidden
         self._stamps = np.full((count, 3), -1)
         self._reached = -1
-        self._looked = -1  # step of the latest lines of sight, as long as the same views are held
-        self._active: list[tuple[str, str]] = []
+        self._looked = -1  # step of the latest lines of sight, as long as the same sights are held
+        self._active: list[str] = []
         self._ended: list[Integers] = []
-
-    def add_view(self, view: SensorView) -> None:
-        """Add a view for the following steps."""
-        self._views.setdefault((view.sensor, view.view), view)
-
-    def keep_views(self, *, known: set[tuple[str, str]], used: set[tuple[str, str]]) -> None:
-        """Remove all views but the given ones, and lines of sight that were not used lately.
-
-        Parameters
-        ----------
-        known, used : set of (sensor, view)
-            Lines of sight of a known view are found again where they are asked for.
-        """
-        self._views = {name: view for name, view in self._views.items() if name in known}
-        self._rays = {name: rays for name, rays in self._rays.items() if name in used}
 
     def advance(
         self, footprints: Footprints, height_m: Floats, held: pd.DataFrame,
@@ -164,7 +129,7 @@ class Visibility:
         height_m : (n,) array
             Of the box of each, metres.
         held : DataFrame
-            `sensor, view, first_step, last_step`: runs of steps in which frames are valid.
+            `sight, first_step, last_step`: runs of steps in which frames are valid.
         span : (int, int)
             First step, and the step after the last.
         queries : (step, tile)
@@ -248,42 +213,36 @@ class Visibility:
         self._ended.append(np.column_stack([tile, begun, reached, self._seen[tile]]))
         self._begun[tile], self._seen[tile] = -1, True
 
-    def _rays_of(self, name: tuple[str, str]) -> Rays:
+    def _rays_of(self, name: str) -> Rays:
         if name not in self._rays:
-            if name not in self._views:
-                raise InputError(
-                    "frames: name the view {} of {}, which is not given", name[1], name[0]
-                )
-            view = self._views[name]
-            tile = np.searchsorted(self._tile_id, np.sort(view.tile_id))
+            seen = self._sights[name]
+            tile = np.searchsorted(self._tile_id, seen.tile_id)
             self._rays[name] = Rays.of(
-                view, tile, self._targets[tile], self._lines.origin, self._settings
+                seen.pose, tile, self._targets[tile], self._lines.origin, self._settings
             )
         return self._rays[name]
 
 
-def _segments(
-    held: pd.DataFrame, span: tuple[int, int]
-) -> list[tuple[int, int, list[tuple[str, str]]]]:
-    """Return the parts of a span in which the same views are observed, with their names."""
+def _segments(held: pd.DataFrame, span: tuple[int, int]) -> list[tuple[int, int, list[str]]]:
+    """Return the parts of a span in which the same sights are observed, with their names."""
     begin = held["first_step"].to_numpy(np.int64)
     after = held["last_step"].to_numpy(np.int64) + 1
     kept = (after > span[0]) & (begin < span[1])
     begin, after = np.maximum(begin[kept], span[0]), np.minimum(after[kept], span[1])
-    names = list(zip(held["sensor"][kept], held["view"][kept], strict=True))
+    names = held["sight"][kept].tolist()
     edges = np.unique([*begin, *after, *span])
-    active: dict[int, set[tuple[str, str]]] = {edge: set() for edge in edges.tolist()}
+    active: dict[int, set[str]] = {edge: set() for edge in edges.tolist()}
     starts, ends = np.searchsorted(edges, begin), np.searchsorted(edges, after)
     for name, start, end in zip(names, starts.tolist(), ends.tolist(), strict=True):
         for edge in edges[start:end].tolist():
             active[edge].add(name)
-    found: list[tuple[int, int, list[tuple[str, str]]]] = []
+    found: list[tuple[int, int, list[str]]] = []
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        views = sorted(active[low])
-        if found and found[-1][2] == views:
-            found[-1] = (found[-1][0], high, views)
+        sights = sorted(active[low])
+        if found and found[-1][2] == sights:
+            found[-1] = (found[-1][0], high, sights)
         else:
-            found.append((low, high, views))
+            found.append((low, high, sights))
     return found
 
 

@@ -83,6 +83,20 @@ def test_recordings_in_the_order_of_other_poses(files, tmp_path):
     assert "same order" in error.hint
 
 
+def test_recordings_in_the_order_of_other_poses_by_what_convert_wrote_into_them(files, tmp_path):
+    named = {}
+    for sensor, letter in (("R1", "a"), ("R2", "b")):
+        table = pq.read_table(files[sensor])
+        named[sensor] = tmp_path / f"{letter}.parquet"
+        of = {**(table.schema.metadata or {}), b"gis_radar.sensor": sensor.encode()}
+        pq.write_table(table.replace_schema_metadata(of), named[sensor])
+    refused(
+        tmp_path / "site", ("R1", named["R2"]), ("R2", named["R1"]),
+        match=r"b\.parquet: is given with the pose of R1, beside one of R2",
+    )  # fmt: skip
+    hits_of(tmp_path / "site", *named.items())
+
+
 def test_a_time_zone_that_is_none(files, tmp_path):
     refused(
         tmp_path / "site", ("R1", files["R1"]), match="no time zone 'Europe/Berlinn'",

@@ -22,7 +22,6 @@ from gis_radar.live import (
     FrameDetections,
     Intake,
     Link,
-    MapOfNow,
     Outbox,
     PoseContent,
     Received,
@@ -43,7 +42,7 @@ from gis_radar.live import (
     waiting_hours,
 )
 from gis_radar.live.outbox import ONLINE, status_message
-from gis_radar.measures import FrameCounter, ViewBook
+from gis_radar.measures import FrameCounter
 from gis_radar.progress import QUIET
 from gis_radar.sight import SightFile, SightTiles, find_sight, write_sights
 
@@ -138,9 +137,9 @@ def _road(folder: Path) -> SightTiles:
 def _intake(folder: Path, spool: Spool) -> Intake:
     road = _road(folder)
     return Intake(
-        ["R1"], site="junction", spool=spool, book=ViewBook(road=road),
+        ["R1"], site="junction", spool=spool, road=road,
         counter=FrameCounter(road), windows=Windows(0.2),
-        current=MapOfNow(len(road.tile_id), interval=18_000), oldest_s=1e6,
+        oldest_s=1e6,
     )  # fmt: skip
 
 

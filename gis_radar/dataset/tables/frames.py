@@ -2,9 +2,9 @@
 
 import pyarrow as pa
 
-from gis_radar.dataset.tables.table import FIRST, POSE, SENSOR, TableColumn, TableSchema
+from gis_radar.dataset.tables.table import FIRST, SENSOR, TableColumn, TableSchema
 
-_COUNT, _LARGE = pa.int32(), pa.int64()
+_COUNT, _LARGE, _TEXT = pa.int32(), pa.int64(), pa.string()
 
 FRAMES = TableSchema(
     name="frames",
@@ -18,12 +18,13 @@ FRAMES = TableSchema(
         ),
         TableColumn("detections", _COUNT, "detections"),
         TableColumn("moving", _COUNT, "of them, moving ones"),
-        POSE,
+        TableColumn("pose", _TEXT, "pose in `sights` whose tiles were in sight"),
         TableColumn("wild", _COUNT, "detections too fast for any vehicle"),
         TableColumn("tiles_hit", _COUNT, "tiles that it hit"),
         TableColumn("tiles_seen", _COUNT, "tiles in sight of its pose"),
         TableColumn("checksum", _COUNT, "16 bits of a hash, equal where frames repeat"),
         TableColumn("shift_us", _LARGE, "what was added to its time, microseconds"),
+        TableColumn("pose_in_force", _TEXT, "pose in `poses` by which it lies in the map"),
     ),
     order=("sensor", "time_us"),
     span=("first_step", "first_step"),

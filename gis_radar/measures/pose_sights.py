@@ -1,0 +1,330 @@
+"""What sensors see from their poses, and the recordings made there.
+
+A pose track corrects a pose by centimetres, and each correction adds or removes a tile at the rim
+of the view. So a pose shares the sight of an earlier one of its track that is near enough, unless a
+pose `moved` stands between them. Sights follow from the track alone, not from what was recorded;
+detections are moved to the map by the poses as they are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import numpy as np
+import scipy
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.calibration import SensorClock
+from gis_radar.crs import require_same
+from gis_radar.errors import NoAnswerError
+from gis_radar.measures.settings import DEFAULTS, HitSettings
+from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import Reporter
+from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.sight import (
+    HIDDEN,
+    IN_SIGHT,
+    OUT_OF_VIEW,
+    Sight,
+    SightSource,
+    SightTiles,
+    find_sight,
+    report_uncovered,
+)
+from gis_radar.texts import Text
+
+
+def name_of_track(track: PoseTrack) -> str:
+    """Return the name of a pose track: equal for equal poses that hold at equal times."""
+    documents = [json.dumps(pose.as_dict(), sort_keys=True) for pose in track.poses]
+    text = json.dumps([documents, track.since.tolist()])
+    return f"{track.sensor}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+def pose_names(track: str, count: int) -> list[str]:
+    """Return the names of the poses of a track."""
+    return [track] if count == 1 else [f"{track}/{k:06d}" for k in range(count)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseSight:
+    """A pose, and the tiles in its sight; later poses of its track may share it.
+
+    Parameters
+    ----------
+    name : str
+        Of the pose.
+    pose : Pose
+        Where the sensor stands and looks.
+    tile_id : (n,) int64 array
+        Tiles in sight, ascending.
+    road_m : float
+        Height of the road near the sensor, metres; NaN where it is not known.
+    """
+
+    name: str
+    pose: Pose
+    tile_id: Integers
+    road_m: float
+
+    @classmethod
+    def of(
+        cls, sight: Sight, road: SightTiles, *, name: str, settings: HitSettings = DEFAULTS
+    ) -> Self:
+        """Keep of a sight what frames are counted by."""
+        return cls(
+            name=name, pose=sight.pose, tile_id=np.sort(sight.seen),
+            road_m=road_near(sight, road, settings),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedRecording:
+    """A recording with what is known of its sensor.
+
+    Parameters
+    ----------
+    recording, track : Recording, PoseTrack
+        What is read, and where its sensor stood.
+    track_name : str
+        Name of the track.
+    sights : sequence of PoseSight
+        What is seen from each pose of the track.
+    clock : SensorClock, optional
+        How far the sensor's clock is ahead.
+    """
+
+    recording: Recording
+    track: PoseTrack
+    track_name: str
+    sights: Sequence[PoseSight]
+    clock: SensorClock | None
+
+    @property
+    def pose_names(self) -> list[str]:
+        """Names of the poses of the track."""
+        return pose_names(self.track_name, len(self.track.poses))
+
+    @property
+    def right_clock(self) -> SensorClock:
+        """The sensor's clock; where nothing is known of it, it is right."""
+        return self.clock or SensorClock(offset_s=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SightBook:
+    """What sensors see by tiles and scan, by the name of the pose.
+
+    Parameters
+    ----------
+    road : SightTiles
+        All tiles.
+    scan : SightScan or SightFile, optional
+        What hides tiles; without it, all that is within range and angles is in sight.
+    settings : HitSettings
+        Which poses share a sight.
+    sights : dict
+        What was found, by the name of the pose.
+    """
+
+    road: SightTiles
+    scan: SightSource | None = None
+    settings: HitSettings = DEFAULTS
+    sights: dict[str, Sight] = field(default_factory=dict)
+
+    def place(
+        self,
+        recordings: Sequence[str | Path | Recording],
+        tracks: Sequence[PoseTrack],
+        clocks: Mapping[str, SensorClock] | None,
+        reporter: Reporter,
+    ) -> list[PlacedRecording]:
+        """Return recordings with what is seen from their tracks; warn of sensors that see no tile.
+
+        Raises
+        ------
+        InputError
+            If a recording cannot be opened, or a pose is not in the tiles' coordinate system.
+        NoAnswerError
+            If no sensor sees any tile.
+        """
+        for track in tracks:
+            what = Text("the pose of {}", track.sensor)
+            require_same(track.poses[0].crs, self.road.crs, what=what, other_what="the tiles")
+        seen = self._see({name_of_track(track): track for track in tracks})
+        self._report_blind(seen, reporter)
+        return [
+            PlacedRecording(
+                recording=as_recording(recording), track=track, track_name=name_of_track(track),
+                sights=seen[name_of_track(track)], clock=(clocks or {}).get(track.sensor),
+            )
+            for recording, track in zip(recordings, tracks, strict=True)
+        ]  # fmt: skip
+
+    def _see(self, tracks: Mapping[str, PoseTrack]) -> dict[str, tuple[PoseSight, ...]]:
+        """Return by the name of each track what is seen from its poses."""
+        standing = {name: standing_for(each.poses, self.settings) for name, each in tracks.items()}
+        looks = {
+            name: {k: track.poses[k] for k in np.unique(standing[name]).tolist()}
+            for name, track in tracks.items()
+        }
+        every = [pose for poses in looks.values() for pose in poses.values()]
+        if self.scan is not None and len(every) <= self.scan.settings.windows_kept:
+            self.scan.read(every)  # in one pass
+        found = {}
+        for name, track in tracks.items():
+            if self.scan is not None:
+                self.scan.read([*looks[name].values()])
+            names = pose_names(name, len(track.poses))
+            heads = {k: self._look(names[k], pose) for k, pose in looks[name].items()}
+            found[name] = tuple(heads[k] for k in standing[name].tolist())
+        return found
+
+    def _look(self, name: str, pose: Pose) -> PoseSight:
+        self.sights[name] = find_sight(pose, self.road, self.scan)
+        return PoseSight.of(self.sights[name], self.road, name=name, settings=self.settings)
+
+    def _report_blind(self, seen: Mapping[str, Sequence[PoseSight]], reporter: Reporter) -> None:
+        blind = [
+            sights[0].pose.sensor
+            for sights in seen.values()
+            if not any(len(each.tile_id) for each in sights)
+        ]
+        if len(blind) == len(seen):
+            raise NoAnswerError(
+                "no tile lies in the view of {}",
+                ", ".join(blind),
+                hint="poses, heights and tiles do not fit each other",
+            )
+        for sensor in blind:
+            reporter.warn("no tile lies in the view of {}", sensor)
+
+    def report(self, reporter: Reporter) -> None:
+        """Report that there is no scan, or what it does not cover."""
+        if self.scan is None:
+            reporter.log(
+                Text(
+                    "sight: view only: houses hide no tile; with {}, what stands in a scan does",
+                    "--scan",
+                )
+            )
+            return
+        report_uncovered(self.sights.values(), reporter, self.scan.settings)
+        if np.isnan(self.road.height).all():
+            reporter.warn(
+                "the tiles have no heights: those of the scan's ground count, and levels one above "
+                "another are not distinguished",
+            )  # fmt: skip
+
+
+def road_near(sight: Sight, road: SightTiles, settings: HitSettings = DEFAULTS) -> float:
+    """Return the height of the road near a sensor, metres; NaN where it is not known.
+
+    Parameters
+    ----------
+    sight : Sight
+        What the sensor sees: tiles in its view count.
+    road : SightTiles
+        All tiles.
+    settings : HitSettings
+        How many of the nearest tiles count.
+    """
+    centres = road.centres[(sight.state != OUT_OF_VIEW) & np.isfinite(road.height)]
+    if len(centres) == 0:
+        return float("nan")
+    near = np.argsort(np.hypot(*(centres[:, :2] - sight.pose.position[:2]).T), kind="stable")
+    return float(np.median(centres[near[: settings.road_tiles], 2]))
+
+
+def standing_for(poses: Sequence[Pose], settings: HitSettings = DEFAULTS) -> Integers:
+    """Return for each pose of a track the one whose sight it shares: an earlier one, or itself.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        In order of time.
+    settings : HitSettings
+        Which of them share a sight.
+
+    Returns
+    -------
+    (n,) int64 array
+        Indices into `poses`.
+    """
+    standing, heads = list[int](), list[_Head]()
+    for number, pose in enumerate(poses):
+        if pose.evidence.get("event") == "moved":
+            heads = []
+        new = _Head.of(number, pose)
+        found = next((head for head in reversed(heads) if head.is_near(new, settings)), new)
+        others = [head for head in heads if head.number != found.number]
+        heads = [*others, found][-settings.views_compared :]
+        standing.append(found.number)
+    return np.array(standing, np.int64)
+
+
+class _Head(NamedTuple):
+    """A pose that stands for itself."""
+
+    number: int
+    pose: Pose
+    position: Floats
+    turn: scipy.spatial.transform.Rotation
+
+    @classmethod
+    def of(cls, number: int, pose: Pose) -> _Head:
+        turn = scipy.spatial.transform.Rotation.from_quat(pose.quaternion)
+        return cls(number, pose, pose.position, turn)
+
+    def is_near(self, other: _Head, settings: HitSettings) -> bool:
+        """Return whether another pose shares the sight."""
+        if self.pose.view != other.pose.view:
+            return False
+        apart_m = float(np.linalg.norm(self.position - other.position))
+        if apart_m > settings.view_shared_m:
+            return False
+        apart_deg = math.degrees((other.turn.inv() * self.turn).magnitude())
+        return apart_deg <= settings.view_shared_deg
+
+
+def places_of(poses: Sequence[Pose]) -> Integers:
+    """Return for each pose of a track the first one where the sensor stood then: it may move.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        In order of time.
+
+    Returns
+    -------
+    (n,) int64 array
+        Indices into `poses`.
+    """
+    moved = [k == 0 or pose.evidence.get("event") == "moved" for k, pose in enumerate(poses)]
+    return np.maximum.accumulate(np.where(moved, np.arange(len(poses)), 0))
+
+
+def sight_of_tiles(tile_id: Integers, pose: Pose, road: SightTiles) -> Sight:
+    """Return the sight of a sensor from the tiles that it sees: the others of its view are hidden.
+
+    Parameters
+    ----------
+    tile_id : (n,) int64 array
+        The tiles in sight.
+    pose : Pose
+        The sensor's pose, with the view in effect.
+    road : SightTiles
+        All tiles.
+    """
+    seen = np.isin(road.tile_id, tile_id)
+    found = find_sight(pose, road)
+    in_view = seen | (found.state != OUT_OF_VIEW)
+    state = np.where(seen, IN_SIGHT, np.where(in_view, HIDDEN, OUT_OF_VIEW))
+    return replace(found, state=state.astype(np.uint8))
