@@ -49,7 +49,7 @@ def improve(
     posterior = Posterior(detections, motions)
     posterior.learn(_sized_and_cut(posterior))
     posterior.place(lengthen(posterior, graph))
-    posterior.place(reassign(posterior))
+    posterior.motions = reassign(posterior)
     posterior.place(refit(posterior, settings))
     return _sized_and_cut(posterior)
 

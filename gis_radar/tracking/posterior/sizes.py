@@ -7,12 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import EXISTS
 from gis_radar.tracking.posterior.estimate import Posterior
-from gis_radar.tracking.posterior.frames import COS, LENGTH, SIN, SPEED, WIDTH, X, Y
-from gis_radar.tracking.posterior.likelihood import STANDS_MPS
+from gis_radar.tracking.posterior.frames import COS, LENGTH, SIN, SPEED, X, Y, groups_of
+from gis_radar.tracking.posterior.likelihood import (
+    REACH_M,
+    STANDS_MPS,
+    Rates,
+    Seen,
+    gain_of,
+    kind_and_cell,
+    place_density,
+    rate_density,
+    taller,
+)
 from gis_radar.tracking.size import LONG_M, LONGEST_M, length_prior, width_of
 
 # Shorter ones are only the tracker's: one scatterer looks like a motorcycle.
@@ -31,16 +41,7 @@ def prior(length: float) -> float:
     return float(length_prior(np.array([length]))[0])
 
 
-_PRIORS = {length: prior(length) for length in TRIED_M}
-
-
-def resized(shape: Floats, length: float, ahead: float) -> Floats:
-    """Return shapes with another length, their middle moved ahead."""
-    new = shape.copy()
-    new[:, X] += ahead * shape[:, COS]
-    new[:, Y] += ahead * shape[:, SIN]
-    new[:, LENGTH], new[:, WIDTH] = length, width_of(length)
-    return new
+_PRIORS = [prior(length) for length in TRIED_M]
 
 
 def with_size(motion: Motion, length: float, ahead: float) -> Motion:
@@ -73,21 +74,109 @@ def _best_size(posterior: Posterior, vehicle: int) -> tuple[float, float, float]
     """Return the length that fits best, how far ahead the middle is then, and the gain."""
     motion = posterior.motions[vehicle]
     rows, weight = _sample(posterior, (vehicle,))
-    best = (motion.length_m, 0.0, 0.0)
-    shape = posterior.states.shape[rows[0]]
-    if len(shape) == 0:
-        return best
+    if len(rows[0]) == 0:
+        return motion.length_m, 0.0, 0.0
+    tried = [(motion.length_m, 0.0)] + [
+        (length, 0.5 * stays * (motion.length_m - length)) for length in TRIED_M for stays in STAYS
+    ]
     posterior.lift(vehicle)
-    now = weight * posterior.gains(rows[0], shape)[:, 0].sum() + prior(motion.length_m)
-    for length in TRIED_M:
-        for stays in STAYS:
-            ahead = 0.5 * stays * (motion.length_m - length)
-            new = posterior.gains(rows[0], resized(shape, length, ahead))[:, 0].sum()
-            gain = float(weight * new + _PRIORS[length] - now)
-            if gain > best[2]:
-                best = (length, ahead, gain)
+    found = weight * _gains(posterior, rows[0], tried)
     posterior.lift(vehicle, 1.0)
-    return best
+    found += [prior(motion.length_m), *np.repeat(_PRIORS, len(STAYS))]
+    best = int(np.argmax(found))
+    return (*tried[best], float(found[best] - found[0]))
+
+
+def _gains(posterior: Posterior, rows: Integers, sizes: Sequence[tuple[float, float]]) -> Floats:
+    """Return the gain over all else of states with each length, their middle moved ahead."""
+    table = np.array([(length, width_of(length), ahead) for length, ahead in sizes])
+    states = posterior.states
+    return _gains_of_sizes(
+        groups_of(states.group[rows]), states.frame[rows], posterior.sensor[rows],
+        states.shape[rows], posterior.open[rows], table, posterior.rates, posterior.seen,
+        posterior.alpha,
+    )  # fmt: skip
+
+
+@compiled
+def _gains_of_sizes(  # noqa: PLR0917 - numba takes plain arrays
+    group: Integers, frame: Integers, sensor: Integers, shape: Floats, open_share: Floats,
+    sizes: Floats, rates: Rates, seen: Seen, alpha: Floats,
+) -> Floats:  # fmt: skip
+    """Return the gain for each (length, width, ahead) of `sizes`."""
+    begin, row, pair = _pairs(frame, shape, sizes, seen)
+    room, new = np.empty((len(row), 2)), np.empty(7)
+    gains = np.zeros(len(sizes))
+    for k in range(len(sizes)):
+        length, width, ahead = sizes[k]
+        half, side, e = 0.5 * length, 0.5 * width + REACH_M, 0
+        while e < len(group):
+            g, n, due, stands = group[e], 0, 0.0, 1 if shape[e, 4] < STANDS_MPS else 0
+            while e < len(group) and group[e] == g:
+                new[:] = shape[e]
+                new[0] += ahead * shape[e, 2]
+                new[1] += ahead * shape[e, 3]
+                new[5], new[6] = length, width
+                kind, cell = kind_and_cell(new, sensor[e], rates)
+                mu = rates[1][kind] * rates[2][cell] * open_share[e]
+                due += mu
+                for q in range(begin[e], begin[e + 1]):
+                    along, left = pair[q, 0] - ahead, pair[q, 1]
+                    if abs(along) < half + REACH_M and abs(left) < side:
+                        density = pair[q, 4] * place_density(
+                            along, left, pair[q, 2], pair[q, 3], length, width, seen[3][row[q]]
+                        )
+                        if length > LONG_M:
+                            density *= pair[q, 5]
+                        room[n, 0], room[n, 1] = mu * density, seen[6][row[q]]
+                        n += 1
+                e += 1
+            gains[k] += gain_of(room, n, due, alpha[stands])[0]
+    return gains
+
+
+@compiled
+def _pairs(
+    frame: Integers, shape: Floats, sizes: Floats, seen: Seen
+) -> tuple[Integers, Integers, Floats]:
+    """Return the detections that states of any of the sizes may explain.
+
+    Returns
+    -------
+    begin : (states + 1,) int64 array
+        Where those of each state begin.
+    row : (n,) int64 array
+        The detection.
+    pair : (n, 6) array
+        Ahead and left of the middle, cosine and sine of the angle to the line of sight, density of
+        the range rate, and how much denser its height is for a lorry.
+    """
+    first, points, sight, away, rate, height, _ = seen
+    rear, front = 0.0, 0.0
+    for k in range(len(sizes)):
+        rear = min(rear, sizes[k, 2] - 0.5 * sizes[k, 0])
+        front = max(front, sizes[k, 2] + 0.5 * sizes[k, 0])
+    side = 0.5 * sizes[:, 1].max() + REACH_M
+    begin, n = np.zeros(len(frame) + 1, np.int64), 0
+    for e in range(len(frame)):
+        n += first[frame[e] + 1] - first[frame[e]]
+    row, pair = np.empty(n, np.int64), np.empty((n, 6))
+    n = 0
+    for e in range(len(frame)):
+        x, y, c, s, speed, _, _ = shape[e]
+        for d in range(first[frame[e]], first[frame[e] + 1]):
+            dx, dy = points[d, 0] - x, points[d, 1] - y
+            along, left = dx * c + dy * s, dy * c - dx * s
+            if rear - REACH_M < along < front + REACH_M and abs(left) < side:
+                cos = c * sight[d, 0] + s * sight[d, 1]
+                pair[n, 0], pair[n, 1], pair[n, 2] = along, left, cos
+                pair[n, 3] = c * sight[d, 1] - s * sight[d, 0]
+                pair[n, 4] = rate_density(rate[d], speed * cos)
+                pair[n, 5] = taller(height[d], away[d])
+                row[n] = d
+                n += 1
+        begin[e + 1] = n
+    return begin, row[:n], pair[:n]
 
 
 def _sample(posterior: Posterior, vehicles: Sequence[int]) -> tuple[list[Integers], float]:
@@ -95,7 +184,7 @@ def _sample(posterior: Posterior, vehicles: Sequence[int]) -> tuple[list[Integer
     states = posterior.states
     rows = [np.arange(part.start, part.stop) for part in map(states.rows, vehicles)]
     windows = np.unique(np.concatenate([states.window[each] for each in rows]))
-    some = windows[:: max(len(windows) // MOST_WINDOWS, 1)]
+    some = windows[:: -(-len(windows) // MOST_WINDOWS)]
     speed = states.shape[rows[0], SPEED]
     rests = len(speed) > 0 and len(vehicles) > 1 and float((speed < STANDS_MPS).mean()) > 0.5
     weight = min(1.0, (AT_REST if rests else DRIVEN) / max(len(some), 1))
@@ -166,9 +255,8 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
     _, mine, theirs = np.intersect1d(
         states.frame[a], states.frame[b], assume_unique=True, return_indices=True
     )
-    best = (0.0, 0.0, -np.inf)
     if len(mine) == 0:
-        return best
+        return 0.0, 0.0, -np.inf
     sa, sb = states.shape[a[mine]], states.shape[b[theirs]]
     along = float(np.median(
         (sb[:, X] - sa[:, X]) * sa[:, COS] + (sb[:, Y] - sa[:, Y]) * sa[:, SIN]
@@ -182,14 +270,13 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
     old += posterior.gains(b, states.shape[b])[:, 0].sum()
     posterior.total[:] = alone
     before = sum(map(prior, lengths)) - EXISTS
-    for longer in (-2.0, 0.0, 2.0):
-        length = min(max(front - rear + longer, SHORTEST_M), LONGEST_M)
-        for ahead in (-1.0, 0.0, 1.0):
-            middle = 0.5 * (front + rear) + ahead
-            new = posterior.gains(a, resized(states.shape[a], length, middle))[:, 0].sum()
-            gain = float(weight * (new - old) + prior(length) - before)
-            if gain > best[2]:
-                best = (length, middle, gain)
+    tried = [
+        (min(max(front - rear + longer, SHORTEST_M), LONGEST_M), 0.5 * (front + rear) + ahead)
+        for longer in (-2.0, 0.0, 2.0) for ahead in (-1.0, 0.0, 1.0)
+    ]  # fmt: skip
+    gains = weight * (_gains(posterior, a, tried) - old)
+    gains += [prior(length) - before for length, _ in tried]
     for each in (one, other):
         posterior.lift(each, 1.0)
-    return best
+    best = int(np.argmax(gains))
+    return (*tried[best], float(gains[best]))
