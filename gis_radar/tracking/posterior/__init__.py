@@ -14,11 +14,14 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import cut
 from gis_radar.tracking.posterior.ends import lengthen
 from gis_radar.tracking.posterior.estimate import Posterior
+from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.posterior.refits import reassign, refit
-from gis_radar.tracking.posterior.sizes import join_neighbours, resize
+from gis_radar.tracking.posterior.sizes import resize
 from gis_radar.tracking.settings import MotionSettings
 
 __all__ = ["Posterior", "improve"]
+
+ROUNDS = 2
 
 
 def improve(
@@ -47,14 +50,16 @@ def improve(
     if not motions:
         return []
     posterior = Posterior(detections, motions)
-    posterior.learn(_sized_and_cut(posterior))
-    posterior.place(lengthen(posterior, graph))
-    posterior.motions = reassign(posterior)
-    posterior.place(refit(posterior, settings))
+    for _ in range(ROUNDS):
+        posterior.learn(_sized_and_cut(posterior))
+        posterior.place(lengthen(posterior, graph))
+        posterior.motions = reassign(posterior)
+        posterior.place(refit(posterior, settings))
     return _sized_and_cut(posterior)
 
 
 def _sized_and_cut(posterior: Posterior) -> list[Motion]:
     posterior.place(resize(posterior))
+    posterior.place(split_long(posterior))
     posterior.place(join_neighbours(posterior))
     return cut(posterior)
