@@ -21,8 +21,6 @@ from gis_radar.tracking.settings import MotionSettings
 
 __all__ = ["Posterior", "improve"]
 
-ROUNDS = 2
-
 
 def improve(
     motions: Sequence[Motion],
@@ -32,9 +30,10 @@ def improve(
 ) -> list[Motion]:
     """Return vehicles under which the detections are more likely.
 
-    Lengths are chosen, neighbours joined to long vehicles, stretches that nothing supports cut;
-    ends lengthened along the lanes, motions fitted to the detections that are then theirs; and
-    once more lengths, neighbours and stretches.
+    Lengths are chosen, long vehicles split in two and neighbours joined to one, stretches that
+    nothing supports cut. Then ends are lengthened along the lanes and motions fitted to the
+    detections that are theirs. Twice, since what one vehicle loses another one gains; at the end
+    lengths and stretches again.
 
     Parameters
     ----------
@@ -50,11 +49,13 @@ def improve(
     if not motions:
         return []
     posterior = Posterior(detections, motions)
-    for _ in range(ROUNDS):
-        posterior.learn(_sized_and_cut(posterior))
-        posterior.place(lengthen(posterior, graph))
-        posterior.motions = reassign(posterior)
-        posterior.place(refit(posterior, settings))
+    posterior.learn(_sized_and_cut(posterior))
+    posterior.place(lengthen(posterior, graph))
+    posterior.motions = reassign(posterior)
+    posterior.place(refit(posterior, settings))
+    posterior.learn(_sized_and_cut(posterior))
+    posterior.place(lengthen(posterior, graph))
+    posterior.motions = reassign(posterior)
     return _sized_and_cut(posterior)
 
 
