@@ -16,6 +16,7 @@ from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import _best_stretches
 from gis_radar.tracking.posterior.likelihood import gain_of
+from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.settings import MotionSettings
 
 BEGIN, RATE = 1e9, 20
@@ -131,6 +132,38 @@ def test_two_tracks_on_one_bus_become_one_that_is_as_long(graph):
     (bus,) = improve(parts, found, graph, MotionSettings())
     assert bus.length_m == pytest.approx(BUS, abs=2.0)
     assert bus.p_heavy > 0.5
+
+
+def test_a_track_on_two_cars_becomes_two(graph):
+    """They stand 7 m apart behind each other and were followed as one lorry."""
+    rng = np.random.default_rng(9)
+    found = detected(
+        *(returns(rng, 0, 30, place, 0.0, each=4.0) for place in (100.0, 112.0)),
+        returns(rng, 0, 9, 10.0, 9.0), clutter(rng, 30, 0.3),
+    )  # fmt: skip
+    lorry, car = track(found, 0, 30, 106.0, 0.0, length=16.5), track(found, 0, 9, 10.0, 9.0)
+    lorry.along_m = found.points[lorry.rows, 0] - 106.0
+    posterior = Posterior(found, [lorry, car])
+    assert len(split_long(posterior)) == 3
+    standing = [
+        each
+        for each in improve([lorry, car], found, graph, MotionSettings())
+        if each.speed.max() < 1.0
+    ]
+    places = sorted(float(each.places[0][0, 0]) for each in standing)
+    assert places == pytest.approx([100.0, 112.0], abs=1.0)
+
+
+def test_nobody_drives_three_metres_behind_another(graph):
+    """Only the ends of a lorry return, as two cars would: their gap tells that it is one."""
+    rng = np.random.default_rng(10)
+    rows = returns(rng, 0, 12, 30.0, 10.0, length=BUS, each=6.0)
+    along = rows[:, 1] - 30.0 - 10.0 * (rows[:, 0] - BEGIN)
+    found = detected(rows[np.abs(along) > 2.0], clutter(rng, 14))
+    bus = track(found, 0, 12, 30.0, 10.0, length=BUS)
+    assert len(split_long(Posterior(found, [bus]))) == 1
+    parts = [track(found, 0, 12, 30.0 + shift, 10.0) for shift in (-3.75, 3.75)]
+    assert len(join_neighbours(Posterior(found, parts))) == 1
 
 
 def test_who_stands_throughout_is_not_taken_for_what_is_built(graph):
