@@ -16,7 +16,7 @@ from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import _best_stretches
 from gis_radar.tracking.posterior.likelihood import gain_of
-from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
+from gis_radar.tracking.posterior.neighbours import split_long
 from gis_radar.tracking.settings import MotionSettings
 
 BEGIN, RATE = 1e9, 20
@@ -155,15 +155,15 @@ def test_a_track_on_two_cars_becomes_two(graph):
 
 
 def test_nobody_drives_three_metres_behind_another(graph):
-    """Only the ends of a lorry return, as two cars would: their gap tells that it is one."""
+    """What returns like two cars is one lorry where no two drivers keep such a gap for so long."""
     rng = np.random.default_rng(10)
-    rows = returns(rng, 0, 12, 30.0, 10.0, length=BUS, each=6.0)
-    along = rows[:, 1] - 30.0 - 10.0 * (rows[:, 0] - BEGIN)
-    found = detected(rows[np.abs(along) > 2.0], clutter(rng, 14))
-    bus = track(found, 0, 12, 30.0, 10.0, length=BUS)
-    assert len(split_long(Posterior(found, [bus]))) == 1
-    parts = [track(found, 0, 12, 30.0 + shift, 10.0) for shift in (-3.75, 3.75)]
-    assert len(join_neighbours(Posterior(found, parts))) == 1
+    ends = [returns(rng, 0, 25, 10.0 + shift, 10.0) for shift in (-3.75, 3.75)]
+    found = detected(*ends, clutter(rng, 25))
+    lorry = track(found, 0, 25, 10.0, 10.0, length=BUS)
+    assert len(split_long(Posterior(found, [lorry]))) == 1
+    slow = detected(*(returns(rng, 0, 25, 50.0 + shift, 1.0) for shift in (-3.75, 3.75)))
+    queue = track(slow, 0, 25, 50.0, 1.0, length=BUS)
+    assert len(split_long(Posterior(slow, [queue]))) == 2
 
 
 def test_who_stands_throughout_is_not_taken_for_what_is_built(graph):
