@@ -16,6 +16,7 @@ from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import _best_stretches
 from gis_radar.tracking.posterior.likelihood import gain_of
+from gis_radar.tracking.posterior.neighbours import split_long
 from gis_radar.tracking.settings import MotionSettings
 
 BEGIN, RATE = 1e9, 20
@@ -131,6 +132,38 @@ def test_two_tracks_on_one_bus_become_one_that_is_as_long(graph):
     (bus,) = improve(parts, found, graph, MotionSettings())
     assert bus.length_m == pytest.approx(BUS, abs=2.0)
     assert bus.p_heavy > 0.5
+
+
+def test_a_track_on_two_cars_becomes_two(graph):
+    """They stand 7 m apart behind each other and were followed as one lorry."""
+    rng = np.random.default_rng(9)
+    found = detected(
+        *(returns(rng, 0, 30, place, 0.0, each=4.0) for place in (100.0, 112.0)),
+        returns(rng, 0, 9, 10.0, 9.0), clutter(rng, 30, 0.3),
+    )  # fmt: skip
+    lorry, car = track(found, 0, 30, 106.0, 0.0, length=16.5), track(found, 0, 9, 10.0, 9.0)
+    lorry.along_m = found.points[lorry.rows, 0] - 106.0
+    posterior = Posterior(found, [lorry, car])
+    assert len(split_long(posterior)) == 3
+    standing = [
+        each
+        for each in improve([lorry, car], found, graph, MotionSettings())
+        if each.speed.max() < 1.0
+    ]
+    places = sorted(float(each.places[0][0, 0]) for each in standing)
+    assert places == pytest.approx([100.0, 112.0], abs=1.0)
+
+
+def test_nobody_drives_three_metres_behind_another(graph):
+    """What returns like two cars is one lorry where no two drivers keep such a gap for so long."""
+    rng = np.random.default_rng(10)
+    ends = [returns(rng, 0, 25, 10.0 + shift, 10.0) for shift in (-3.75, 3.75)]
+    found = detected(*ends, clutter(rng, 25))
+    lorry = track(found, 0, 25, 10.0, 10.0, length=BUS)
+    assert len(split_long(Posterior(found, [lorry]))) == 1
+    slow = detected(*(returns(rng, 0, 25, 50.0 + shift, 1.0) for shift in (-3.75, 3.75)))
+    queue = track(slow, 0, 25, 50.0, 1.0, length=BUS)
+    assert len(split_long(Posterior(slow, [queue]))) == 2
 
 
 def test_who_stands_throughout_is_not_taken_for_what_is_built(graph):

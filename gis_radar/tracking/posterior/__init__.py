@@ -14,8 +14,9 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import cut
 from gis_radar.tracking.posterior.ends import lengthen
 from gis_radar.tracking.posterior.estimate import Posterior
+from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.posterior.refits import reassign, refit
-from gis_radar.tracking.posterior.sizes import join_neighbours, resize
+from gis_radar.tracking.posterior.sizes import resize
 from gis_radar.tracking.settings import MotionSettings
 
 __all__ = ["Posterior", "improve"]
@@ -29,9 +30,10 @@ def improve(
 ) -> list[Motion]:
     """Return vehicles under which the detections are more likely.
 
-    Lengths are chosen, neighbours joined to long vehicles, stretches that nothing supports cut;
-    ends lengthened along the lanes, motions fitted to the detections that are then theirs; and
-    once more lengths, neighbours and stretches.
+    Lengths are chosen, long vehicles split in two and neighbours joined to one, stretches that
+    nothing supports cut. Then ends are lengthened along the lanes and motions fitted to the
+    detections that are theirs. Twice, since what one vehicle loses another one gains; at the end
+    lengths and stretches again.
 
     Parameters
     ----------
@@ -49,12 +51,16 @@ def improve(
     posterior = Posterior(detections, motions)
     posterior.learn(_sized_and_cut(posterior))
     posterior.place(lengthen(posterior, graph))
-    posterior.place(reassign(posterior))
+    posterior.motions = reassign(posterior)
     posterior.place(refit(posterior, settings))
+    posterior.learn(_sized_and_cut(posterior))
+    posterior.place(lengthen(posterior, graph))
+    posterior.motions = reassign(posterior)
     return _sized_and_cut(posterior)
 
 
 def _sized_and_cut(posterior: Posterior) -> list[Motion]:
     posterior.place(resize(posterior))
+    posterior.place(split_long(posterior))
     posterior.place(join_neighbours(posterior))
     return cut(posterior)

@@ -30,8 +30,9 @@ def cut(posterior: Posterior) -> list[Motion]:
     """
     count = len(posterior.motions)
     kept: list[Booleans] = [np.zeros(0, np.bool_)] * count
-    for _ in range(SWEEPS):
-        posterior.cover()
+    for sweep in range(SWEEPS):
+        if sweep > 0:
+            posterior.cover()
         strength = [float(_by_window(posterior, k)[0].sum()) for k in range(count)]
         for k in np.argsort(strength, kind="stable").tolist():
             kept[k] = _kept(posterior, k)
@@ -45,14 +46,10 @@ def cut(posterior: Posterior) -> list[Motion]:
 def _by_window(posterior: Posterior, vehicle: int) -> tuple[Floats, Floats]:
     """Return in each half second of a vehicle how much it raises the posterior, and what is due."""
     states, part = posterior.states, posterior.states.rows(vehicle)
-    rows = np.arange(part.start, part.stop)
-    if len(rows) == 0:
+    if part.start == part.stop:
         return np.zeros(0), np.zeros(0)
-    posterior.lift(vehicle)
-    found = posterior.gains(rows, states.shape[rows])
-    posterior.lift(vehicle, 1.0)
-    first = np.flatnonzero(np.diff(states.group[rows], prepend=-1))
-    window = states.window[rows[first]]
+    found = posterior.own_gains(vehicle)
+    window = states.window[part][np.diff(states.group[part], prepend=-1) > 0]
     window -= window.min()
     value, due = (np.bincount(window, found[:, k]).astype(np.float64) for k in (0, 1))
     return value, due
@@ -78,7 +75,7 @@ def _kept(posterior: Posterior, vehicle: int) -> Booleans:
 def _on_others(posterior: Posterior, vehicle: int) -> Floats:
     """Return which share of a vehicle lies on another one in each of its half seconds."""
     states, part = posterior.states, posterior.states.rows(vehicle)
-    rows = np.arange(part.start, part.stop)
+    rows = part.start + np.flatnonzero(np.diff(states.group[part], prepend=-1))
     share = overlap(rows, states.frame, states.shape, posterior.alive, *posterior.by_frame)
     window = states.window[rows] - states.window[rows].min()
     return np.asarray(np.bincount(window, share) / np.maximum(np.bincount(window), 1))

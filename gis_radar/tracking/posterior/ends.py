@@ -26,10 +26,11 @@ from gis_radar.tracking.posterior.likelihood import (
 AHEAD_M, MOST_WAYS, LANES = 120.0, 6, 2  # of ways on: how far, how many, from how many lanes
 MOST_TURN = 0.6  # between a vehicle and its lane, radians
 METRES_A_RADIAN = 3.0  # a lane so far beside is as unlikely as one turned by a radian
-MOST_WINDOWS, BEAM = 40, 12  # half seconds, and hypotheses that are kept
+MOST_WINDOWS, BEAM = 40, 6  # half seconds, and hypotheses that are kept
 ACCELERATIONS = np.array([-4.0, -2.0, -1.0, 0.0, 1.0, 2.0])  # m/s2
 USUAL_MPS2 = 2.0  # acceleration of one standard deviation; it costs half a second each
 GIVE_UP, LEAST_GAIN = 12.0, 3.0  # of the log-probability
+UNSEEN = 8  # half seconds without a gain, after which nobody is looked for any longer
 SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses nearer to each other are one
 SPREAD_M2, MOST_SPREAD_M2 = 0.05, 1.0  # variance of the place, a second
 
@@ -152,7 +153,7 @@ def _search(  # noqa: PLR0917 - numba takes plain arrays
                 trial[tried, 2], trial[tried, 3] = beam[k, b, 2] + gain, b
                 tried += 1
         held = _best(trial[:tried], beam[k + 1])
-        if held == 0 or beam[k + 1, 0, 2] < best - GIVE_UP:
+        if held == 0 or beam[k + 1, 0, 2] < best - GIVE_UP or k - best_k >= UNSEEN:
             break
         if beam[k + 1, 0, 2] > best:
             best, best_k = beam[k + 1, 0, 2], k + 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 
@@ -25,7 +26,8 @@ from gis_radar.tracking.posterior.likelihood import (
     Rates,
     Seen,
     evaluate,
-    fill_pairs,
+    evaluate_pairs,
+    find_pairs,
     hide,
     kinds_and_cells,
 )
@@ -36,6 +38,9 @@ KIND_FEW, CELL_FEW = 40.0, 5.0  # expected detections that what is usual counts 
 DULLEST, BRIGHTEST = 0.02, 4.0  # factor of a cell
 ALPHAS = (0.3, 8.0)  # shape of the distribution of brightness: at least, at most
 LEAST_GROUPS = 50
+
+Placed: TypeAlias = tuple[Integers, Floats, Integers, Integers, Floats, Integers]
+# frame, shape, kind and cell of each state; where its detections begin, their densities and rows
 
 
 class Posterior:
@@ -73,6 +78,7 @@ class Posterior:
         self._factor = np.ones(len(self.frames.eyes) * int(self._size.prod()))
         self.alpha = np.array([2.0, 1.0])
         self.total = np.zeros(len(self.d))
+        self._placed: dict[tuple[int, int, float], Placed] = {}
         self.learn(motions)
 
     @property
@@ -106,7 +112,7 @@ class Posterior:
             mu = self._mu()
             bright = self._brightness(explained, mu)
         self._base = self._background.rates(1.0 - share)
-        self._sum_up(mu * bright)
+        self._sum_up(mu, bright)
 
     def place(self, motions: Sequence[Motion]) -> None:
         """Take motions as the vehicles; expect what was learned before."""
@@ -119,38 +125,39 @@ class Posterior:
             part = rate / total[self._pair_row]
             explained = np.bincount(self._pair_state, part, len(mu)).astype(np.float64)
             bright = self._brightness(explained, mu)
-        self._sum_up(mu * bright)
+        self._sum_up(mu, bright)
 
     def _place(self, motions: Sequence[Motion]) -> None:
         """Compute states, which detections each may explain, and what hides it."""
+        placed = [self._placed.get(_key(each)) or self._placed_anew(each) for each in motions]
+        self._placed = {_key(each): known for each, known in zip(motions, placed, strict=True)}
         self.motions = list(motions)
-        self.states = states = States.of(motions, self.frames)
+        self.states = states = States.of([each[:2] for each in placed], self.frames)
         self.sensor = self.frames.sensor[states.frame]
         self.alive = np.ones(len(states.frame), np.bool_)
-        found = kinds_and_cells(states.shape, self.sensor, self.rates)
-        self._kind, self._cell = found[:, 0], found[:, 1]
-        self._find_pairs()
-        self.cover()
+        kinds, begins, density, row = (
+            [each[k] for each in placed] for k in range(2, 6)
+        )  # fmt: skip
+        kind = np.concatenate([np.zeros((0, 2), np.int64), *kinds])
+        self._kind, self._cell = kind[:, 0], kind[:, 1]
+        count = np.concatenate([np.zeros(0, np.int64), *(np.diff(each) for each in begins)])
+        self._pair_begin = np.concatenate([[0], np.cumsum(count)])
+        self._pair_state = np.repeat(np.arange(len(count)), count)
+        self._density = np.concatenate([np.zeros(0), *density])
+        self._pair_row = np.concatenate([np.zeros(0, np.int64), *row])
+        self._hide()
 
-    def _find_pairs(self) -> None:
-        states = self.states
-        most = max(1 << 16, int(np.diff(self.frames.first).max()))
-        room, row = np.empty((most, 2)), np.empty(most, np.int64)
-        begin = np.zeros(len(states.frame) + 1, np.int64)
-        parts: list[tuple[Floats, Integers]] = []
-        reached = 0
-        while reached < len(states.frame):
-            reached, n = fill_pairs(
-                states.shape, states.frame, self.seen, reached, room, row, begin
-            )
-            parts.append((room[:n, 0].copy(), row[:n].copy()))
-        self._density = np.concatenate([np.zeros(0), *(each[0] for each in parts)])
-        self._pair_row = np.concatenate([np.zeros(0, np.int64), *(each[1] for each in parts)])
-        self._pair_begin = np.concatenate([[0], np.cumsum(begin[1:])])
-        self._pair_state = np.repeat(np.arange(len(states.frame)), begin[1:])
+    def _placed_anew(self, motion: Motion) -> Placed:
+        frame, shape = motion_states(motion, self.frames)
+        kind = kinds_and_cells(shape, self.frames.sensor[frame], self.rates)
+        return (frame, shape, kind, *find_pairs(shape, frame, self.seen))
 
     def cover(self) -> None:
-        """Compute which share of each state others hide."""
+        """Compute again which share of each state others hide, of those that are left."""
+        self._hide()
+        self._due = self._mu()
+
+    def _hide(self) -> None:
         states, alive = self.states, np.flatnonzero(self.alive)
         self._by_frame = alive[np.argsort(states.frame[alive], kind="stable")]
         self._frame_begin = np.searchsorted(
@@ -181,7 +188,7 @@ class Posterior:
         self._factor = np.clip((got + CELL_FEW) / (want + CELL_FEW), DULLEST, BRIGHTEST)
 
     def _mu(self) -> Floats:
-        return self._table[self._kind] * self._factor[self._cell] * self.open
+        return np.asarray(self._table[self._kind] * self._factor[self._cell] * self.open)
 
     def _brightness(self, explained: Floats, mu: Floats) -> Floats:
         """Return the brightness of each state; learn how much it varies."""
@@ -198,8 +205,9 @@ class Posterior:
         alpha = self.alpha[stands]
         return np.asarray(((alpha + n) / (alpha + m))[group])
 
-    def _sum_up(self, weight: Floats) -> None:
-        self._rate = self._density * weight[self._pair_state]
+    def _sum_up(self, mu: Floats, bright: Floats) -> None:
+        self._due = mu
+        self._rate = self._density * (mu * bright)[self._pair_state]
         self.total = self._base + np.bincount(self._pair_row, self._rate, len(self.d))
 
     def gains(self, rows: Integers, shape: Floats, *, add: bool = False) -> Floats:
@@ -217,6 +225,17 @@ class Posterior:
         return evaluate(
             groups_of(self.states.group[rows]), self.states.frame[rows], self.sensor[rows], shape,
             self.open[rows], self.rates, self.seen, self.alpha, add,
+        )  # fmt: skip
+
+    def own_gains(self, vehicle: int) -> Floats:
+        """Return (groups, 2) the gain of a vehicle as it is over all else, and what is due."""
+        rows = self.states.rows(vehicle)
+        begin = self._pair_begin[rows.start : rows.stop + 1]
+        pairs = slice(begin[0], begin[-1])
+        return evaluate_pairs(
+            groups_of(self.states.group[rows]), self.states.shape[rows], self._due[rows],
+            begin - begin[0], self._density[pairs], self._pair_row[pairs], self._rate[pairs],
+            self.total, self.alpha,
         )  # fmt: skip
 
     def gain(self, motion: Motion, *, add: bool = False, within: tuple[float, float] | None = None
@@ -258,3 +277,8 @@ class Posterior:
         rows, rate = self._pairs_of(vehicle)
         mine = np.unique(self.frames.row[rows[rate > 0.5 * self.total[rows]]])
         return mine[np.argsort(self.given.time[mine], kind="stable")]
+
+
+def _key(motion: Motion) -> tuple[int, int, float]:
+    """Return what tells motions apart that have other states; those that are compared live on."""
+    return id(motion.path), id(motion.s_m), motion.length_m

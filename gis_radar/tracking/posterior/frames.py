@@ -106,9 +106,8 @@ class States:
     group: Integers
 
     @classmethod
-    def of(cls, motions: Sequence[Motion], frames: Frames) -> States:
-        """Return the states of some motions."""
-        parts = [motion_states(each, frames) for each in motions]
+    def of(cls, parts: Sequence[tuple[Integers, Floats]], frames: Frames) -> States:
+        """Return the states of vehicles of which each has its frames and shapes."""
         sizes = [len(each[0]) for each in parts]
         frame = np.concatenate([np.zeros(0, np.int64), *(each[0] for each in parts)])
         vehicle = np.repeat(np.arange(len(parts)), sizes)

@@ -43,7 +43,7 @@ def _normal(x: float, sigma: float) -> float:
 
 
 @compiled
-def _place_density(
+def place_density(
     along: float, left: float, cos: float, sin: float, length: float, width: float, away: float
 ) -> float:
     """Return the density of a place on a body, 1 / m2.
@@ -65,7 +65,7 @@ def _place_density(
 
 
 @compiled
-def _rate_density(rate: float, radial: float) -> float:
+def rate_density(rate: float, radial: float) -> float:
     """Return the density of a range rate of a body that moves so along the line of sight, s / m."""
     found = (1.0 - WHEELS) * _normal(rate - radial, RATE_MPS + RATE_SHARE * abs(radial))
     top = max(TURNS * abs(radial), 2.0 * RATE_MPS)
@@ -113,6 +113,11 @@ def kinds_and_cells(shape: Floats, sensor: Integers, rates: Rates) -> Integers:
 
 
 @compiled
+def _near(along: float, left: float, length: float, width: float) -> bool:
+    return abs(along) < 0.5 * length + REACH_M and abs(left) < 0.5 * width + REACH_M
+
+
+@compiled
 def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers, n: int) -> int:
     """Fill in the detections that a state may explain, and how dense each is, from place n on.
 
@@ -126,13 +131,12 @@ def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers
     for d in range(first[frame], first[frame + 1]):
         dx, dy = points[d, 0] - x, points[d, 1] - y
         along, left = dx * c + dy * s, dy * c - dx * s
-        near = abs(along) < 0.5 * length + REACH_M and abs(left) < 0.5 * width + REACH_M
-        if not near or n >= len(room):
+        if not _near(along, left, length, width) or n >= len(room):
             continue
         cos = c * sight[d, 0] + s * sight[d, 1]
         sin = c * sight[d, 1] - s * sight[d, 0]
-        found = _place_density(along, left, cos, sin, length, width, away[d])
-        found *= _rate_density(rate[d], speed * cos)
+        found = place_density(along, left, cos, sin, length, width, away[d])
+        found *= rate_density(rate[d], speed * cos)
         if length > LONG_M:
             found *= taller(height[d], away[d])
         room[n, 0], row[n] = found, d
@@ -201,6 +205,30 @@ def evaluate(  # noqa: PLR0917 - numba takes plain arrays
 
 
 @compiled
+def evaluate_pairs(  # noqa: PLR0917 - numba takes plain arrays
+    group: Integers, shape: Floats, due: Floats, begin: Integers, density: Floats, row: Integers,
+    rate: Floats, total: Floats, alpha: Floats,
+) -> Floats:  # fmt: skip
+    """Return what `evaluate` does for a vehicle that is part of the total, at this rate.
+
+    The detections of each state are those from `begin` on.
+    """
+    count = group[-1] + 1 if len(group) else 0
+    found, room = np.zeros((count, 2)), np.empty((len(row), 2))
+    e = 0
+    for g in range(count):
+        n, stands = 0, 1 if shape[e, 4] < STANDS_MPS else 0
+        while e < len(group) and group[e] == g:
+            for q in range(begin[e], begin[e + 1]):
+                room[n, 0], room[n, 1] = density[q] * due[e], total[row[q]] - rate[q]
+                n += 1
+            found[g, 1] += due[e]
+            e += 1
+        found[g, 0], _ = gain_of(room, n, found[g, 1], alpha[stands])
+    return found
+
+
+@compiled
 def _half_across(shape: Floats, x: float, y: float, far: float) -> float:
     """Return half the width of a body as seen along a direction (x, y) of length far."""
     _, _, c, s, _, length, width = shape
@@ -261,22 +289,25 @@ def overlap(
 
 
 @compiled
-def fill_pairs(
-    shape: Floats, frame: Integers, seen: Seen, begin: int, room: Floats, row: Integers,
-    counts: Integers,
-) -> tuple[int, int]:  # fmt: skip
-    """Fill in the detections of states from one on, while there is room.
+def find_pairs(shape: Floats, frame: Integers, seen: Seen) -> tuple[Integers, Floats, Integers]:
+    """Return the detections that each state may explain.
 
     Returns
     -------
-    int, int
-        The state to go on with, and how many detections were filled in. `counts` gets how many are
-        of each state, from place 1 on.
+    begin : (states + 1,) int64 array
+        Where those of each state begin.
+    density, row : (n,) arrays
+        How dense the state makes them, and which they are.
     """
-    n = 0
-    for e in range(begin, len(frame)):
-        if n + seen[0][frame[e] + 1] - seen[0][frame[e]] > len(room):
-            return e, n
-        after = densities(shape[e], frame[e], seen, room, row, n)
-        counts[e + 1], n = after - n, after
-    return len(frame), n
+    first, points, _, _, _, _, _ = seen
+    begin = np.zeros(len(frame) + 1, np.int64)
+    for e in range(len(frame)):
+        x, y, c, s, _, length, width = shape[e]
+        begin[e + 1] = begin[e]
+        for d in range(first[frame[e]], first[frame[e] + 1]):
+            dx, dy = points[d, 0] - x, points[d, 1] - y
+            begin[e + 1] += _near(dx * c + dy * s, dy * c - dx * s, length, width)
+    room, row = np.empty((begin[-1], 2)), np.empty(begin[-1], np.int64)
+    for e in range(len(frame)):
+        densities(shape[e], frame[e], seen, room, row, begin[e])
+    return begin, room[:, 0].copy(), row

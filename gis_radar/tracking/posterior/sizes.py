@@ -1,4 +1,4 @@
-"""Sizes of vehicles by the posterior, and neighbours that are one long vehicle."""
+"""Sizes of vehicles by the posterior."""
 
 from __future__ import annotations
 
@@ -7,19 +7,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.tracking.motion import Motion
-from gis_radar.tracking.posterior.cuts import EXISTS
 from gis_radar.tracking.posterior.estimate import Posterior
-from gis_radar.tracking.posterior.frames import COS, LENGTH, SIN, SPEED, WIDTH, X, Y
-from gis_radar.tracking.posterior.likelihood import STANDS_MPS
-from gis_radar.tracking.size import LONG_M, LONGEST_M, length_prior, width_of
+from gis_radar.tracking.posterior.frames import SPEED, groups_of
+from gis_radar.tracking.posterior.likelihood import (
+    REACH_M,
+    STANDS_MPS,
+    Rates,
+    Seen,
+    gain_of,
+    kind_and_cell,
+    place_density,
+    rate_density,
+    taller,
+)
+from gis_radar.tracking.size import LONG_M, length_prior, width_of
 
 # Shorter ones are only the tracker's: one scatterer looks like a motorcycle.
 TRIED_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
 STAYS = (-1.0, 0.0, 1.0)  # what of a body stays where it is: rear, middle, front
 MOST_WINDOWS = 20  # half seconds that are looked at, spread over its time: no more count
-DRIVEN, AT_REST = 20.0, 2.0  # half seconds after which the same scatterers tell no more of a body
+TELLS = 20.0  # half seconds, driven and at rest: the same scatterers tell no more of a length
 LEAST_GAIN, LEAST_JOIN = 2.0, 1.0  # of the log-probability
 ASIDE_M, SAME_WAY = 1.7, 0.9  # of two that may be one: lateral distance, cosine of headings
 TOGETHER = 0.6  # and so much of the shorter's time
@@ -31,16 +40,7 @@ def prior(length: float) -> float:
     return float(length_prior(np.array([length]))[0])
 
 
-_PRIORS = {length: prior(length) for length in TRIED_M}
-
-
-def resized(shape: Floats, length: float, ahead: float) -> Floats:
-    """Return shapes with another length, their middle moved ahead."""
-    new = shape.copy()
-    new[:, X] += ahead * shape[:, COS]
-    new[:, Y] += ahead * shape[:, SIN]
-    new[:, LENGTH], new[:, WIDTH] = length, width_of(length)
-    return new
+_PRIORS = [prior(length) for length in TRIED_M]
 
 
 def with_size(motion: Motion, length: float, ahead: float) -> Motion:
@@ -72,124 +72,139 @@ def resize(posterior: Posterior) -> list[Motion]:
 def _best_size(posterior: Posterior, vehicle: int) -> tuple[float, float, float]:
     """Return the length that fits best, how far ahead the middle is then, and the gain."""
     motion = posterior.motions[vehicle]
-    rows, weight = _sample(posterior, (vehicle,))
-    best = (motion.length_m, 0.0, 0.0)
-    shape = posterior.states.shape[rows[0]]
-    if len(shape) == 0:
-        return best
+    ((rows, count),) = sample(posterior, (vehicle,))
+    if len(rows) == 0:
+        return motion.length_m, 0.0, 0.0
+    tried = [(motion.length_m, 0.0)] + [
+        (length, 0.5 * stays * (motion.length_m - length)) for length in TRIED_M for stays in STAYS
+    ]
     posterior.lift(vehicle)
-    now = weight * posterior.gains(rows[0], shape)[:, 0].sum() + prior(motion.length_m)
-    for length in TRIED_M:
-        for stays in STAYS:
-            ahead = 0.5 * stays * (motion.length_m - length)
-            new = posterior.gains(rows[0], resized(shape, length, ahead))[:, 0].sum()
-            gain = float(weight * new + _PRIORS[length] - now)
-            if gain > best[2]:
-                best = (length, ahead, gain)
+    found = gains_of_sizes(posterior, rows, count, tried)
     posterior.lift(vehicle, 1.0)
-    return best
+    found += [prior(motion.length_m), *np.repeat(_PRIORS, len(STAYS))]
+    best = int(np.argmax(found))
+    return (*tried[best], float(found[best] - found[0]))
 
 
-def _sample(posterior: Posterior, vehicles: Sequence[int]) -> tuple[list[Integers], float]:
-    """Return states of vehicles in some half seconds of their time, and what one counts."""
-    states = posterior.states
-    rows = [np.arange(part.start, part.stop) for part in map(states.rows, vehicles)]
-    windows = np.unique(np.concatenate([states.window[each] for each in rows]))
-    some = windows[:: max(len(windows) // MOST_WINDOWS, 1)]
-    speed = states.shape[rows[0], SPEED]
-    rests = len(speed) > 0 and len(vehicles) > 1 and float((speed < STANDS_MPS).mean()) > 0.5
-    weight = min(1.0, (AT_REST if rests else DRIVEN) / max(len(some), 1))
-    return [each[np.isin(states.window[each], some)] for each in rows], weight
+def gains_of_sizes(
+    posterior: Posterior, rows: Integers, count: Floats, sizes: Sequence[tuple[float, float]]
+) -> Floats:
+    """Return the gain over all else of states with each length, their middle moved ahead.
 
-
-def join_neighbours(posterior: Posterior) -> list[Motion]:
-    """Return the vehicles with one long vehicle in place of two where that is more likely.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        With the vehicles; it is left as it is.
+    `count` says how much each state counts.
     """
-    motions: list[Motion | None] = list(posterior.motions)
+    table = np.array([(length, width_of(length), ahead) for length, ahead in sizes])
+    states = posterior.states
+    return _sum_gains(
+        groups_of(states.group[rows]), states.frame[rows], posterior.sensor[rows],
+        states.shape[rows], posterior.open[rows], count, table, posterior.rates, posterior.seen,
+        posterior.alpha,
+    )  # fmt: skip
+
+
+@compiled
+def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
+    group: Integers, frame: Integers, sensor: Integers, shape: Floats, open_share: Floats,
+    count: Floats, sizes: Floats, rates: Rates, seen: Seen, alpha: Floats,
+) -> Floats:  # fmt: skip
+    """Return the gain for each (length, width, ahead) of `sizes`."""
+    begin, row, pair = _pairs(frame, shape, sizes, seen)
+    room, new = np.empty((len(row), 2)), np.empty(7)
+    gains = np.zeros(len(sizes))
+    for k in range(len(sizes)):
+        length, width, ahead = sizes[k]
+        half, side, e = 0.5 * length, 0.5 * width + REACH_M, 0
+        while e < len(group):
+            g, n, due, counts = group[e], 0, 0.0, count[e]
+            stands = 1 if shape[e, 4] < STANDS_MPS else 0
+            while e < len(group) and group[e] == g:
+                new[:] = shape[e]
+                new[0] += ahead * shape[e, 2]
+                new[1] += ahead * shape[e, 3]
+                new[5], new[6] = length, width
+                kind, cell = kind_and_cell(new, sensor[e], rates)
+                mu = rates[1][kind] * rates[2][cell] * open_share[e]
+                due += mu
+                for q in range(begin[e], begin[e + 1]):
+                    along, left = pair[q, 0] - ahead, pair[q, 1]
+                    if abs(along) < half + REACH_M and abs(left) < side:
+                        density = pair[q, 4] * place_density(
+                            along, left, pair[q, 2], pair[q, 3], length, width, seen[3][row[q]]
+                        )
+                        if length > LONG_M:
+                            density *= pair[q, 5]
+                        room[n, 0], room[n, 1] = mu * density, seen[6][row[q]]
+                        n += 1
+                e += 1
+            gains[k] += counts * gain_of(room, n, due, alpha[stands])[0]
+    return gains
+
+
+@compiled
+def _pairs(
+    frame: Integers, shape: Floats, sizes: Floats, seen: Seen
+) -> tuple[Integers, Integers, Floats]:
+    """Return the detections that states of any of the sizes may explain.
+
+    Returns
+    -------
+    begin : (states + 1,) int64 array
+        Where those of each state begin.
+    row : (n,) int64 array
+        The detection.
+    pair : (n, 6) array
+        Ahead and left of the middle, cosine and sine of the angle to the line of sight, density of
+        the range rate, and how much denser its height is for a lorry.
+    """
+    first, points, sight, away, rate, height, _ = seen
+    rear, front = 0.0, 0.0
+    for k in range(len(sizes)):
+        rear = min(rear, sizes[k, 2] - 0.5 * sizes[k, 0])
+        front = max(front, sizes[k, 2] + 0.5 * sizes[k, 0])
+    side = 0.5 * sizes[:, 1].max() + REACH_M
+    begin, n = np.zeros(len(frame) + 1, np.int64), 0
+    for e in range(len(frame)):
+        n += first[frame[e] + 1] - first[frame[e]]
+    row, pair = np.empty(n, np.int64), np.empty((n, 6))
+    n = 0
+    for e in range(len(frame)):
+        x, y, c, s, speed, _, _ = shape[e]
+        for d in range(first[frame[e]], first[frame[e] + 1]):
+            dx, dy = points[d, 0] - x, points[d, 1] - y
+            along, left = dx * c + dy * s, dy * c - dx * s
+            if rear - REACH_M < along < front + REACH_M and abs(left) < side:
+                cos = c * sight[d, 0] + s * sight[d, 1]
+                pair[n, 0], pair[n, 1], pair[n, 2] = along, left, cos
+                pair[n, 3] = c * sight[d, 1] - s * sight[d, 0]
+                pair[n, 4] = rate_density(rate[d], speed * cos)
+                pair[n, 5] = taller(height[d], away[d])
+                row[n] = d
+                n += 1
+        begin[e + 1] = n
+    return begin, row[:n], pair[:n]
+
+
+def sample(posterior: Posterior, vehicles: Sequence[int]) -> list[tuple[Integers, Floats]]:
+    """Return states of vehicles in some half seconds of their time, and how much each counts.
+
+    Of the time in which the first one drives no more half seconds count than `TELLS`, and as many
+    of the rest: the same scatterers tell no more of a body.
+    """
+    states = posterior.states
+    parts = [states.rows(each) for each in vehicles]
+    slow = states.window[parts[0]][states.shape[parts[0], SPEED] < STANDS_MPS]
+    windows = np.unique(np.concatenate([states.window[each] for each in parts]))
+    rests = np.isin(windows, slow)
+    chosen, counts = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for kind in (windows[~rests], windows[rests]):
+        some = kind[:: max(-(-len(kind) // MOST_WINDOWS), 1)]
+        chosen.append(some)
+        counts.append(np.full(len(some), min(1.0, TELLS / max(len(some), 1))))
+    window, count = np.concatenate(chosen), np.concatenate(counts)
+    order = np.argsort(window)
     found = []
-    for one, other in _neighbours(posterior):
-        if len(posterior.motions[one].s_m) < len(posterior.motions[other].s_m):
-            one, other = other, one  # noqa: PLW2901 - the longer track is kept
-        length, ahead, gain = _as_one(posterior, one, other)
-        if gain > LEAST_JOIN:
-            found.append((-gain, one, other, length, ahead))
-    used: set[int] = set()
-    for _, one, other, length, ahead in sorted(found):
-        if used.isdisjoint((one, other)):
-            used |= {one, other}
-            motions[one] = with_size(posterior.motions[one], length, ahead)
-            motions[other] = None
-    return [each for each in motions if each is not None]
-
-
-def _neighbours(posterior: Posterior) -> list[tuple[int, int]]:
-    """Return pairs that may be one body for most of the time of the shorter-lived one."""
-    states = posterior.states
-    count = len(posterior.motions)
-    _, rows = np.unique(states.vehicle * (1 << 40) + states.window, return_index=True)
-    life = np.bincount(states.vehicle[rows], minlength=count)
-    rows = rows[np.argsort(states.window[rows], kind="stable")]
-    edges = np.flatnonzero(np.diff(states.window[rows], prepend=-1, append=-1))
-    pairs = []
-    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        here = rows[low:high]
-        a, b = _near(states.shape[here])
-        one, other = states.vehicle[here[a]], states.vehicle[here[b]]
-        pairs.append(np.minimum(one, other) * count + np.maximum(one, other))
-    keys, times = np.unique(np.concatenate([np.zeros(0, np.int64), *pairs]), return_counts=True)
-    enough = times >= TOGETHER * np.minimum(life[keys // count], life[keys % count])
-    return [(int(key) // count, int(key) % count) for key in keys[enough]]
-
-
-def _near(shape: Floats) -> tuple[Integers, Integers]:
-    """Return the pairs of bodies behind each other that are together no longer than a lorry."""
-    dx, dy = (shape[:, None, k] - shape[:, k] for k in (X, Y))
-    along = dx * shape[:, COS] + dy * shape[:, SIN]
-    aside = dy * shape[:, COS] - dx * shape[:, SIN]
-    cos = shape[:, None, COS] * shape[:, COS] + shape[:, None, SIN] * shape[:, SIN]
-    span = np.abs(along) + 0.5 * (shape[:, None, LENGTH] + shape[:, LENGTH])
-    near = (np.abs(aside) < ASIDE_M) & (cos > SAME_WAY) & (span < LONGEST_M)
-    one, other = np.nonzero(np.triu(near, 1))
-    return one, other
-
-
-def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, float]:
-    """Return length, middle ahead of the first's, and gain of one vehicle in place of two."""
-    states = posterior.states
-    (a, b), weight = _sample(posterior, (one, other))
-    lengths = [posterior.motions[k].length_m for k in (one, other)]
-    _, mine, theirs = np.intersect1d(
-        states.frame[a], states.frame[b], assume_unique=True, return_indices=True
-    )
-    best = (0.0, 0.0, -np.inf)
-    if len(mine) == 0:
-        return best
-    sa, sb = states.shape[a[mine]], states.shape[b[theirs]]
-    along = float(np.median(
-        (sb[:, X] - sa[:, X]) * sa[:, COS] + (sb[:, Y] - sa[:, Y]) * sa[:, SIN]
-    ))  # fmt: skip
-    front = max(0.5 * lengths[0], along + 0.5 * lengths[1])
-    rear = min(-0.5 * lengths[0], along - 0.5 * lengths[1])
-    for each in (one, other):
-        posterior.lift(each)
-    alone = posterior.total.copy()
-    old = posterior.gains(a, states.shape[a], add=True)[:, 0].sum()
-    old += posterior.gains(b, states.shape[b])[:, 0].sum()
-    posterior.total[:] = alone
-    before = sum(map(prior, lengths)) - EXISTS
-    for longer in (-2.0, 0.0, 2.0):
-        length = min(max(front - rear + longer, SHORTEST_M), LONGEST_M)
-        for ahead in (-1.0, 0.0, 1.0):
-            middle = 0.5 * (front + rear) + ahead
-            new = posterior.gains(a, resized(states.shape[a], length, middle))[:, 0].sum()
-            gain = float(weight * (new - old) + prior(length) - before)
-            if gain > best[2]:
-                best = (length, middle, gain)
-    for each in (one, other):
-        posterior.lift(each, 1.0)
-    return best
+    for part in parts:
+        rows = part.start + np.flatnonzero(np.isin(states.window[part], window))
+        place = np.searchsorted(window[order], states.window[rows])
+        found.append((rows, count[order][place]))
+    return found

@@ -1,0 +1,203 @@
+"""Neighbours that are one long vehicle, and long vehicles that are two neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.steps import STEP_S
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.posterior.cuts import EXISTS
+from gis_radar.tracking.posterior.estimate import Posterior
+from gis_radar.tracking.posterior.frames import COS, LENGTH, SIN, WIDTH, X, Y
+from gis_radar.tracking.posterior.sizes import gains_of_sizes, prior, sample, with_size
+from gis_radar.tracking.size import LONG_M, LONGEST_M, width_of
+
+LEAST_GAIN = 1.0  # of the log-probability
+SAME = 0.1  # of what speaks for a change: detections of one scatterer repeat each other
+ASIDE_M, SAME_WAY = 1.7, 0.9  # of two that may be one: lateral distance, cosine of headings
+TOGETHER = 0.6  # and so much of the shorter's time
+SHORTEST_M = 4.0
+CAR_M, BETWEEN_M = 4.5, 2.0  # the usual length of a car, and a gap in a queue
+# Time gaps between drivers are log-normal (Treiber and Kesting, Traffic Flow Dynamics, ch. 4):
+# their median, s, the standard deviation of their logarithm, and the speed from which they count.
+GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
+KEPT_S = 5.0  # so long a driver keeps a gap
+
+
+def join_neighbours(posterior: Posterior) -> list[Motion]:
+    """Return the vehicles with one long vehicle in place of two where that is more likely.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        With the vehicles; it is left as it is.
+    """
+    motions: list[Motion | None] = list(posterior.motions)
+    found = []
+    for one, other in _neighbours(posterior):
+        if len(posterior.motions[one].s_m) < len(posterior.motions[other].s_m):
+            one, other = other, one  # noqa: PLW2901 - the longer track is kept
+        length, ahead, gain = _as_one(posterior, one, other)
+        if gain > LEAST_GAIN:
+            found.append((-gain, one, other, length, ahead))
+    used: set[int] = set()
+    for _, one, other, length, ahead in sorted(found):
+        if used.isdisjoint((one, other)):
+            used |= {one, other}
+            motions[one] = with_size(posterior.motions[one], length, ahead)
+            motions[other] = None
+    return [each for each in motions if each is not None]
+
+
+def _neighbours(posterior: Posterior) -> list[tuple[int, int]]:
+    """Return pairs that may be one body for most of the time of the shorter-lived one."""
+    states = posterior.states
+    count = len(posterior.motions)
+    _, rows = np.unique(states.vehicle * (1 << 40) + states.window, return_index=True)
+    life = np.bincount(states.vehicle[rows], minlength=count)
+    rows = rows[np.argsort(states.window[rows], kind="stable")]
+    edges = np.flatnonzero(np.diff(states.window[rows], prepend=-1, append=-1))
+    pairs = []
+    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        here = rows[low:high]
+        a, b = _near(states.shape[here])
+        one, other = states.vehicle[here[a]], states.vehicle[here[b]]
+        pairs.append(np.minimum(one, other) * count + np.maximum(one, other))
+    keys, times = np.unique(np.concatenate([np.zeros(0, np.int64), *pairs]), return_counts=True)
+    enough = times >= TOGETHER * np.minimum(life[keys // count], life[keys % count])
+    return [(int(key) // count, int(key) % count) for key in keys[enough]]
+
+
+def _near(shape: Floats) -> tuple[Integers, Integers]:
+    """Return the pairs of bodies behind each other that are together no longer than a lorry."""
+    dx, dy = (shape[:, None, k] - shape[:, k] for k in (X, Y))
+    along = dx * shape[:, COS] + dy * shape[:, SIN]
+    aside = dy * shape[:, COS] - dx * shape[:, SIN]
+    cos = shape[:, None, COS] * shape[:, COS] + shape[:, None, SIN] * shape[:, SIN]
+    span = np.abs(along) + 0.5 * (shape[:, None, LENGTH] + shape[:, LENGTH])
+    near = (np.abs(aside) < ASIDE_M) & (cos > SAME_WAY) & (span < LONGEST_M)
+    one, other = np.nonzero(np.triu(near, 1))
+    return one, other
+
+
+def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, float]:
+    """Return length, middle ahead of the first's, and gain of one vehicle in place of two."""
+    states = posterior.states
+    (a, count), (b, counts) = sample(posterior, (one, other))
+    lengths = [posterior.motions[k].length_m for k in (one, other)]
+    _, mine, theirs = np.intersect1d(
+        states.frame[a], states.frame[b], assume_unique=True, return_indices=True
+    )
+    if len(mine) == 0:
+        return 0.0, 0.0, -np.inf
+    sa, sb = states.shape[a[mine]], states.shape[b[theirs]]
+    along = float(np.median(
+        (sb[:, X] - sa[:, X]) * sa[:, COS] + (sb[:, Y] - sa[:, Y]) * sa[:, SIN]
+    ))  # fmt: skip
+    front = max(0.5 * lengths[0], along + 0.5 * lengths[1])
+    rear = min(-0.5 * lengths[0], along - 0.5 * lengths[1])
+    for each in (one, other):
+        posterior.lift(each)
+    alone = posterior.total.copy()
+    old = _sum(posterior, a, count, states.shape[a]) + _sum(posterior, b, counts, states.shape[b])
+    posterior.total[:] = alone
+    apart = abs(along) - 0.5 * sum(lengths)
+    before = sum(map(prior, lengths)) - EXISTS + _following(apart, posterior.motions[one])
+    tried = [
+        (min(max(front - rear + longer, SHORTEST_M), LONGEST_M), 0.5 * (front + rear) + ahead)
+        for longer in (-2.0, 0.0, 2.0) for ahead in (-1.0, 0.0, 1.0)
+    ]  # fmt: skip
+    gains = _tempered(gains_of_sizes(posterior, a, count, tried) - old)
+    gains += [prior(length) - before for length, _ in tried]
+    for each in (one, other):
+        posterior.lift(each, 1.0)
+    best = int(np.argmax(gains))
+    return (*tried[best], float(gains[best]))
+
+
+def split_long(posterior: Posterior) -> list[Motion]:
+    """Return the vehicles with two behind each other in place of a long one where that is likelier.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        With the vehicles; it is left as it is.
+    """
+    found = []
+    for vehicle, motion in enumerate(posterior.motions):
+        sizes = _as_two(posterior, vehicle) if motion.length_m > LONG_M else ()
+        found += [_part(motion, *size) for size in sizes] or [motion]
+    return found
+
+
+def _as_two(posterior: Posterior, vehicle: int) -> tuple[tuple[float, float], ...]:
+    """Return length and middle ahead of those of two vehicles in place of one, if they are."""
+    motion = posterior.motions[vehicle]
+    ((rows, count),) = sample(posterior, (vehicle,))
+    if len(rows) == 0:
+        return ()
+    shape, length = posterior.states.shape[rows], motion.length_m
+    other = length - CAR_M - BETWEEN_M
+    pairs = [(CAR_M, min(CAR_M, other))]
+    pairs += [(CAR_M, other), (other, CAR_M)] if other > CAR_M else []
+    posterior.lift(vehicle)
+    alone = posterior.total.copy()
+    now = _sum(posterior, rows, count, shape)
+    posterior.total[:] = alone
+    best, found = LEAST_GAIN, ()
+    for front, rear in pairs:
+        if rear < SHORTEST_M - BETWEEN_M:
+            continue
+        sizes = ((front, 0.5 * (length - front)), (rear, 0.5 * (rear - length)))
+        new = sum(_sum(posterior, rows, count, _resized(shape, *size)) for size in sizes)
+        posterior.total[:] = alone
+        apart = length - front - rear
+        gain = float(_tempered(np.array(new - now)))
+        gain += prior(front) + prior(rear) - EXISTS - prior(length)
+        gain += _following(apart, motion)
+        if gain > best:
+            best, found = gain, sizes
+    posterior.lift(vehicle, 1.0)
+    return found
+
+
+def _sum(posterior: Posterior, rows: Integers, count: Floats, shape: Floats) -> float:
+    """Add states to what is there; return their gain over all else, by how much each counts."""
+    first = np.flatnonzero(np.diff(posterior.states.group[rows], prepend=-1))
+    return float((count[first] * posterior.gains(rows, shape, add=True)[:, 0]).sum())
+
+
+def _tempered(gain: Floats) -> Floats:
+    """Return gains of the log-likelihood, those that speak for a change as far as they tell."""
+    return np.where(gain > 0.0, SAME * gain, gain)
+
+
+def _following(apart: float, motion: Motion) -> float:
+    """Return the log prior of a gap that two drivers keep, metres, relative to the usual one."""
+    driven = motion.speed[motion.speed > DRIVES_MPS]
+    if len(driven) == 0:
+        return 0.0
+    gap_s = max(apart, 0.1) / float(np.median(driven))
+    often = len(driven) * STEP_S / KEPT_S
+    return -0.5 * often * (min(np.log(gap_s / GAP_S), 0.0) / GAP_SPREAD) ** 2
+
+
+def _resized(shape: Floats, length: float, ahead: float) -> Floats:
+    """Return shapes with another length, their middle moved ahead."""
+    new = shape.copy()
+    new[:, X] += ahead * shape[:, COS]
+    new[:, Y] += ahead * shape[:, SIN]
+    new[:, LENGTH], new[:, WIDTH] = length, width_of(length)
+    return new
+
+
+def _part(motion: Motion, length: float, ahead: float) -> Motion:
+    """Return a part of a vehicle as one of its own, with the detections on its side."""
+    mine = (motion.along_m > 0.0) == (ahead > 0.0)
+    part = replace(
+        motion, rows=motion.rows[mine], along_m=motion.along_m[mine], left_m=motion.left_m[mine]
+    )
+    return with_size(part, length, ahead)
