@@ -80,7 +80,7 @@ def track(detections, begin_s, end_s, start_m, speed, length=CAR):
     return Motion(
         rows=rows, path=Path(np.column_stack([np.arange(300.0), np.zeros(300)])), first_step=first,
         s_m=s_m, speed=np.full(count, speed), var_s=np.full(count, 0.1), length_m=length,
-        width_m=1.8, length_sigma_m=1.0, p_heavy=0.1, along_m=np.zeros(len(rows)),
+        width_m=1.8, length_sigma_m=1.0, p_heavy=0.1, along_m=off[rows],
         left_m=np.zeros(len(rows)),
     )  # fmt: skip
 
@@ -142,7 +142,6 @@ def test_a_track_on_two_cars_becomes_two(graph):
         returns(rng, 0, 9, 10.0, 9.0), clutter(rng, 30, 0.3),
     )  # fmt: skip
     lorry, car = track(found, 0, 30, 106.0, 0.0, length=16.5), track(found, 0, 9, 10.0, 9.0)
-    lorry.along_m = found.points[lorry.rows, 0] - 106.0
     posterior = Posterior(found, [lorry, car])
     assert len(split_long(posterior)) == 3
     standing = [

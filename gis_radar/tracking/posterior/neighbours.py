@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -128,30 +129,32 @@ def split_long(posterior: Posterior) -> list[Motion]:
     """
     found = []
     for vehicle, motion in enumerate(posterior.motions):
-        sizes = _as_two(posterior, vehicle) if motion.length_m > LONG_M else ()
-        found += [_part(motion, *size) for size in sizes] or [motion]
+        sizes = _as_two(posterior, vehicle) if motion.length_m > LONG_M else []
+        parts = [_part(motion, *size) for size in sizes]
+        found += parts if parts and all(len(each.rows) for each in parts) else [motion]
     return found
 
 
-def _as_two(posterior: Posterior, vehicle: int) -> tuple[tuple[float, float], ...]:
+def _as_two(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
     """Return length and middle ahead of those of two vehicles in place of one, if they are."""
     motion = posterior.motions[vehicle]
     ((rows, count),) = sample(posterior, (vehicle,))
     if len(rows) == 0:
-        return ()
+        return []
     shape, length = posterior.states.shape[rows], motion.length_m
     other = length - CAR_M - BETWEEN_M
+    found: list[tuple[float, float]] = []
     pairs = [(CAR_M, min(CAR_M, other))]
     pairs += [(CAR_M, other), (other, CAR_M)] if other > CAR_M else []
     posterior.lift(vehicle)
     alone = posterior.total.copy()
     now = _sum(posterior, rows, count, shape)
     posterior.total[:] = alone
-    best, found = LEAST_GAIN, ()
+    best = LEAST_GAIN
     for front, rear in pairs:
         if rear < SHORTEST_M - BETWEEN_M:
             continue
-        sizes = ((front, 0.5 * (length - front)), (rear, 0.5 * (rear - length)))
+        sizes = [(front, 0.5 * (length - front)), (rear, 0.5 * (rear - length))]
         new = sum(_sum(posterior, rows, count, _resized(shape, *size)) for size in sizes)
         posterior.total[:] = alone
         apart = length - front - rear
@@ -182,7 +185,7 @@ def _following(apart: float, motion: Motion) -> float:
         return 0.0
     gap_s = max(apart, 0.1) / float(np.median(driven))
     often = len(driven) * STEP_S / KEPT_S
-    return -0.5 * often * (min(np.log(gap_s / GAP_S), 0.0) / GAP_SPREAD) ** 2
+    return -0.5 * often * (min(math.log(gap_s / GAP_S), 0.0) / GAP_SPREAD) ** 2
 
 
 def _resized(shape: Floats, length: float, ahead: float) -> Floats:
