@@ -224,7 +224,7 @@ def watch_input() -> None:
     if os.environ.get(WATCHDOG_VARIABLE) == "stdin":
         # A worker started in the background would ignore the interruption.
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        _start_watchdog(_wait_for_end_of_input, _interrupt_main_thread)
+        _start_watchdog(_wait_for_end_of_input, interrupt_main_thread)
 
 
 def watch_parent() -> None:
@@ -303,7 +303,7 @@ def _wait_for_end_of_input() -> None:
             pass
 
 
-def _interrupt_main_thread() -> None:
+def interrupt_main_thread() -> None:
     """Interrupt the main thread, out of a system call too where signals can do that."""
     if sys.platform == "win32":
         _thread.interrupt_main()

@@ -6,6 +6,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pyarrow as pa
@@ -273,6 +274,31 @@ def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
     assert names == ["R1.json", "R1.parquet", "occ", "tiles.gpkg"]
     assert gr.open_dataset(site / "occ").hours().empty
     assert not list((site / "occ").rglob(".*"))
+
+
+def test_an_interruption_that_python_drops_comes_again():
+    """What is raised in a callback of a weak reference goes to a hook and is ignored."""
+    dropped = """
+import signal, sys, time, weakref
+import click
+from gis_radar.cli.console import run_group
+
+class Thing:
+    pass
+
+@click.command()
+def waits():
+    thing = Thing()
+    kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGINT))
+    del thing
+    time.sleep(30.0)
+
+run_group(waits)
+"""
+    begun = time.monotonic()
+    answer = subprocess.run([sys.executable, "-c", dropped], check=False, capture_output=True)
+    assert answer.returncode == 130
+    assert time.monotonic() - begun < 25.0
 
 
 def test_an_interruption_of_compiled_code_is_one(site, run, monkeypatch):

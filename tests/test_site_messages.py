@@ -19,7 +19,9 @@ KEYS_OF = PACKAGE / "site" / "messages.py"
 # Of `gis-radar run` itself, and of commands that no run calls.
 IMAGE = {"--build-arg", "--no-install-recommends", "--no-cache-dir"}  # of a Dockerfile
 ASKING = {"--timeout", "--memory", "--relink", "--withdraw"}  # of gis-radar query and dataset
-OTHERS = IMAGE | ASKING | {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
+WITHOUT_MAP = {"--map", "--hits-only"}  # each site file has a map
+OWN = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
+OTHERS = IMAGE | ASKING | WITHOUT_MAP | OWN
 
 
 def options_named():

@@ -7,6 +7,7 @@ import io
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +27,7 @@ from gis_radar.cli.usage import told
 from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
 from gis_radar.json_documents import json_text
 from gis_radar.languages import users_language
-from gis_radar.processes import free_address_space, watch_input
+from gis_radar.processes import free_address_space, interrupt_main_thread, watch_input
 from gis_radar.progress import LETTERS_OF_AN_ERROR, Level, Reporter, one_line
 from gis_radar.texts import Text
 from gis_radar.words import decimal, speaking, tr
@@ -326,6 +327,7 @@ LEAST_FREE_BYTES = 64 << 20  # with 100 MiB the commands work or say so; with 30
 _NO_MEMORY_TEXTS = (
     "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",
 )  # fmt: skip
+AGAIN_S = 0.1  # after which the callback that dropped it is over
 INTERRUPTED = 130
 INTERRUPTION = "interrupted; nothing was left half-written"
 
@@ -385,6 +387,7 @@ def _console(*, json_lines: bool) -> Console:
 def run_group(group: click.Group) -> NoReturn:
     """Run a command of the group and exit with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
+    sys.unraisablehook = _interrupt_again
     watch_input()
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of files need not be UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -472,3 +475,13 @@ def _exit_without_output() -> NoReturn:
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
+
+
+def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
+    """Interrupt once more where Python dropped an interruption: in a callback, as imports have."""
+    if not issubclass(lost.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    again = threading.Timer(AGAIN_S, interrupt_main_thread)
+    again.daemon = True
+    again.start()
