@@ -10,14 +10,12 @@ from hypothesis import strategies as st
 from gis_radar.lanelets import LaneGraph
 from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.detections import MapDetections, still_rate
-from gis_radar.tracking.duplicates import distinct_targets, join_tall, without_duplicates
 from gis_radar.tracking.forward import ForwardFilter
 from gis_radar.tracking.links import Part, chains
 from gis_radar.tracking.management_settings import (
     DetectabilitySettings,
     StationarySettings,
     TallSettings,
-    TrackManagementSettings,
 )
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
@@ -182,34 +180,6 @@ def target(rear, front, rows, begin=0.0, end=30.0):
     return StationaryTarget(strip=1, rear_m=rear, front_m=front, begin=begin, end=end, rows=rows)
 
 
-@pytest.mark.parametrize(
-    ("height", "second", "count"),
-    [
-        (2.0, (7.0, 11.5), 1),  # both ends of a lorry
-        (0.7, (7.0, 11.5), 2),  # two cars
-        (2.0, (16.0, 24.0), 2),  # two lorries
-    ],
-)
-def test_two_tall_neighbours_are_one_lorry(height, second, count):
-    points = np.tile([30.0, 0.0], (200, 1))
-    detections = detections_at(BEGIN + np.arange(200.0) / 10, points, height)
-    pair = [target(0.0, 4.5, np.arange(100)), target(*second, np.arange(100, 200))]
-    joined = join_tall(pair, detections, TallSettings())
-    assert len(joined) == count
-    if count == 1:
-        assert (joined[0].rear_m, joined[0].front_m) == (0.0, 11.5)
-        assert len(joined[0].rows) == 200
-
-
-def test_lorries_that_stand_one_after_the_other_are_two():
-    detections = detections_at(BEGIN + np.arange(200.0) / 10, np.tile([30.0, 0.0], (200, 1)), 2.0)
-    pair = [
-        target(0.0, 4.5, np.arange(100), 0.0, 10.0),
-        target(7.0, 11.5, np.arange(100, 200), 9.0, 20.0),
-    ]
-    assert len(join_tall(pair, detections, TallSettings())) == 2
-
-
 def test_who_stands_on_does_so_until_a_silence():
     time = np.array([0.0, 2.0, 40.0, 45.0, 50.0, 52.0, 58.0, 90.0])
     kept = unbroken(time, (46.0, 51.0), 10.0)
@@ -358,52 +328,6 @@ def lasting(x, seconds, rows, begin=0.0, left_m=0.0):
     )  # fmt: skip
 
 
-def test_the_begin_of_a_life_on_another_vehicle_is_that_ones():
-    time = np.arange(0.0, 30.0, 0.05)
-    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
-    strong, weak = lasting(0.0, 10.0, 200), lasting(1.0, 30.0, 600)
-    weak.rows = np.arange(0, 600, 6)
-    weak.along_m = weak.left_m = np.zeros(100)
-    one, other = without_duplicates([strong, weak], detections, VehicleSettings())
-    assert one is strong
-    assert other.first_step == pytest.approx(10.0 * RATE, abs=RATE // 2)
-    assert other.last_step == weak.last_step
-    assert detections.time[other.rows].min() >= 9.9
-    apart = lasting(20.0, 30.0, 100)
-    assert without_duplicates([strong, apart], detections, VehicleSettings()) == [strong, apart]
-
-
-def test_who_lies_on_another_vehicle_in_between_stays_one():
-    time = np.arange(0.0, 30.0, 0.05)
-    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
-    whole, over = lasting(0.0, 30.0, 100), lasting(100.0, 5.0, 400, begin=10.0)
-    assert without_duplicates([whole, over], detections, VehicleSettings()) == [whole, over]
-
-
-def test_one_of_which_too_little_is_left_hides_no_other():
-    time = np.arange(0.0, 30.0, 0.05)
-    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
-    strong, weak, third = lasting(0.0, 8.0, 600), lasting(3.0, 20.0, 500), lasting(6.2, 20.0, 400)
-    weak.rows = np.arange(160)  # all while it lies on the first
-    third.rows = np.arange(200, 300)
-    third.along_m = third.left_m = np.zeros(100)
-    weak.along_m = weak.left_m = np.zeros(160)
-    assert without_duplicates([strong, weak, third], detections, VehicleSettings()) == [
-        strong,
-        third,
-    ]
-
-
-def test_what_was_cut_away_hides_no_other():
-    time = np.arange(0.0, 30.0, 0.05)
-    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
-    first, second, third = lasting(0.0, 8.0, 600), lasting(3.0, 30.0, 500), lasting(6.2, 8.0, 400)
-    kept = without_duplicates([first, second, third], detections, VehicleSettings())
-    assert kept[0] is first
-    assert kept[1].first_step >= 7.5 * RATE
-    assert kept[2] is third
-
-
 @given(step=st.tuples(st.integers(-50, 700), st.integers(-50, 700)))
 def test_a_part_of_a_motion_is_where_the_whole_is(step):
     time = np.arange(0.0, 30.0, 0.05)
@@ -462,39 +386,6 @@ def test_who_waited_is_one_unless_its_place_was_driven_over(driven_over, follows
     passes = Passes.of(over, detections, Strips.of(road_of(1)), StationarySettings())
     found = chains([one, other], passes, learned, VehicleSettings())
     assert found == ([[0, 1]] if follows else [[0], [1]])
-
-
-def stopping_at(*stops):
-    """Return a vehicle along x that stands for 20 s at each of some places."""
-    parts = [np.full(400, float(stop)) for stop in stops]
-    for k in range(len(stops) - 1, 0, -1):
-        parts.insert(k, np.linspace(stops[k - 1], stops[k], 140))
-    s = np.concatenate(parts)
-    return Motion(
-        rows=np.arange(10),
-        path=Path(np.column_stack([np.arange(301.0), np.zeros(301)])),
-        first_step=0,
-        s_m=s,
-        speed=np.append(np.diff(s) * RATE, 0.0),
-        var_s=np.ones(len(s)),
-        length_m=4.5,
-        width_m=1.8,
-        length_sigma_m=0.5,
-        p_heavy=0.0,
-        along_m=np.zeros(10),
-        left_m=np.zeros(10),
-    )
-
-
-@pytest.mark.parametrize("stops", [(50,), (50, 120), (120, 50)])
-def test_what_lies_on_a_vehicle_at_one_of_its_stops_is_that_one(stops):
-    begin = 27.0 * stops.index(50)
-    on_it = target(47.7, 52.3, np.arange(5), begin + 1.0, begin + 19.0)
-    beside = target(67.7, 72.3, np.arange(5), begin + 1.0, begin + 19.0)
-    places = [(np.array([50.0, 0.0]), 0.0), (np.array([70.0, 0.0]), 0.0)]
-    assert distinct_targets(
-        [on_it, beside], places, [stopping_at(*stops)], TrackManagementSettings()
-    ) == [1]
 
 
 @pytest.mark.parametrize("unknown", [0, 1, 9])

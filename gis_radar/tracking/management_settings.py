@@ -136,11 +136,6 @@ class TallSettings:
         Bound of the logarithm of the odds from heights.
     lorry_share : float
         Share of lorries and buses in traffic.
-    least_odds : float
-        Logarithm of the odds above which two stationary targets are joined to one lorry.
-    gap_m, both_share : float, float
-        Largest distance between two targets that are joined, and the least share of their time
-        that they have in common.
     """
 
     car_m: tuple[float, float] = (0.75, 0.3)
@@ -150,14 +145,11 @@ class TallSettings:
     least_rows: int = 10
     most_odds: float = 4.0
     lorry_share: float = 0.12
-    least_odds: float = 2.0
-    gap_m: float = 5.0
-    both_share: float = 0.6
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackManagementSettings:
-    """Which tracks are complete, and which are duplicates.
+    """Which tracks are complete, and which are of no vehicle.
 
     Parameters
     ----------
@@ -174,14 +166,6 @@ class TrackManagementSettings:
         Least time between two vehicles at one place.
     weaker_db : float
         Stationary vehicles are at most so much weaker than moving ones.
-    near_m, same_share : float
-        Of two bodies within this distance that overlap by this share, one is dropped.
-    duplicate_share : float
-        A track that overlaps better supported ones in at least this share of its half seconds is
-        dropped as a duplicate.
-    duplicate_halves : int
-        Least number of overlapping half seconds at the begin or end of a track that are cut off:
-        errors of places last for less.
     least_moving, least_way_m : int, float
         Least number of moving detections and least distance of a vehicle; otherwise the detections
         are false.
@@ -199,10 +183,6 @@ class TrackManagementSettings:
     own_share: float = 0.5
     apart_s: float = 1.0
     weaker_db: float = 6.0
-    near_m: float = 15.0
-    same_share: float = 0.4
-    duplicate_share: float = 0.5
-    duplicate_halves: int = 3
     least_moving: int = 6
     least_way_m: float = 4.0
     alone_s: float = 3.0

@@ -15,10 +15,8 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.tracking.bodies import usual_rcs
-from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.duplicates import distinct_targets, join_tall
 from gis_radar.tracking.links import Part, chains
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
@@ -69,17 +67,9 @@ def complete_tracks(
         with_rest(number, each, detections, free, states, passes, seen, settings)
         for number, each in enumerate(motions)
     ]  # fmt: skip
-    seen = replace(seen, occluders=Occluders.of(motions))
-    motions = [
-        part for number, each in enumerate(motions)
-        for part in _at_silences(number, each, detections, states, free, seen, settings)
-    ]  # fmt: skip
     targets = find_stationary(detections, free, motions, passes, settings.stationary)
-    targets = join_tall(targets, detections, settings.tall)
     targets = _as_strong(targets, detections, motions, settings)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in targets]
-    alone = distinct_targets(targets, places, motions, settings.management)
-    targets, places = [targets[k] for k in alone], [places[k] for k in alone]
     hides = [Occluders.of(motions)]
     for number, (each, (place, heading)) in enumerate(zip(targets, places, strict=True)):
         states[each.rows, :2], states[each.rows, 2], states[each.rows, 3] = place, heading, 0.0
@@ -131,24 +121,6 @@ def _stood(motion: Motion, detections: MapDetections, settings: VehicleSettings)
     ]
     enough = len(still) >= settings.management.alone_rows
     return enough and float(np.ptp(detections.time[still])) >= settings.management.alone_s
-
-
-def _at_silences(
-    number: int, motion: Motion, detections: MapDetections, states: Floats, free: Booleans,
-    seen: Detectability, settings: VehicleSettings,
-) -> list[Motion]:  # fmt: skip
-    """Split a motion at gaps in which it would have been detected."""
-    limits, time = settings.detectability, detections.time[motion.rows]
-    cuts = []
-    for k in np.flatnonzero(np.diff(time) > limits.silent_s).tolist():
-        s_m, _ = motion.at(time[k : k + 2])
-        places, _ = motion.path.at(s_m)
-        span = (float(time[k]), float(time[k + 1]))
-        ways = (places, places[[0, 0]], places[[1, 1]])
-        due = min(seen.due_between(each, span, (number, NONE)) for each in ways)
-        if due > limits.most_due:
-            cuts.append(k + 1)
-    return _parts(motion, cuts, detections, states, free, settings)
 
 
 def _at_drives(

@@ -14,7 +14,6 @@ from gis_radar.tracking.bodies import (
     without_faint_ends,
 )
 from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.duplicates import without_duplicates
 from gis_radar.tracking.forward import follow_both_ways
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior import improve
@@ -55,5 +54,4 @@ def vehicles_in(
     for each in motions:
         free[each.rows] = False
     found = complete_tracks(detections, graph, driven, states, free, settings)
-    distinct = without_duplicates(found, detections, settings)
-    return improve(distinct, detections, graph, settings.motion)
+    return improve(found, detections, graph, settings.motion)
