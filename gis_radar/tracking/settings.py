@@ -325,7 +325,7 @@ class VehicleSettings:
     tall : TallSettings
         Heights that distinguish long vehicles.
     management : TrackManagementSettings
-        Complete tracks and duplicates.
+        Complete tracks.
     links : LinkSettings
         Which parts of tracks follow each other.
     routes : RouteSettings

@@ -280,7 +280,7 @@ def overlap(
                 continue
             dx, dy = shape[o, 0] - x, shape[o, 1] - y
             aside = abs(dy * c - dx * s)
-            if aside > 0.3 * (width + shape[o, 6]) or abs(c * shape[o, 2] + s * shape[o, 3]) < 0.8:
+            if aside > 0.5 * (width + shape[o, 6]) or abs(c * shape[o, 2] + s * shape[o, 3]) < 0.8:
                 continue
             least = min(length, shape[o, 5])
             both = 0.5 * (length + shape[o, 5]) - abs(dx * c + dy * s)
