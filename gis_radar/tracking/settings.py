@@ -325,7 +325,7 @@ class VehicleSettings:
     tall : TallSettings
         Heights that distinguish long vehicles.
     management : TrackManagementSettings
-        Complete tracks.
+        Which tracks are complete, and of a vehicle.
     links : LinkSettings
         Which parts of tracks follow each other.
     routes : RouteSettings
