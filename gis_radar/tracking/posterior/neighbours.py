@@ -17,11 +17,11 @@ from gis_radar.tracking.posterior.sizes import gains_of_sizes, prior, sample, wi
 from gis_radar.tracking.size import LONG_M, LONGEST_M, width_of
 
 LEAST_GAIN = 1.0  # of the log-probability
-SAME = 0.1  # of what speaks for a change: detections of one scatterer repeat each other
+TOLD = 0.1  # of what speaks for a change: detections of one scatterer repeat each other
 ASIDE_M, SAME_WAY = 1.7, 0.9  # of two that may be one: lateral distance, cosine of headings
 TOGETHER = 0.6  # and so much of the shorter's time
 SHORTEST_M = 4.0
-CAR_M, BETWEEN_M = 4.5, 2.0  # the usual length of a car, and a gap in a queue
+USUAL_M, BETWEEN_M = 4.5, 2.0  # the usual length of a car, and a gap in a queue
 # Time gaps between drivers are log-normal (Treiber and Kesting, Traffic Flow Dynamics, ch. 4):
 # their median, s, the standard deviation of their logarithm, and the speed from which they count.
 GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
@@ -142,10 +142,10 @@ def _as_two(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
     if len(rows) == 0:
         return []
     shape, length = posterior.states.shape[rows], motion.length_m
-    other = length - CAR_M - BETWEEN_M
+    other = length - USUAL_M - BETWEEN_M
     found: list[tuple[float, float]] = []
-    pairs = [(CAR_M, min(CAR_M, other))]
-    pairs += [(CAR_M, other), (other, CAR_M)] if other > CAR_M else []
+    pairs = [(USUAL_M, min(USUAL_M, other))]
+    pairs += [(USUAL_M, other), (other, USUAL_M)] if other > USUAL_M else []
     posterior.lift(vehicle)
     alone = posterior.total.copy()
     now = _sum(posterior, rows, count, shape)
@@ -175,7 +175,7 @@ def _sum(posterior: Posterior, rows: Integers, count: Floats, shape: Floats) -> 
 
 def _tempered(gain: Floats) -> Floats:
     """Return gains of the log-likelihood, those that speak for a change as far as they tell."""
-    return np.where(gain > 0.0, SAME * gain, gain)
+    return np.where(gain > 0.0, TOLD * gain, gain)
 
 
 def _following(apart: float, motion: Motion) -> float:

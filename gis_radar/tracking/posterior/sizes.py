@@ -29,10 +29,7 @@ TRIED_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
 STAYS = (-1.0, 0.0, 1.0)  # what of a body stays where it is: rear, middle, front
 MOST_WINDOWS = 20  # half seconds that are looked at, spread over its time: no more count
 TELLS = 20.0  # half seconds, driven and at rest: the same scatterers tell no more of a length
-LEAST_GAIN, LEAST_JOIN = 2.0, 1.0  # of the log-probability
-ASIDE_M, SAME_WAY = 1.7, 0.9  # of two that may be one: lateral distance, cosine of headings
-TOGETHER = 0.6  # and so much of the shorter's time
-SHORTEST_M = 4.0
+LEAST_GAIN = 2.0  # of the log-probability
 
 
 def prior(length: float) -> float:
