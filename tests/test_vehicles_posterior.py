@@ -15,7 +15,7 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import _best_stretches
-from gis_radar.tracking.posterior.likelihood import gain_of
+from gis_radar.tracking.posterior.likelihood import gain_of, overlap
 from gis_radar.tracking.posterior.neighbours import split_long
 from gis_radar.tracking.settings import MotionSettings
 
@@ -180,6 +180,18 @@ def test_no_two_are_in_one_place_for_over_a_second(graph):
     found = detected(returns(rng, 0, 12, 20.0, 10.0, each=4.0), clutter(rng, 14))
     twice = [track(found, 0, 12, 20.0 + shift, 10.0) for shift in (0.0, 0.5)]
     assert len(improve(twice, found, graph, MotionSettings())) == 1
+
+
+def test_no_two_are_side_by_side_nearer_than_they_are_wide(graph):
+    rng = np.random.default_rng(11)
+    found = detected(returns(rng, 0, 12, 20.0, 10.0, each=4.0), clutter(rng, 14))
+    one, beside = (track(found, 0, 12, 20.0, 10.0) for _ in range(2))
+    beside.path = Path(one.path.points + np.array([0.0, 1.3]))
+    posterior = Posterior(found, [one, beside])
+    states = posterior.states
+    rows = np.arange(states.first[1], states.first[2])
+    share = overlap(rows, states.frame, states.shape, posterior.alive, *posterior.by_frame)
+    assert share.min() > 0.9
 
 
 def test_the_same_detections_give_the_same_vehicles(graph):
