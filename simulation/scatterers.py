@@ -227,10 +227,11 @@ def place_spots(
     roll = np.where(wheel, 1.0 + np.cos(spin), 1.0)
     turning = vehicles.yaw_rate[owner][:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
     flat = (speed * roll)[:, None] * ahead + turning
+    rise = np.sum(scene.terrain.gradient(plane) * flat, axis=1)
     base = 8.0 * np.log10(size[:, 0] * size[:, 2] / 6.5)
     return Scatterers(
         point=np.column_stack([plane, scene.terrain.height(plane) + over]),
-        velocity=np.column_stack([flat, np.zeros(len(owner))]),
+        velocity=np.column_stack([flat, rise]),
         rcs=base + np.where(wheel, -8.0, 1.0) + rcs,
         owner=owner,
         target=np.full(len(owner), -1),

@@ -37,3 +37,10 @@ class Terrain:
         turn = 2.0 * np.pi / self.wave_length_m
         wave = np.sin(local[..., 0] * turn) * np.cos(local[..., 1] * turn)
         return np.asarray(self.height_m + local @ np.array(self.slope) + self.wave_m * wave)
+
+    def gradient(self, points: Floats) -> Floats:
+        """Return the rise per metre to the east and to the north at ``(n, 2)`` points."""
+        turn = 2.0 * np.pi / self.wave_length_m
+        east, north = ((np.asarray(points)[..., :2] - np.array(self.origin)) * turn).T
+        wave = np.stack([np.cos(east) * np.cos(north), -np.sin(east) * np.sin(north)], axis=-1)
+        return np.asarray(np.array(self.slope) + self.wave_m * turn * wave)
