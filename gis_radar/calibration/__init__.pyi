@@ -5,6 +5,7 @@ from .localization import localize, localize_files
 from .monitor import Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
 from .pose_track import MOVED, Event, Track, draw_track, track_of
+from .range_scale import RangeScale, measure_range_scale
 from .result import AmbiguousError, Localization, Problem, draw_localization
 from .scan_check import ScanCheck, check_against_scan, require_scans_near
 from .scan_check_picture import draw_scan_check
@@ -27,6 +28,7 @@ __all__ = [
     "LocalizationSettings",
     "MonitorSettings",
     "Problem",
+    "RangeScale",
     "ScanCheck",
     "ScanCheckSettings",
     "SensorClock",
@@ -43,6 +45,7 @@ __all__ = [
     "localize_files",
     "localize_together",
     "measure_clocks",
+    "measure_range_scale",
     "read_clocks",
     "require_scans_near",
     "start_estimate",

@@ -1,0 +1,291 @@
+"""Scale of range: how much faster ranges change than the range rates state, with its error.
+
+Ranges that are 5 % too long, yards, range rates in km/h, signs that are turned or lost: a pose
+found from them may look certain, as all traces grow alike. But what moves changes its range by the
+integral of its range rate, whatever the map and the pose.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
+
+# The search pairs detections so long apart: a vehicle moves farther than the length of a car.
+LAPSE_S = 0.5
+LEAST_MOVE_M = 2.0  # least change of range of a pair: reflections wander by a metre on a vehicle
+LEAST_SHARE = 0.15  # least range rate of a pair, as a share of the fastest
+ALIKE = 0.15  # relative difference of the range rates of a vehicle half a second apart
+ACROSS_M, ACROSS_MPS = 1.5, 6.0  # way across the line of sight of a pair: size, crossing speed
+MOST_PAIRED = 20_000  # detections that are paired; of more every n-th frame
+RATIOS = np.exp(np.arange(math.log(0.02), math.log(50.0), 0.02))  # looked at, with both signs
+NEAR = 0.1  # difference of logarithms within which a pair counts for a ratio
+LEAST_PAIRS = 30
+BOTH_SIGNS = 0.2  # peak of the rarer direction over the other's where range rates lost their sign
+
+STILL_MPS = 0.5  # slower detections are leaves
+DRIVE_MPS = 4.0  # mean range rate of a track: slower ones may be limbs of walkers without the trunk
+LEAST_POINTS, LEAST_WAY_M = 6, 5.0  # of a track
+LEAST_COSINE = 0.8  # between way and line of sight; seen from aside the faces change fast
+STRAY_M = 1.5  # where half of a track is farther off, two vehicles are linked in it
+WANDER_M, SPREAD = 0.3, 1.5  # least scale of the misfits (Cauchy); over their median
+LOOKS = 4.0  # a track counts as so many independent detections: a misfit lasts
+ROUNDS, STEPS = 2, 12  # of linking at the factor found; of the weights
+LEAST_VEHICLES = 5  # fewer clusters give no standard error
+# A car's half length and width; how far reflections keep to the faces turned to the sensor, in
+# proportion to their size: 0.3 to 1.2 in three simulations by different authors.
+HALF_LENGTH_M, HALF_WIDTH_M = 2.25, 0.9
+FACES, KNOWN = 0.7, np.diag([0.0, 0.4**-2])  # and its information, beside none on the slope
+# One standard deviation of what else all vehicles share in one track: they come into view front
+# first, and near the sensor more of their rear is seen.
+SHARED_M = 0.35
+
+SIGMAS, LEAST_OFF = 3.0, 0.01  # off 1 is what is off by more than both
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeScale:
+    """By which factor ranges change faster than the range rates state.
+
+    Parameters
+    ----------
+    factor : float
+        Change of range over the integral of range rate: 1 where units and times are right,
+        negative where the sign of the range rates is turned.
+    sigma : float
+        Its standard error.
+    vehicles : int
+        On how many it rests.
+    absolute : bool
+        Whether range rates have lost their sign: what approaches has the sign of what recedes.
+    """
+
+    factor: float
+    sigma: float
+    vehicles: int
+    absolute: bool = False
+
+    @property
+    def off(self) -> bool:
+        """Whether it contradicts 1: by more than three standard errors and 1 %."""
+        return self.absolute or abs(self.factor - 1.0) > max(SIGMAS * self.sigma, LEAST_OFF)
+
+    def __repr__(self) -> str:
+        lost = ", signs lost" if self.absolute else ""
+        return f"RangeScale({self.factor:.3f} ± {self.sigma:.3f}, {self.vehicles} vehicles{lost})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Tracks:
+    """Detections on tracks of vehicles, sorted by track."""
+
+    track: Integers
+    vehicle: Integers
+    time: Floats
+    range_m: Floats
+    stated_m: Floats  # integral of the track's range rate
+    face_m: Floats  # how much nearer the faces turned to the sensor are than the middle of a car
+
+    def where(self, keep: Booleans) -> _Tracks:
+        return _Tracks(**{name: values[keep] for name, values in vars(self).items()})
+
+    def extent(self, values: Floats) -> Floats:
+        """Return how far values reach in the track of each detection."""
+        first = np.flatnonzero(np.append(True, np.diff(self.track) != 0))
+        reach = np.maximum.reduceat(values, first) - np.minimum.reduceat(values, first)
+        return np.repeat(reach, np.diff(np.append(first, len(values))))
+
+    @property
+    def way_m(self) -> Floats:
+        """How far the track of each detection leads to or from the sensor."""
+        return self.extent(self.stated_m)
+
+
+def measure_range_scale(moving: Moving) -> RangeScale | None:
+    """Return how much faster ranges change than the range rates state; None in too little traffic.
+
+    A search over all factors, by pairs of detections half a second apart, gives the one at which
+    detections are linked to tracks; a robust regression of range over the integral of range rate
+    mends it, the vehicles as clusters for its error.
+
+    Parameters
+    ----------
+    moving : Moving
+        Moving detections of one window.
+    """
+    found = _search(moving)
+    if found is None:
+        return None
+    factor, absolute = found
+    for _ in range(ROUNDS):
+        tracks = _tracks(moving, factor)
+        if absolute:
+            tracks = _joined(tracks, _tracks(moving, -factor))
+        regressed = _regressed(tracks)
+        if regressed is None:
+            return None
+        slope, sigma, vehicles = regressed
+        factor, sigma = factor * slope, abs(factor) * sigma
+    return RangeScale(
+        factor=abs(factor) if absolute else factor,
+        sigma=sigma,
+        vehicles=vehicles,
+        absolute=absolute,
+    )
+
+
+def _search(moving: Moving) -> tuple[float, bool] | None:
+    """Return the factor that most pairs of detections show, and whether signs are lost."""
+    rate = moving.range_rate
+    if len(rate) == 0:
+        return None
+    fast = np.abs(rate) >= LEAST_SHARE * np.percentile(np.abs(rate), 99.0)
+    ratios = _pair_ratios(moving.time[fast], _points(moving, fast), rate[fast])
+    peaks = []
+    for sign in (1.0, -1.0):
+        logs = np.sort(np.log(sign * ratios[sign * ratios > 0.0]))
+        low, high = (np.searchsorted(logs, np.log(RATIOS) + side) for side in (-NEAR, NEAR))
+        density = (high - low) / RATIOS  # of vehicles that have nothing in common it is even
+        best = int(density.argmax())
+        peaks.append((float(density[best]), sign * float(RATIOS[best])))
+    (rarer, _), (peak, factor) = sorted(peaks)
+    if peak * abs(factor) < LEAST_PAIRS:
+        return None
+    one_sign = bool((rate > 0.0).all() or (rate < 0.0).all())
+    return factor, one_sign and rarer > BOTH_SIGNS * peak
+
+
+def _points(moving: Moving, rows: Booleans | Integers) -> Floats:
+    """Return positions; of a radar without elevation x and y hold the slant range."""
+    return np.nan_to_num(moving.points[rows])
+
+
+def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
+    """Return change of range over stated change of pairs that may be of one vehicle."""
+    reach, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
+    frames, begins = np.unique(time, return_index=True)
+    ends = np.append(begins[1:], len(time))
+    later = np.searchsorted(frames, frames + LAPSE_S)
+    found = [np.empty(0)]
+    for one in range(0, len(frames), max(len(time) // MOST_PAIRED, 1)):
+        other = int(later[one])
+        if other == len(frames) or frames[other] - frames[one] > 1.5 * LAPSE_S:
+            continue
+        a, b = (slice(begins[i], ends[i]) for i in (one, other))
+        lapse_s, stated = frames[other] - frames[one], (rate[a, None] + rate[b]) / 2.0
+        moved = reach[b] - reach[a, None]
+        turn = np.abs((azimuth[b] - azimuth[a, None] + np.pi) % (2.0 * np.pi) - np.pi)
+        alike = np.abs(rate[a, None] - rate[b]) <= ALIKE * np.abs(stated)
+        alike &= turn * reach[a, None] <= ACROSS_M + ACROSS_MPS * lapse_s
+        alike &= np.abs(moved) >= LEAST_MOVE_M
+        found.append(moved[alike] / (stated[alike] * lapse_s))
+    return np.concatenate(found)
+
+
+def _tracks(moving: Moving, factor: float) -> _Tracks:
+    """Link detections whose ranges change by a factor times their range rates."""
+    fast = np.abs(factor * moving.range_rate) >= STILL_MPS
+    moving = replace(
+        moving,
+        time=moving.time[fast],
+        points=_points(moving, fast),
+        range_rate=factor * moving.range_rate[fast],
+    )
+    track = link_tracks(moving)
+    vehicle = vehicles_of(moving, track)
+    on = np.flatnonzero(track != NONE)
+    on = on[np.lexsort((moving.time[on], track[on]))]
+    number, time, points = track[on], moving.time[on], moving.points[on]
+    cosine = _cosine(number, points)
+    tracks = _Tracks(
+        track=number,
+        vehicle=vehicle[number],
+        time=time,
+        range_m=np.linalg.norm(points, axis=1),
+        stated_m=_integral(number, time, moving.range_rate[on]),
+        face_m=_nearer(cosine),
+    ).where(cosine >= LEAST_COSINE)
+    if len(tracks.time) == 0:
+        return tracks
+    count = np.bincount(tracks.track)[tracks.track]
+    least_m = np.maximum(LEAST_WAY_M, DRIVE_MPS * tracks.extent(tracks.time))
+    return tracks.where((count >= LEAST_POINTS) & (tracks.way_m >= least_m))
+
+
+def _integral(track: Integers, time: Floats, rate: Floats) -> Floats:
+    """Return the integral of the range rate of each track, by the mean of each frame."""
+    if len(track) == 0:
+        return time
+    new = np.append(True, (np.diff(track) != 0) | (np.diff(time) > 0.0))
+    row = np.cumsum(new) - 1
+    mean = np.bincount(row, rate) / np.bincount(row)
+    step = np.append(0.0, np.diff(time[new]) * (mean[1:] + mean[:-1]) / 2.0)
+    step[np.append(True, np.diff(track[new]) != 0)] = 0.0
+    return np.asarray(np.cumsum(step)[row])
+
+
+def _cosine(track: Integers, points: Floats) -> Floats:
+    """Return the cosine between the straight line of each track and the lines of sight."""
+    count, (x, y) = np.bincount(track), points[:, :2].T
+    dx, dy = (v - (np.bincount(track, v) / count)[track] for v in (x, y))
+    xx, yy, xy = (np.bincount(track, v) for v in (dx * dx, dy * dy, dx * dy))
+    way = 0.5 * np.arctan2(2.0 * xy, xx - yy)[track]  # of the longest axis
+    return np.asarray(np.abs(np.cos(way - np.arctan2(y, x))))
+
+
+def _nearer(cosine: Floats) -> Floats:
+    """Return how much nearer what is seen of a car is than its middle, metres."""
+    sine = np.sqrt(1.0 - cosine**2)
+    # end and side, each by the share of what is turned to the sensor, half a length and a width
+    # nearer: cosine and sine drop out of the sum
+    return np.asarray(HALF_LENGTH_M * HALF_WIDTH_M / (HALF_WIDTH_M * cosine + HALF_LENGTH_M * sine))
+
+
+def _joined(one: _Tracks, other: _Tracks) -> _Tracks:
+    """Return two sets of tracks as one, the second's numbered on."""
+    shift = {n: int(getattr(one, n).max(initial=-1)) + 1 for n in ("track", "vehicle")}
+    return _Tracks(
+        **{n: np.concatenate([v, getattr(other, n) + shift.get(n, 0)])
+           for n, v in vars(one).items()}
+    )  # fmt: skip
+
+
+def _regressed(tracks: _Tracks) -> tuple[float, float, int] | None:
+    """Return slope of range over integral, its standard error, and the number of vehicles."""
+    if len(np.unique(tracks.vehicle)) < LEAST_VEHICLES:
+        return None
+    track = np.unique(tracks.track, return_inverse=True)[1]
+    count = np.bincount(track)
+    weight, scale_m = np.ones(len(track)), WANDER_M
+    for _ in range(STEPS):
+        total = np.maximum(np.bincount(track, weight), 1e-9)
+        x, face, y = (
+            values - (np.bincount(track, weight * values) / total)[track]
+            for values in (tracks.stated_m, -tracks.face_m, tracks.range_m)
+        )
+        columns, share = np.column_stack([x, face]), LOOKS / (scale_m**2 * count[track])
+        squares = columns.T @ (columns * (weight * share)[:, None]) + KNOWN
+        found = np.linalg.solve(squares, columns.T @ (weight * share * y) + KNOWN @ [0.0, FACES])
+        misfit = y - columns @ found
+        stray = (np.bincount(track, np.abs(misfit) > STRAY_M) > count / 2.0)[track]
+        if stray.all():
+            return None
+        scale_m = max(WANDER_M, SPREAD * float(np.median(np.abs(misfit[~stray]))))
+        weight = np.where(stray, 0.0, 1.0 / (1.0 + (misfit / scale_m) ** 2))
+    share = share * weight
+    vehicle = np.unique(tracks.vehicle, return_inverse=True)[1]
+    used = int(np.count_nonzero(np.bincount(vehicle, share)))
+    if used < LEAST_VEHICLES:
+        return None
+    # second derivative of the cost, where it is positive
+    bent = columns.T @ (columns * (share * np.maximum(2.0 * weight - 1.0, 0.0))[:, None]) + KNOWN
+    inverse = np.linalg.inv(bent)
+    scores = np.column_stack([np.bincount(vehicle, share * misfit * each) for each in columns.T])
+    spread = scores.T @ scores * used / (used - len(found)) + KNOWN
+    drawn = math.sqrt((inverse @ spread @ inverse)[0, 0])
+    shared = SHARED_M * float(np.average(1.0 / tracks.way_m, weights=share * x**2))
+    return float(found[0]), math.hypot(drawn, shared), used
