@@ -66,7 +66,12 @@ def test_a_pose_file_comes_out(files, monkeypatch):
         "fitness",
         "observable",
         "frames",
+        "range_scale",
     } <= set(found.evidence)
+    scale = found.evidence["range_scale"]
+    assert abs(scale["factor"] - 1.0) < 3.0 * scale["sigma"]
+    assert result["summary"]["range_scale"] == round(scale["factor"], 3)
+    assert 0.0 < result["summary"]["sigma_range_scale"] < 0.03
 
 
 @pytest.mark.parametrize(
@@ -161,8 +166,11 @@ def test_the_crs_of_a_scan_is_read(files):
 
 def test_settings_that_are_not_the_defaults_go_into_the_pose(files, monkeypatch):
     street, folder = files
-    answer = gr.Localization(pose=street.pose(), fitness=1.0, observable=True)
-    monkeypatch.setitem(METHODS, "lane", lambda *_: answer)
+    monkeypatch.setitem(
+        METHODS, "lane", lambda problem, *_: gr.Localization(
+            pose=replace(street.pose(), evidence=problem.evidence), fitness=1.0, observable=True
+        )
+    )  # fmt: skip
     ask = partial(
         gr.localize, folder / "R1.parquet", street.roads(), np.empty((0, 3)), guess=(6.9e5, 5.3e6)
     )

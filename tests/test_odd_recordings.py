@@ -70,8 +70,6 @@ def other_units():
     turn = np.column_stack([place[:, :2] / 1e5, place[:, 2]]) - [0.0, 0.0, 370.0]
     yield "millimetres", time, points * 1000.0, rate
     yield "it looks like degrees", time, turn, rate
-    yield "positions look like feet", time, points * 3.28084, rate
-    yield "range rates look positive where targets approach", time, points, -rate
 
 
 @pytest.mark.parametrize(("named", "time", "points", "rate"), list(other_units()))
@@ -80,6 +78,34 @@ def test_other_units_are_named(tmp_path, named, time, points, rate):
         localized(tmp_path, time, points, rate, heading=TRUE.yaw)
     assert refusal.value.exit_code == 3
     assert "metres" in refusal.value.hint
+
+
+@pytest.mark.parametrize("method", ["lane", "icp"])
+@pytest.mark.parametrize(
+    ("longer", "faster", "line"),
+    [
+        (3.28084, 1.0, r"3\.28\d .* positions look like feet"),
+        (1.0 / 0.9144, 1.0, r"1\.09\d .* positions look like yards"),
+        (1.05, 1.0, r"1\.05\d \xb1 0\.0[01]\d times as fast as .* \(\d+ vehicles\)"),
+        (1.0, 3.6, r"0\.27\d .* range rates look like km/h"),
+        (1.0, -1.0, r"-1\.00\d .* range rates look positive where targets approach"),
+    ],
+)
+def test_ranges_that_change_otherwise_than_stated_are_refused(
+    tmp_path, method, longer, faster, line
+):
+    time, points, rate = passing()
+    with pytest.raises(gr.NoAnswerError, match=rf"(?m)^R1: ranges change {line}$") as refusal:
+        localized(tmp_path, time, longer * points, faster * rate, heading=TRUE.yaw, method=method)
+    assert refusal.value.exit_code == 4
+    assert "metres" in refusal.value.hint
+    assert "time is seconds" in refusal.value.hint
+
+
+def test_signs_that_are_lost_are_named(tmp_path):
+    time, points, rate = passing()
+    with pytest.raises(gr.NoAnswerError, match="range rates look like absolute values"):
+        localized(tmp_path, time, points, np.abs(rate), heading=TRUE.yaw)
 
 
 def test_a_clock_that_runs_one_percent_slow_moves_no_pose(tmp_path):

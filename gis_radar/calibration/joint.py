@@ -445,8 +445,13 @@ def _with_pose(found: Localization, pose: Pose) -> Localization:
 
 
 def _line(pose: Pose) -> str:
-    look = pose.evidence.get("scan_check")
-    return gain_line(pose) + (f"; scan check: {look['verdict']}" if look else "")
+    look, scale = pose.evidence.get("scan_check"), pose.evidence.get("range_scale")
+    parts = [gain_line(pose)]
+    if scale:
+        parts.append(Text("scale of range {:.3f} ± {:.3f}", scale["factor"], scale["sigma"]))
+    if look:
+        parts.append(f"scan check: {look['verdict']}")
+    return Text("; ").join(parts)
 
 
 def gain_line(pose: Pose) -> str:

@@ -15,6 +15,7 @@ from gis_radar.arrays import Floats
 from gis_radar.calibration.icp import by_icp
 from gis_radar.calibration.lane_method import by_lanes
 from gis_radar.calibration.moving import read_moving
+from gis_radar.calibration.range_scale import measure_range_scale
 from gis_radar.calibration.result import (
     AmbiguousError,
     Localization,
@@ -30,7 +31,6 @@ from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, SILENT, Reporter
 from gis_radar.recordings.recording import open_recording
-from gis_radar.recordings.units import compare_speeds
 from gis_radar.scans.scan import read_road, road_crs
 from gis_radar.sight import Sight, SightScan, SightTiles, find_sight
 from gis_radar.texts import Text
@@ -83,10 +83,10 @@ def localize(
     UsageError
         If there is no such method, or the guess is no position in metres.
     InputError
-        If the recording cannot be read or is in other units, or scan and map do not overlap.
+        If the recording cannot be read, or scan and map do not overlap.
     NoAnswerError
-        If no trustworthy answer follows: no traffic, too few frames, a guess too far off, several
-        answers, a mirrored recording.
+        If no trustworthy answer follows: no traffic, too few frames, ranges that do not change as
+        the range rates state, a guess too far off, several answers, a mirrored recording.
     """
     if method not in METHODS:
         raise UsageError("method is {}, expected one of {}", repr(method), ", ".join(METHODS))
@@ -116,35 +116,22 @@ def localize(
             traces.least_frames,
             hint="record longer: 100 s are a good length",
         )
+    scale = measure_range_scale(moving)
+    if scale is not None:
+        scale.require_one(Path(recording).stem)
+    stated = {
+        "range_scale": None if scale is None else scale.evidence(),
+        "settings": settings.changes(),
+    }
     problem = Problem(
         name=Path(recording).stem,
         roads=roads,
         road=np.asarray(road_points, dtype=np.float64),
         guess=np.asarray(guess, dtype=np.float64),
         heading=None if heading is None else math.radians(heading),
+        evidence={name: value for name, value in stated.items() if value},
     )
-    try:
-        found = METHODS[method](problem, moving, reporter, settings)
-    except NoAnswerError:
-        _refuse_units(recording, moving)
-        raise
-    changes = settings.changes()
-    if not changes:
-        return found
-    evidence = {**found.pose.evidence, "settings": changes}
-    return replace(found, pose=replace(found.pose, evidence=evidence))
-
-
-def _refuse_units(recording: str | Path, moving: Moving) -> None:
-    """Refuse a recording whose ranges do not change as its range rates state."""
-    odd = compare_speeds(moving.time, moving.points, moving.range_rate)
-    if odd:
-        raise InputError(
-            "{}: no pose follows: {}",
-            recording,
-            odd,
-            hint="x, y and z are metres, range_rate is m/s and positive when receding",
-        )
+    return METHODS[method](problem, moving, reporter, settings)
 
 
 def localize_files(

@@ -8,12 +8,15 @@ integral of its range rate, whatever the map and the pose.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
+from gis_radar.errors import NoAnswerError
+from gis_radar.texts import Text
 
 # The search pairs detections so long apart: a vehicle moves farther than the length of a car.
 LAPSE_S = 0.5
@@ -45,6 +48,14 @@ FACES, KNOWN = 0.7, np.diag([0.0, 0.4**-2])  # and its information, beside none 
 SHARED_M = 0.35
 
 SIGMAS, LEAST_OFF = 3.0, 0.01  # off 1 is what is off by more than both
+# What a factor looks like that is one of these within its error.
+LIKELY = {
+    3.28084: "positions look like feet",
+    1.0 / 0.9144: "positions look like yards",
+    1.0 / 3.6: "range rates look like km/h",
+    1.0 / 2.23694: "range rates look like mph",
+    -1.0: "range rates look positive where targets approach",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +84,45 @@ class RangeScale:
     def off(self) -> bool:
         """Whether it contradicts 1: by more than three standard errors and 1 %."""
         return self.absolute or abs(self.factor - 1.0) > max(SIGMAS * self.sigma, LEAST_OFF)
+
+    @property
+    def likely(self) -> str:
+        """What it looks like; empty where it is none of the usual mistakes."""
+        if self.absolute:
+            return Text("range rates look like absolute values")
+        within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
+        near = [text for factor, text in LIKELY.items() if abs(self.factor - factor) < within]
+        return Text(near[0]) if len(near) == 1 else ""
+
+    def require_one(self, name: str) -> None:
+        """Refuse a scale that contradicts 1.
+
+        Parameters
+        ----------
+        name : str
+            Of the recording.
+
+        Raises
+        ------
+        NoAnswerError
+            With the factor, its error, and what to try.
+        """
+        if not self.off:
+            return
+        stated = Text(
+            "{}: ranges change {:.3f} \u00b1 {:.3f} times as fast as the range rates state "
+            "({} vehicles)",
+            name, self.factor, self.sigma, self.vehicles,
+        )  # fmt: skip
+        raise NoAnswerError(
+            "{}",
+            Text(": ").join([stated, self.likely] if self.likely else [stated]),
+            hint="x, y, z are metres, range_rate is m/s, positive when receding, time is seconds",
+        )
+
+    def evidence(self) -> Mapping[str, float]:
+        """Return it as a pose's evidence states it."""
+        return {"factor": self.factor, "sigma": self.sigma, "vehicles": self.vehicles}
 
     def __repr__(self) -> str:
         lost = ", signs lost" if self.absolute else ""

@@ -100,6 +100,7 @@ class Localization:
             "observable": self.observable,
             "vehicles": self.vehicles,
             "hypotheses": len(self.hypotheses),
+            **range_scale_figures(self.pose),
             **({"scan_check": look["verdict"]} if look else {}),
         }
 
@@ -161,6 +162,9 @@ class Localization:
                 "position ± {across} m, yaw ± {yaw}°",
                 across=figure_text(across, 2), yaw=figure_text(sigma["yaw"], 2),
             ))  # fmt: skip
+        if scale := self.pose.evidence.get("range_scale"):
+            factor, error = (figure_text(scale[each], 3) for each in ("factor", "sigma"))
+            parts.append(tr("scale of range {factor} ± {error}", factor=factor, error=error))
         if not self.observable:
             parts.append(tr("the scene leaves part of it open"))
         parts[0] = f"{self.pose.sensor}: {parts[0]}"
@@ -187,6 +191,17 @@ class Localization:
         self.plot(ax=ax).set_title("")
         ax.get_legend().remove()
         ax.tick_params(labelsize=6)
+
+
+def range_scale_figures(pose: Pose) -> dict[str, float]:
+    """Return the scale of range that a pose's evidence states, and its error, by name."""
+    scale = pose.evidence.get("range_scale")
+    if scale is None:
+        return {}
+    return {
+        "range_scale": round(scale["factor"], 3),
+        "sigma_range_scale": float(f"{scale['sigma']:.2g}"),
+    }
 
 
 class AmbiguousError(NoAnswerError):
@@ -327,6 +342,8 @@ class Problem:
         Easting, northing and perhaps height, metres.
     heading : float or None
         Yaw, radians, where one is known.
+    evidence : dict
+        What every answer states besides its own.
     """
 
     name: str
@@ -334,6 +351,7 @@ class Problem:
     road: Floats
     guess: Floats
     heading: float | None
+    evidence: Mapping[str, Any] = field(default_factory=dict)
 
     def pose(self, state: State, evidence: Mapping[str, Any]) -> Pose:
         """Return a state in local coordinates as a pose in the map."""
@@ -348,7 +366,7 @@ class Problem:
             yaw=yaw,
             pitch=pitch,
             roll=roll,
-            evidence=evidence,
+            evidence={**evidence, **self.evidence},
         )
 
 
