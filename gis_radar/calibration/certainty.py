@@ -27,6 +27,7 @@ CLEAR_RISE = 50.0
 
 LOOK_GAIN = 1.0  # what a look around an optimum must gain: a sigma costs 0.5
 
+PLACE = [0, 1]  # of the state: easting, northing
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
 UNITS = np.repeat([1.0, math.degrees(1.0)], 3)  # of a pose file's sigmas: metres, degrees
 Names = tuple[str, str]
@@ -65,23 +66,23 @@ def certainty(
 
     The inverse information, widened where the vehicles disagree more than in the model (a
     cluster-robust covariance with the vehicles as clusters), and by what is not estimated: the
-    constants of the model, and the accuracy of map and scan from street to street.
+    constants of the model, where all drivers keep in a lane, the accuracy of map and scan from
+    street to street, and the map's place.
 
     Parameters
     ----------
     fit : Fit
         A local optimum.
     settings : AnswerSettings
-        The sigmas of map and scan, and when a component is fixed.
+        The sigma of the map's place, and when a component is fixed.
     rival : State, optional
         Another optimum, so near that both are one answer; it is as likely as not the right one.
     """
     inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     noise = _widened(inverse, fit)
-    gradients = zip(fit.streets, settings.street_sigma_m, strict=True)
-    streets = [sigma_m * gradient for gradient, sigma_m in gradients]
-    effects = np.vstack([fit.considered(), *streets]) @ inverse
+    effects = np.vstack([fit.considered(), fit.biases]) @ inverse
     covariance = noise + effects.T @ effects
+    covariance[PLACE, PLACE] += settings.map_sigma_m**2
     to_angles = fit.state.to_angles
     if rival is not None:
         gap = rival.difference(fit.state)

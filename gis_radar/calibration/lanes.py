@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import geopandas as gpd
 import numpy as np
@@ -38,6 +39,8 @@ LEVEL_SHARE = 0.05
 SLACK_MPS = 0.5  # range rates may disagree by noise, and as a long vehicle turns
 BORDER_M = 1.0  # a sample nearer to its lane's middle is no other lane's: less than half a lane
 NO_WAY_M = 1e-9
+# Length of the mean of a lane's directions under which it bends: an arc of 30 degrees.
+STRAIGHT = 0.9886
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +92,13 @@ class Lanes:
     distance: np.ndarray
     directed: bool
     scanned: float
+
+    @cached_property
+    def bends(self) -> Booleans:
+        """Whether the lane of each sample bends, by more than 30 degrees in all."""
+        _, lane = np.unique(self.lane, return_inverse=True)
+        mean = [(np.bincount(lane, way) / np.bincount(lane))[lane] for way in self.along.T]
+        return np.asarray(np.hypot(*mean) < STRAIGHT)
 
     def beside(self, sample: Integers, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Return how far points are ahead of a sample, left of its lane, and over it, metres."""

@@ -108,7 +108,13 @@ class AnswerSettings:
     Parameters
     ----------
     street_sigma_m : (2,) tuple
-        1 sigma, from street to street, of lanes as drawn and driven, and of the scan's heights.
+        1 sigma, from street to street, of lanes as drawn, and of the scan's heights.
+    lane_sigma_m : (2,) tuple
+        1 sigma, from lane to lane, of where all its drivers keep, to the left of the middle: on
+        straight lanes, in bends. So they did at three recorded junctions.
+    map_sigma_m : float
+        1 sigma of the map's place, to the east and to the north: maps and tracks that were recorded
+        apart lay 0.3 to 0.5 m off each other.
     unfixed_m, unfixed_rad : (3,) tuples
         Sigmas from which on a scene does not fix easting, northing, height; roll, pitch, yaw.
         One metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
@@ -128,6 +134,8 @@ class AnswerSettings:
     """
 
     street_sigma_m: tuple[float, float] = (0.3, 0.2)
+    lane_sigma_m: tuple[float, float] = (0.18, 0.36)
+    map_sigma_m: float = 0.15
     unfixed_m: tuple[float, float, float] = (1.0, 1.0, 0.5)
     unfixed_rad: tuple[float, float, float] = (radians(2.0), radians(2.0), radians(1.0))
     valley_steps_m: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -205,6 +213,8 @@ def changed(settings: Any, defaults: Any, path: str = "") -> dict[str, Any]:
 
 
 LOCALIZATION = LocalizationSettings()
+# Of the windows of one recording, whose errors by map and drivers are the same.
+OF_WINDOWS = LOCALIZATION.changed({"answer.lane_sigma_m": (0.0, 0.0), "answer.map_sigma_m": 0.0})
 
 HOUR_S = 3600.0
 
@@ -328,7 +338,8 @@ class MonitorSettings:
     stationary : StationaryTargetSettings
         Of small moves, by stationary targets.
     localization : LocalizationSettings
-        Of window, traces, lanes and fits.
+        Of window, traces, lanes and fits. Where the map lies and drivers keep is the same in every
+        window: it moves no pose, and the start pose states it.
     """
 
     cycle_s: float = 5.0
@@ -342,7 +353,7 @@ class MonitorSettings:
     lost_s: float = 100.0
     alarm: AlarmSettings = field(default_factory=AlarmSettings)
     stationary: StationaryTargetSettings = field(default_factory=StationaryTargetSettings)
-    localization: LocalizationSettings = field(default_factory=LocalizationSettings)
+    localization: LocalizationSettings = OF_WINDOWS
 
     @property
     def gate(self) -> float:

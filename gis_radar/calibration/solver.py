@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -11,6 +11,7 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.lanes import (
     LANE_BINS,
+    Lanes,
     Matches,
     Placed,
     Scene,
@@ -89,9 +90,9 @@ class Fit:
         Gradient of each vehicle's rows, for the cluster-robust covariance; zeros beyond the last.
     habits : float
         Variance of the loss by where the drivers of each street keep in their lanes, all alike.
-    streets : list of (streets, 7) arrays
-        For each family of residuals the gradient of the cost by a 1 m map bias of a street
-        section in one direction.
+    biases : (biases, 7) array
+        How much a standard deviation of each bias that vehicles share changes the gradient: of map
+        and scan on a street section in one direction, of all drivers on a lane.
     cost : float
         Negative logarithm of the likelihood of everything, up to a constant.
     loss : (n,) array
@@ -118,7 +119,7 @@ class Fit:
     data_information: Floats
     scores: Floats
     habits: float
-    streets: list[Floats]
+    biases: Floats
     cost: float
     loss: Floats
     aside: Floats
@@ -336,15 +337,14 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         normal.information + cost.prior.information,
         LEAST_CURVATURE * known + FLOOR * np.eye(len(known)),
     )
-    street, count = _streets(cost.scene, here.matches)
-    gradients = [sums(street, offsets, count) for offsets in normal.offsets]
+    street, biases = _biases(cost.scene, here.matches, normal.offsets)
     return Fit(
         state=here.point.state,
         information=information,
         data_information=information - cost.prior.information,
         scores=sums(cost.scene.samples.vehicles, normal.scores, cost.scene.samples.tracks),
         habits=_habits(cost, here, normal, street),
-        streets=gradients,
+        biases=biases,
         cost=here.total,
         loss=across.weight * across.loss,
         aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],
@@ -399,17 +399,44 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
     return np.array(changes)
 
 
-def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
-    """Return for each track the number of the street section that it drives on most."""
-    lanes, samples = scene.lanes, scene.samples
-    lane = matches.lane[matches.found]
-    way = direction_bin(lanes.along[lane], LANE_BINS) // 2
-    cell = np.floor(lanes.points[lane, :2] / STREET_M).astype(np.int64)
+def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[Integers, Floats]:
+    """Return each track's street section, and the biases of all sections and lanes (:class:`Fit`).
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    matches : Matches
+        The lane of each sample.
+    offsets : (tracks, 7) arrays
+        As of :class:`gis_radar.calibration.residuals.Normal`.
+    """
+    lanes, settings, (across, up) = scene.lanes, scene.settings.answer, offsets
+    sample = matches.lane[matches.found]
+    drawn_m, scanned_m = settings.street_sigma_m
+    street, count = _most_driven(scene.samples, matches, _sections(lanes, sample))
+    biases = [drawn_m * sums(street, across, count), scanned_m * sums(street, up, count)]
+    lane, count = _most_driven(scene.samples, matches, lanes.lane[sample])
+    _, first = np.unique(lanes.lane[sample], return_index=True)
+    straight_m, bend_m = settings.lane_sigma_m
+    driven_m = np.append(np.where(lanes.bends[sample[first]], bend_m, straight_m), 0.0)
+    biases.append(driven_m[:, None] * sums(lane, across, count))
+    return street, np.vstack(biases)
+
+
+def _sections(lanes: Lanes, sample: Integers) -> Integers:
+    """Return the number of the street section, in one direction, of samples of lanes."""
+    way = direction_bin(lanes.along[sample], LANE_BINS) // 2
+    cell = np.floor(lanes.points[sample, :2] / STREET_M).astype(np.int64)
     low = cell.min(axis=0, initial=0)
     span = cell.max(axis=0, initial=0) - low + 1
-    keys = np.ravel_multi_index((*(cell - low).T, way), (*span, LANE_BINS))
-    _, number = np.unique(keys, return_inverse=True)
-    count = int(number.max(initial=-1)) + 2
+    return np.ravel_multi_index((*(cell - low).T, way), (*span, LANE_BINS))
+
+
+def _most_driven(samples: Samples, matches: Matches, keys: Integers) -> tuple[Integers, int]:
+    """Return the commonest key of each track's samples, by its number, and how many numbers."""
+    numbers, number = np.unique(keys, return_inverse=True)
+    count = len(numbers) + 1
     votes = np.bincount(
         samples.track[matches.found] * count + number, minlength=samples.tracks * count
     )
