@@ -13,6 +13,7 @@ import shapely
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from maps import Listener
 from pyproj import CRS, Transformer
 from scipy.spatial import KDTree
 from sites import recording
@@ -414,6 +415,34 @@ def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypat
     found = gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN])
     assert found.pose.easting == POSE.easting
     assert found.pose.evidence["scan_check"]["verdict"] == "confirms"
+
+
+def test_what_stands_decides_though_it_fits_elsewhere_too(monkeypatch):
+    """As it would along a facade: no pose is confirmed, but one is far better than the other."""
+
+    def unclear(*files, **options):
+        look = gr.check_against_scan(*files, **options)
+        return replace(look, verdict="nothing to compare") if look.verdict == "confirms" else look
+
+    aside = replace(POSE, easting=POSE.easting + 6.0, northing=POSE.northing + 3.0)
+    several = []
+
+    def ambiguous(*_, **__):
+        answers = tuple(Localization(pose=p, fitness=0.95, observable=True) for p in several)
+        raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=answers)
+
+    monkeypatch.setattr(localizing, "localize", ambiguous)
+    monkeypatch.setattr(localizing, "check_against_scan", unclear)
+    heard = Listener()
+    files = (R2, SAMPLE / "junction.osm", SCAN)
+    several[:] = [aside, POSE]
+    found = gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN], reporter=heard)
+    assert found.pose.easting == POSE.easting
+    assert found.pose.evidence["scan_check"]["verdict"] == "nothing to compare"
+    assert "R2: ambiguous; what stands in the scan prefers one of them" in str(heard.messages)
+    several[:] = [POSE, POSE]  # nothing to choose between
+    with pytest.raises(AmbiguousError):
+        gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN])
 
 
 @pytest.fixture(scope="module")

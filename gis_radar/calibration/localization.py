@@ -22,7 +22,14 @@ from gis_radar.calibration.result import (
     Problem,
     draw_localization,
 )
-from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
+from gis_radar.calibration.scan_check import (
+    CONFIRMS,
+    DOUBTS,
+    ScanCheck,
+    align,
+    check_against_scan,
+    require_scans_near,
+)
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving
 from gis_radar.crs import looks_like_degrees, moved_position, yaw_from_compass
@@ -310,7 +317,10 @@ def decided_by_scan(
     look_at: Callable[[Path, Pose], ScanCheck],
     reporter: Reporter,
 ) -> Localization:
-    """Localize; where the traffic fits several poses, take the one that the scan check confirms.
+    """Localize; where the traffic fits several poses, let the scan check decide.
+
+    Only one is confirmed, or only one is not doubted and preferred to each of the others, though
+    what stands may fit at a place that the traffic rules out, too.
 
     Parameters
     ----------
@@ -326,16 +336,36 @@ def decided_by_scan(
     Raises
     ------
     NoAnswerError
-        As by `localize`; AmbiguousError where the scan confirms none of the poses, or several.
+        As by `localize`; AmbiguousError where the scan decides for none of the poses.
     """
     try:
         return localize(recording)
     except AmbiguousError as refusal:
-        confirmed = [a for a in refusal.answers if look_at(recording, a.pose).verdict == "confirms"]
-        if len(confirmed) != 1:
+        looked = [(answer, look_at(recording, answer.pose)) for answer in refusal.answers]
+        looks = [look for _, look in looked]
+        found = [answer for answer, look in looked if look.verdict == CONFIRMS]
+        if len(found) == 1:
+            reporter.warn("{}; what stands in the scan confirms one of them", refusal.message)
+            return found[0]
+        found = [answer for answer, look in looked if _preferred(look, looks)]
+        if len(found) != 1:
             raise
-        reporter.warn("{}; what stands in the scan confirms one of them", refusal.message)
-        return confirmed[0]
+        reporter.warn("{}; what stands in the scan prefers one of them", refusal.message)
+        return found[0]
+
+
+def _preferred(look: ScanCheck, looks: Sequence[ScanCheck]) -> bool:
+    """Return whether a scan that is there does not doubt a pose, and prefers it to all others."""
+    settings = look.settings
+    if look.verdict == DOUBTS or not look.covered >= settings.least_covered:
+        return False
+    alignment = align(look.standing, look.structure, settings)
+    for other in looks:
+        ahead, left, _ = look.level.from_map(other.pose.position[None])[0].tolist()
+        there = alignment.offset((ahead, left, other.pose.yaw - look.pose.yaw))
+        if other is not look and alignment.z_score(alignment.here, there) < settings.clear_sigmas:
+            return False
+    return True
 
 
 def _tried(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
