@@ -217,7 +217,7 @@ class Posterior:
         ----------
         rows : (n,) int64 array
             States whose frames, groups and hiding are taken over.
-        shape : (n, 7) array
+        shape : (n, 9) array
             The vehicle there.
         add : bool
             Whether it joins what is there.
