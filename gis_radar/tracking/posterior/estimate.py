@@ -227,6 +227,11 @@ class Posterior:
             self.open[rows], self.rates, self.seen, self.alpha, add,
         )  # fmt: skip
 
+    def due(self, vehicle: int) -> tuple[Integers, Floats]:
+        """Return the half second of each state of a vehicle, and what is due."""
+        rows = self.states.rows(vehicle)
+        return self.states.window[rows], self._due[rows]
+
     def own_gains(self, vehicle: int) -> Floats:
         """Return (groups, 2) the gain of a vehicle as it is over all else, and what is due."""
         rows = self.states.rows(vehicle)
