@@ -13,6 +13,7 @@ from gis_radar.tracking.posterior.cuts import END_MOST, END_SHARE, END_WINDOWS, 
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.neighbours import TOLD
 from gis_radar.tracking.posterior.sizes import with_size
+from gis_radar.tracking.size import LONGEST_M
 
 LEAST_GAIN = 1.0  # of the log-probability
 APART_STEPS = STEPS_PER_SECOND // 2  # between the end of one and the begin of the next, at most
@@ -46,11 +47,18 @@ def join_ends(posterior: Posterior) -> list[Motion]:
 
 def _meetings(motions: list[Motion]) -> list[tuple[int, int]]:
     """Return pairs of which the second begins before the first ends, or just after, and lasts."""
+    if not motions:
+        return []
     first = np.array([each.first_step for each in motions], np.int64)
     last = np.array([each.last_step for each in motions], np.int64)
     begins = (first[:, None] < first) & (first <= last[:, None] + APART_STEPS)
     one, other = np.nonzero(begins & (last[:, None] < last))
-    return list(zip(one.tolist(), other.tolist(), strict=True))
+    there = np.array([each.places[0][0] for each in motions])[other]
+    at = np.minimum(first[other], last[one]) - first[one]
+    pairs = zip(one.tolist(), at.tolist(), strict=True)
+    here = np.array([motions[k].places[0][step] for k, step in pairs]).reshape(-1, 2)
+    near = np.hypot(*(there - here).T) < LONGEST_M
+    return list(zip(one[near].tolist(), other[near].tolist(), strict=True))
 
 
 def _joined(posterior: Posterior, one: int, other: int) -> Motion | None:
@@ -58,7 +66,8 @@ def _joined(posterior: Posterior, one: int, other: int) -> Motion | None:
     a, b = posterior.motions[one], posterior.motions[other]
     low, high = min(b.first_step, a.last_step), max(b.first_step, a.last_step)
     steps = np.arange(low, high + 1)
-    (s_a, v_a), (s_b, v_b) = (each.at(steps * STEP_S) for each in (a, b))
+    time = steps.astype(np.float64) * STEP_S
+    (s_a, v_a), (s_b, v_b) = (each.at(time) for each in (a, b))
     (at_a, turn_a), (at_b, turn_b) = a.path.at(s_a), b.path.at(s_b)
     east, north = (at_b - at_a).T
     along = east * np.cos(turn_a) + north * np.sin(turn_a)
@@ -85,7 +94,7 @@ def _joined(posterior: Posterior, one: int, other: int) -> Motion | None:
 
 def _switched(posterior: Posterior, a: Motion, b: Motion, step: int) -> Motion:
     """Return the first motion up to a step, then the second; both are of one size."""
-    early, late = np.arange(a.first_step, step + 1), np.arange(step, b.last_step + 1)
+    early, late = np.arange(a.first_step, step + 1.0), np.arange(step, b.last_step + 1.0)
     (s_a, v_a), (s_b, v_b) = a.at(early * STEP_S), b.at(late * STEP_S)
     (ends, _), (begins, _) = a.path.at(s_a[-1:]), b.path.at(s_b[:1])
     heading = float(b.path.heading_at(s_b[:1])[0])

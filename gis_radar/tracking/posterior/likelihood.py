@@ -15,6 +15,7 @@ FACE_M, FACE_RAD = 0.35, 0.004  # standard deviation across a face: its depth, a
 RATE_MPS, RATE_SHARE = 0.25, 0.02  # standard deviation of the range rate of a body
 WHEELS, TURNS = 0.13, 2.1  # share of detections of wheels, and up to how often the body's speed
 REACH_M = 2.0  # farther from the body no detection is of it
+CLEAR_M = 0.3  # between the sides of two vehicles abreast, at least
 THROUGH = 0.3  # share that a vehicle returns of what another one hides
 MAST_M, LOOK_M = 6.0, 0.6  # heights over the road: of a sensor, and of what is seen of a vehicle
 CAR_M, LORRY_M, BOTTOM_M = 1.5, 3.2, 0.2  # heights of bodies, and where they begin
@@ -134,6 +135,12 @@ def _near(along: float, left: float, length: float, width: float) -> bool:
 
 
 @compiled
+def _reach(length: float, width: float) -> float:
+    """Return a distance from the middle of a body beyond which nothing is near it."""
+    return 0.5 * (length + width) + 2.0 * REACH_M
+
+
+@compiled
 def aspect(c: float, s: float, turn: float, sight: Floats) -> tuple[float, float]:
     """Return cosine and sine of the angle from the heading, turned, to the line of sight."""
     cos, sin = c * sight[0] + s * sight[1], c * sight[1] - s * sight[0]
@@ -154,8 +161,12 @@ def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers
     """
     first, points, sight, away, rate, height, _ = seen
     x, y, c, s, speed, length, width, _, _ = shape
+    reach = _reach(length, width)
     for d in range(first[frame], first[frame + 1]):
-        along, left, turn = on_body(shape, points[d, 0] - x, points[d, 1] - y)
+        dx, dy = points[d, 0] - x, points[d, 1] - y
+        if abs(dx) > reach or abs(dy) > reach:
+            continue
+        along, left, turn = on_body(shape, dx, dy)
         if not _near(along, left, length, width) or n >= len(room):
             continue
         cos, sin = aspect(c, s, turn, sight[d])
@@ -303,7 +314,7 @@ def overlap(
             if rows[0] <= o <= rows[-1] or not alive[o]:
                 continue
             along, aside, turn = on_body(shape[e], shape[o, 0] - x, shape[o, 1] - y)
-            if abs(aside) > 0.5 * (width + shape[o, 6]):
+            if abs(aside) > 0.5 * (width + shape[o, 6]) + CLEAR_M:
                 continue
             if abs(aspect(c, s, turn, shape[o, 2:4])[0]) < 0.8:
                 continue
@@ -328,10 +339,13 @@ def find_pairs(shape: Floats, frame: Integers, seen: Seen) -> tuple[Integers, Fl
     begin = np.zeros(len(frame) + 1, np.int64)
     for e in range(len(frame)):
         x, y, _, _, _, length, width, _, _ = shape[e]
+        reach = _reach(length, width)
         begin[e + 1] = begin[e]
         for d in range(first[frame[e]], first[frame[e] + 1]):
-            along, left, _ = on_body(shape[e], points[d, 0] - x, points[d, 1] - y)
-            begin[e + 1] += _near(along, left, length, width)
+            dx, dy = points[d, 0] - x, points[d, 1] - y
+            if abs(dx) <= reach and abs(dy) <= reach:
+                along, left, _ = on_body(shape[e], dx, dy)
+                begin[e + 1] += _near(along, left, length, width)
     room, row = np.empty((begin[-1], 2)), np.empty(begin[-1], np.int64)
     for e in range(len(frame)):
         densities(shape[e], frame[e], seen, room, row, begin[e])

@@ -161,6 +161,7 @@ def _pairs(
         rear = min(rear, sizes[k, 2] - 0.5 * sizes[k, 0])
         front = max(front, sizes[k, 2] + 0.5 * sizes[k, 0])
     side = 0.5 * sizes[:, 1].max() + REACH_M
+    reach = max(front, -rear) + REACH_M + side
     begin, n = np.zeros(len(frame) + 1, np.int64), 0
     for e in range(len(frame)):
         n += first[frame[e] + 1] - first[frame[e]]
@@ -169,7 +170,10 @@ def _pairs(
     for e in range(len(frame)):
         x, y, c, s, speed = shape[e, :5]
         for d in range(first[frame[e]], first[frame[e] + 1]):
-            along, left, turn = on_body(shape[e], points[d, 0] - x, points[d, 1] - y)
+            dx, dy = points[d, 0] - x, points[d, 1] - y
+            if abs(dx) > reach or abs(dy) > reach:
+                continue
+            along, left, turn = on_body(shape[e], dx, dy)
             if rear - REACH_M < along < front + REACH_M and abs(left) < side:
                 cos, sin = aspect(c, s, turn, sight[d])
                 pair[n, 0], pair[n, 1], pair[n, 2], pair[n, 3] = along, left, cos, sin
