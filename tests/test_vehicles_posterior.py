@@ -15,7 +15,8 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import _best_stretches
-from gis_radar.tracking.posterior.likelihood import gain_of, overlap
+from gis_radar.tracking.posterior.joins import join_ends
+from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import split_long
 from gis_radar.tracking.settings import MotionSettings
 
@@ -165,6 +166,44 @@ def test_nobody_drives_three_metres_behind_another(graph):
     assert len(split_long(Posterior(slow, [queue]))) == 2
 
 
+def test_two_tracks_of_one_vehicle_that_meet_become_one(graph):
+    """The later one begins on the vehicle that the earlier one runs past."""
+    rng = np.random.default_rng(12)
+    found = detected(returns(rng, 0, 16, 20.0, 10.0), clutter(rng, 18))
+    early, late = track(found, 0, 9, 20.0, 10.0), track(found, 7.5, 16, 93.5, 10.0)
+    (whole,) = join_ends(Posterior(found, [late, early]))
+    assert span_s(whole) == pytest.approx((0.0, 16.0), abs=0.1)
+    assert np.diff(whole.s_m).min() >= 0.0
+    places = np.interp(12.0, np.arange(len(whole.s_m)) / RATE, whole.places[0][:, 0])
+    assert places == pytest.approx(138.5, abs=0.3)
+    assert np.diff(whole.places[0][:, 0]).max() < 1.0
+
+
+def test_tracks_of_two_vehicles_stay_two(graph):
+    """They overlap in time, 8 m behind each other, or pass each other on neighbouring lanes."""
+    rng = np.random.default_rng(13)
+    found = detected(
+        returns(rng, 0, 9, 28.0, 10.0), returns(rng, 6, 16, 80.0, 10.0), clutter(rng, 18)
+    )
+    pair = [track(found, 0, 9, 28.0, 10.0), track(found, 6, 16, 80.0, 10.0)]
+    assert len(join_ends(Posterior(found, pair))) == 2
+
+
+@given(along=st.floats(-9.0, 9.0), left=st.floats(-1.5, 1.5), bend=st.floats(-0.08, 0.08))
+def test_places_on_a_bent_body_are_those_along_its_path(along, left, bend):
+    """The oracle is a polyline through the same arc."""
+    s = np.linspace(-20.0, 20.0, 8001)
+    turn = bend * s
+    line = np.column_stack([np.cumsum(np.cos(turn)), np.cumsum(np.sin(turn))]) * (s[1] - s[0])
+    line -= line[4000]
+    at = int(np.searchsorted(s, along))
+    place = line[at] + left * np.array([-np.sin(turn[at]), np.cos(turn[at])])
+    shape = np.array([0.0, 0.0, 1.0, 0.0, 10.0, 18.0, 2.5, bend, bend])
+    found = on_body(shape, *place)
+    assert found[:2] == pytest.approx((along, left), abs=0.13)  # less bent is straight
+    assert found[2] == pytest.approx(bend * along, abs=0.1 * abs(bend) + 0.03)
+
+
 def test_who_stands_throughout_is_not_taken_for_what_is_built(graph):
     rng = np.random.default_rng(5)
     found = detected(
@@ -192,6 +231,12 @@ def test_no_two_are_side_by_side_nearer_than_they_are_wide(graph):
     rows = np.arange(states.first[1], states.first[2])
     share = overlap(rows, states.frame, states.shape, posterior.alive, *posterior.by_frame)
     assert share.min() > 0.9
+    for aside, overlaps in ((2.0, True), (2.4, False)):  # cars abreast keep 0.3 m clear
+        beside.path = Path(one.path.points + np.array([0.0, aside]))
+        posterior = Posterior(found, [one, beside])
+        states = posterior.states
+        share = overlap(rows, states.frame, states.shape, posterior.alive, *posterior.by_frame)
+        assert (share.min() > 0.9) == overlaps
 
 
 def test_the_same_detections_give_the_same_vehicles(graph):

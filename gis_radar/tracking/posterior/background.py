@@ -136,7 +136,7 @@ def _cover(
     drove: Floats, last: Floats,
 ) -> None:  # fmt: skip
     """Note that a vehicle is on the spots under it."""
-    x, y, c, s, speed, length, width = shape
+    x, y, c, s, speed, length, width, _, _ = shape
     a, b = 0.5 * length + BESIDE_M, 0.5 * width + BESIDE_M
     reach = math.hypot(a, b)
     low_i, low_j = int((x - reach - corner[0]) / SPOT_M), int((y - reach - corner[1]) / SPOT_M)

@@ -13,7 +13,7 @@ from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior.estimate import Posterior
-from gis_radar.tracking.posterior.frames import WINDOW_S
+from gis_radar.tracking.posterior.frames import BEND_M, WINDOW_S
 from gis_radar.tracking.posterior.likelihood import (
     STANDS_MPS,
     Rates,
@@ -185,7 +185,7 @@ def _window_gain(  # noqa: PLR0917 - numba takes plain arrays
     pull = (after - speed) / WINDOW_S
     gain = -0.25 * min((pull / USUAL_MPS2) ** 2, 9.0)
     kind_of = 1 if speed < STANDS_MPS and after < STANDS_MPS else 0
-    shape = np.empty(7)
+    shape = np.zeros(9)
     shape[5], shape[6] = length, width
     for sensor in range(len(spans)):
         n, due = 0, 0.0
@@ -197,6 +197,7 @@ def _window_gain(  # noqa: PLR0917 - numba takes plain arrays
             shape[0] = line[i, 0] + (here - s_line[i]) * c
             shape[1] = line[i, 1] + (here - s_line[i]) * s
             shape[2], shape[3], shape[4] = way * c, way * s, max(speed + pull * lapse, 0.0)
+            shape[7], shape[8] = _bends(s_line, turn, i, way)
             kind, cell = kind_and_cell(shape, sensor, rates)
             mu = rates[1][kind] * rates[2][cell]
             before, n = n, densities(shape, f, seen, room, row, n)
@@ -206,6 +207,16 @@ def _window_gain(  # noqa: PLR0917 - numba takes plain arrays
         if due > 0.0:
             gain += gain_of(room, n, due, alpha[kind_of])[0]
     return gain
+
+
+@compiled
+def _bends(s_line: Floats, turn: Floats, i: int, way: int) -> tuple[float, float]:
+    """Return the curvature behind a vehicle on a segment and ahead of it, within the line."""
+    before = max(np.searchsorted(s_line, s_line[i] - BEND_M), 0)
+    after = min(np.searchsorted(s_line, s_line[i] + BEND_M), len(turn) - 1)
+    early = (turn[i] - turn[before]) / BEND_M
+    late = (turn[after] - turn[i]) / BEND_M
+    return (early, late) if way > 0 else (-late, -early)
 
 
 @compiled

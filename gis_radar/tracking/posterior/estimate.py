@@ -217,7 +217,7 @@ class Posterior:
         ----------
         rows : (n,) int64 array
             States whose frames, groups and hiding are taken over.
-        shape : (n, 7) array
+        shape : (n, 9) array
             The vehicle there.
         add : bool
             Whether it joins what is there.
@@ -226,6 +226,11 @@ class Posterior:
             groups_of(self.states.group[rows]), self.states.frame[rows], self.sensor[rows], shape,
             self.open[rows], self.rates, self.seen, self.alpha, add,
         )  # fmt: skip
+
+    def due(self, vehicle: int) -> tuple[Integers, Floats]:
+        """Return the half second of each state of a vehicle, and what is due."""
+        rows = self.states.rows(vehicle)
+        return self.states.window[rows], self._due[rows]
 
     def own_gains(self, vehicle: int) -> Floats:
         """Return (groups, 2) the gain of a vehicle as it is over all else, and what is due."""

@@ -14,7 +14,8 @@ from gis_radar.tracking.motion import Motion
 
 WINDOW_S = 0.5  # the brightness of a vehicle, and whether it is there, is constant so long
 SILENT_S = 10.0  # who detects nothing on any lane for longer may be off
-X, Y, COS, SIN, SPEED, LENGTH, WIDTH = range(7)  # columns of a shape
+X, Y, COS, SIN, SPEED, LENGTH, WIDTH, BEHIND, AHEAD = COLUMNS = range(9)  # of a shape
+BEND_M = 9.0  # half of the longest body: the way over which it bends
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,8 +91,9 @@ class States:
     ----------
     vehicle, frame, window : (n,) int64 arrays
         Of whom, in which frame, and in which half second.
-    shape : (n, 7) array
-        Middle east and north, cosine and sine of the heading, speed, length, width.
+    shape : (n, 9) array
+        Middle east and north, cosine and sine of the heading, speed, length, width; curvature of
+        the path behind the middle and ahead of it, 1 / m: the body bends with it.
     first : (v + 1,) int64 array
         The first state of each vehicle.
     group : (n,) int64 array
@@ -114,7 +116,7 @@ class States:
         window = window_of(frames.time[frame])
         return cls(
             vehicle=vehicle, frame=frame, window=window,
-            shape=np.concatenate([np.zeros((0, 7)), *(each[1] for each in parts)]),
+            shape=np.concatenate([np.zeros((0, len(COLUMNS))), *(each[1] for each in parts)]),
             first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
             group=groups_of(vehicle, frames.sensor[frame], window),
         )  # fmt: skip
@@ -142,4 +144,6 @@ def motion_states(motion: Motion, frames: Frames) -> tuple[Integers, Floats]:
     s_m, speed = motion.at(frames.time[frame])
     place, heading = motion.path.at(s_m)
     size = np.tile([motion.length_m, motion.width_m], (len(frame), 1))
-    return frame, np.column_stack([place, np.cos(heading), np.sin(heading), speed, size])
+    rear, front = (motion.path.heading_at(s_m + way * BEND_M) for way in (-1.0, 1.0))
+    bends = np.column_stack([heading - rear, front - heading]) / BEND_M
+    return frame, np.column_stack([place, np.cos(heading), np.sin(heading), speed, size, bends])

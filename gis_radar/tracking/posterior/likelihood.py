@@ -15,11 +15,13 @@ FACE_M, FACE_RAD = 0.35, 0.004  # standard deviation across a face: its depth, a
 RATE_MPS, RATE_SHARE = 0.25, 0.02  # standard deviation of the range rate of a body
 WHEELS, TURNS = 0.13, 2.1  # share of detections of wheels, and up to how often the body's speed
 REACH_M = 2.0  # farther from the body no detection is of it
+CLEAR_M = 0.3  # between the sides of two vehicles abreast, at least
 THROUGH = 0.3  # share that a vehicle returns of what another one hides
 MAST_M, LOOK_M = 6.0, 0.6  # heights over the road: of a sensor, and of what is seen of a vehicle
 CAR_M, LORRY_M, BOTTOM_M = 1.5, 3.2, 0.2  # heights of bodies, and where they begin
 HEIGHT_M, HEIGHT_RAD = 0.2, 0.0185  # standard deviation of a height over the road
 STANDS_MPS = 0.5
+STRAIGHT = 0.003  # curvature, 1 / m, by which a lorry bends by a hand's breadth
 CELL_M = 4.0  # in a cell a sensor sees all vehicles alike
 FAR_M, ASPECTS = 10.0, (0.5, 0.87)  # kinds of states: by range, and by the cosine of the aspect
 KINDS = (21, 3, 2, 2)  # ranges, aspects, long or not, standing or not
@@ -91,7 +93,7 @@ def taller(height: float, away: float) -> float:
 def kind_and_cell(shape: Floats, sensor: int, rates: Rates) -> tuple[int, int]:
     """Return the kind of a state, as a position in the table of rates, and its cell."""
     eyes, _, _, corner, size = rates
-    x, y, c, s, speed, length, _ = shape
+    x, y, c, s, speed, length = shape[:6]
     dx, dy = x - eyes[sensor, 0], y - eyes[sensor, 1]
     far = math.hypot(dx, dy)
     facing = abs(dx * c + dy * s) / max(far, 1e-6)
@@ -113,8 +115,39 @@ def kinds_and_cells(shape: Floats, sensor: Integers, rates: Rates) -> Integers:
 
 
 @compiled
+def on_body(shape: Floats, dx: float, dy: float) -> tuple[float, float, float]:
+    """Return how far a place is along a body from its middle and left of it, and its turn there.
+
+    A body bends with its path, ahead and behind by an arc each.
+    """
+    along, left = dx * shape[2] + dy * shape[3], dy * shape[2] - dx * shape[3]
+    bend = shape[8] if along > 0.0 else shape[7]
+    if abs(bend) < STRAIGHT:
+        return along, left, 0.0
+    across = 1.0 - bend * left
+    turn = math.atan2(bend * along, across)
+    return turn / bend, (1.0 - math.hypot(bend * along, across)) / bend, turn
+
+
+@compiled
 def _near(along: float, left: float, length: float, width: float) -> bool:
     return abs(along) < 0.5 * length + REACH_M and abs(left) < 0.5 * width + REACH_M
+
+
+@compiled
+def _reach(length: float, width: float) -> float:
+    """Return a distance from the middle of a body beyond which nothing is near it."""
+    return 0.5 * (length + width) + 2.0 * REACH_M
+
+
+@compiled
+def aspect(c: float, s: float, turn: float, sight: Floats) -> tuple[float, float]:
+    """Return cosine and sine of the angle from the heading, turned, to the line of sight."""
+    cos, sin = c * sight[0] + s * sight[1], c * sight[1] - s * sight[0]
+    if turn == 0.0:
+        return cos, sin
+    a, b = math.cos(turn), math.sin(turn)
+    return cos * a + sin * b, sin * a - cos * b
 
 
 @compiled
@@ -127,14 +160,16 @@ def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers
         The place after the last; what finds no room is left out.
     """
     first, points, sight, away, rate, height, _ = seen
-    x, y, c, s, speed, length, width = shape
+    x, y, c, s, speed, length, width, _, _ = shape
+    reach = _reach(length, width)
     for d in range(first[frame], first[frame + 1]):
         dx, dy = points[d, 0] - x, points[d, 1] - y
-        along, left = dx * c + dy * s, dy * c - dx * s
+        if abs(dx) > reach or abs(dy) > reach:
+            continue
+        along, left, turn = on_body(shape, dx, dy)
         if not _near(along, left, length, width) or n >= len(room):
             continue
-        cos = c * sight[d, 0] + s * sight[d, 1]
-        sin = c * sight[d, 1] - s * sight[d, 0]
+        cos, sin = aspect(c, s, turn, sight[d])
         found = place_density(along, left, cos, sin, length, width, away[d])
         found *= rate_density(rate[d], speed * cos)
         if length > LONG_M:
@@ -231,7 +266,7 @@ def evaluate_pairs(  # noqa: PLR0917 - numba takes plain arrays
 @compiled
 def _half_across(shape: Floats, x: float, y: float, far: float) -> float:
     """Return half the width of a body as seen along a direction (x, y) of length far."""
-    _, _, c, s, _, length, width = shape
+    _, _, c, s, _, length, width, _, _ = shape
     across = length * abs(c * y - s * x) + width * abs(c * x + s * y)
     return float(0.5 * across / far)
 
@@ -273,17 +308,18 @@ def overlap(
     share = np.zeros(len(rows))
     for k in range(len(rows)):
         e = rows[k]
-        x, y, c, s, _, length, width = shape[e]
+        x, y, c, s, _, length, width, _, _ = shape[e]
         for a in range(first[frame[e]], first[frame[e] + 1]):
             o = order[a]
             if rows[0] <= o <= rows[-1] or not alive[o]:
                 continue
-            dx, dy = shape[o, 0] - x, shape[o, 1] - y
-            aside = abs(dy * c - dx * s)
-            if aside > 0.5 * (width + shape[o, 6]) or abs(c * shape[o, 2] + s * shape[o, 3]) < 0.8:
+            along, aside, turn = on_body(shape[e], shape[o, 0] - x, shape[o, 1] - y)
+            if abs(aside) > 0.5 * (width + shape[o, 6]) + CLEAR_M:
+                continue
+            if abs(aspect(c, s, turn, shape[o, 2:4])[0]) < 0.8:
                 continue
             least = min(length, shape[o, 5])
-            both = 0.5 * (length + shape[o, 5]) - abs(dx * c + dy * s)
+            both = 0.5 * (length + shape[o, 5]) - abs(along)
             share[k] = max(share[k], min(both, least) / least)
     return share
 
@@ -302,11 +338,14 @@ def find_pairs(shape: Floats, frame: Integers, seen: Seen) -> tuple[Integers, Fl
     first, points, _, _, _, _, _ = seen
     begin = np.zeros(len(frame) + 1, np.int64)
     for e in range(len(frame)):
-        x, y, c, s, _, length, width = shape[e]
+        x, y, _, _, _, length, width, _, _ = shape[e]
+        reach = _reach(length, width)
         begin[e + 1] = begin[e]
         for d in range(first[frame[e]], first[frame[e] + 1]):
             dx, dy = points[d, 0] - x, points[d, 1] - y
-            begin[e + 1] += _near(dx * c + dy * s, dy * c - dx * s, length, width)
+            if abs(dx) <= reach and abs(dy) <= reach:
+                along, left, _ = on_body(shape[e], dx, dy)
+                begin[e + 1] += _near(along, left, length, width)
     room, row = np.empty((begin[-1], 2)), np.empty(begin[-1], np.int64)
     for e in range(len(frame)):
         densities(shape[e], frame[e], seen, room, row, begin[e])

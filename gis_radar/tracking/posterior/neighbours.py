@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.steps import STEP_S
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import EXISTS
 from gis_radar.tracking.posterior.estimate import Posterior
-from gis_radar.tracking.posterior.frames import COS, LENGTH, SIN, WIDTH, X, Y
+from gis_radar.tracking.posterior.frames import AHEAD, BEHIND, COS, LENGTH, SIN, WIDTH, X, Y
+from gis_radar.tracking.posterior.likelihood import aspect, on_body
 from gis_radar.tracking.posterior.sizes import gains_of_sizes, prior, sample, with_size
 from gis_radar.tracking.size import LONG_M, LONGEST_M, width_of
 
@@ -74,14 +75,26 @@ def _neighbours(posterior: Posterior) -> list[tuple[int, int]]:
 
 def _near(shape: Floats) -> tuple[Integers, Integers]:
     """Return the pairs of bodies behind each other that are together no longer than a lorry."""
-    dx, dy = (shape[:, None, k] - shape[:, k] for k in (X, Y))
-    along = dx * shape[:, COS] + dy * shape[:, SIN]
-    aside = dy * shape[:, COS] - dx * shape[:, SIN]
-    cos = shape[:, None, COS] * shape[:, COS] + shape[:, None, SIN] * shape[:, SIN]
-    span = np.abs(along) + 0.5 * (shape[:, None, LENGTH] + shape[:, LENGTH])
-    near = (np.abs(aside) < ASIDE_M) & (cos > SAME_WAY) & (span < LONGEST_M)
-    one, other = np.nonzero(np.triu(near, 1))
-    return one, other
+    one, other = np.triu_indices(len(shape), 1)
+    apart = np.hypot(*(shape[one, k] - shape[other, k] for k in (X, Y)))
+    close = apart < LONGEST_M
+    one, other = one[close], other[close]
+    along, aside, turn = _relative(shape[one], shape[other])
+    span = np.abs(along) + 0.5 * (shape[one, LENGTH] + shape[other, LENGTH])
+    near = (np.abs(aside) < ASIDE_M) & (np.cos(turn) > SAME_WAY) & (span < LONGEST_M)
+    return one[near], other[near]
+
+
+@compiled
+def _relative(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return how far others are along the bodies of some, left of them, and turned from them."""
+    along, left, turn = np.empty(len(one)), np.empty(len(one)), np.empty(len(one))
+    for k in range(len(one)):
+        east, north = other[k, 0] - one[k, 0], other[k, 1] - one[k, 1]
+        along[k], left[k], bent = on_body(one[k], east, north)
+        cos, sin = aspect(one[k, 2], one[k, 3], bent, other[k, 2:4])
+        turn[k] = math.atan2(sin, cos)
+    return along, left, turn
 
 
 def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, float]:
@@ -95,9 +108,7 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
     if len(mine) == 0:
         return 0.0, 0.0, -np.inf
     sa, sb = states.shape[a[mine]], states.shape[b[theirs]]
-    along = float(np.median(
-        (sb[:, X] - sa[:, X]) * sa[:, COS] + (sb[:, Y] - sa[:, Y]) * sa[:, SIN]
-    ))  # fmt: skip
+    along = float(np.median(_relative(sa, sb)[0]))
     front = max(0.5 * lengths[0], along + 0.5 * lengths[1])
     rear = min(-0.5 * lengths[0], along - 0.5 * lengths[1])
     for each in (one, other):
@@ -189,10 +200,16 @@ def _following(apart: float, motion: Motion) -> float:
 
 
 def _resized(shape: Floats, length: float, ahead: float) -> Floats:
-    """Return shapes with another length, their middle moved ahead."""
+    """Return shapes with another length, their middle moved ahead along their path."""
     new = shape.copy()
-    new[:, X] += ahead * shape[:, COS]
-    new[:, Y] += ahead * shape[:, SIN]
+    bend = shape[:, AHEAD] if ahead > 0.0 else shape[:, BEHIND]
+    turn = bend * ahead
+    chord = ahead * np.sinc(0.5 * turn / np.pi)
+    heading = np.arctan2(shape[:, SIN], shape[:, COS])
+    new[:, X] += chord * np.cos(heading + 0.5 * turn)
+    new[:, Y] += chord * np.sin(heading + 0.5 * turn)
+    new[:, COS], new[:, SIN] = np.cos(heading + turn), np.sin(heading + turn)
+    new[:, BEHIND] = new[:, AHEAD] = bend
     new[:, LENGTH], new[:, WIDTH] = length, width_of(length)
     return new
 

@@ -16,8 +16,10 @@ from gis_radar.tracking.posterior.likelihood import (
     STANDS_MPS,
     Rates,
     Seen,
+    aspect,
     gain_of,
     kind_and_cell,
+    on_body,
     place_density,
     rate_density,
     taller,
@@ -106,7 +108,7 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
 ) -> Floats:  # fmt: skip
     """Return the gain for each (length, width, ahead) of `sizes`."""
     begin, row, pair = _pairs(frame, shape, sizes, seen)
-    room, new = np.empty((len(row), 2)), np.empty(7)
+    room, new = np.empty((len(row), 2)), np.empty(shape.shape[1])
     gains = np.zeros(len(sizes))
     for k in range(len(sizes)):
         length, width, ahead = sizes[k]
@@ -159,20 +161,22 @@ def _pairs(
         rear = min(rear, sizes[k, 2] - 0.5 * sizes[k, 0])
         front = max(front, sizes[k, 2] + 0.5 * sizes[k, 0])
     side = 0.5 * sizes[:, 1].max() + REACH_M
+    reach = max(front, -rear) + REACH_M + side
     begin, n = np.zeros(len(frame) + 1, np.int64), 0
     for e in range(len(frame)):
         n += first[frame[e] + 1] - first[frame[e]]
     row, pair = np.empty(n, np.int64), np.empty((n, 6))
     n = 0
     for e in range(len(frame)):
-        x, y, c, s, speed, _, _ = shape[e]
+        x, y, c, s, speed = shape[e, :5]
         for d in range(first[frame[e]], first[frame[e] + 1]):
             dx, dy = points[d, 0] - x, points[d, 1] - y
-            along, left = dx * c + dy * s, dy * c - dx * s
+            if abs(dx) > reach or abs(dy) > reach:
+                continue
+            along, left, turn = on_body(shape[e], dx, dy)
             if rear - REACH_M < along < front + REACH_M and abs(left) < side:
-                cos = c * sight[d, 0] + s * sight[d, 1]
-                pair[n, 0], pair[n, 1], pair[n, 2] = along, left, cos
-                pair[n, 3] = c * sight[d, 1] - s * sight[d, 0]
+                cos, sin = aspect(c, s, turn, sight[d])
+                pair[n, 0], pair[n, 1], pair[n, 2], pair[n, 3] = along, left, cos, sin
                 pair[n, 4] = rate_density(rate[d], speed * cos)
                 pair[n, 5] = taller(height[d], away[d])
                 row[n] = d
