@@ -81,6 +81,7 @@ class Posterior:
         self.alpha = np.array([2.0, 1.0])
         self.total = np.zeros(len(d))
         self._placed: dict[tuple[int, int, float], Placed] = {}
+        del d  # times, sensors and cross sections are no longer needed
         self.learn(motions)
 
     @property
@@ -101,8 +102,7 @@ class Posterior:
         share[self._pair_row] = 0.5
         mu, bright = FIRST_GUESS * self.open, np.ones(n)
         for _ in range(ROUNDS):
-            base = self._background.rates(1.0 - share)
-            part = self._parts(mu * bright, base)
+            part = self._parts(mu * bright, self._background.rates(1.0 - share))
             share = np.minimum(np.bincount(self._pair_row, part, len(self.total)), 1.0)
             explained = np.bincount(self._pair_state, part, n).astype(np.float64)
             self._expect(explained)
