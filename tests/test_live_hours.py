@@ -41,9 +41,9 @@ class Clock:
         return self.now_s
 
 
-def recorded_at(made, begin_us, names=NAMES, **given):
+def recorded_at(made, begin_us, names=NAMES, *, seconds=40.0):
     for name in names:
-        made.add(name, frames_at(name, begin_us, **given))
+        made.add(name, frames_at(name, begin_us, seconds=seconds))
     return made.spool.closed
 
 
@@ -63,7 +63,7 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     made = SpooledSite(tmp_path, vehicles=True)
     clock = Clock(end_of_hour_s(HOUR) + 20.0)
     monkeypatch.setattr(hour_work, "time", clock)
-    done = make_hours(made.site, recorded_at(made, FULL_US - 12_000_000, seconds=20.0), [HOUR])
+    done = make_hours(made.site, recorded_at(made, FULL_US - 8_000_000, seconds=12.0), [HOUR])
     assert [text for text in done.said if "not measured" in text] == []
     assert list(read_hours(made.site.dataset)) == [HOUR]
     first = made.parts("15")
@@ -71,8 +71,8 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     assert len(gr.open_dataset(made.site.dataset).continued()) == 0
     stamps = {path: path.stat().st_mtime_ns for path in made.site.dataset.glob("*/date=*/15.*")}
     clock.now_s += 3600.0
-    late_us = FULL_US + CUT_US + 9_000_000
-    make_hours(made.site, recorded_at(made, late_us, seconds=10.0), [HOUR + 1])
+    late_us = FULL_US + CUT_US + 5_000_000
+    make_hours(made.site, recorded_at(made, late_us, seconds=5.0), [HOUR + 1])
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps  # not made again
     assert len(gr.open_dataset(made.site.dataset).continued()) > 0
@@ -81,9 +81,9 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
 
 def test_frames_that_come_late_make_their_hour_again(tmp_path):
     made = SpooledSite(tmp_path)
-    make_hours(made.site, recorded_at(made, FULL_US - 50_000_000, ["R1"]), [HOUR])
+    make_hours(made.site, recorded_at(made, FULL_US - 20_000_000, ["R1"]), [HOUR])
     alone = made.parts()
-    make_hours(made.site, recorded_at(made, FULL_US - 50_000_000, ["R2"]), [HOUR])
+    make_hours(made.site, recorded_at(made, FULL_US - 20_000_000, ["R2"]), [HOUR])
     assert made.parts() != alone
     assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
@@ -94,7 +94,7 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     quarter = FULL_US // QUARTER_US - 2  # from a quarter past to half past
     begin_us = quarter * QUARTER_US
     monkeypatch.setattr(hour_work, "time", Clock(end_of_hour_s(HOUR) + 20.0))
-    spooled = recorded_at(made, begin_us + 300_000_000, seconds=30.0)
+    spooled = recorded_at(made, begin_us + 300_000_000, seconds=20.0)
     done = make_quarter(made.site, spooled, quarter)
     assert not made.site.dataset.exists()
     (found,) = done.quarters
@@ -117,8 +117,8 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
 
 def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path):
     made = SpooledSite(tmp_path)
-    recorded_at(made, FULL_US - 50_000_000, ["R1"])
-    same = frames_at("R1", FULL_US - 50_000_000)
+    recorded_at(made, FULL_US - 20_000_000, ["R1"])
+    same = frames_at("R1", FULL_US - 20_000_000, seconds=40.0)
     made.add("R2", same)  # the same frames for two sensors
     recorded_at(made, FULL_US + 2 * HOUR_US)
     done = make_hours(made.site, made.spool.closed, [HOUR, HOUR + 2])
@@ -141,12 +141,12 @@ def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path,
         return measure(*given, **more)
 
     monkeypatch.setattr(hour_work, "measure", noted)
-    recorded_at(made, FULL_US - 50_000_000)
+    recorded_at(made, FULL_US - 20_000_000)
     spooled = recorded_at(made, FULL_US + 2 * HOUR_US)
     make_hours(made.site, spooled, [HOUR, HOUR + 1, HOUR + 2, HOUR + 3])
     assert asked == [2]
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
-    same = frames_at("R1", FULL_US + 5 * HOUR_US)
+    same = frames_at("R1", FULL_US + 5 * HOUR_US, seconds=40.0)
     for name in NAMES:
         made.add(name, same)
     done = make_hours(made.site, recorded_at(made, FULL_US + 7 * HOUR_US), [HOUR + 5, HOUR + 7])
@@ -156,7 +156,7 @@ def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path,
 
 def test_what_comes_after_its_recording_was_removed_spoils_no_hour(tmp_path):
     made = SpooledSite(tmp_path)
-    frames = frames_at("R1", FULL_US - 50_000_000)
+    frames = frames_at("R1", FULL_US - 20_000_000, seconds=40.0)
     make_hours(made.site, made.add("R1", frames[:-20]), [HOUR])
     before = made.parts()
     recording_path(made.folder, "R1", HOUR).unlink()
@@ -169,7 +169,7 @@ def test_frames_of_a_sensor_that_left_the_site_are_measured_all_the_same(tmp_pat
     """They were acknowledged; the hour is not taken up at each start."""
     made = SpooledSite(tmp_path)
     alone = replace(made.site, sensors=("R1",))
-    spooled = recorded_at(made, FULL_US - 50_000_000)
+    spooled = recorded_at(made, FULL_US - 20_000_000)
     assert take_up(alone, spooled).hours == [HOUR]
     make_hours(alone, [], [HOUR])
     assert gr.open_dataset(made.site.dataset).sensors == ["R1", "R2"]
@@ -179,7 +179,7 @@ def test_frames_of_a_sensor_that_left_the_site_are_measured_all_the_same(tmp_pat
 
 def test_a_dataset_of_other_tiles_or_settings_is_refused(tmp_path):
     made = SpooledSite(tmp_path)
-    make_hours(made.site, recorded_at(made, FULL_US - 50_000_000), [HOUR])
+    make_hours(made.site, recorded_at(made, FULL_US - 20_000_000), [HOUR])
     tiles = gr.read_tiles(made.site.tiles)
     refuse_other_settings(made.site, tiles, None)
     with pytest.raises(InputError, match="tiles"):
@@ -300,7 +300,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path):
 
 def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path):
     made = SpooledSite(tmp_path)
-    recorded_at(made, FULL_US - 50_000_000)
+    recorded_at(made, FULL_US - 20_000_000)
     said = Lines()
     jobs = HourJobs(made.site, Quarters(), reporter=said)
     jobs.take_up([])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from io import BytesIO
+from itertools import product
 from zoneinfo import ZoneInfo
 
 import pypdf
@@ -72,38 +73,40 @@ def letters_of(pages):
     return "".join("".join(page.extract_text() for page in pages).split())
 
 
-def words_of(folder, columns, cells):
-    """Write a table of one row; return the words of the pages."""
-    table = Table(name="lanes", caption="Lanes", columns=columns, rows=[cells])
-    pages = pages_of(folder, content_of(parts=[table]))
+def words_of(folder, tables):
+    """Write tables of one row, each with its columns and cells; return the words of each."""
+    parts = [
+        Table(name="lanes", caption=f"Caption{k}.", columns=columns, rows=[cells])
+        for k, (columns, cells) in enumerate(tables)
+    ]
+    pages = pages_of(folder, content_of(parts=parts))
     right = max(left for page in pages for left, _ in places_on(page).values())
     assert right < A4_PT - EDGE_PT
-    return " ".join(page.extract_text() for page in pages).split()
+    words = " ".join(page.extract_text() for page in pages).split()
+    begins = [words.index(f"Caption{k}.") for k in range(len(tables))]
+    return [words[begin:end] for begin, end in zip(begins, [*begins[1:], len(words)], strict=True)]
 
 
-@pytest.mark.parametrize("language", ["en", "de"])
-@pytest.mark.parametrize("lane", ["10944738", str(2**63 - 1)])
-def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path, language, lane):
-    with speaking(language):
-        columns = _lane_columns(None, "occupancy")
+def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path):
+    tables = []
+    for language, lane in product(("en", "de"), ("10944738", str(2**63 - 1))):
+        with speaking(language):
+            columns = _lane_columns(None, "occupancy")
         cells = [lane, "too few tracks", "north-west", *["12.3 % ± 1.2 %"] * (len(columns) - 3)]
-        found = words_of(tmp_path, columns, cells)
-    for column in columns:
-        for word in bound(f"{column.title} {column.unit}").split():
-            assert word in found
-    assert lane in found
-
-
-def test_streets_of_a_full_table_are_not_broken(tmp_path):
-    """As in a town: four digits of length, five of a lane, and why a lane has no rank."""
+        tables.append((columns, cells))
+    # As in a town: four digits of length, five of a lane, and why a lane has no rank.
     with speaking("de"):
         clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=MOMENT, last=MOMENT)
         columns = _lane_columns(clock, "occupancy")
-        cells = ["17863", "zu wenig davon einsehbar", "Bahnhofsvorplatz (West), Nordost",
-                 "27,8 ± 24,4 %", "41", "1 700", "100 %", "100 ± 26 % bei 1 266 m", "194,3",
-                 "23:13:20 bis 23:13:40: 35 ± 4 %"]  # fmt: skip
-        found = words_of(tmp_path, columns, cells)
-    assert {"einsehbar", "Bahnhofsvorplatz"} <= set(found)
+    cells = ["17863", "zu wenig davon einsehbar", "Bahnhofsvorplatz (West), Nordost",
+             "27,8 ± 24,4 %", "41", "1 700", "100 %", "100 ± 26 % bei 1 266 m", "194,3",
+             "23:13:20 bis 23:13:40: 35 ± 4 %"]  # fmt: skip
+    *narrow, full = words_of(tmp_path, [*tables, (columns, cells)])
+    for (columns, (lane, *_)), found in zip(tables, narrow, strict=True):
+        for column in columns:
+            assert set(bound(f"{column.title} {column.unit}").split()) <= set(found)
+        assert lane in found
+    assert {"einsehbar", "Bahnhofsvorplatz"} <= set(full)
 
 
 def test_what_a_figure_rests_on_stands_in_its_field(tmp_path):

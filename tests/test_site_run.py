@@ -524,7 +524,7 @@ def test_what_is_added_is_measured_alone_and_as_if_all_were_measured_anew(copied
     add_recording(path.parent, 1, later_s=2795.0)  # over the hour: 22:59:55 to 23:00:05
     assert sorted(done_by(gr.run_site(path, out))) == sorted(after_all)
     made = hour.stat().st_mtime_ns
-    add_recording(path.parent, 2, later_s=86_400.0)
+    add_recording(path.parent, 2, later_s=7200.0)  # after midnight
     added = gr.run_site(path, out)
     assert sorted(done_by(added)) == sorted(after_all)
     assert hour.stat().st_mtime_ns == made

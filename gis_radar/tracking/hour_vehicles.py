@@ -95,10 +95,11 @@ def vehicles_of_hour(
     gathered = _Gathered(window=window, engine=engine, held=held)
     makes = BatchMaker(graph, settings)
     for (begin, _), block in blocks_of(sensors, window, graph, settings):
+        gathered.advance(block.first_step)  # its states go before those of this block are found
         number = np.unique(block.detections.sensor, return_inverse=True)[1].astype(np.int64)
         motions = vehicles_in(replace(block.detections, sensor=number), graph, settings)
         batch = makes.batch(block, motions)
-        gathered.add(block.first_step, batch.tracks, batch.vehicles, makes.numbers)
+        gathered.add(batch.tracks, batch.vehicles, makes.numbers)
         if begin < window.begin:
             makes.forget_lanes()  # the hour before judges them
         del block, motions, batch  # before the next block is read
@@ -120,13 +121,10 @@ class _Gathered:
     over_begin: list[int] = field(default_factory=list)
     over_end: list[int] = field(default_factory=list)
 
-    def add(
-        self, first_step: int, states: pd.DataFrame, vehicles: pd.DataFrame, numbers: list[int]
-    ) -> None:
-        """Add the states of a block, which follow those so far."""
+    def add(self, states: pd.DataFrame, vehicles: pd.DataFrame, numbers: list[int]) -> None:
+        """Add the states of a block, which follow those so far, all advanced over."""
         states, vehicles = TRACKS.typed(states), VEHICLES.typed(vehicles)
         begin, end = self.window.begin, self.window.end
-        self._advance(first_step)
         states = states[states["step"] <= end].reset_index(drop=True)
         self.waiting = (states, vehicles)
         self.over_begin += _over(begin, states, numbers)
@@ -143,7 +141,7 @@ class _Gathered:
             row |= {"first_step": least, "last_step": most, "lanelets": lanelets[n]}
             self.vehicles[n] = joined_rows(self.vehicles.get(n), row)
 
-    def _advance(self, to: int) -> None:
+    def advance(self, to: int) -> None:
         """Advance the engine up to a step with the states that are complete."""
         if self.waiting is None:
             self.reached = to
@@ -155,7 +153,7 @@ class _Gathered:
     def finish(self, on_lanes: list[pd.DataFrame]) -> HourVehicles:
         """Return all, under final numbers."""
         begin, end = self.window.begin, self.window.end
-        self._advance(end + 1)
+        self.advance(end + 1)
         occupied, visible = (_cut(each, begin, end) for each in self.engine.flush())
         names = self._names()
         rows = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gis_radar.arrays import Floats, Integers, give_back_memory
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.tracking.bodies import (
     absorb,
@@ -37,11 +38,14 @@ def vehicles_in(
     """
     if len(detections) == 0:
         return []
-    numbers, both = follow_both_ways(
-        detections, graph, settings.forward, settings.detections.moving_mps
-    )
-    joined = join_directions(*numbers, detections.time)
-    states = merge_states(numbers[0], both, joined)
+    found = _found(detections, graph, settings)
+    give_back_memory()  # what they are found by takes twice the memory of the detections
+    return improve(found, detections, graph, settings.motion)
+
+
+def _found(detections: MapDetections, graph: LaneGraph, settings: VehicleSettings) -> list[Motion]:
+    """Return the vehicles that the filter follows, from arrival to departure."""
+    joined, states = _followed(detections, graph, settings)
     parts = [rows for rows in rows_by_number(joined) if len(rows) >= settings.bodies.least_rows]
     free = np.abs(detections.range_rate) < settings.detections.moving_mps
     followed = absorb(detections, parts, states, settings)
@@ -53,5 +57,15 @@ def vehicles_in(
         return []  # where nothing drives, nothing tells a vehicle that stands from what is built
     for each in motions:
         free[each.rows] = False
-    found = complete_tracks(detections, graph, driven, states, free, settings)
-    return improve(found, detections, graph, settings.motion)
+    return complete_tracks(detections, graph, driven, states, free, settings)
+
+
+def _followed(
+    detections: MapDetections, graph: LaneGraph, settings: VehicleSettings
+) -> tuple[Integers, Floats]:
+    """Return the vehicle of each detection, and its state, by both directions of time."""
+    numbers, both = follow_both_ways(
+        detections, graph, settings.forward, settings.detections.moving_mps
+    )
+    joined = join_directions(*numbers, detections.time)
+    return joined, merge_states(numbers[0], both, joined)

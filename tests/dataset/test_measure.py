@@ -1,5 +1,7 @@
 """Measuring: hits against a plain loop, and the same bytes however recordings come."""
 
+import shutil
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -99,10 +101,16 @@ def halves(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def both(halves, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("both") / "site"
+def whole(halves, tmp_path_factory):
+    """Measured at once, which is only to be looked at or copied."""
+    folder = tmp_path_factory.mktemp("whole") / "site"
     measured(folder, *halves.items())
-    return contents(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def both(whole):
+    return contents(whole)
 
 
 def test_the_order_in_which_recordings_come_changes_no_byte(halves, both, tmp_path):
@@ -119,45 +127,36 @@ def test_several_processes_write_the_same_bytes(halves, both, tmp_path):
     assert contents(tmp_path / "site") == both
 
 
-def test_a_recording_cut_in_two_gives_the_same_hours(halves, both, tmp_path):
-    names = []
-    for begin, end in ((17.0, 18.3), (18.3, 23.0)):
-        path = cut(tmp_path / f"R1_{begin}.parquet", "R1", begin, end, edge_s=20.0)
-        names.append(("R1", path))
-    measured(tmp_path / "site", *names, ("R2", halves["R2"]))
+def test_recordings_that_overlap_or_follow_each_other_give_the_same_hours(halves, both, tmp_path):
+    pieces = {"R1": ((17.0, 19.5), (18.3, 22.0), (18.5, 23.0)), "R2": ((17.0, 18.3), (18.3, 23.0))}
+    files = [
+        (sensor, cut(tmp_path / f"{sensor}_{span[0]}.parquet", sensor, *span, edge_s=20.0))
+        for sensor, spans in pieces.items()
+        for span in spans
+    ]
+    measured(tmp_path / "site", *files)
     found = contents(tmp_path / "site")
     del found["recordings.parquet"]
     assert found == {name: each for name, each in both.items() if name != "recordings.parquet"}
 
 
-def test_measuring_again_changes_nothing(halves, both, tmp_path):
-    measured(tmp_path / "site", *halves.items())
-    when = {p: p.stat().st_mtime_ns for p in (tmp_path / "site" / "hits").rglob("*.parquet")}
+def test_measuring_again_changes_nothing(halves, whole, both, tmp_path):
+    site = shutil.copytree(whole, tmp_path / "site")
+    when = {p: p.stat().st_mtime_ns for p in (site / "hits").rglob("*.parquet")}
     notes = Listener()
-    measured(tmp_path / "site", *halves.items(), reporter=notes)
-    assert contents(tmp_path / "site") == both
+    measured(site, *halves.items(), reporter=notes)
+    assert contents(site) == both
     assert when == {p: p.stat().st_mtime_ns for p in when}
     assert not [line for level, line in notes.messages if level == "warning"]
 
 
-def test_the_same_recording_twice_counts_once(halves, both, tmp_path):
+def test_the_same_recording_twice_counts_once(halves, tmp_path):
     notes = Listener()
-    twice = [("R1", halves["R1"]), *halves.items()]
-    measured(tmp_path / "site", *twice, reporter=notes)
-    assert contents(tmp_path / "site") == both
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    measured(once, *halves.items(), hits_only=True)
+    measured(twice, ("R1", halves["R1"]), *halves.items(), hits_only=True, reporter=notes)
+    assert contents(twice) == contents(once)
     assert len([line for _, line in notes.messages if "counts once" in line]) == 1
-
-
-def test_recordings_that_overlap_count_once(halves, both, tmp_path):
-    names = []
-    for begin, end in ((17.0, 19.5), (18.3, 22.0), (18.5, 23.0)):
-        path = cut(tmp_path / f"R1_{begin}.parquet", "R1", begin, end, edge_s=20.0)
-        names.append(("R1", path))
-    measured(tmp_path / "site", *names, ("R2", halves["R2"]))
-    found = contents(tmp_path / "site")
-    assert {n: b for n, b in found.items() if n.endswith(("00.parquet", "07.parquet"))} == {
-        n: b for n, b in both.items() if n.endswith(("00.parquet", "07.parquet"))
-    }
 
 
 def test_an_hour_without_frames_has_all_its_parts(tmp_path):

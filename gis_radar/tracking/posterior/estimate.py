@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, give_back_memory
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.background import Background
@@ -69,16 +70,18 @@ class Posterior:
     def __init__(self, detections: MapDetections, motions: Sequence[Motion]) -> None:
         self.given = detections
         self.frames = Frames.of(detections)
-        self.d = detections.take(self.frames.row)
-        self._background = Background(self.d, self.frames)
-        self._corner = self.d.points.min(axis=0) - 2.0 * CELL_M
-        span = self.d.points.max(axis=0) + 2.0 * CELL_M - self._corner
+        d = detections.take(self.frames.row)
+        self._background = Background(d, self.frames)
+        self._seen = (self.frames.first, d.points, d.sight, d.range_m, d.range_rate, d.height_m)
+        self._corner = d.points.min(axis=0) - 2.0 * CELL_M
+        span = d.points.max(axis=0) + 2.0 * CELL_M - self._corner
         self._size = np.ceil(span / CELL_M).astype(np.int64) + 1
         self._table = np.full(int(np.prod(KINDS)), FIRST_GUESS)
         self._factor = np.ones(len(self.frames.eyes) * int(self._size.prod()))
         self.alpha = np.array([2.0, 1.0])
-        self.total = np.zeros(len(self.d))
+        self.total = np.zeros(len(d))
         self._placed: dict[tuple[int, int, float], Placed] = {}
+        del d  # times, sensors and cross sections are no longer needed
         self.learn(motions)
 
     @property
@@ -89,24 +92,18 @@ class Posterior:
     @property
     def seen(self) -> Seen:
         """The detections, as compiled loops take them."""
-        d = self.d
-        return (
-            self.frames.first, d.points, d.sight, d.range_m, d.range_rate, d.height_m, self.total,
-        )  # fmt: skip
+        return (*self._seen, self.total)
 
     def learn(self, motions: Sequence[Motion]) -> None:
         """Take motions as the vehicles; learn from them what to expect."""
         self._place(motions)
         self._background.watch(self._by_frame, self.states.frame, self.states.shape)
-        n, share = len(self.states.frame), np.zeros(len(self.d))
+        n, share = len(self.states.frame), np.zeros(len(self.total))
         share[self._pair_row] = 0.5
         mu, bright = FIRST_GUESS * self.open, np.ones(n)
         for _ in range(ROUNDS):
-            base = self._background.rates(1.0 - share)
-            rate = self._density * (mu * bright)[self._pair_state]
-            total = base + np.bincount(self._pair_row, rate, len(self.d))
-            part = rate / total[self._pair_row]
-            share = np.minimum(np.bincount(self._pair_row, part, len(self.d)), 1.0)
+            part = self._parts(mu * bright, self._background.rates(1.0 - share))
+            share = np.minimum(np.bincount(self._pair_row, part, len(self.total)), 1.0)
             explained = np.bincount(self._pair_state, part, n).astype(np.float64)
             self._expect(explained)
             mu = self._mu()
@@ -120,32 +117,54 @@ class Posterior:
         mu = self._mu()
         bright = np.ones(len(mu))
         for _ in range(2):
-            rate = self._density * (mu * bright)[self._pair_state]
-            total = self._base + np.bincount(self._pair_row, rate, len(self.d))
-            part = rate / total[self._pair_row]
+            part = self._parts(mu * bright, self._base)
             explained = np.bincount(self._pair_state, part, len(mu)).astype(np.float64)
             bright = self._brightness(explained, mu)
         self._sum_up(mu, bright)
 
+    def _parts(self, rate: Floats, base: Floats) -> Floats:
+        """Return which part of each detection each state explains, by the rates of states."""
+        part = self._density * rate[self._pair_state]
+        total = base + np.bincount(self._pair_row, part, len(base))
+        part /= total[self._pair_row]
+        return np.asarray(part)
+
     def _place(self, motions: Sequence[Motion]) -> None:
-        """Compute states, which detections each may explain, and what hides it."""
+        """Compute states, which detections each may explain, and what hides it.
+
+        These arrays are most of the memory of a block: each old one goes as the new one is made.
+        """
         placed = [self._placed.get(_key(each)) or self._placed_anew(each) for each in motions]
-        self._placed = {_key(each): known for each, known in zip(motions, placed, strict=True)}
         self.motions = list(motions)
-        self.states = states = States.of([each[:2] for each in placed], self.frames)
+        frame, shape = [each[0] for each in placed], [each[1] for each in placed]
+        kinds, begins, density, row = ([each[k] for each in placed] for k in range(2, 6))
+        placed, self._placed, self.states = [], {}, States.of([], [], self.frames)
+        self.open = self._rate = self._due = np.zeros(0)
+        self.sensor = self._by_frame = self._pair_state = np.zeros(0, np.int64)
+        give_back_memory()
+        kind = _joined(kinds, np.zeros((0, 2), np.int64))
+        self._kind, self._cell = kind[:, 0], kind[:, 1]
+        self._density = _joined(density, np.zeros(0))
+        self._pair_row = _joined(row, np.zeros(0, np.int64))
+        self.states = states = States.of(frame, shape, self.frames)
+        del frame, shape
         self.sensor = self.frames.sensor[states.frame]
         self.alive = np.ones(len(states.frame), np.bool_)
-        kinds, begins, density, row = (
-            [each[k] for each in placed] for k in range(2, 6)
-        )  # fmt: skip
-        kind = np.concatenate([np.zeros((0, 2), np.int64), *kinds])
-        self._kind, self._cell = kind[:, 0], kind[:, 1]
-        count = np.concatenate([np.zeros(0, np.int64), *(np.diff(each) for each in begins)])
+        count = _joined([np.diff(each) for each in begins], np.zeros(0, np.int64))
         self._pair_begin = np.concatenate([[0], np.cumsum(count)])
         self._pair_state = np.repeat(np.arange(len(count)), count)
-        self._density = np.concatenate([np.zeros(0), *density])
-        self._pair_row = np.concatenate([np.zeros(0, np.int64), *row])
+        self._placed = {_key(each): self._part(k, kind) for k, each in enumerate(motions)}
         self._hide()
+
+    def _part(self, vehicle: int, kind: Integers) -> Placed:
+        """Return what is placed of a vehicle, as parts of the arrays of all: it is there once."""
+        rows = self.states.rows(vehicle)
+        begins = self._pair_begin[rows.start : rows.stop + 1]
+        pairs = slice(begins[0], begins[-1])
+        return (
+            self.states.frame[rows], self.states.shape[rows], kind[rows], begins,
+            self._density[pairs], self._pair_row[pairs],
+        )  # fmt: skip
 
     def _placed_anew(self, motion: Motion) -> Placed:
         frame, shape = motion_states(motion, self.frames)
@@ -208,7 +227,7 @@ class Posterior:
     def _sum_up(self, mu: Floats, bright: Floats) -> None:
         self._due = mu
         self._rate = self._density * (mu * bright)[self._pair_state]
-        self.total = self._base + np.bincount(self._pair_row, self._rate, len(self.d))
+        self.total = self._base + np.bincount(self._pair_row, self._rate, len(self.total))
 
     def gains(self, rows: Integers, shape: Floats, *, add: bool = False) -> Floats:
         """Return (groups, 2) the gain of states over all else, and what is due.
@@ -282,6 +301,13 @@ class Posterior:
         rows, rate = self._pairs_of(vehicle)
         mine = np.unique(self.frames.row[rows[rate > 0.5 * self.total[rows]]])
         return mine[np.argsort(self.given.time[mine], kind="stable")]
+
+
+def _joined(parts: list[NDArray[Any]], none: NDArray[Any]) -> NDArray[Any]:
+    """Return arrays joined to one; the list is emptied, so that none is kept twice."""
+    whole = np.concatenate([none, *parts])
+    parts.clear()
+    return whole
 
 
 def _key(motion: Motion) -> tuple[int, int, float]:

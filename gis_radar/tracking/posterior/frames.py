@@ -108,15 +108,15 @@ class States:
     group: Integers
 
     @classmethod
-    def of(cls, parts: Sequence[tuple[Integers, Floats]], frames: Frames) -> States:
-        """Return the states of vehicles of which each has its frames and shapes."""
-        sizes = [len(each[0]) for each in parts]
-        frame = np.concatenate([np.zeros(0, np.int64), *(each[0] for each in parts)])
-        vehicle = np.repeat(np.arange(len(parts)), sizes)
+    def of(cls, frame_of: Sequence[Integers], shape_of: Sequence[Floats], frames: Frames) -> States:
+        """Return the states of vehicles, by the frames and the shapes of each."""
+        sizes = [len(each) for each in frame_of]
+        frame = np.concatenate([np.zeros(0, np.int64), *frame_of])
+        vehicle = np.repeat(np.arange(len(sizes)), sizes)
         window = window_of(frames.time[frame])
         return cls(
             vehicle=vehicle, frame=frame, window=window,
-            shape=np.concatenate([np.zeros((0, len(COLUMNS))), *(each[1] for each in parts)]),
+            shape=np.concatenate([np.zeros((0, len(COLUMNS))), *shape_of]),
             first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
             group=groups_of(vehicle, frames.sensor[frame], window),
         )  # fmt: skip
