@@ -1,7 +1,6 @@
 """Stretches that nothing passes although vehicles pass on both sides: named, and only those."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from datasets import measured
 from maps import Listener
@@ -9,8 +8,6 @@ from sites import EAST, NORTH, lane_quads, tiles_of
 from test_sight import ROAD_M, SENSOR
 from test_sight_recorded import traffic
 
-import gis_radar as gr
-from gis_radar.recordings import odd_speeds, open_recording
 from gis_radar.sight import MovingHits, SightTiles, find_gaps, find_sight
 
 FRAMES = 4000
@@ -76,44 +73,3 @@ def test_traffic_of_crossing_lanes_tells_nothing_of_a_lane_that_nobody_takes():
     busy = np.full(80, 20)
     assert moved([lane(), one, other], [own, busy, busy]) == []
     assert len(moved([lane()], [own])) == 1
-
-
-SAMPLE = gr.sample_folder()
-
-
-def recorded(path, scale):
-    """Write a minute of the sample with range rates in another unit."""
-    table = pd.read_parquet(SAMPLE / "R1.parquet")
-    table = table[table["time"] < table["time"].iloc[0] + 60.0]
-    table["range_rate"] *= np.float32(scale)
-    table.to_parquet(path)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("scale", "says"),
-    [
-        (1.0, ""),
-        (-1.0, "positive where targets approach"),
-        (100.0, "look like cm/s or mm/s"),
-        (1000.0, "look like cm/s or mm/s"),
-    ],
-)
-def test_range_rates_in_another_unit(tmp_path, scale, says):
-    odd = odd_speeds(open_recording(recorded(tmp_path / "R1.parquet", scale)))
-    assert says in odd
-    assert bool(odd) == bool(says)
-
-
-def test_range_rates_in_another_unit_are_named_where_the_pose_is_given(tmp_path):
-    """Nobody looks for a pose there, which would not be found."""
-    path, pose = recorded(tmp_path / "R1.parquet", 3.6), gr.read_pose(SAMPLE / "R1.json")
-    heard, road = Listener(), tiles_of([lane_quads(pose.easting, pose.northing + 20.0, 0.0)])
-    measured([path], [pose], road, tmp_path / "o", reporter=heard)
-    assert "R1.parquet: ranges change 0.28 times as fast" in str(heard.messages)
-    (tmp_path / "SITE.toml").write_text(
-        f'title = "A"\ntimezone = "Europe/Berlin"\n[map]\nfile = "{SAMPLE}/junction.osm"\n'
-        f'crs = "EPSG:25832"\n[[sensor]]\nname = "R1"\nrecordings = ["R1.parquet"]\n'
-        f'pose = "{SAMPLE}/R1.json"\n'
-    )
-    assert "range rates look like km/h" in str(gr.check_site(tmp_path / "SITE.toml").warnings)

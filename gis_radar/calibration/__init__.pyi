@@ -4,9 +4,18 @@ from .lane_detections import ClockSettings
 from .localization import localize, localize_files
 from .monitor import Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
+from .plausibility import (
+    FITS,
+    Finding,
+    ImplausibleError,
+    RecordedSensor,
+    check_plausibility,
+    refuse_implausible,
+)
 from .pose_track import MOVED, Event, Track, draw_track, track_of
 from .range_scale import RangeScale, measure_range_scale
 from .result import AmbiguousError, Localization, Problem, draw_localization
+from .rivals import LaneMap
 from .scan_check import ScanCheck, check_against_scan, require_scans_near
 from .scan_check_picture import draw_scan_check
 from .settings import LOCALIZATION, MONITOR, LocalizationSettings, MonitorSettings
@@ -15,6 +24,7 @@ from .windows import WindowFitter
 
 __all__ = [
     "CLASH_HINT",
+    "FITS",
     "LOCALIZATION",
     "MONITOR",
     "MOVED",
@@ -22,13 +32,17 @@ __all__ = [
     "ClockSettings",
     "Clocks",
     "Event",
+    "Finding",
     "Follower",
+    "ImplausibleError",
     "JointCalibration",
+    "LaneMap",
     "Localization",
     "LocalizationSettings",
     "MonitorSettings",
     "Problem",
     "RangeScale",
+    "RecordedSensor",
     "ScanCheck",
     "ScanCheckSettings",
     "SensorClock",
@@ -37,6 +51,7 @@ __all__ = [
     "WindowFitter",
     "adjust_poses",
     "check_against_scan",
+    "check_plausibility",
     "draw_localization",
     "draw_scan_check",
     "draw_track",
@@ -47,6 +62,7 @@ __all__ = [
     "measure_clocks",
     "measure_range_scale",
     "read_clocks",
+    "refuse_implausible",
     "require_scans_near",
     "start_estimate",
     "track",

@@ -55,6 +55,8 @@ LIKELY = {
     1.0 / 3.6: "range rates look like km/h",
     1.0 / 2.23694: "range rates look like mph",
     -1.0: "range rates look positive where targets approach",
+    2.0: "range rates look halved, or times run twice as fast",
+    0.5: "range rates look doubled, or times run half as fast",
 }
 
 

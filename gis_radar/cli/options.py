@@ -178,6 +178,10 @@ frame_times = in_order(
         help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
     ),
 )  # fmt: skip
+accept = click.option(
+    "--accept", metavar="SENSOR", multiple=True,
+    help="Go on though its pose and recordings do not fit; every product says so; repeatable.",
+)  # fmt: skip
 lanes = click.option(
     "--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes."
 )

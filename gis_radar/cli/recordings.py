@@ -13,6 +13,7 @@ from gis_radar.cli.options import (
     DURATION,
     FILE,
     PAIRS,
+    accept,
     csv_locale,
     dataset,
     frame_times,
@@ -62,6 +63,7 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 )
 @output
 @view
+@accept
 @click.option("--hits-only", is_flag=True, help="Leave out the vehicles.")
 @click.option("--min-speed", type=float, help="Least absolute range rate of a hit, m/s.")
 @click.option("--min-rcs", type=float, help="Least radar cross section of a hit, dBm2.")

@@ -58,12 +58,15 @@ def _to_open(outputs: list[Path]) -> str:
 def check(*, site: Path, reporter: Reporter) -> Result:
     """Check a site before its run: its file, and whether map, scans and recordings fit together.
 
-    Shows from when to when each sensor recorded, and the view that its detections show.
+    Shows from when to when each sensor recorded, the view that its detections show, and whether its
+    pose fits what it recorded. Exit code 4: the pose of a sensor does not fit.
     """
     found = gr.check_site(site, reporter=reporter)
+    failure = found.failure
+    advice = "" if failure else Text("the site can be run: gis-radar run {}", site)
     return Result(
-        outputs=[], summary=found.figures(), timezone=found.site.timezone,
-        advice=Text("the site can be run: gis-radar run {}", site),
+        outputs=[], summary=found.figures(), timezone=found.site.timezone, advice=advice,
+        failure=failure,
     )  # fmt: skip
 
 

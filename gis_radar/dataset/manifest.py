@@ -15,7 +15,7 @@ from gis_radar.dataset.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.errors import InputError
 from gis_radar.files import output_errors, writing_errors
 from gis_radar.json_documents import read_json
-from gis_radar.texts import Text
+from gis_radar.texts import Text, restored, with_texts
 from gis_radar.tiles.tiles import write_tiles
 
 MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
@@ -41,6 +41,8 @@ class Manifest:
         Of the site, such as `Europe/Berlin`.
     settings : dict
         In effect for all of its hours.
+    checks : dict
+        By sensor, why its pose and recordings are not known to fit; hours do not follow from it.
     schema : int
         Of the tables.
     """
@@ -51,12 +53,14 @@ class Manifest:
     origin: tuple[int, int]
     timezone: str = "UTC"
     settings: dict[str, Any] = field(default_factory=dict)
+    checks: dict[str, str] = field(default_factory=dict, compare=False)
     schema: int = SCHEMA
 
     def write(self, folder: Path) -> None:
         """Write `dataset.json`, in place of the one that is there."""
         path = folder / MANIFEST
-        text = json.dumps(asdict(self), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+        document = with_texts(asdict(self))
+        text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
         with writing_errors(path):
             unfinished(path).write_text(text, encoding="utf-8")
         rename_whole(unfinished(path), path)
@@ -95,14 +99,15 @@ class Manifest:
                     hint="update gis_radar",
                 )
             easting, northing = map(int, document["origin"])
-            manifest = cls(**{**document, "origin": (easting, northing)})
+            manifest = cls(**{**restored(document), "origin": (easting, northing)})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError("{}: damaged: {}", path, f"{error!r:.200}", hint=MAKE_ONE) from error
         for name in ("map", "fingerprint", "crs", "timezone"):
             if not isinstance(getattr(manifest, name), str):
                 raise InputError("{}: damaged: {} is no text", path, name, hint=MAKE_ONE)
-        if not isinstance(manifest.settings, dict):
-            raise InputError("{}: damaged: settings are none", path, hint=MAKE_ONE)
+        for name in ("settings", "checks"):
+            if not isinstance(getattr(manifest, name), dict):
+                raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
         return manifest
 
 

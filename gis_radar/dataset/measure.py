@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,16 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.calibration import SensorClock
+from gis_radar.calibration import (
+    FITS,
+    Finding,
+    LaneMap,
+    RecordedSensor,
+    SensorClock,
+    check_plausibility,
+    refuse_implausible,
+)
+from gis_radar.calibration.lane_detections import lanelets_of
 from gis_radar.crs import name_of
 from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.dataset.hour_job import HourSite, MadeHour, MeasureSettings
@@ -62,6 +71,13 @@ class _Given:
     entries: list[RecordingEntry]
     poses: PoseBook
     book: SightBook
+    findings: tuple[Finding, ...] = ()
+
+    def checks(self, before: Mapping[str, str]) -> dict[str, str]:
+        """Return by sensor what results do not rest on safely, with what was found before."""
+        judged = {each.sensor for each in self.findings}
+        odd = {each.sensor: each.line for each in self.findings if each.verdict != FITS}
+        return {name: line for name, line in before.items() if name not in judged} | odd
 
 
 def measure(
@@ -83,6 +99,7 @@ def measure(
     timezone: str = "UTC",
     settings: MeasureSettings | None = None,
     before_hour: int | None = None,
+    accept: Collection[str] | None = (),
     processes: int = 1,
     reporter: Reporter = QUIET,
 ) -> Dataset:
@@ -132,6 +149,8 @@ def measure(
     before_hour : int, optional
         Make only hours before this one (since 1970): for others recordings are still to come, and
         a later call makes them.
+    accept : collection of str, optional
+        Sensors to go on with although their poses and recordings do not fit; None checks nothing.
     processes : int
         How many hours are made side by side.
     reporter : Reporter
@@ -150,7 +169,7 @@ def measure(
         of other tiles, another map or other settings; or if a recording that an hour needs has
         gone or changed.
     NoAnswerError
-        If no sensor sees any tile.
+        If no sensor sees any tile; ImplausibleError where poses and recordings do not fit.
     OutputError
         If the dataset cannot be written, or another run is writing it.
 
@@ -186,6 +205,8 @@ def measure(
     _refuse_swapped(opened, tracks)
     sources = book.place(opened, tracks, clocks, reporter)
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
+    if accept is not None:
+        given = _checked(given, accept, reporter)
     folder = Path(folder)
     with writing(folder, reporter):
         if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:
@@ -226,6 +247,26 @@ def _given(
         settings=settings,
         sources=placed, entries=entries, poses=poses, book=book,
     )  # fmt: skip
+
+
+def _checked(given: _Given, accept: Collection[str], reporter: Reporter) -> _Given:
+    """Check whether poses, recordings and map fit; keep what was found for the manifest."""
+    by_sensor: dict[str, list[PlacedRecording]] = {}
+    for _, source in sorted(given.sources.items()):
+        by_sensor.setdefault(source.track.sensor, []).append(source)
+    sensors = {
+        name: RecordedSensor(
+            recordings=[each.recording for each in found],
+            tracks=[each.track for each in found], clock=found[0].clock,
+        )
+        for name, found in by_sensor.items()
+    }  # fmt: skip
+    lanelets = lanelets_of(given.tiles) if given.roads is None else given.roads.lanelets
+    centres = given.book.road.centres
+    lanes = LaneMap(lanelets=lanelets, road=centres[np.isfinite(centres[:, 2])])
+    findings = check_plausibility(sensors, lanes, reporter=reporter)
+    refuse_implausible(findings, accept, reporter)
+    return replace(given, findings=findings)
 
 
 def _refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
@@ -368,7 +409,7 @@ def _add(
             shutil.rmtree(folder, ignore_errors=True)
             raise
     try:
-        return change(
+        made = change(
             site, before, registry, known=given.entries, before_hour=before_hour,
             processes=processes, reporter=reporter,
         )  # fmt: skip
@@ -376,6 +417,9 @@ def _add(
         if is_new:  # nothing was there: nothing stays
             shutil.rmtree(folder, ignore_errors=True)
         raise
+    if (checks := given.checks(manifest.checks)) != manifest.checks:
+        replace(manifest, checks=checks).write(folder)
+    return made
 
 
 def _remark_on_changes(

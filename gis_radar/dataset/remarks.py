@@ -19,7 +19,6 @@ from gis_radar.poses.pose import View
 from gis_radar.progress import Reporter
 from gis_radar.recordings.overlaps import overlap_warnings
 from gis_radar.recordings.recording import RangeCounts
-from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.sight import (
     MovingHits,
     Sight,
@@ -118,7 +117,7 @@ def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> l
 
 
 def _view_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
-    """Yield what does not fit in view and units, given what was recorded."""
+    """Yield what does not fit in the view, given what was recorded."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     ranges = RangeCounts()
     ranges.counts = each.evidence.ranges
@@ -142,10 +141,6 @@ def _view_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
             sensor,
             view.max_range_m,
             limit,
-        )
-    if odd := odd_speeds(each.source.recording):
-        yield Text(
-            "{}: {}; vehicles and poses need metres and m/s, positive when receding", file, odd
         )
 
 

@@ -105,7 +105,7 @@ class MeasuredSite:
             cycles={name: self.cycles[name] for name in self.cycles
                     if any(track.sensor == name for _, track in recordings)},
             hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
-            processes=processes, reporter=reporter,
+            accept=None, processes=processes, reporter=reporter,
         )  # fmt: skip
 
 

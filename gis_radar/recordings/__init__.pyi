@@ -1,7 +1,6 @@
 from .conversion import Conversion, SensorRecording, convert
 from .frames import DamagedError, Frame
 from .recording import Detections, RangeCounts, Recording, as_recording, open_recording
-from .speeds import odd_speeds
 from .units import compare_speeds
 
 __all__ = [
@@ -15,6 +14,5 @@ __all__ = [
     "as_recording",
     "compare_speeds",
     "convert",
-    "odd_speeds",
     "open_recording",
 ]

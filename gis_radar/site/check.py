@@ -13,16 +13,23 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
+from gis_radar.calibration import (
+    Finding,
+    LaneMap,
+    RecordedSensor,
+    check_plausibility,
+    read_clocks,
+    refuse_implausible,
+)
 from gis_radar.crs import name_of, transformer
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.lanelets import LaneletMap, lanes, read_map
 from gis_radar.poses.files import read_track
-from gis_radar.progress import QUIET, Level, Reporter
+from gis_radar.progress import QUIET, SILENT, Level, Reporter
 from gis_radar.recordings.overlaps import overlap_warnings
 from gis_radar.recordings.recording import RangeCounts, Recording, open_recording
-from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.scans.scan import open_scan, road_crs
-from gis_radar.site.messages import in_site_words
+from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
 from gis_radar.steps import iso_from_step, step_of, zone_of
 from gis_radar.texts import Text
@@ -97,6 +104,8 @@ class SiteCheck:
         How many lanelets the map has.
     sensors : dict
         What each sensor recorded, by name.
+    findings : tuple of Finding
+        Whether the given poses fit recordings and map, by sensor.
     warnings : tuple of str
         What to know before the run.
     """
@@ -105,6 +114,7 @@ class SiteCheck:
     crs: str
     lanelets: int
     sensors: dict[str, SensorCheck]
+    findings: tuple[Finding, ...]
     warnings: tuple[str, ...]
 
     def figures(self) -> dict[str, Any]:
@@ -114,8 +124,23 @@ class SiteCheck:
             "crs": self.crs,
             "lanelets": self.lanelets,
             "sensors": {name: each.figures() for name, each in self.sensors.items()},
+            "plausibility": [
+                [Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do")],
+                *([f.sensor, f.verdict, f.reason, f.advice] for f in self.findings),
+            ],
             "warnings": len(self.warnings),
         }
+
+    @property
+    def failure(self) -> NoAnswerError | None:
+        """What stands in the way of a run: sensors that do not fit and are not accepted."""
+        accepted = [each.name for each in self.site.sensor if each.accept]
+        try:
+            refuse_implausible(self.findings, accepted, SILENT)
+        except NoAnswerError as error:
+            error_in_site_words(error, self.site.timezone)
+            return error
+        return None
 
 
 def check_site(
@@ -157,13 +182,14 @@ def check_site(
         found[sensor.name] = _read_sensor(sensor, settings, warnings)
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
     warnings += _time_warnings(found)
+    findings = _check_poses(site, roads, reporter)
     folder = site.path.absolute().parent  # as in remarks of a run
     warnings = [in_site_words(line, site.timezone, folder) for line in warnings]
     for line in warnings:
         reporter.warn(line)
     return SiteCheck(
         site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=found,
-        warnings=tuple(warnings),
+        findings=findings, warnings=tuple(warnings),
     )  # fmt: skip
 
 
@@ -211,6 +237,22 @@ def _check_place(sensor: Sensor, roads: LaneletMap, settings: CheckSettings) -> 
         )
 
 
+def _check_poses(site: Site, roads: LaneletMap, reporter: Reporter) -> tuple[Finding, ...]:
+    """Check whether given poses fit recordings and map; a run checks what it converts or finds."""
+    given, clocks = {}, read_clocks(site.measure.clocks) if site.measure.clocks else {}
+    for each in site.sensor:
+        ours = [path for path in each.recordings if path not in each.foreign]
+        if each.pose is not None and ours:
+            track = read_track(each.pose)
+            given[each.name] = RecordedSensor(
+                recordings=[open_recording(path) for path in ours],
+                tracks=[track] * len(ours),
+                clock=clocks.get(each.name),
+            )
+    lanes = LaneMap(lanelets=roads.lanelets, road=np.empty((0, 3)))
+    return check_plausibility(given, lanes, reporter=reporter)
+
+
 def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Iterator[str]:
     """Yield a warning where the time zone is probably that of another place."""
     west, south, east, north = roads.lanelets.total_bounds
@@ -239,10 +281,6 @@ def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -
     if not spans:
         return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
     warnings += overlap_warnings(sensor.name, spans)
-    for *_, path in spans:
-        if odd := odd_speeds(open_recording(path)):
-            needed = "vehicles and poses need metres and m/s, positive when receding"
-            warnings.append(f"{path.name}: {odd}; {needed}")
     begin, end = min(each[0] for each in spans), max(each[1] for each in spans)
     longest = max(each[1] - each[0] for each in spans)
     if sensor.guess is not None and longest < settings.least_s and not foreign:

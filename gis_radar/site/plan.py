@@ -348,6 +348,7 @@ def _measure(site: Site, folder: Path) -> Stage:
             **({} if clocks else {"clocks": None}),
             "scan_crs": site.scan.crs if site.scan else None,
             "filters": filters,
+            "accept": [each.name for each in site.sensor if each.accept],
             "hits_only": not site.vehicles.follow,
             "timezone": site.timezone,
         },

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gis_radar.crs import name_of, require_same
-from gis_radar.errors import InputError, UsageError
+from gis_radar.errors import GisRadarError, InputError, NoAnswerError, UsageError
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
@@ -92,13 +92,15 @@ def mask_scans(
 def measure_site(
     sensors: Mapping[str, tuple[Sequence[Path], PoseTrack]], tile_file: Path, map_file: Path,
     output: Path, *, reporter: Reporter, **options: Any,
-) -> tuple[Dataset, dict[str, str]]:  # fmt: skip
+) -> tuple[Dataset, dict[str, GisRadarError]]:  # fmt: skip
     """Measure the recordings of several sensors, by name; leave out those that are refused.
 
     The dataset is returned, and by sensor why it was left out. Options are those of
     :func:`measure_recordings`.
     """
-    left, refused = dict(sensors), dict[str, str]()
+    from gis_radar.calibration import ImplausibleError
+
+    left, refused = dict(sensors), dict[str, GisRadarError]()
     while True:
         recordings = [path for paths, _ in left.values() for path in paths]
         tracks = [track for paths, track in left.values() for _ in paths]
@@ -107,12 +109,19 @@ def measure_site(
                 recordings, tracks, tile_file, map_file, output, only=True, reporter=reporter,
                 **options,
             )  # fmt: skip
+        except ImplausibleError as error:
+            if len(error.findings) == len(left):
+                raise
+            for each in error.findings:
+                reporter.warn("{} is left out: {}", each.sensor, each.line)
+                refused[each.sensor] = NoAnswerError("{}", each.line, hint=each.advice)
+                del left[each.sensor]
         except InputError as error:
             named = [n for n, (paths, _) in left.items() if _names_one(error.message, paths)]
             if not named or len(left) == 1:
                 raise
             reporter.warn("{} is left out: {}", named[0], error.message)
-            refused[named[0]] = error.message
+            refused[named[0]] = error
             del left[named[0]]
         else:
             return made, refused

@@ -74,8 +74,7 @@ class SiteRun:
     @property
     def missing(self) -> dict[str, GisRadarError]:
         """The sensors without a result, and why."""
-        refused = {name: InputError(why) for name, why in _refused(self.outcomes).items()}
-        return refused | {
+        return _refused(self.outcomes) | {
             each.stage.sensor: each.error
             for each in reversed(self.outcomes)
             if each.stage.sensor and each.error is not None
@@ -296,10 +295,14 @@ def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
     ]
 
 
-def _refused(outcomes: Sequence[Outcome]) -> dict[str, str]:
+def _refused(outcomes: Sequence[Outcome]) -> dict[str, GisRadarError]:
     """Return the sensors whose recordings are not in the dataset, and why."""
     measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
-    return {name: why for each in measured for name, why in each.get("refused", {}).items()}
+    return {
+        name: (NoAnswerError if name in each["implausible"] else InputError)("{}", why)
+        for each in measured
+        for name, why in each.get("refused", {}).items()
+    }
 
 
 def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
@@ -315,8 +318,8 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
         elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
             # how a pose was found comes first; the pose in use counts
             found[each.stage.sensor] = {**facts, **each.figures}
-    for name, why in _refused(outcomes).items():
-        found[name]["state"] = why
+    for name, error in _refused(outcomes).items():
+        found[name]["state"] = error.message
     return {name: {"state": "ok"} | facts for name, facts in found.items()}
 
 

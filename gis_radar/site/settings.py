@@ -189,6 +189,8 @@ class Sensor(TomlTable):
     """Whether vehicles that other sensors see, too, tie its pose to theirs."""
     pose: File | None = key('"R2.json"', None, "none")
     """Its pose (JSON) or pose track (CSV), instead of a guess."""
+    accept: Switch = key("true", False, "false")
+    """Whether it counts although its pose and recordings do not fit each other or the map."""
     cycle: Cycle | None = key('"150ms"', None, "a frame is valid for 100 ms")
     """Of a sensor under 10 Hz, the time from frame to frame: a frame is valid for 1.5 of it."""
     view: ViewTable | None = None

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.crs import name_of
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.files import atomic_write, scratch_folder
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
 from gis_radar.poses.pose import COMPONENTS, Pose, View
@@ -212,7 +212,11 @@ def measure_stage(
         sight_cache=outputs[0].parent / STATE / SIGHTS, **options,
     )  # fmt: skip
     heavy = {"heavy": int((made.vehicles()["p_heavy"] >= 0.5).sum())} if made.has_vehicles else {}
-    return {**made.figures(), **heavy, "refused": refused}
+    return {
+        **made.figures(), **heavy,
+        "refused": {name: error.message for name, error in refused.items()},
+        "implausible": [n for n, error in refused.items() if isinstance(error, NoAnswerError)],
+    }  # fmt: skip
 
 
 def heatmap_stage(

@@ -27,7 +27,8 @@ def files(tmp_path_factory):
 
 
 def hits_of(folder, *recordings, **options):
-    return measured(folder, *recordings, hits_only=True, **options)
+    options = {"hits_only": True, "accept": None} | options  # frames are looked at later
+    return measured(folder, *recordings, **options)
 
 
 def refused(folder, *recordings, match, error=gr.InputError, **options):

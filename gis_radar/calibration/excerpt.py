@@ -1,0 +1,230 @@
+"""Excerpt: pieces of a sensor's recordings, spread over their time, and the traffic in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.calibration.clocks import SensorClock
+from gis_radar.calibration.settings import LOCALIZATION
+from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
+from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import Pose
+from gis_radar.recordings.recording import Detections, Recording
+
+PIECE_S = 20.0  # in which a vehicle crosses the view
+PIECES = 5  # together as long as the window of a localization
+MOST_PIECES = 33  # of a quiet night; 5, 9, 17, 33: the earlier ones are among the later
+ENOUGH = 30  # vehicles
+PER_TRACK = 40  # detections of each that are compared: more are alike
+WILD_MPS, LEAST_WILD = 300.0, 30  # no unit that is m/s or km/h shows so many so fast
+LEAST_REPEATED = 2  # detections of a frame that cannot come again by chance
+RIGHT = SensorClock(offset_s=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excerpt:
+    """What moved in pieces of a sensor's recordings.
+
+    Parameters
+    ----------
+    moving : Moving
+        All that moved, times by a clock that is right.
+    track : (m,) array
+        The moving object of each of these, `NONE` for detections of none.
+    frozen : (begin, end, frames) or None
+        The longest time in which each frame is the same as the one before, UNIX seconds.
+    wild : int
+        How many detections are impossibly fast; with some, nothing is followed.
+    time, points, range_rate : arrays
+        Detections of moving objects, thinned.
+    vehicle : (n,) array
+        Number of the vehicle of each, from 0.
+    pose : (n,) array
+        Which pose was in force, by number.
+    poses : tuple of Pose
+        These.
+    """
+
+    moving: Moving
+    track: Integers
+    frozen: tuple[float, float, int] | None
+    wild: int
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    vehicle: Integers
+    pose: Integers
+    poses: tuple[Pose, ...]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles there are."""
+        return len(np.unique(self.vehicle))
+
+    def where(self, keep: Booleans) -> Excerpt:
+        """Return the detections for which `keep` is true; vehicles keep their numbers."""
+        names = ("time", "points", "range_rate", "vehicle", "pose")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """Rows of several recordings, in order of time."""
+
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    source: Integers
+
+
+def read_excerpt(
+    recordings: Sequence[Recording], tracks: Sequence[PoseTrack], clock: SensorClock | None = None
+) -> Excerpt:
+    """Read pieces of a sensor's recordings: more of them where there is little traffic.
+
+    Which ones follows from the first and last times of the recordings and from their traffic alone.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of one sensor.
+    tracks : sequence of PoseTrack
+        As many, in order.
+    clock : SensorClock, optional
+        How far its clock is ahead.
+
+    Raises
+    ------
+    InputError
+        If a recording is damaged.
+    """
+    spans, count = [_span(each) for each in recordings], PIECES
+    length_s = sum(end - begin for begin, end in spans)
+    while True:
+        begins = _begins(spans, count)
+        found = _excerpt(_rows(recordings, begins, clock or RIGHT), tracks)
+        if (
+            found.vehicles >= ENOUGH
+            or found.wild
+            or PIECE_S * count >= length_s
+            or count >= MOST_PIECES
+        ):
+            return found
+        count = 2 * count - 1
+
+
+def _span(recording: Recording) -> tuple[float, float]:
+    parts = None if recording.time_spans is None else recording.time_spans()
+    parts = parts or [(float(rows.time[0]), float(rows.time[-1])) for rows in recording.read()]
+    return parts[0][0], parts[-1][1]
+
+
+def _begins(spans: Sequence[tuple[float, float]], count: int) -> list[Floats]:
+    """Return when the pieces of each recording begin, spread evenly over the time recorded."""
+    length = np.array([end - begin for begin, end in spans])
+    until = np.cumsum(length)
+    step = max(PIECE_S, (until[-1] - PIECE_S) / (count - 1))
+    at = step * np.arange(count)
+    at = at[at < max(until[-1], PIECE_S)]
+    of = np.minimum(np.searchsorted(until, at, side="right"), len(spans) - 1)
+    found = [spans[k][0] + at[of == k] - (until[k] - length[k]) for k in range(len(spans))]
+    if step == PIECE_S:
+        return found
+    # on one grid of time, so that sensors with a common view are compared in it
+    return [np.unique(np.floor(each / PIECE_S) * PIECE_S) for each in found]
+
+
+def _rows(recordings: Sequence[Recording], begins: Sequence[Floats], clock: SensorClock) -> _Rows:
+    none = np.empty(0), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64)
+    parts = [none]
+    for number, (recording, at) in enumerate(zip(recordings, begins, strict=True)):
+        for rows in _pieces(recording, at):
+            source = np.full(len(rows), number)
+            parts.append((clock.corrected(rows.time), rows.points, rows.range_rate, source))
+    time, points, rate, source = (np.concatenate(each) for each in zip(*parts, strict=True))
+    order = np.argsort(time, kind="stable")
+    return _Rows(
+        time=time[order], points=points[order], range_rate=rate[order], source=source[order]
+    )
+
+
+def _pieces(recording: Recording, begins: Floats) -> Iterator[Detections]:
+    """Yield the rows of some pieces of a recording."""
+    if recording.batches_from is None:  # no piece is found without reading all before it
+        for rows in recording.read() if len(begins) else ():
+            at = np.maximum(np.searchsorted(begins, rows.time, side="right") - 1, 0)
+            yield rows.take((rows.time >= begins[at]) & (rows.time < begins[at] + PIECE_S))
+        return
+    for begin in begins.tolist():
+        for rows in recording.read_between(begin, begin + PIECE_S):
+            yield rows.take((rows.time >= begin) & (rows.time < begin + PIECE_S))
+
+
+def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
+    moves = np.abs(rows.range_rate) > LOCALIZATION.traces.min_speed_mps
+    frames = np.unique(rows.time)
+    moving = Moving(
+        time=rows.time[moves], points=rows.points[moves], range_rate=rows.range_rate[moves],
+        frames=len(frames), begin=float(frames[0]) if len(frames) else np.nan,
+        end=float(frames[-1]) if len(frames) else np.nan,
+    )  # fmt: skip
+    level = replace(moving, points=np.nan_to_num(moving.points))  # z is NaN without elevation
+    wild = int((np.abs(moving.range_rate) > WILD_MPS).sum())
+    wild = wild if wild >= LEAST_WILD else 0
+    number = np.full(len(moving), NONE) if wild else link_tracks(level)
+    kept = _thinned(number)
+    source, time = rows.source[moves][kept], moving.time[kept]
+    poses, pose = _in_force(time, source, tracks)
+    return Excerpt(
+        moving=moving, track=number, frozen=_frozen(rows), wild=wild, time=time,
+        points=moving.points[kept], range_rate=moving.range_rate[kept],
+        vehicle=vehicles_of(level, number)[number[kept]], pose=pose, poses=poses,
+    )  # fmt: skip
+
+
+def _thinned(track: Integers) -> Integers:
+    """Return rows of detections on tracks, evenly thinned over each, in order of time."""
+    on = np.flatnonzero(track != NONE)
+    on = on[np.argsort(track[on], kind="stable")]
+    first, count = np.unique(track[on], return_index=True, return_counts=True)[1:]
+    rank = np.arange(len(on)) - np.repeat(first, count)
+    every = np.repeat(-(-count // PER_TRACK), count)
+    return np.sort(on[rank % np.maximum(every, 1) == 0])
+
+
+def _in_force(
+    time: Floats, source: Integers, tracks: Sequence[PoseTrack]
+) -> tuple[tuple[Pose, ...], Integers]:
+    """Return the poses in force, and their numbers."""
+    poses, number = list[Pose](), np.zeros(len(time), np.int64)
+    for k, track in enumerate(tracks):
+        mine = np.flatnonzero(source == k)
+        held = track.at(time[mine])
+        for index in np.unique(held).tolist():
+            number[mine[held == index]] = len(poses)
+            poses.append(track.poses[index])
+    return tuple(poses), number
+
+
+def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
+    """Return the longest time in which each frame is the same as the one before."""
+    frames, first, count = np.unique(rows.time, return_index=True, return_counts=True)
+    if len(frames) == 0:
+        return None
+    values = np.nan_to_num(np.column_stack([rows.points, rows.range_rate]))
+    sums = np.add.reduceat(values, first)
+    same = (np.diff(count) == 0) & (np.diff(sums, axis=0) == 0.0).all(axis=1)
+    same = np.append(False, same & (count[1:] >= LEAST_REPEATED))
+    # where a run of equal frames ends, and how many equal the one before in it
+    total = np.cumsum(same)
+    run = total - np.maximum.accumulate(np.where(same, 0, total))
+    last = int(run.argmax())
+    length = int(run[last])
+    return (float(frames[last - length]), float(frames[last]), length) if length else None

@@ -1,0 +1,349 @@
+"""Rival explanations of a sensor's traffic, and how well the lanes bear each of them out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import geopandas as gpd
+import numpy as np
+import scipy
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.calibration.certainty import z_score
+from gis_radar.calibration.excerpt import Excerpt
+from gis_radar.calibration.hypotheses import find_hypotheses, mirrored
+from gis_radar.calibration.lanes import (
+    LANE_STEP_M,
+    MARGIN_M,
+    Lanes,
+    Scene,
+    match_along,
+    sample_lanes,
+)
+from gis_radar.calibration.traces import thin
+from gis_radar.crs import yaw_from_compass
+from gis_radar.errors import NoAnswerError
+from gis_radar.poses.pose import Pose
+from gis_radar.texts import Text
+
+# A detection is of a vehicle on a lane, anywhere on its width, with edges as soft as poses, maps
+# and bearings (1 sigma: metres, and as a share of the range) are; or of anything else, anywhere.
+EDGE_M, EDGE_SHARE = 0.5, 0.01
+OTHERS = 0.1
+AREA_M = 8.0  # width and height over which these spread
+# Heights over the road at which vehicles reflect, and how these and elevations differ.
+REFLECTION_M, HEIGHT_M, HEIGHT_SHARE = 0.7, 1.0, 0.012
+AXES = {
+    "given": ((0, 1, 2), (1.0, 1.0, 1.0)),
+    "mirrored": ((0, 1, 2), (1.0, -1.0, 1.0)),
+    "swapped": ((1, 0, 2), (1.0, 1.0, 1.0)),
+    "ahead": ((1, 0, 2), (1.0, -1.0, 1.0)),
+}
+LANES_KEPT = 4  # places around which the lanes are held at once, 25 MB each
+STEP_DEG, NEAR_DEG = 10.0, 20.0  # of yaws at random; one so near to the given one is no other
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rival:
+    """An explanation of what a sensor recorded: which pose and which axes are right.
+
+    Parameters
+    ----------
+    cause : str
+        What would be wrong, for a message; empty for what is given.
+    advice : str
+        What to do then.
+    turned : callable
+        Takes a pose as given to the right one.
+    axes : str
+        One of `AXES`: how x, y, z of the recording become x forward, y left, z up.
+    against : bool
+        Whether lanes are driven against their direction.
+    heights : bool
+        Whether heights over the road count.
+    scale : float
+        By how much ranges are too long.
+    """
+
+    cause: str = ""
+    advice: str = ""
+    turned: Callable[[Pose], Pose] = lambda pose: pose
+    axes: str = "given"
+    against: bool = False
+    heights: bool = True
+    scale: float = 1.0
+
+    def at(self, pose: Pose) -> Rival:
+        """Return the same explanation with another pose."""
+        return replace(self, turned=lambda _: pose)
+
+
+GIVEN = Rival()
+MIRRORED = Rival(
+    cause=Text("left and right are swapped, in the recording or in the map"),
+    advice=Text("change the sign of y, or mirror the map"),
+    axes="mirrored",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How well the lanes bear out an explanation.
+
+    Parameters
+    ----------
+    fit : (v,) array
+        Mean log likelihood of the detections of each vehicle.
+    on : (v,) array
+        Share of its detections that are rather on a lane than anywhere.
+    over : (n,) array
+        Height of each detection over its lane, metres; NaN where there is none.
+    """
+
+    fit: Floats
+    on: Floats
+    over: Floats
+
+    @property
+    def driving(self) -> Booleans:
+        """Which vehicles drive along lanes."""
+        return self.on > 0.5
+
+    @property
+    def share(self) -> float:
+        """Share of the vehicles that drive along lanes."""
+        return float(self.driving.mean()) if len(self.on) else 0.0
+
+    def ahead_of(self, other: Score) -> float:
+        """Return by how many standard errors the vehicles prefer this explanation."""
+        return z_score(self.fit - other.fit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneMap:
+    """Lanes of a site, sampled around a place when they are first asked for.
+
+    Parameters
+    ----------
+    lanelets : GeoDataFrame
+        As in :class:`gis_radar.lanelets.LaneletMap`.
+    road : (n, 3) array
+        Points of the road's surface, which give heights.
+    """
+
+    lanelets: gpd.GeoDataFrame
+    road: Floats
+    kept: dict[tuple[float, float, float], Lanes | None] = field(default_factory=dict)
+
+    @staticmethod
+    def reach_m(points: Floats) -> float:
+        """Return how far around a sensor lanes are needed for its detections, metres."""
+        if len(points) == 0:
+            return MARGIN_M
+        reach_m = float(np.percentile(np.linalg.norm(np.nan_to_num(points), axis=1), 99.5))
+        return float(np.ceil((reach_m + MARGIN_M) / 10.0) * 10.0)
+
+    def around(self, pose: Pose, reach_m: float) -> Lanes | None:
+        """Return the lanes within reach of a pose; None where there is none."""
+        key = pose.easting, pose.northing, reach_m
+        if key not in self.kept:
+            while len(self.kept) >= LANES_KEPT:
+                del self.kept[next(iter(self.kept))]
+            try:
+                self.kept[key] = sample_lanes(
+                    self.lanelets, self.road, place=pose.position[:2], reach_m=reach_m
+                )
+            except NoAnswerError:
+                self.kept[key] = None
+        return self.kept[key]
+
+
+def score(excerpt: Excerpt, lanes: LaneMap, rival: Rival = GIVEN) -> Score:
+    """Return how well lanes bear out an explanation of what moved.
+
+    Every explanation is a mixture: a detection is of a vehicle on a lane that moves along it, in
+    its direction and no faster than one drives, or of anything else. Each vehicle counts once.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        What moved.
+    lanes : LaneMap
+        The map.
+    rival : Rival
+        The explanation.
+    """
+    order, signs = AXES[rival.axes]
+    points = excerpt.points[:, order] * np.array(signs) / rival.scale
+    rate = -excerpt.range_rate if rival.against else excerpt.range_rate
+    reach_m = lanes.reach_m(excerpt.moving.points)
+    fit = np.full(len(points), np.log(OTHERS / AREA_M**2))
+    on, over = np.zeros(len(points), dtype=bool), np.full(len(points), np.nan)
+    for k, given in enumerate(excerpt.poses):
+        mine, pose = excerpt.pose == k, rival.turned(given)
+        near = lanes.around(pose, reach_m)
+        if near is not None and mine.any():
+            fit[mine], on[mine], over[mine] = _compared(
+                points[mine], rate[mine], pose, near, heights=rival.heights
+            )
+    number = np.unique(excerpt.vehicle, return_inverse=True)[1]
+    count = np.bincount(number)
+    return Score(
+        fit=np.bincount(number, fit) / count, on=np.bincount(number, on) / count, over=over
+    )
+
+
+def _compared(
+    points: Floats, rate: Floats, pose: Pose, lanes: Lanes, *, heights: bool
+) -> tuple[Floats, Booleans, Floats]:
+    """Return log likelihood, whether on a lane, and height over it, of each detection."""
+    here = pose.to_map(points) - [*lanes.origin, 0.0]
+    arm = here - (pose.position - [*lanes.origin, 0.0])
+    reach, flat = np.linalg.norm(arm, axis=1), np.hypot(*arm[:, :2].T)
+    level = np.isnan(points[:, 2]) | (not heights)
+    matched = here.copy()
+    matched[level, 2] = np.nan
+    way = arm[:, :2] / np.maximum(flat, 1e-9)[:, None]
+    matches = match_along(lanes, matched, way, rate, reach)
+    ahead, left, over = lanes.beside(matches.lane, here)
+    half, edge = lanes.width_m[matches.lane] / 2.0, np.hypot(EDGE_M, EDGE_SHARE * reach)
+    beyond = np.maximum(np.abs(ahead) - 1.5 * LANE_STEP_M, 0.0) / edge
+    across = [scipy.special.ndtr((side * left + half) / edge) for side in (1.0, -1.0)]
+    lane = (across[0] + across[1] - 1.0) / (2.0 * half) * np.exp(-0.5 * beyond**2)
+    over[np.isnan(points[:, 2])] = np.nan
+    spread = np.hypot(HEIGHT_M, HEIGHT_SHARE * reach)
+    bell = np.exp(-0.5 * ((over - REFLECTION_M) / spread) ** 2) / (np.sqrt(2.0 * np.pi) * spread)
+    high = np.where(np.isnan(over) | (not heights), 1.0 / AREA_M, bell)
+    mine, other = matches.found * (1.0 - OTHERS) * lane * high, OTHERS / AREA_M**2
+    return np.log(mine + other), mine > other, np.where(mine > other, over, np.nan)
+
+
+def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival]:
+    """Return the explanations that a site knows beside the given one.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        Of the sensor.
+    others : mapping of str to Pose
+        The poses of other sensors of the site.
+    """
+    pose = excerpt.poses[0]
+    compass = yaw_from_compass(pose.yaw, pose.crs, pose.easting, pose.northing)
+    back, over = ((angle + 360.0) % 360.0 - 180.0 for angle in (pose.yaw, pose.roll))
+    measured = bool(np.isfinite(excerpt.points[:, 2]).any())
+    found = [
+        Rival(cause=Text("yaw is off by 180 deg"), advice=Text("set yaw to {:.1f}", back),
+              turned=lambda p: replace(p, yaw=p.yaw + 180.0)),
+        Rival(cause=Text("its yaw is a bearing from true north"),
+              advice=Text("set yaw to {:.1f}", compass),
+              turned=lambda p: replace(p, yaw=p.yaw + compass - pose.yaw)),
+        Rival(cause=Text("its yaw is a bearing from grid north"),
+              advice=Text("set yaw to {:.1f}", 90.0 - pose.yaw),
+              turned=lambda p: replace(p, yaw=90.0 - p.yaw)),
+        Rival(cause=Text("its yaw counts clockwise"), advice=Text("set yaw to {:.1f}", -pose.yaw),
+              turned=lambda p: replace(p, yaw=-p.yaw)),
+        Rival(cause=Text("x and y are swapped"), advice=Text("swap x and y"), axes="swapped"),
+        Rival(cause=Text("x points to the right and y forward"),
+              advice=Text("turn the axes: x forward, y to the left"), axes="ahead"),
+        MIRRORED,
+        Rival(cause=Text("traffic runs against the lanes"),
+              advice=Text("the map's left and right bounds are swapped: turn its lanes"),
+              against=True),
+    ]  # fmt: skip
+    if measured:
+        found += [
+            Rival(cause=Text("pitch has the wrong sign"),
+                  advice=Text("set pitch to {:.1f}", -pose.pitch),
+                  turned=lambda p: replace(p, pitch=-p.pitch)),
+            Rival(cause=Text("roll has the wrong sign"),
+                  advice=Text("set roll to {:.1f}", -pose.roll),
+                  turned=lambda p: replace(p, roll=-p.roll)),
+            Rival(cause=Text("roll is off by 180 deg"), advice=Text("set roll to {:.1f}", over),
+                  turned=lambda p: replace(p, roll=p.roll + 180.0)),
+        ]  # fmt: skip
+    return found + [_of_another(name, other) for name, other in others.items()]
+
+
+def _of_another(name: str, other: Pose) -> Rival:
+    return Rival(
+        cause=Text("recording and pose are of two sensors: it fits the pose of {}", name),
+        advice=Text("give the recording with the pose of {}", name),
+        turned=lambda _: other,
+    )
+
+
+def other_yaws(pose: Pose) -> Iterator[Rival]:
+    """Yield explanations with another yaw, all around: what they explain is chance."""
+    for turn in np.arange(NEAR_DEG, 360.0 - NEAR_DEG + 0.1, STEP_DEG).tolist():
+        yield GIVEN.at(replace(pose, yaw=pose.yaw + turn))
+
+
+def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
+    """Search the pose near the given one, as recorded and with left and right swapped.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        Of the sensor.
+    lanes : LaneMap
+        The map.
+    """
+    pose = excerpt.poses[0]
+    near = lanes.around(pose, lanes.reach_m(excerpt.moving.points))
+    if near is None or not np.isfinite(excerpt.moving.points).all():
+        return []
+    scene = Scene(lanes=near, samples=thin(excerpt.moving, excerpt.track))
+    found = []
+    for axes, part in (("given", scene), ("mirrored", scene.of(mirrored(scene.samples)))):
+        state = find_hypotheses(part, heading=None)[0].fit.state
+        place = state.position + np.append(near.origin, 0.0)
+        yaw, pitch, roll = np.degrees(state.yaw_pitch_roll).tolist()
+        there = replace(
+            pose, easting=float(place[0]), northing=float(place[1]), height=float(place[2]),
+            yaw=yaw, pitch=pitch, roll=roll,
+        )  # fmt: skip
+        found.append(moved(pose, there) if axes == "given" else MIRRORED.at(there))
+    return found
+
+
+def moved(pose: Pose, there: Pose) -> Rival:
+    """Return the explanation that a sensor stands or looks elsewhere."""
+    off_m = float(np.hypot(*(there.position - pose.position)[:2]))
+    off_deg = abs((there.yaw - pose.yaw + 180.0) % 360.0 - 180.0)
+    return Rival(
+        cause=Text("its pose is off by {:.1f} m and {:.1f} deg", off_m, off_deg),
+        advice=Text(
+            "find it with gis-radar localize, near {:.1f}, {:.1f} with yaw {:.1f}",
+            there.easting, there.northing, there.yaw,
+        ),
+        turned=lambda _: there,
+    )  # fmt: skip
+
+
+def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
+    """Return explanations by a height or a pitch that is off as the heights over the road show.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        Of the sensor.
+    given : Score
+        Of the given pose without heights.
+    """
+    ahead = excerpt.points[:, 0]
+    known = np.isfinite(given.over) & (ahead > 1.0)
+    if not known.any():
+        return []
+    high_m = float(np.median(given.over[known])) - REFLECTION_M
+    tilt = np.degrees(np.median((given.over[known] - REFLECTION_M) / ahead[known]))
+    pose = excerpt.poses[0]
+    return [
+        Rival(cause=Text("height is {:.1f} m off", high_m),
+              advice=Text("set height to {:.1f}", pose.height - high_m),
+              turned=lambda p: replace(p, height=p.height - high_m)),
+        Rival(cause=Text("pitch is {:.1f} deg off", -tilt),
+              advice=Text("set pitch to {:.1f}", pose.pitch + tilt),
+              turned=lambda p: replace(p, pitch=p.pitch + tilt)),
+    ]  # fmt: skip

@@ -1,0 +1,190 @@
+"""Poses and recordings that do not fit are refused by their likeliest mistake; right ones not."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from maps import Listener
+
+import gis_radar as gr
+from gis_radar.calibration import ImplausibleError
+from gis_radar.poses import write_pose
+
+SAMPLE = gr.sample_folder()
+MAP = SAMPLE / "junction.osm"
+POSES = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in ("R1", "R2")}
+
+
+@pytest.fixture(scope="module")
+def tiles():
+    return gr.make_tiles(gr.read_map(MAP))
+
+
+@pytest.fixture(scope="module")
+def rows(first_seconds):
+    """Rows of a minute of both sensors."""
+    return {n: pd.read_parquet(first_seconds(SAMPLE / f"{n}.parquet", 60)) for n in POSES}
+
+
+def turned(angle, by=None):
+    return replace(POSES["R1"], **{angle: by})
+
+
+def times(column, factor):
+    return lambda table: table.assign(**{column: table[column] * np.float32(factor)})
+
+
+def signless(table):
+    return table.assign(range_rate=table["range_rate"].abs())
+
+
+def frozen(table):
+    """Repeat one frame for five seconds."""
+    frames = np.unique(table["time"])
+    one = table[table["time"] == frames[400]]
+    again = [one.assign(time=time) for time in frames[400:500]]
+    return pd.concat(
+        [table[table["time"] < frames[400]], *again, table[table["time"] > frames[499]]]
+    )
+
+
+YAW, PITCH = POSES["R1"].yaw, POSES["R1"].pitch
+MISTAKES = {
+    "turned": (turned("yaw", YAW + 180.0), None, "yaw is off by 180 deg", "set yaw to 21.7"),
+    "a bearing": (turned("yaw", 90.0 - YAW), None, "its yaw is a bearing", "21.7"),
+    "two degrees": (turned("yaw", YAW + 2.0), None, "its pose is off", "set yaw 21.7"),
+    "one metre": (turned("northing", POSES["R1"].northing + 1.0), None, "its pose is off", "5336"),
+    "pitch": (turned("pitch", -PITCH), None, "pitch has the wrong sign", "set pitch to 3.2"),
+    "height": (turned("height", POSES["R1"].height + 3.0), None, "height is 3", "height to 519"),
+    "mirrored": (POSES["R1"], times("y", -1.0), "left and right are swapped", "the sign of y"),
+    "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 0.27"),
+    "cm/s": (POSES["R1"], times("range_rate", 100.0), "cm/s or mm/s", "m/s"),
+    "sign": (POSES["R1"], times("range_rate", -1.0), "positive where targets approach", "by -1.0"),
+    "absolute": (POSES["R1"], signless, "absolute values", "positive"),
+    "frozen": (POSES["R1"], frozen, "the recording is frozen", "leave"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("pose", "change", "cause", "advice"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_named_before_anything_is_written(
+    tmp_path, tiles, rows, pose, change, cause, advice
+):
+    table = rows["R1"] if change is None else change(rows["R1"])
+    table.to_parquet(tmp_path / "R1.parquet", index=False)
+    with pytest.raises(ImplausibleError) as caught:
+        gr.measure([tmp_path / "R1.parquet"], [pose], tiles, MAP, tmp_path / "dataset")
+    assert cause in caught.value.message
+    assert advice in caught.value.hint
+    assert "--accept R1" in caught.value.hint
+    assert caught.value.exit_code == 4
+    assert not (tmp_path / "dataset").exists()
+
+
+@pytest.fixture
+def mixed_up(tmp_path, rows):
+    """A folder with a site whose recordings are mixed up."""
+    for name, other in (("A", "R2"), ("B", "R1")):
+        rows[other].to_parquet(tmp_path / f"{name}.parquet", index=False)
+    (tmp_path / "SITE.toml").write_text(
+        f'title = "A"\ntimezone = "Europe/Berlin"\n[map]\nfile = "{MAP}"\ncrs = "EPSG:25832"\n'
+        "[vehicles]\nfollow = false\n"
+        + "".join(
+            f'[[sensor]]\nname = "{name}"\nrecordings = ["{file}.parquet"]\n'
+            f'pose = "{SAMPLE / name}.json"\naccept = false\n'
+            for name, file in (("R1", "A"), ("R2", "B"))
+        )
+    )
+    return tmp_path
+
+
+def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
+    code, out, _ = run("check", mixed_up / "SITE.toml", "--json")
+    assert code == 4
+    events = {event["event"]: event for event in map(json.loads, out.splitlines())}
+    head, *lines = events["result"]["summary"]["plausibility"]
+    assert head == ["sensor", "verdict", "evidence", "what to do"]
+    for line, (name, other) in zip(lines, (("R1", "R2"), ("R2", "R1")), strict=True):
+        assert line[:2] == [name, "does not fit"]
+        assert f"it fits the pose of {other}" in line[2]
+        assert line[3] == f"give the recording with the pose of {other}"
+    assert "accept in [[sensor]] of R1" in events["error"]["hint"]
+
+
+def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted(
+    run, mixed_up, rows
+):
+    for name, file in (("R1", "A"), ("R2", "B")):
+        rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
+    there = replace(POSES["R2"], yaw=POSES["R2"].yaw + 180.0)
+    write_pose(there, mixed_up / "R2.json")
+    site = mixed_up / "SITE.toml"
+    site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
+    code, _, err = run("run", site, "-o", mixed_up / "out")
+    assert code == 4
+    assert "no result for R2" in err
+    assert "yaw is off by 180 deg" in err
+    dataset = mixed_up / "out" / "dataset"
+    assert gr.open_dataset(dataset).sensors == ["R1"]
+    tiles = mixed_up / "out" / "tiles.gpkg"
+    code, _, err = run(
+        "measure", mixed_up / "B.parquet", "--pose", mixed_up / "R2.json", "--tiles", tiles,
+        "--map", MAP, "-o", dataset, "--accept", "R2", "--hits-only",
+    )  # fmt: skip
+    assert code == 0
+    assert "yaw is off by 180 deg" in err
+    assert "it is accepted in spite" in err
+    checks = gr.open_dataset(dataset).manifest.checks
+    assert list(checks) == ["R2"]
+    assert checks["R2"].startswith("R2: does not fit: yaw is off by 180 deg (")
+
+
+def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, rows):
+    middle = rows["R1"]["time"].iloc[0] + 30.0
+    parts = [rows["R1"][rows["R1"]["time"] < middle], rows["R2"][rows["R2"]["time"] >= middle]]
+    pd.concat(parts).to_parquet(tmp_path / "A.parquet", index=False)
+    rows["R2"].to_parquet(tmp_path / "B.parquet", index=False)
+    files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
+    with pytest.raises(ImplausibleError, match=r"R1: does not fit: from .*07:30:\S+ on: .* of R2"):
+        gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
+
+
+def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_path, tiles, rows):
+    rows["R1"].to_parquet(tmp_path / "A.parquet", index=False)
+    late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)
+    late.to_parquet(tmp_path / "B.parquet", index=False)
+    files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
+    with pytest.raises(ImplausibleError, match=r"R2: .* clock and that of R1 are apart \(\+1\.0"):
+        gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
+    clocks = {"R2": gr.SensorClock(offset_s=1.0)}
+    gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True, clocks=clocks)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 60])
+def test_right_poses_pass_and_too_little_traffic_is_said(tmp_path, tiles, rows, seconds):
+    """A careful survey is 0.3 m off, and drivers keep off the middle."""
+    table = rows["R1"]
+    table[table["time"] < table["time"].iloc[0] + seconds].to_parquet(tmp_path / "R1.parquet")
+    near = replace(POSES["R1"], easting=POSES["R1"].easting + 0.3)
+    heard = Listener()
+    made = gr.measure(
+        [tmp_path / "R1.parquet"], [near], tiles, MAP, tmp_path / "d", hits_only=True,
+        reporter=heard,
+    )  # fmt: skip
+    said = {"R1": "R1: too little traffic to tell: 4 vehicles move, 10 are needed"}
+    assert made.manifest.checks == ({} if seconds == 60 else said)
+    assert ("too little traffic" in str(heard.messages)) == (seconds < 1)
+
+
+def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, tiles, rows):
+    rows["R1"].assign(z=np.float32(np.nan)).to_parquet(tmp_path / "R1.parquet")
+    made = gr.measure(
+        [tmp_path / "R1.parquet"], [POSES["R1"]], tiles, None, tmp_path / "d", hits_only=True
+    )
+    assert made.manifest.checks == {}
+    with pytest.raises(ImplausibleError, match="yaw is off by 180 deg"):
+        gr.measure(
+            [tmp_path / "R1.parquet"], [turned("yaw", YAW + 180.0)], tiles, None, tmp_path / "e",
+            hits_only=True,
+        )  # fmt: skip
