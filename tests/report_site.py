@@ -51,7 +51,9 @@ def write_results(folder: Path, *, names=("R1", "R2"), interval="20s", steps=STE
             evidence={"sigma": SIGMA, "method": "lane", "fitness": 0.91},
         )
         poses.append(seen)
-    dataset = measure(paths, poses, report_tiles(), None, folder / "dataset", hits_only=True)
+    dataset = measure(
+        paths, poses, report_tiles(), None, folder / "dataset", hits_only=True, accept=None
+    )
     make_heatmap(dataset, interval=interval).write(folder / "heatmap")
     return folder
 

@@ -20,7 +20,9 @@ FIRST_STEP = int(START * 20)
 
 def hits_of(recordings, poses, tiles, folder, **options):
     """Measure hits alone, which need no map."""
-    return gr.measure(recordings, poses, tiles, None, folder, hits_only=True, **options)
+    return gr.measure(
+        recordings, poses, tiles, None, folder, hits_only=True, accept=None, **options
+    )
 
 
 def steps_of(times):

@@ -5,7 +5,6 @@ from .localization import localize, localize_files
 from .monitor import Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
 from .plausibility import (
-    FITS,
     Finding,
     ImplausibleError,
     RecordedSensor,
@@ -24,7 +23,6 @@ from .windows import WindowFitter
 
 __all__ = [
     "CLASH_HINT",
-    "FITS",
     "LOCALIZATION",
     "MONITOR",
     "MOVED",

@@ -14,6 +14,7 @@ from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections, Recording
+from gis_radar.steps import iso_from_step, step_of
 
 PIECE_S = 20.0  # in which a vehicle crosses the view
 PIECES = 5  # together as long as the window of a localization
@@ -215,10 +216,12 @@ def _in_force(
 
 def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     """Return the longest time in which each frame is the same as the one before."""
-    frames, first, count = np.unique(rows.time, return_index=True, return_counts=True)
+    present = np.isfinite(rows.points[:, 0])
+    time = rows.time[present]
+    frames, first, count = np.unique(time, return_index=True, return_counts=True)
     if len(frames) == 0:
         return None
-    values = np.nan_to_num(np.column_stack([rows.points, rows.range_rate]))
+    values = np.nan_to_num(np.column_stack([rows.points, rows.range_rate])[present])
     sums = np.add.reduceat(values, first)
     same = (np.diff(count) == 0) & (np.diff(sums, axis=0) == 0.0).all(axis=1)
     same = np.append(False, same & (count[1:] >= LEAST_REPEATED))
@@ -228,3 +231,8 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     last = int(run.argmax())
     length = int(run[last])
     return (float(frames[last - length]), float(frames[last]), length) if length else None
+
+
+def iso(time: float) -> str:
+    """Return a time (UNIX seconds) as a message has it."""
+    return iso_from_step(int(step_of(np.array(time))))

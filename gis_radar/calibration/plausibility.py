@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 from gis_radar.arrays import Floats
 from gis_radar.calibration.clock_offsets import measured_offset
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.excerpt import WILD_MPS, Excerpt, read_excerpt
+from gis_radar.calibration.excerpt import WILD_MPS, Excerpt, iso, read_excerpt
 from gis_radar.calibration.hypotheses import prior_at
 from gis_radar.calibration.kalman_filter import Measurement
-from gis_radar.calibration.lane_detections import CLOCKS, LaneDetections, lane_detections
+from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.range_scale import RangeScale, measure_range_scale
 from gis_radar.calibration.rivals import (
@@ -31,6 +31,7 @@ from gis_radar.calibration.rivals import (
     Score,
     found_poses,
     lower_or_tilted,
+    on_lanes,
     other_yaws,
     score,
     ways_to_be_wrong,
@@ -44,7 +45,6 @@ from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
-from gis_radar.steps import iso_from_step, step_of
 from gis_radar.texts import Text
 
 STAGE = "checking poses and recordings"
@@ -62,13 +62,17 @@ FOUND_SHARE, FITTED_MORE = 0.8, 0.05
 # Where no rival fits, a pose is wrong whose lanes explain no more than any yaw's do by chance.
 OVER_CHANCE = 0.1
 HIGH_M = 1.5  # median height over the road that is off by more: vehicles, poles, bridges differ so
-# Poses are refused that are farther off than maps, drivers' habits and a careful survey together
-# may be: metres, degrees, standard errors.
+# A pose is doubted that is farther off than maps, drivers' habits and a careful survey together may
+# be (metres, degrees, standard errors), and refused where it is twice as far, and clearly: standard
+# errors rest on how drivers usually keep to their lanes.
 OFF_M, OFF_DEG, OFF_SIGMAS = 0.7, (0.7, 1.5, 2.5), 3.0
+TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 TURNS = ("yaw", "pitch", "roll")
-# Of change of range over range rates: as far off 1, standard errors, vehicles; and standard errors
-# from which it may explain a pose that is off. Farther off 1 than LENGTHENED it is another unit.
-PACE, PACE_SIGMAS, LEAST_PACED, HINTED, LENGTHENED = 0.02, 3.0, 5, 1.5, 0.25
+# Of change of range over range rates: as far off 1, standard errors, vehicles; standard errors from
+# which it may explain a pose that is off; farther off 1 it is another unit; and the largest
+# standard error (share) of what is no motion at random.
+PACE, PACE_SIGMAS, LEAST_PACED, HINTED, LENGTHENED, SURE_PACE = 0.02, 3.0, 5, 1.5, 0.25, 0.05
+YARDS = 1.075  # from there on ranges that are longer look like yards, a factor of 1.094
 FROZEN_FRAMES = 20  # equal frames on end: a second; by chance there are no two
 # Vehicles on either side of a change, and its log likelihood ratio over none (odds of 3,000).
 LEAST_PART, CHANGED = 8, 8.0
@@ -98,6 +102,13 @@ class Finding:
     evidence: str
     cause: str = ""
     advice: str = ""
+
+    @property
+    def doubt(self) -> str:
+        """What results say that go on in spite; empty where all fits."""
+        if self.verdict == WRONG:
+            return Text("{}; it is accepted in spite", self.line)
+        return self.line if self.verdict != FITS or self.cause else ""
 
     @property
     def reason(self) -> str:
@@ -179,10 +190,8 @@ def refuse_implausible(
             findings=refused,
         )
     for each in findings:
-        if each.verdict == UNKNOWN:
-            reporter.warn("{}", each.line)
-        elif each.verdict == WRONG:
-            reporter.warn("{}; it is accepted in spite", each.line)
+        if each.doubt:
+            reporter.warn("{}", each.doubt)
 
 
 def check_plausibility(
@@ -217,7 +226,7 @@ def check_plausibility(
         others = {other: pose for other, pose in poses.items() if other != name}
         found[name] = judge(name, excerpt, lanes, others)
         if found[name].verdict == FITS and len(sensors) > 1:
-            seen[name] = _on_lanes(excerpt, lanes)
+            seen[name] = on_lanes(excerpt, lanes)
     found |= _odd_clocks(seen)
     reporter.progress(STAGE, len(sensors), len(sensors))
     return tuple(found.values())
@@ -260,7 +269,7 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
     """Return what a recording itself shows to be wrong, without map and pose."""
     if excerpt.frozen is not None and excerpt.frozen[2] >= FROZEN_FRAMES:
         begin, end, frames = excerpt.frozen
-        evidence = Text("{} frames from {} to {} are the same", frames, _iso(begin), _iso(end))
+        evidence = Text("{} frames from {} to {} are the same", frames, iso(begin), iso(end))
         return _wrong(evidence, Text("the recording is frozen"), Text("leave that time out"))
     if excerpt.wild:
         evidence = Text("{:,} detections are faster than {:g} m/s", excerpt.wild, WILD_MPS)
@@ -271,7 +280,7 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
 
 def _odd_pace(pace: RangeScale | None) -> Finding | None:
     """Return why ranges do not change as the range rates state."""
-    if pace is None or pace.vehicles < LEAST_PACED:
+    if pace is None or pace.vehicles < LEAST_PACED or pace.sigma > SURE_PACE * abs(pace.factor):
         return None
     if pace.absolute:
         return _wrong(_paced(pace), pace.likely, Text("range_rate is positive when receding"))
@@ -293,11 +302,13 @@ def _paced(pace: RangeScale) -> Text:
 
 
 def _lengthened(pace: RangeScale) -> Finding:
-    cause = Text("ranges are {:.1%} too long, or range rates too low", pace.factor - 1.0)
+    cause: str = Text("ranges are {:.1%} too long, or range rates too low", pace.factor - 1.0)
     if pace.factor < 1.0:
         cause = Text("ranges are {:.1%} too short, or range rates too high", 1.0 - pace.factor)
-    advice = Text("divide x, y and z by {:.3f}", pace.factor)
-    return _wrong(_paced(pace), pace.likely or cause, advice)
+    # an error may reach from a few percent to yards
+    if pace.likely and not 1.0 + PACE < pace.factor < YARDS:
+        cause = pace.likely
+    return _wrong(_paced(pace), cause, Text("divide x, y and z by {:.3f}", pace.factor))
 
 
 def _by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
@@ -363,8 +374,8 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     if until.verdict == since.verdict:
         return None
     if until.verdict == WRONG:
-        return replace(until, cause=Text("until {}: {}", _iso(when), until.cause))
-    return replace(since, cause=Text("from {} on: {}", _iso(when), since.cause))
+        return replace(until, cause=Text("until {}: {}", iso(when), until.cause))
+    return replace(since, cause=Text("from {} on: {}", iso(when), since.cause))
 
 
 def _best_split(driving: np.ndarray) -> tuple[int, float]:
@@ -407,7 +418,7 @@ def _off(
     prior = Prior(mean=centre, information=information)
     fit = solve(Scene(lanes=near, samples=samples), centre, prior, schedule=WINDOW)
     if not fit.converged or fit.fitness < FITTING:
-        return None
+        return _elsewhere(excerpt, lanes, pose, found.evidence)
     off = _beyond(pose, data_alone(fit, prior), centre, found.evidence)
     if off is None or pace is None or abs(pace.factor - 1.0) <= max(PACE, HINTED * pace.sigma):
         return off
@@ -417,6 +428,19 @@ def _off(
     return _lengthened(pace) if longer else off
 
 
+def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> Finding | None:
+    """Return that a pose is off from which no fit comes to rest, but which a search finds."""
+    tried = [(rival, score(excerpt, lanes, rival)) for rival in found_poses(excerpt, lanes)]
+    best = _likeliest(score(excerpt, lanes), tried, FOUND_SHARE)[:1]
+    for rival, each in best:
+        there = rival.turned(pose)
+        off_m = np.hypot(*(there.position - pose.position)[:2])
+        turn = (there.yaw - pose.yaw + 180.0) % 360.0 - 180.0
+        if off_m > TOO_FAR * OFF_M or abs(turn) > TOO_FAR * OFF_DEG[0]:
+            return _wrong(Text("{}, {:.0%} if so", evidence, each.share), rival.cause, rival.advice)
+    return None
+
+
 def _beyond(pose: Pose, seen: Measurement, centre: State, evidence: str) -> Finding | None:
     """Return what of a measured pose is farther off than it may be."""
     gap, spread = (seen.position - centre.position)[:2], seen.covariance[:2, :2]
@@ -424,34 +448,22 @@ def _beyond(pose: Pose, seen: Measurement, centre: State, evidence: str) -> Find
     sigma_m = float(np.sqrt(gap @ spread @ gap)) / max(off_m, 1e-9)
     angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
     sigmas = np.degrees(np.sqrt(np.diag(seen.covariance)[5:2:-1]))
-    parts, advice = list[str](), list[str]()
-    if off_m > max(OFF_M, OFF_SIGMAS * sigma_m):
-        place = pose.position[:2] + gap
-        parts.append(Text("{:.2f} ± {:.2f} m", off_m, sigma_m))
-        advice += [Text("easting {:.2f}", place[0]), Text("northing {:.2f}", place[1])]
+    place, text = pose.position[:2] + gap, Text("{:.2f} ± {:.2f} m", off_m, sigma_m)
+    there = Text("easting {:.2f}, northing {:.2f}", *place.tolist())
+    seen_off = [(off_m, sigma_m, OFF_M, text, there)]
     for name, angle, sigma, least in zip(TURNS, angles, sigmas, OFF_DEG, strict=True):
         turn = (angle - getattr(pose, name) + 180.0) % 360.0 - 180.0
-        if abs(turn) > max(least, OFF_SIGMAS * sigma):
-            parts.append(Text("{} {:.2f} ± {:.2f} deg", Text(name), turn, sigma))
-            advice.append(Text("{} {:.2f}", Text(name), angle))
-    if not parts:
+        text = Text("{} {:.2f} ± {:.2f} deg", Text(name), turn, sigma)
+        seen_off.append((abs(turn), sigma, least, text, Text("{} {:.2f}", Text(name), angle)))
+    far = [each for each in seen_off if each[0] > max(each[2], OFF_SIGMAS * each[1])]
+    if not far:
         return None
-    put = Text("{}, and show it off by {}", evidence, Text(", ").join(parts))
-    return _wrong(put, Text("its pose is off"), Text("set {}", Text(", ").join(advice)))
-
-
-def _on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
-    """Return what moves along lanes, for the comparison of clocks."""
-    pose, moving = excerpt.poses[0], excerpt.moving
-    near = lanes.around(pose, lanes.reach_m(moving.points))
-    if near is None:
-        return LaneDetections.joined([])
-    origin = np.array([*near.origin, 0.0])
-    points = pose.to_map(moving.points) - origin
-    points[np.isnan(moving.points[:, 2]), 2] = np.nan
-    return lane_detections(
-        near, moving.time, points, moving.range_rate, pose.position - origin, CLOCKS
-    )
+    put = Text("{}, and show it off by {}", evidence, Text(", ").join(each[3] for each in far))
+    advice = Text("set {}", Text(", ").join(each[4] for each in far))
+    if any(off > max(TOO_FAR * least, FAR_SIGMAS * sigma) for off, sigma, least, *_ in far):
+        return _wrong(put, Text("its pose is off"), advice)
+    doubt = Text("its pose may be off")
+    return Finding(sensor="", verdict=FITS, evidence=put, cause=doubt, advice=advice)
 
 
 def _odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
@@ -483,7 +495,3 @@ def _odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
             if key != name and (left := [each for each in pairs if each[0] != name])
         }
     return told
-
-
-def _iso(time: float) -> str:
-    return iso_from_step(int(step_of(np.array(time))))

@@ -13,6 +13,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.hypotheses import find_hypotheses, mirrored
+from gis_radar.calibration.lane_detections import CLOCKS, LaneDetections, lane_detections
 from gis_radar.calibration.lanes import (
     LANE_STEP_M,
     MARGIN_M,
@@ -40,6 +41,7 @@ AXES = {
     "swapped": ((1, 0, 2), (1.0, 1.0, 1.0)),
     "ahead": ((1, 0, 2), (1.0, -1.0, 1.0)),
 }
+FARTHEST_M = 20.0  # a pose that is searched is found from 15 m off; farther is another place
 LANES_KEPT = 4  # places around which the lanes are held at once, 25 MB each
 STEP_DEG, NEAR_DEG = 10.0, 20.0  # of yaws at random; one so near to the given one is no other
 
@@ -298,6 +300,8 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
     found = []
     for axes, part in (("given", scene), ("mirrored", scene.of(mirrored(scene.samples)))):
         state = find_hypotheses(part, heading=None)[0].fit.state
+        if np.hypot(*state.position[:2]) > FARTHEST_M:
+            continue
         place = state.position + np.append(near.origin, 0.0)
         yaw, pitch, roll = np.degrees(state.yaw_pitch_roll).tolist()
         there = replace(
@@ -347,3 +351,25 @@ def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
               advice=Text("set pitch to {:.1f}", pose.pitch + tilt),
               turned=lambda p: replace(p, pitch=p.pitch + tilt)),
     ]  # fmt: skip
+
+
+def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
+    """Return what moves along lanes, for the comparison of clocks.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        Of a sensor.
+    lanes : LaneMap
+        The map.
+    """
+    pose, moving = excerpt.poses[0], excerpt.moving
+    near = lanes.around(pose, lanes.reach_m(moving.points))
+    if near is None:
+        return LaneDetections.joined([])
+    origin = np.array([*near.origin, 0.0])
+    points = pose.to_map(moving.points) - origin
+    points[np.isnan(moving.points[:, 2]), 2] = np.nan
+    return lane_detections(
+        near, moving.time, points, moving.range_rate, pose.position - origin, CLOCKS
+    )

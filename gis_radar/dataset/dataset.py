@@ -103,6 +103,12 @@ class Dataset:
         return sorted(set(self.whole(RECORDINGS)["sensor"].to_pylist()))
 
     @property
+    def doubts(self) -> list[str]:
+        """A line for each sensor whose pose and recordings are not known to fit."""
+        known = self.manifest.checks
+        return [known[sensor] for sensor in self.sensors if sensor in known]
+
+    @property
     def methods(self) -> list[int]:
         """Methods by which its hours were made; results of two do not compare."""
         return sorted({each.origin.method for each in self.records().values()})
@@ -370,6 +376,8 @@ class Dataset:
                 known[table.name] = sum(part.rows for part in parts)
         if len(self.methods) > 1:
             known["methods"] = self.methods
+        if self.doubts:
+            known["not_known_to_fit"] = self.doubts
         return known
 
     def __repr__(self) -> str:

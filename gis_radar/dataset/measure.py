@@ -13,7 +13,6 @@ import geopandas as gpd
 import numpy as np
 
 from gis_radar.calibration import (
-    FITS,
     Finding,
     LaneMap,
     RecordedSensor,
@@ -76,7 +75,7 @@ class _Given:
     def checks(self, before: Mapping[str, str]) -> dict[str, str]:
         """Return by sensor what results do not rest on safely, with what was found before."""
         judged = {each.sensor for each in self.findings}
-        odd = {each.sensor: each.line for each in self.findings if each.verdict != FITS}
+        odd = {each.sensor: each.doubt for each in self.findings if each.doubt}
         return {name: line for name, line in before.items() if name not in judged} | odd
 
 

@@ -273,6 +273,8 @@ def make_heatmap(
         whole = whole.cut(None, int(timeline.end[-1]))
     if not dataset.has_vehicles:
         reporter.log(NO_OCCUPANCY)
+    for doubt in dataset.doubts:
+        reporter.warn("{}", doubt)
     return HeatMap.count(
         dataset, whole, timeline, chosen=chosen, labels=labels, further=further, reporter=reporter
     )

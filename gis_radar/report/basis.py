@@ -300,6 +300,8 @@ def own_remarks(found: Findings) -> list[Text]:
         remarks.append(
             Text("Recorded were {} only: a few cycles of a signal, and no usual day", span)
         )
+    if found.results.dataset is not None and not found.results.warnings:  # else a run says it
+        remarks += [Text("{}", doubt) for doubt in found.results.dataset.doubts]
     if found.quality is not None:
         remarks += [
             Text("Sensor {}", found.clock.localised(line)) for line in found.quality.warnings()

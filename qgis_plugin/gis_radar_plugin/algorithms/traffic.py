@@ -130,6 +130,11 @@ class MeasureTraffic(WorkerAlgorithm):
             "HITS_ONLY", "Hits only",
             "Leaves out the vehicles: the maps then show the hit share, not occupancy.",
         ),
+        Names(
+            "ACCEPT", "Sensors to accept in spite",
+            "Goes on although pose and recording of these sensors do not fit: their names, with a "
+            "comma between them.",
+        ),
         Range(
             "CLEARANCE", "Height of hits over the road, m",
             "-0.5 to 4.5 keeps vehicles, without the tree crowns over the kerb. "

@@ -1,0 +1,238 @@
+"""The check of poses and recordings: gross errors that it names, and right poses that it lets pass.
+
+Sensors of the simulated sites (the sample, the towns beside the project) and of random places of
+the bench of localization get two dozen errors, one at a time. An error passes *silent*, is named by
+a *wrong cause*, by the *right cause*, as *unknown*, or there is *too little* traffic to tell. Right
+poses, as they are and 0.3 m off, must not be refused.
+
+Example: ``python bench/plausibility.py --random 2000 textbook:2002 --lines``
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from figures import ROOT, table
+from simulated import sites, true_pose
+
+import gis_radar as gr
+from gis_radar.arrays import Floats
+from gis_radar.calibration import Finding, LaneMap
+from gis_radar.calibration.excerpt import read_excerpt
+from gis_radar.calibration.plausibility import FITS, UNKNOWN, UNKNOWN_CAUSE, judge
+from gis_radar.poses.files import as_track
+
+sys.path.insert(0, str(ROOT / "bench" / "localization"))
+
+OUTCOMES = ("silent", "wrong cause", "right cause", "unknown", "too little")
+RIGHT = ("right", "0.3 m off")
+# Where an error cannot be told: a pitch that small is within what a pose may be off.
+LEAST_PITCH_DEG = 0.75
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A sensor with one error, or none.
+
+    Parameters
+    ----------
+    name : str
+        Of the error.
+    rows : DataFrame
+        What is recorded.
+    pose : Pose
+        What is given.
+    says : tuple of str
+        Beginnings or parts of causes that are right.
+    """
+
+    name: str
+    rows: pd.DataFrame
+    pose: gr.Pose
+    says: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A site: its lanes, and recordings and true poses of its sensors."""
+
+    name: str
+    lanes: LaneMap
+    rows: dict[str, pd.DataFrame]
+    poses: dict[str, gr.Pose]
+
+
+def read_place(folder: Path, name: str) -> Place:
+    """Read a site's folder."""
+    roads = gr.read_map(next(iter(sorted(folder.glob("*.osm")))))
+    road = np.load(folder / "road.npy") if (folder / "road.npy").exists() else np.empty((0, 3))
+    names = sorted(path.stem for path in folder.glob("R?.parquet"))
+    return Place(
+        name=name, lanes=LaneMap(lanelets=roads.lanelets, road=road),
+        rows={each: pd.read_parquet(folder / f"{each}.parquet") for each in names},
+        poses={each: true_pose(folder, each) for each in names},
+    )  # fmt: skip
+
+
+def times(factor: float, *columns: str) -> Change:
+    """Return what multiplies columns."""
+    return lambda rows: rows.assign(**{c: rows[c] * np.float32(factor) for c in columns})
+
+
+def frozen(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return rows in which one frame comes again for a quarter of the time."""
+    frames = np.unique(rows["time"])
+    first, last = frames[len(frames) // 3], frames[len(frames) // 3 + len(frames) // 4]
+    one = rows[rows["time"] == first]
+    again = [one.assign(time=at) for at in frames[(frames >= first) & (frames < last)]]
+    parts = [rows[rows["time"] < first], *again, rows[rows["time"] >= last]]
+    return pd.DataFrame(pd.concat(parts))
+
+
+def half(rows: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+    """Return rows whose second half is another sensor's."""
+    middle = (rows["time"].iloc[0] + rows["time"].iloc[-1]) / 2.0
+    other = other.assign(time=other["time"] - other["time"].iloc[0] + rows["time"].iloc[0])
+    return pd.DataFrame(pd.concat([rows[rows["time"] < middle], other[other["time"] >= middle]]))
+
+
+def moved(pose: gr.Pose, **by: float) -> gr.Pose:
+    """Return a pose with fields changed by so much."""
+    return replace(pose, **{name: getattr(pose, name) + step for name, step in by.items()})
+
+
+def cases(place: Place, sensor: str, foreign: pd.DataFrame) -> Iterator[Case]:
+    """Yield a sensor as it is, and with each error; `foreign` is another sensor's recording."""
+    rows, pose = place.rows[sensor], place.poses[sensor]
+    alone = len(place.poses) == 1
+    off, lengths = ("its pose is off", "its pose may be off"), ("ranges are",)
+    xyz = ("x", "y", "z")
+
+    def case(name: str, *says: str, to: gr.Pose = pose, by: Change | None = None) -> Case:
+        return Case(name=name, rows=rows if by is None else by(rows), pose=to, says=says)
+
+    yield case(RIGHT[0])
+    yield case(RIGHT[1], to=moved(pose, easting=0.2, northing=-0.22))
+    yield case("yaw + 180", "yaw is off by 180", to=moved(pose, yaw=180.0))
+    yield case("bearing as yaw", "its yaw is a bearing", to=replace(pose, yaw=90.0 - pose.yaw))
+    yield case("yaw + 40", *off, to=moved(pose, yaw=40.0))
+    yield case("12 m off", *off, to=moved(pose, easting=9.0, northing=-8.0))
+    yield case("1 m off", *off, to=moved(pose, easting=0.7, northing=-0.7))
+    yield case("1 deg off", *off, to=moved(pose, yaw=1.0))
+    if abs(pose.pitch) > LEAST_PITCH_DEG:
+        turned = replace(pose, pitch=-pose.pitch)
+        yield case("pitch's sign", "pitch has the wrong sign", *off, "pitch is", to=turned)
+    yield case("roll + 180", "roll is off by 180", to=moved(pose, roll=180.0))
+    yield case("3 m too high", "height is", to=moved(pose, height=3.0))
+    yield case("3 m too low", "height is", to=moved(pose, height=-3.0))
+    swapped = {"x": rows["y"], "y": rows["x"]}
+    yield case("x, y swapped", "x and y are swapped", by=lambda r: r.assign(**swapped))
+    yield case("y mirrored", "left and right", by=times(-1.0, "y"))
+    yield case("km/h", "range rates look like km/h", by=times(3.6, "range_rate"))
+    yield case("mph", "range rates look like mph", by=times(2.23694, "range_rate"))
+    yield case("halved", "range rates look halved", by=times(0.5, "range_rate"))
+    yield case("sign", "range rates look positive", by=times(-1.0, "range_rate"))
+    absolute = {"range_rate": rows["range_rate"].abs()}
+    yield case("absolute", "range rates look like absolute", by=lambda r: r.assign(**absolute))
+    yield case("cm/s", "range rates look like cm/s", by=times(100.0, "range_rate"))
+    yield case("ranges + 5 %", *lengths, by=times(1.05, *xyz))
+    yield case("yards", *lengths, "positions look like yards", by=times(1.0 / 0.9144, *xyz))
+    yield case("feet", "positions look like feet", by=times(3.28084, *xyz))
+    since = rows["time"] - rows["time"].iloc[0]
+    fast = {"time": rows["time"].iloc[0] + since / 2.0}
+    yield case("time x 2", "range rates look halved", by=lambda r: r.assign(**fast))
+    another = () if alone else ("recording and pose are of two sensors",)
+    yield case("another's recording", *another, by=lambda _: foreign)
+    since_half = ("from", "until")
+    yield case("another's from half", *since_half, by=lambda r: half(r, foreign))
+    yield case("frozen", "the recording is frozen", by=frozen)
+
+
+def outcome(case: Case, found: Finding) -> str:
+    """Return what became of an error."""
+    if found.verdict == UNKNOWN:
+        return "too little"
+    if not found.cause:
+        return "silent" if case.name not in RIGHT else ""
+    if any(part in found.cause for part in case.says):
+        return "right cause"
+    return "unknown" if found.cause.endswith(UNKNOWN_CAUSE) else "wrong cause"
+
+
+def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, float]:
+    """Return what the check finds, and the seconds of the processor that it takes."""
+    others = {name: pose for name, pose in place.poses.items() if name != sensor}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.parquet"
+        case.rows.to_parquet(path, index=False)
+        begin = time.process_time()
+        excerpt = read_excerpt([gr.open_recording(path)], [as_track(case.pose)])
+        found = judge(sensor, excerpt, place.lanes, others)
+    return found, time.process_time() - begin
+
+
+def _folders(numbers: list[str], *, known: bool) -> list[tuple[str, Path]]:
+    from random_places import random_place  # noqa: PLC0415 - needs the simulator
+
+    folders = [(each.name, each) for each in sites("town01", "town02", "town04")] if known else []
+    for number in numbers:
+        conditions, _, seed = number.rpartition(":")
+        conditions = conditions or "drivers as recorded"
+        folders.append((f"{conditions} {seed}", random_place((int(seed), conditions))))
+    return folders
+
+
+def main() -> None:
+    """Try all errors on all sensors; print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--random", nargs="*", default=[], help="NUMBER or CONDITIONS:NUMBER")
+    parser.add_argument("--no-known", action="store_true", help="leave out sample and towns")
+    parser.add_argument("--only", nargs="*", help="names of errors")
+    parser.add_argument("--lines", action="store_true", help="print what is said of each")
+    given = parser.parse_args()
+    places = [
+        read_place(path, name) for name, path in _folders(given.random, known=not given.no_known)
+    ]
+    everyone = [(place, sensor) for place in places for sensor in place.poses]
+    counts, refused, doubted, right = dict[str, Counter[str]](), 0, 0, 0
+    seconds: list[float] = []
+    for number, (place, sensor) in enumerate(everyone):
+        there, other = everyone[number - 1] if len(place.poses) == 1 else (place, sensor)
+        if there is place:
+            names = sorted(place.poses)
+            other = names[(names.index(sensor) + 1) % len(names)]
+        for case in cases(place, sensor, there.rows[other]):
+            if given.only and case.name not in given.only:
+                continue
+            found, took_s = judged(place, sensor, case)
+            seconds.append(took_s)
+            result = outcome(case, found)
+            if case.name in RIGHT:
+                right += 1
+                refused += found.verdict not in {FITS, UNKNOWN}
+                doubted += found.verdict == FITS and bool(found.cause)
+            else:
+                counts.setdefault(case.name, Counter())[result] += 1
+            if given.lines:
+                print(f"{place.name} {case.name} [{result}] {found.line}", flush=True)
+    rows = [[name, *(str(each[o] or "") for o in OUTCOMES)] for name, each in counts.items()]
+    total = sum(counts.values(), Counter())
+    rows.append(["all", *(str(total[o]) for o in OUTCOMES)])
+    print(table(["error", *OUTCOMES], rows))
+    print(f"right poses: {right}, refused {refused}, doubted {doubted}")
+    took: Floats = np.array(seconds)
+    print(f"processor: median {np.median(took):.2f} s a sensor, at most {took.max():.2f} s")
+
+
+if __name__ == "__main__":
+    main()
