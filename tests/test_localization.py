@@ -91,6 +91,24 @@ def test_a_heading_may_be_given(scene):
     assert abs(errors(found.pose, pose)[5]) < 0.3
 
 
+def test_sigma_counts_the_place_of_the_map_and_what_drivers_of_a_lane_do_alike(scene, answer):
+    street, pose, path = scene
+
+    def covariance(**changes):
+        settings = LOCALIZATION.changed({f"answer.{name}": v for name, v in changes.items()})
+        found = find(street, path, near(pose), settings=settings)
+        return np.array(found.pose.evidence["covariance"])
+
+    stated = np.array(answer.pose.evidence["covariance"])
+    placed = stated - covariance(map_sigma_m=0.0)
+    assert np.allclose(placed, np.diag([0.15**2, 0.15**2, 0.0, 0.0, 0.0, 0.0]), atol=1e-9)
+    driven = stated - covariance(lane_sigma_m=(0.0, 0.0))
+    assert np.linalg.eigvalsh(driven)[0] > -1e-9
+    assert np.trace(driven[:2, :2]) > 0.02**2
+    straight = stated - covariance(lane_sigma_m=(0.0, 0.36))  # no lane of the crossing bends
+    assert np.allclose(straight, driven, atol=1e-9)
+
+
 def test_the_evidence_is_written_and_read(answer, tmp_path):
     write_pose(answer.pose, tmp_path / "pose.json")
     evidence = read_pose(tmp_path / "pose.json").evidence

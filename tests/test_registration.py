@@ -2,8 +2,10 @@
 
 from dataclasses import fields, replace
 
+import geopandas as gpd
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
@@ -217,6 +219,22 @@ def test_every_match_has_a_doppler_that_its_lane_allows(scene):
     away = np.sum(lanes.along[matches.lane] * sight, axis=1)
     clear = matches.found & (np.abs(samples.range_rate) > 0.6)
     assert (np.sign(away[clear]) == np.sign(samples.range_rate[clear])).all()
+
+
+@pytest.mark.parametrize(("turn_deg", "bends"), [(0.0, False), (25.0, False), (35.0, True)])
+def test_a_lane_that_turns_by_more_than_30_degrees_bends(turn_deg, bends):
+    angle = np.radians(np.linspace(0.0, turn_deg, 40))
+    step = np.column_stack([np.cos(angle), np.sin(angle)])
+    arc, road = np.cumsum(step, axis=0), [[-40.0, 8.0], [40.0, 8.0]]
+    centre = gpd.GeoSeries([shapely.LineString(line) for line in (arc, road)], crs="EPSG:25832")
+    table = gpd.GeoDataFrame(
+        {"centre": centre, "participants": [("vehicle",)] * 2, "speed_limit_kmh": np.nan,
+         "one_way": True},
+        geometry=centre.buffer(1.5), crs="EPSG:25832",
+    )  # fmt: skip
+    lanes = sample_lanes(table, np.empty((0, 3)), place=np.zeros(2), reach_m=100.0)
+    assert set(lanes.bends[lanes.lane == 0]) == {bends}
+    assert set(lanes.bends[lanes.lane == 1]) == {False}
 
 
 def test_between_two_lanes_a_sample_lies_on_the_nearer_one():

@@ -497,6 +497,26 @@ def test_the_adjusted_pose_is_checked_and_no_other(tmp_path, monkeypatch):
     ]
 
 
+def test_of_poses_that_contradict_each_other_the_confirmed_one_stays(monkeypatch):
+    """Two alone were both refused; with the scan it is clear which one lies a lane off."""
+    right = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in ("R1", "R2")}
+    poses = {"R1": right["R1"], "R2": moved(right["R2"], 0.0, 3.5)}
+    alone = {n: Localization(pose=p, fitness=1.0, observable=True) for n, p in poses.items()}
+    why = "R1 and R2: their poses contradict each other"
+    solved = Solved(poses={}, chosen={}, refused=dict.fromkeys(alone, why), pairs={})
+    monkeypatch.setattr(joint, "localize", lambda recording, **_: alone[recording.stem])
+    monkeypatch.setattr(joint, "adjust_poses", lambda *_, **__: solved)
+    with pytest.raises(gr.NoAnswerError, match="contradict each other"):
+        together()
+    heard = Listener()
+    both = together(scans=[SCAN], reporter=heard)
+    assert list(both.found) == ["R1"]
+    assert both.found["R1"].pose.easting == right["R1"].easting
+    assert both.found["R1"].pose.evidence["scan_check"]["verdict"] == "confirms"
+    assert both.refused == {"R2": why}
+    assert f"{why}; what stands in the scan confirms that of R1" in str(heard.messages)
+
+
 def together(**options):
     guesses = [gr.read_pose(SAMPLE / f"{name}.json").position[:2] for name in ("R1", "R2")]
     return gr.localize_together(

@@ -33,7 +33,12 @@ from gis_radar.calibration.moving import (
 from gis_radar.calibration.network import CLASH_HINT, Solved, solve_network
 from gis_radar.calibration.placing import Station
 from gis_radar.calibration.result import AmbiguousError, Localization
-from gis_radar.calibration.scan_check import ScanCheck, check_against_scan, require_scans_near
+from gis_radar.calibration.scan_check import (
+    CONFIRMS,
+    ScanCheck,
+    check_against_scan,
+    require_scans_near,
+)
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving
 from gis_radar.errors import InputError, NoAnswerError, UsageError
@@ -233,7 +238,12 @@ def locate_all(
         roads, road_points, end=end, settings=settings, reporter=reporter,
     )  # fmt: skip
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
-    if not solved.poses:
+    kept: dict[str, Localization] = {}
+    if look_at is not None:
+        kept = _confirmed({name: answers[name] for name in solved.refused}, used, look_at)
+    for name in kept:
+        reporter.warn("{}; what stands in the scan confirms that of {}", solved.refused[name], name)
+    if not solved.poses and not kept:
         raise NoAnswerError(
             Text("; ").join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT
         )
@@ -249,8 +259,25 @@ def locate_all(
             name: found.with_scan_check(look_at(used[name], found.pose))
             for name, found in placed.items()
         }
-    why = {name: error.message for name, error in refused.items() if name not in placed}
-    return JointCalibration(found=placed, refused=why | solved.refused, pairs=solved.pairs)
+    found = {name: (placed | kept)[name] for name in used if name in placed or name in kept}
+    why = {name: error.message for name, error in refused.items()} | solved.refused
+    left = {name: text for name, text in why.items() if name not in found}
+    return JointCalibration(found=found, refused=left, pairs=solved.pairs)
+
+
+def _confirmed(
+    refused: Mapping[str, tuple[Localization, ...]],
+    recordings: Mapping[str, Path],
+    look_at: Callable[[Path, Pose], ScanCheck],
+) -> dict[str, Localization]:
+    """Return the answers, each the only one of its sensor, that the scan check confirms."""
+    alone = {name: several[0] for name, several in refused.items() if len(several) == 1}
+    looks = {name: look_at(recordings[name], found.pose) for name, found in alone.items()}
+    return {
+        name: alone[name].with_scan_check(look)
+        for name, look in looks.items()
+        if look.verdict == CONFIRMS
+    }
 
 
 def _alone(
