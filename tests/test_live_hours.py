@@ -52,8 +52,9 @@ def batch_of(made, folder, **given):
     paths = sorted((made.folder / "recordings").glob("*/*.parquet"))
     tracks = [gr.read_track(pose_beside(path)) for path in paths]
     gr.measure(
-        paths, tracks, gr.read_tiles(made.site.tiles), SAMPLE / "junction.osm", folder, **given
-    )
+        paths, tracks, gr.read_tiles(made.site.tiles), SAMPLE / "junction.osm", folder,
+        accept=None, **given,
+    )  # fmt: skip
     found = folder.glob("*/date=*/*.parquet")
     return {str(path.relative_to(folder)): path.read_bytes() for path in found}
 

@@ -250,7 +250,7 @@ def judge(sensor: str, excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Po
     found = _odd_recording(excerpt) or _odd_pace(pace) or _too_little(excerpt)
     found = found or _changed(excerpt, lanes, others) or _by_lanes(excerpt, lanes, others)
     if found.verdict == FITS:
-        found = _off(excerpt, lanes, found, pace) or found
+        found = _longer(excerpt, lanes, pace) or _off(excerpt, lanes, found) or found
     return replace(found, sensor=sensor)
 
 
@@ -396,9 +396,15 @@ def _best_split(driving: np.ndarray) -> tuple[int, float]:
     return int(before[best]), float(gain[best])
 
 
-def _off(
-    excerpt: Excerpt, lanes: LaneMap, found: Finding, pace: RangeScale | None
-) -> Finding | None:
+def _longer(excerpt: Excerpt, lanes: LaneMap, pace: RangeScale | None) -> Finding | None:
+    """Return that ranges are too long where range rates hint at it, and lanes bear it out."""
+    if pace is None or abs(pace.factor - 1.0) <= max(PACE, HINTED * pace.sigma):
+        return None
+    scaled = score(excerpt, lanes, Rival(scale=pace.factor))
+    return _lengthened(pace) if scaled.ahead_of(score(excerpt, lanes)) > CLEAR else None
+
+
+def _off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding | None:
     """Return by how much a pose is off that nearly fits, where the traffic shows it clearly."""
     pose = excerpt.poses[int(np.bincount(excerpt.pose).argmax())]
     points = excerpt.moving.points
@@ -419,13 +425,7 @@ def _off(
     fit = solve(Scene(lanes=near, samples=samples), centre, prior, schedule=WINDOW)
     if not fit.converged or fit.fitness < FITTING:
         return _elsewhere(excerpt, lanes, pose, found.evidence)
-    off = _beyond(pose, data_alone(fit, prior), centre, found.evidence)
-    if off is None or pace is None or abs(pace.factor - 1.0) <= max(PACE, HINTED * pace.sigma):
-        return off
-    # a pose that is off, or ranges that are: who explains more?
-    scaled = score(excerpt, lanes, Rival(scale=pace.factor))
-    longer = scaled.ahead_of(score(excerpt, lanes)) > BESIDE
-    return _lengthened(pace) if longer else off
+    return _beyond(pose, data_alone(fit, prior), centre, found.evidence)
 
 
 def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> Finding | None:
