@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -187,3 +188,34 @@ def require_same_site(
                 other,
                 hint="name the dataset's own, or another folder",
             )
+
+
+def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None:
+    """Refuse to add to a dataset of another site, or measured with other settings.
+
+    Raises
+    ------
+    InputError
+        If they differ.
+    """
+    require_same_site(
+        folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
+    )
+    for name in mine.settings:
+        if differs := _difference(name, found.settings.get(name), mine.settings[name]):
+            raise InputError(
+                "{}: was measured with other settings: {}",
+                folder,
+                differs,
+                hint="name the same filters, scans and options, or another folder: "
+                "another version's constants need one, too",
+            )
+
+
+def _difference(name: str, was: Any, now: Any) -> str:
+    """Return the first setting that is not what it was, with both values; nothing where none is."""
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        keys = sorted(was.keys() | now.keys())
+        found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)
+        return next(filter(None, found), "")
+    return Text("{} was {}, is {}", name, json.dumps(was), json.dumps(now)) if was != now else ""

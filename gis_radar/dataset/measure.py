@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +24,12 @@ from gis_radar.crs import name_of
 from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.dataset.hour_job import HourSite, MadeHour, MeasureSettings
 from gis_radar.dataset.making import change, writing
-from gis_radar.dataset.manifest import Manifest, create_dataset, remove_dataset, require_same_site
+from gis_radar.dataset.manifest import (
+    Manifest,
+    create_dataset,
+    remove_dataset,
+    require_same_settings,
+)
 from gis_radar.dataset.registry import (
     PoseBook,
     RecordingEntry,
@@ -449,37 +453,6 @@ def _as_before(given: _Given, found: Manifest) -> _Given:
     settings = replace(given.settings, vehicles=None)
     manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": None})
     return replace(given, settings=settings, manifest=manifest, graph=None)
-
-
-def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None:
-    """Refuse to add to a dataset of another site, or measured with other settings.
-
-    Raises
-    ------
-    InputError
-        If they differ.
-    """
-    require_same_site(
-        folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
-    )
-    for name in mine.settings:
-        if differs := _difference(name, found.settings.get(name), mine.settings[name]):
-            raise InputError(
-                "{}: was measured with other settings: {}",
-                folder,
-                differs,
-                hint="name the same filters, scans and options, or another folder: "
-                "another version's constants need one, too",
-            )
-
-
-def _difference(name: str, was: Any, now: Any) -> str:
-    """Return the first setting that is not what it was, with both values; nothing where none is."""
-    if isinstance(was, Mapping) and isinstance(now, Mapping):
-        keys = sorted(was.keys() | now.keys())
-        found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)
-        return next(filter(None, found), "")
-    return Text("{} was {}, is {}", name, json.dumps(was), json.dumps(now)) if was != now else ""
 
 
 def _joined(before: Registry, given: _Given, *, only: bool) -> Registry:

@@ -1,4 +1,4 @@
-"""Live: sensors that send tiles over a network, and the map of now that is made of them."""
+"""Live: sensors that send detections over a network, the map of now, and the hours' dataset."""
 
 import lazy_loader
 

@@ -14,8 +14,8 @@ import geopandas as gpd
 
 from gis_radar.dataset import Dataset, clear_unfinished, open_dataset, record_path
 from gis_radar.dataset.hour_job import MeasureSettings
-from gis_radar.dataset.manifest import Manifest
-from gis_radar.dataset.measure import manifest_of, measure, require_same_settings
+from gis_radar.dataset.manifest import Manifest, require_same_settings
+from gis_radar.dataset.measure import manifest_of, measure
 from gis_radar.errors import InputError
 from gis_radar.files import output_errors
 from gis_radar.live.quarters import KEPT, Lately, read_quarters
