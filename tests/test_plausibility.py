@@ -10,6 +10,7 @@ from maps import Listener
 
 import gis_radar as gr
 from gis_radar.calibration import ImplausibleError
+from gis_radar.errors import UsageError
 from gis_radar.poses import write_pose
 
 SAMPLE = gr.sample_folder()
@@ -120,7 +121,7 @@ def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
         assert line[:2] == [name, "does not fit"]
         assert f"it fits the pose of {other}" in line[2]
         assert line[3] == f"give the recording with the pose of {other}"
-    assert "accept in [[sensor]] of R1" in events["error"]["hint"]
+    assert "accept = true in [[sensor]] of R1" in events["error"]["hint"]
 
 
 def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted(
@@ -145,7 +146,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     )  # fmt: skip
     assert code == 0
     assert "yaw is off by 180 deg" in err
-    assert "it is accepted in spite" in err
+    assert "it is accepted anyway" in err
     checks = gr.open_dataset(dataset).manifest.checks
     assert list(checks) == ["R2"]
     assert checks["R2"].startswith("R2: does not fit: yaw is off by 180 deg (")
@@ -156,6 +157,34 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert code == 0
     events = [json.loads(line) for line in out.splitlines()]
     assert checks["R2"] in events[-1]["summary"]["remarks"]
+
+
+@pytest.mark.parametrize(("recorded", "pose"), [("R1", "R2"), ("R2", "R1")])
+def test_the_pose_of_a_sensor_that_is_not_given_is_refused(tmp_path, tiles, rows, recorded, pose):
+    rows[recorded].to_parquet(tmp_path / "A.parquet", index=False)
+    with pytest.raises(ImplausibleError, match=f"{pose}: does not fit"):
+        gr.measure(
+            [tmp_path / "A.parquet"], [POSES[pose]], tiles, MAP, tmp_path / "d", hits_only=True
+        )
+
+
+def test_a_doubt_stays_with_the_recording_that_it_is_of(tmp_path, tiles, rows):
+    first, later = tmp_path / "first.parquet", tmp_path / "later.parquet"
+    times("x", 1.3)(rows["R1"]).to_parquet(first, index=False)
+    rows["R1"].assign(time=rows["R1"]["time"] + 7200.0).to_parquet(later, index=False)
+    dataset = tmp_path / "d"
+
+    def measured(files, accept):
+        given = (files, [POSES["R1"]] * len(files), tiles, MAP, dataset)
+        return gr.measure(*given, hits_only=True, accept=accept).manifest.checks
+
+    with pytest.raises(UsageError, match="R9: no sensor of that name is given"):
+        measured([first], ["R9"])
+    doubt = measured([first], ["R1"])
+    assert "does not fit" in doubt["R1"]
+    assert measured([later], []) == doubt
+    rows["R1"].to_parquet(first, index=False)
+    assert measured([first, later], []) == {}
 
 
 def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, rows):

@@ -73,9 +73,9 @@ def caption(counts: pd.DataFrame) -> str:
     off, true = (counts["found"] - counts["true"]), int(counts["true"].sum())
     return (
         f"*Volumes of the sample's {len(counts)} lanelets in sight within {WITHIN_M:.0f} m of a "
-        f"radar, in 100 s:\n{int(counts['found'].sum())} passages counted where {true} are true, "
+        f"radar, in 100 s:\n{int(counts['found'].sum())} passages found where {true} are true, "
         f"{100 * float(off.abs().sum()) / true:.1f} % off lanelet by lanelet. A ring is the "
-        "truth,\na point the demo's count.*"
+        "truth,\na point what the demo found.*"
     )
 
 
@@ -88,9 +88,9 @@ def draw(counts: pd.DataFrame) -> Figure:
     axes.scatter(
         place, counts["true"], s=110, facecolor="none", edgecolor=TRUE, linewidth=2.0, label="true"
     )
-    axes.scatter(place, counts["found"], s=28, color=FOUND, label="counted by gis_radar")
+    axes.scatter(place, counts["found"], s=28, color=FOUND, label="found by gis_radar")
     axes.set(
-        xlabel="lanelet, the busiest first", ylabel="vehicles in 100 s", xlim=(-1, len(counts)),
+        xlabel="lanelet, the busiest first", ylabel="passages in 100 s", xlim=(-1, len(counts)),
         ylim=(0, None),
     )  # fmt: skip
     axes.set_xticks(place, [str(each) for each in counts.index], rotation=90, fontsize="x-small")

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Floats
 from gis_radar.calibration.clock_offsets import measured_offset
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.excerpt import WILD_MPS, Excerpt, iso, read_excerpt
@@ -23,12 +22,13 @@ from gis_radar.calibration.hypotheses import prior_at
 from gis_radar.calibration.kalman_filter import Measurement
 from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.lanes import Scene
-from gis_radar.calibration.range_scale import RangeScale, measure_range_scale
+from gis_radar.calibration.range_scale import BY_TIMES, RangeScale, measure_range_scale
 from gis_radar.calibration.rivals import (
     REFLECTION_M,
     LaneMap,
     Rival,
     Score,
+    best_split,
     found_poses,
     lower_or_tilted,
     on_lanes,
@@ -59,7 +59,8 @@ MORE, LEAST_SHARE, CLEAR, BESIDE = 0.2, 0.65, 4.0, 3.0
 # A pose that is searched explains some of any traffic: it has to explain so much, and so much more
 # than a mistake that has a name.
 FOUND_SHARE, FITTED_MORE = 0.8, 0.05
-# Where no rival fits, a pose is wrong whose lanes explain no more than any yaw's do by chance.
+# Where no rival fits, a pose is wrong whose lanes explain no more than any yaw's do by chance, or
+# less than is asked of a rival; up to FITTING it is doubted, as maps lack lanes.
 OVER_CHANCE = 0.1
 HIGH_M = 1.5  # median height over the road that is off by more: vehicles, poles, bridges differ so
 # A pose is doubted that is farther off than maps, drivers' habits and a careful survey together may
@@ -105,9 +106,9 @@ class Finding:
 
     @property
     def doubt(self) -> str:
-        """What results say that go on in spite; empty where all fits."""
+        """What results say that go on anyway; empty where all fits."""
         if self.verdict == WRONG:
-            return Text("{}; it is accepted in spite", self.line)
+            return Text("{}; it is accepted anyway", self.line)
         return self.line if self.verdict != FITS or self.cause else ""
 
     @property
@@ -168,7 +169,7 @@ def refuse_implausible(
     findings : sequence of Finding
         As from :func:`check_plausibility`.
     accepted : collection of str
-        Sensors to go on with in spite.
+        Sensors to go on with anyway.
     reporter : Reporter
         Receives the warnings.
 
@@ -181,12 +182,12 @@ def refuse_implausible(
         each for each in findings if each.verdict == WRONG and each.sensor not in accepted
     )
     if refused:
-        accept = Text(" ").join(Text("{} {}", "--accept", each.sensor) for each in refused)
+        accept = Text(", ").join(Text("{} {}", "--accept", each.sensor) for each in refused)
         advice = Text("; ").join(Text("{}: {}", each.sensor, each.advice) for each in refused)
         raise ImplausibleError(
             "{}",
             Text("; ").join(each.line for each in refused),
-            hint=Text("{}; or go on in spite: {}", advice, accept),
+            hint=Text("{}; or go on anyway: {}", advice, accept),
             findings=refused,
         )
     for each in findings:
@@ -287,7 +288,12 @@ def _odd_pace(pace: RangeScale | None) -> Finding | None:
     if abs(pace.factor - 1.0) <= max(PACE, PACE_SIGMAS * pace.sigma):
         return None
     if pace.likely and not pace.likely.startswith("positions"):
-        return _wrong(_paced(pace), pace.likely, Text("multiply range_rate by {:.3f}", pace.factor))
+        advice = Text("multiply range_rate by {:.3f}", pace.factor)
+        if pace.likely in BY_TIMES:
+            advice = Text(
+                "multiply range_rate by {0:.3f}, or time if the clock is off", pace.factor
+            )
+        return _wrong(_paced(pace), pace.likely, advice)
     if pace.likely or abs(pace.factor - 1.0) <= LENGTHENED:
         return _lengthened(pace)
     return _wrong(_paced(pace), UNKNOWN_CAUSE, Text("look at the units of the recording"))
@@ -308,7 +314,11 @@ def _lengthened(pace: RangeScale) -> Finding:
     # an error may reach from a few percent to yards
     if pace.likely and not 1.0 + PACE < pace.factor < YARDS:
         cause = pace.likely
-    return _wrong(_paced(pace), cause, Text("divide x, y and z by {:.3f}", pace.factor))
+    return _wrong(
+        _paced(pace),
+        cause,
+        Text("divide x, y and z by {0:.3f}, or multiply range_rate by it", pace.factor),
+    )
 
 
 def _by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
@@ -335,10 +345,14 @@ def _by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
         return _wrong(if_so, Text(" or ").join(causes), Text(" or ").join(advice))
     yaws = other_yaws(excerpt.poses[0]) if given.share < FITTING else ()
     chance = max((score(excerpt, lanes, rival).share for rival in yaws), default=0.0)
-    if given.share < min(chance + OVER_CHANCE, FITTING):
+    if given.share < max(LEAST_SHARE, min(chance + OVER_CHANCE, FITTING)):
         by_chance = Text("{}, {:.0%} if turned at random", evidence, chance)
         return _wrong(by_chance, UNKNOWN_CAUSE, Text("are map, pose and recording of one place?"))
-    return Finding(sensor="", verdict=FITS, evidence=evidence)
+    beside = {} if given.share >= FITTING else {
+        "cause": Text("many vehicles drive beside the lanes"),
+        "advice": Text("does the map lack lanes, or is the pose another sensor's?"),
+    }  # fmt: skip
+    return Finding(sensor="", verdict=FITS, evidence=evidence, **beside)
 
 
 def _clearly_better(fitted: Score, named: Score, more: float) -> bool:
@@ -365,7 +379,7 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     numbers, first = np.unique(excerpt.vehicle, return_index=True)
     order = np.argsort(excerpt.time[first], kind="stable")
     driving = score(excerpt, lanes).driving[order]
-    split, gain = _best_split(driving)
+    split, gain = best_split(driving, LEAST_PART)
     if gain < CHANGED:
         return None
     when = float(excerpt.time[first[order[split]]])
@@ -376,24 +390,6 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     if until.verdict == WRONG:
         return replace(until, cause=Text("until {}: {}", iso(when), until.cause))
     return replace(since, cause=Text("from {} on: {}", iso(when), since.cause))
-
-
-def _best_split(driving: np.ndarray) -> tuple[int, float]:
-    """Return where a share changes most clearly, and the log likelihood ratio over no change."""
-    count, total = len(driving), int(driving.sum())
-    before = np.arange(LEAST_PART, count - LEAST_PART + 1).astype(np.float64)
-    if len(before) == 0:
-        return 0, 0.0
-    hits = np.cumsum(driving)[before.astype(np.int64) - 1].astype(np.float64)
-
-    def likelihood(hit: Floats, of: Floats) -> Floats:
-        share = np.clip(hit / of, 1e-9, 1.0 - 1e-9)
-        return np.asarray(hit * np.log(share) + (of - hit) * np.log(1.0 - share))
-
-    apart = likelihood(hits, before) + likelihood(total - hits, count - before)
-    gain = apart - likelihood(np.array([float(total)]), np.array([float(count)]))
-    best = int(gain.argmax())
-    return int(before[best]), float(gain[best])
 
 
 def _longer(excerpt: Excerpt, lanes: LaneMap, pace: RangeScale | None) -> Finding | None:

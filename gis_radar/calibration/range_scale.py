@@ -50,14 +50,15 @@ SHARED_M = 0.35
 SIGMAS, LEAST_OFF = 3.0, 0.01  # off 1 is what is off by more than both
 # What a factor looks like that is one of these within its error.
 LIKELY = {
-    3.28084: "positions look like feet",
-    1.0 / 0.9144: "positions look like yards",
-    1.0 / 3.6: "range rates look like km/h",
-    1.0 / 2.23694: "range rates look like mph",
-    -1.0: "range rates look positive where targets approach",
-    2.0: "range rates look halved, or times run twice as fast",
-    0.5: "range rates look doubled, or times run half as fast",
+    3.28084: Text("positions look like feet"),
+    1.0 / 0.9144: Text("positions look like yards"),
+    1.0 / 3.6: Text("range rates look like km/h"),
+    1.0 / 2.23694: Text("range rates look like mph"),
+    -1.0: Text("range rates look positive where targets approach"),
+    2.0: Text("range rates look halved, or times run half as fast"),
+    0.5: Text("range rates look doubled, or times run twice as fast"),
 }
+BY_TIMES = (LIKELY[2.0], LIKELY[0.5])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +95,7 @@ class RangeScale:
             return Text("range rates look like absolute values")
         within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
         near = [text for factor, text in LIKELY.items() if abs(self.factor - factor) < within]
-        return Text(near[0]) if len(near) == 1 else ""
+        return near[0] if len(near) == 1 else ""
 
     def require_one(self, name: str) -> None:
         """Refuse a scale that contradicts 1.

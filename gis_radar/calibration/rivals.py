@@ -373,3 +373,24 @@ def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
     return lane_detections(
         near, moving.time, points, moving.range_rate, pose.position - origin, CLOCKS
     )
+
+
+def best_split(driving: Booleans, least: int) -> tuple[int, float]:
+    """Return where a share changes most clearly, and the log likelihood ratio over no change.
+
+    Either side has so many at least.
+    """
+    count, total = len(driving), int(driving.sum())
+    before = np.arange(least, count - least + 1).astype(np.float64)
+    if len(before) == 0:
+        return 0, 0.0
+    hits = np.cumsum(driving)[before.astype(np.int64) - 1].astype(np.float64)
+
+    def likelihood(hit: Floats, of: Floats) -> Floats:
+        share = np.clip(hit / of, 1e-9, 1.0 - 1e-9)
+        return np.asarray(hit * np.log(share) + (of - hit) * np.log(1.0 - share))
+
+    apart = likelihood(hits, before) + likelihood(total - hits, count - before)
+    gain = apart - likelihood(np.array([float(total)]), np.array([float(count)]))
+    best = int(gain.argmax())
+    return int(before[best]), float(gain[best])

@@ -35,6 +35,7 @@ from gis_radar.dataset.registry import (
     RecordingEntry,
     Registry,
     entry_of,
+    refuse_swapped,
     refuse_two_sensors,
     touched_hours,
     validity_by_sensor,
@@ -76,9 +77,11 @@ class _Given:
     book: SightBook
     findings: tuple[Finding, ...] = ()
 
-    def checks(self, before: Mapping[str, str]) -> dict[str, str]:
-        """Return by sensor what results do not rest on safely, with what was found before."""
-        judged = {each.sensor for each in self.findings}
+    def checks(self, before: Mapping[str, str], registry: Registry) -> dict[str, str]:
+        """Return by sensor what results do not rest on safely, as long as they rest on it."""
+        mine = {each.digest for each in self.entries}
+        other = {each.sensor for each in registry.entries if each.digest not in mine}
+        judged = {each.sensor for each in self.findings} - other
         odd = {each.sensor: each.doubt for each in self.findings if each.doubt}
         return {name: line for name, line in before.items() if name not in judged} | odd
 
@@ -205,7 +208,7 @@ def measure(
     book = SightBook(road=road, scan=scan, settings=settings.hits)
     opened = [as_recording(each) for each in recordings]
     tracks = [as_track(pose) for pose in poses]
-    _refuse_swapped(opened, tracks)
+    refuse_swapped(opened, tracks)
     sources = book.place(opened, tracks, clocks, reporter)
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
     if accept is not None:
@@ -267,33 +270,11 @@ def _checked(given: _Given, accept: Collection[str], reporter: Reporter) -> _Giv
     lanelets = lanelets_of(given.tiles) if given.roads is None else given.roads.lanelets
     centres = given.book.road.centres
     lanes = LaneMap(lanelets=lanelets, road=centres[np.isfinite(centres[:, 2])])
+    if unknown := sorted({*accept} - sensors.keys()):
+        raise UsageError("{}: no sensor of that name is given", Text(", ").join(unknown))
     findings = check_plausibility(sensors, lanes, reporter=reporter)
     refuse_implausible(findings, accept, reporter)
     return replace(given, findings=findings)
-
-
-def _refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
-    """Refuse a recording that is named like a sensor, but is given for another one.
-
-    By its file's name, or where that is no sensor's, by the name that `convert` wrote into it.
-    """
-    sensors = {track.sensor for track in tracks}
-    stems = [Path(each.path).stem for each in recordings]
-    names = [
-        stem if stem in sensors else each.sensor
-        for stem, each in zip(stems, recordings, strict=True)
-    ]
-    own = {named for named, track in zip(names, tracks, strict=True) if named == track.sensor}
-    others = sensors - own
-    for recording, named, track in zip(recordings, names, tracks, strict=True):
-        if named in others and named != track.sensor:
-            raise InputError(
-                "{}: is given with the pose of {}, beside one of {}",
-                recording.path,
-                track.sensor,
-                named,
-                hint="name recordings and poses in the same order",
-            )
 
 
 def manifest_of(
@@ -398,6 +379,8 @@ def _add(
     before = before if is_new else Registry.read(folder, manifest.fingerprint)
     _remark_on_changes(before, given, manifest, reporter)
     registry = _joined(before, given, only=only)
+    checks = given.checks(manifest.checks, registry)
+    doubted = replace(manifest, checks=manifest.checks | checks)
     site = HourSite(
         folder=folder, tiles=given.tiles, graph=given.graph, origin=manifest.origin,
         settings=given.settings,
@@ -406,11 +389,13 @@ def _add(
     if is_new:
         try:
             create_dataset(
-                folder, manifest, given.tiles, map_file=given.map_file, **_layers(given.roads)
+                folder, doubted, given.tiles, map_file=given.map_file, **_layers(given.roads)
             )
         except OutputError:  # without its manifest it is nothing
             shutil.rmtree(folder, ignore_errors=True)
             raise
+    elif doubted.checks != manifest.checks:
+        doubted.write(folder)  # before what it doubts
     try:
         made = change(
             site, before, registry, known=given.entries, before_hour=before_hour,
@@ -420,7 +405,7 @@ def _add(
         if is_new:  # nothing was there: nothing stays
             shutil.rmtree(folder, ignore_errors=True)
         raise
-    if (checks := given.checks(manifest.checks)) != manifest.checks:
+    if checks != doubted.checks:
         replace(manifest, checks=checks).write(folder)
     return made
 

@@ -429,3 +429,27 @@ def _poses_from(poses: pa.Table, sights: pa.Table, folder: Path) -> PoseBook:
         }  # fmt: skip
         book.sights[str(name)] = tuple(seen[head] for head in rows["sight"])
     return book
+
+
+def refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
+    """Refuse a recording that is named like a sensor, but is given for another one.
+
+    By its file's name, or where that is no sensor's, by the name that `convert` wrote into it.
+    """
+    sensors = {track.sensor for track in tracks}
+    stems = [Path(each.path).stem for each in recordings]
+    names = [
+        stem if stem in sensors else each.sensor
+        for stem, each in zip(stems, recordings, strict=True)
+    ]
+    own = {named for named, track in zip(names, tracks, strict=True) if named == track.sensor}
+    others = sensors - own
+    for recording, named, track in zip(recordings, names, tracks, strict=True):
+        if named in others and named != track.sensor:
+            raise InputError(
+                "{}: is given with the pose of {}, beside one of {}",
+                recording.path,
+                track.sensor,
+                named,
+                hint="name recordings and poses in the same order",
+            )

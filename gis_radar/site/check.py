@@ -124,12 +124,15 @@ class SiteCheck:
             "crs": self.crs,
             "lanelets": self.lanelets,
             "sensors": {name: each.figures() for name, each in self.sensors.items()},
-            "plausibility": [
-                [Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do")],
-                *([f.sensor, f.verdict, f.reason, f.advice] for f in self.findings),
-            ],
+            **({"plausibility": self._table()} if self.findings else {}),
             "warnings": len(self.warnings),
         }
+
+    def _table(self) -> list[list[str]]:
+        return [
+            [Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do")],
+            *([f.sensor, f.verdict, f.reason, f.advice] for f in self.findings),
+        ]
 
     @property
     def failure(self) -> NoAnswerError | None:

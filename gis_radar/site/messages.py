@@ -17,7 +17,7 @@ from gis_radar.texts import Text
 
 # What stands for a value, or for a text by its template.
 KEYS = {
-    "--accept": "accept in [[sensor]] of",
+    "--accept": "accept = true in [[sensor]] of",
     "--clock": "clock in [sensor.convert]",
     "--columns": "columns in [sensor.convert]",
     "--crs": "crs in [map]",

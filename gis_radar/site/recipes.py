@@ -91,12 +91,12 @@ def mask_scans(
 
 def measure_site(
     sensors: Mapping[str, tuple[Sequence[Path], PoseTrack]], tile_file: Path, map_file: Path,
-    output: Path, *, reporter: Reporter, **options: Any,
+    output: Path, *, reporter: Reporter, accept: Sequence[str] = (), **options: Any,
 ) -> tuple[Dataset, dict[str, GisRadarError]]:  # fmt: skip
     """Measure the recordings of several sensors, by name; leave out those that are refused.
 
-    The dataset is returned, and by sensor why it was left out. Options are those of
-    :func:`measure_recordings`.
+    Those to `accept` that are left out are no longer named. The dataset is returned, and by sensor
+    why it was left out. Options are those of :func:`measure_recordings`.
     """
     from gis_radar.calibration import ImplausibleError
 
@@ -107,7 +107,7 @@ def measure_site(
         try:
             made = measure_recordings(
                 recordings, tracks, tile_file, map_file, output, only=True, reporter=reporter,
-                **options,
+                accept=[name for name in accept if name in left], **options,
             )  # fmt: skip
         except ImplausibleError as error:
             if len(error.findings) == len(left):

@@ -299,7 +299,7 @@ def _refused(outcomes: Sequence[Outcome]) -> dict[str, GisRadarError]:
     """Return the sensors whose recordings are not in the dataset, and why."""
     measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
     return {
-        name: (NoAnswerError if name in each["implausible"] else InputError)("{}", why)
+        name: (NoAnswerError if name in each.get("implausible", ()) else InputError)("{}", why)
         for each in measured
         for name, why in each.get("refused", {}).items()
     }

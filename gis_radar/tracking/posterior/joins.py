@@ -19,7 +19,7 @@ LEAST_GAIN = 1.0  # of the log-probability
 APART_STEPS = STEPS_PER_SECOND // 2  # between the end of one and the begin of the next, at most
 ASIDE_M, ALONG_M = 1.5, 2.5  # of two tracks of one vehicle where they meet: errors of places
 TURNED, FASTER_MPS = 0.5, 3.0  # and by how much headings, rad, and speeds differ there
-LONGER_M = 2.0  # half the difference of lengths; a car is no part of a lorry that it follows
+HALF_LONGER_M = 2.0  # difference of lengths, halved: a car is no part of a lorry that it follows
 BLEND_STEPS = STEPS_PER_SECOND  # over which the difference of places is made up
 
 
@@ -79,13 +79,13 @@ def _joined(posterior: Posterior, one: int, other: int) -> Motion | None:
     off = np.abs(by_end).min(axis=0)
     turned = np.abs(np.angle(np.exp(1j * (turn_b - turn_a))))
     meets = (off < ALONG_M) & (aside < ASIDE_M)
-    meets &= (turned < TURNED) & (np.abs(v_b - v_a) < FASTER_MPS) & (abs(half) < LONGER_M)
+    meets &= (turned < TURNED) & (np.abs(v_b - v_a) < FASTER_MPS) & (abs(half) < HALF_LONGER_M)
     one_place = (np.abs(along) < 0.5 * (a.length_m + b.length_m)) & (aside < 2.0 * ASIDE_M)
     if not meets.any() or not one_place.all():
         return None
     at = int(np.argmin(np.where(meets, off + aside, np.inf)))
     end = int(np.argmin(np.abs(by_end[:, at])))
-    ahead = (0.0, half, -half)[end]  # of the middle from that of its detections
+    ahead = (0.0, half, -half)[end]  # by which the second is moved to be as long
     if len(a.rows) < len(b.rows):
         a = with_size(a, b.length_m, -ahead)
     else:

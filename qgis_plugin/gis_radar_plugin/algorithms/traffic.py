@@ -131,7 +131,7 @@ class MeasureTraffic(WorkerAlgorithm):
             "Leaves out the vehicles: the maps then show the hit share, not occupancy.",
         ),
         Names(
-            "ACCEPT", "Sensors to accept in spite",
+            "ACCEPT", "Sensors to accept anyway",
             "Goes on although pose and recording of these sensors do not fit: their names, with a "
             "comma between them.",
         ),
