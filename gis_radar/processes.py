@@ -20,9 +20,12 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import FrameType
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from gis_radar.errors import GisRadarError
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
 
 WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 """The environment variable that starts the watchdog of a command; its only value is `stdin`."""
@@ -262,6 +265,13 @@ def stop_workers(workers: Iterable[BaseProcess], *, patience_s: float = STOP_PAT
                 os.killpg(worker.pid, signal.SIGKILL)  # no group: ended before it led one
         worker.kill()
         worker.join()
+
+
+def stop_pool(pool: ProcessPoolExecutor) -> None:
+    """Stop a pool with what its workers do, none of which is waited for."""
+    workers = list((pool._processes or {}).values())  # noqa: SLF001 - no other way
+    pool.shutdown(wait=False, cancel_futures=True)
+    stop_workers(workers)
 
 
 def workers_here() -> int:

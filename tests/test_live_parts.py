@@ -40,11 +40,11 @@ from gis_radar.live.broker import parts_of
 from gis_radar.live.buffer import ROW_BYTES, FullError
 from gis_radar.live.detections import FARTHEST, UNKNOWN_Z
 from gis_radar.live.health import ALARMS
+from gis_radar.live.map_of_now import Seen
 from gis_radar.live.payload import VersionError
 from gis_radar.live.server import read_token
 from gis_radar.live.settings import BufferTable
 from gis_radar.live.sources import Replay
-from gis_radar.live.windows import Seen
 from gis_radar.measures import NO_FURTHER
 from gis_radar.progress import Reporter
 from gis_radar.recordings import Detections

@@ -1,4 +1,5 @@
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -141,6 +142,14 @@ def test_a_quaternion_that_agrees_passes_in_either_sign():
     quaternion = pose_from_dict(RECORD, what="x").quaternion
     for sign in (1, -1):
         pose_from_dict(RECORD | {"quaternion": (sign * quaternion).tolist()}, what="x")
+
+
+def test_a_quaternion_may_be_a_hundredth_of_a_degree_off():
+    own = Rotation.from_quat(pose_from_dict(RECORD, what="x").quaternion)
+    for off_deg, refused in ((0.009, False), (0.011, True)):
+        turned = (own * Rotation.from_euler("z", off_deg, degrees=True)).as_quat().tolist()
+        with pytest.raises(InputError, match="differ by") if refused else nullcontext():
+            pose_from_dict(RECORD | {"quaternion": turned}, what="x")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", '"pose"', "{}"])

@@ -29,7 +29,7 @@ from gis_radar.dataset.tile_counts import update_counts
 from gis_radar.errors import GisRadarError, InputError
 from gis_radar.files import only_writer, output_errors, refuse_foreign, require_folder
 from gis_radar.measures.hour import HourWindow
-from gis_radar.processes import stop_workers, watch_parent
+from gis_radar.processes import stop_pool, watch_parent
 from gis_radar.progress import Reporter
 from gis_radar.texts import Text
 
@@ -249,8 +249,7 @@ def _made(
             for each in as_completed(running):
                 yield each.result()
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            stop_workers(list((pool._processes or {}).values()))  # noqa: SLF001 - no other way
+            stop_pool(pool)
             raise
 
 

@@ -6,7 +6,7 @@ from .edge import Edge
 from .fusion import Fusion
 from .health import SensorHealth, prometheus_text
 from .intake import Intake
-from .map_of_now import MapOfNow
+from .map_of_now import MapOfNow, Windows
 from .outbox import Outbox
 from .page import make_app
 from .payload import (
@@ -19,14 +19,13 @@ from .payload import (
     unpack_message,
 )
 from .quarters import Lately, TileOccupancy
-from .recent import RecentCounts
 from .recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
+from .server import RecentCounts
 from .settings import read_edge_file, read_live_site
 from .snapshot import Place, Snapshot
 from .sources import Radar, frames_of_recording
 from .spool import Spool, SpooledFrames, SpoolFile, spool_files
 from .web_server import WebServer
-from .windows import Windows
 
 __all__ = [
     "CUT_US",

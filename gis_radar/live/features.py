@@ -22,8 +22,8 @@ from starlette.routing import Route
 
 from gis_radar.errors import InputError
 from gis_radar.live.health import ALARMS
-from gis_radar.live.now import VehiclesNow, layer_of
 from gis_radar.live.snapshot import LiveMap, Snapshot, geometries
+from gis_radar.live.vehicles_now import VehiclesNow, layer_of
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND, iso_from_step, seconds_from_iso
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"

@@ -24,14 +24,13 @@ from gis_radar.live.hour_work import MeasuredSite, refuse_other_settings
 from gis_radar.live.intake import Intake, Mark, SensorState
 from gis_radar.live.jobs import HourJobs
 from gis_radar.live.lane_push import LanePush
-from gis_radar.live.map_of_now import MapOfNow, MapState
+from gis_radar.live.map_of_now import MapOfNow, MapState, Seen, Windows
 from gis_radar.live.payload import DETECTIONS, POSE, VERSION, Acknowledgement
 from gis_radar.live.quarters import Quarters
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
 from gis_radar.live.snapshot import place_of
 from gis_radar.live.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.vehicles_now import LiveVehicles
-from gis_radar.live.windows import Seen, Windows
 from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.measures.validity import validity_of
 from gis_radar.progress import QUIET, Reporter

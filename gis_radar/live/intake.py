@@ -17,6 +17,7 @@ from gis_radar.errors import InputError
 from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
 from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
+from gis_radar.live.map_of_now import Seen, Windows
 from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
     DETECTIONS,
@@ -36,7 +37,6 @@ from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.live.spool import FRAMES, HEAD, PASSED, Marks, Spool, SpooledFrames, SpoolFile
 from gis_radar.live.spool import POSE as POSE_RECORD
 from gis_radar.live.vehicles_now import LiveVehicles
-from gis_radar.live.windows import Seen, Windows
 from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.measures.placing import PoseNumbers
 from gis_radar.measures.pose_sights import PoseSight

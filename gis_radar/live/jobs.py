@@ -30,7 +30,7 @@ from gis_radar.live.hour_work import (
 from gis_radar.live.quarters import Quarters
 from gis_radar.live.recordings import end_of_hour_s
 from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.processes import stop_workers, watch_parent
+from gis_radar.processes import stop_pool, watch_parent
 from gis_radar.progress import QUIET, Reporter
 
 NICE = 15  # the map goes first
@@ -256,9 +256,7 @@ class HourJobs:
     def stop(self) -> None:
         """End the process."""
         if self._pool is not None:
-            workers = list((self._pool._processes or {}).values())  # noqa: SLF001 - no other way
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            stop_workers(workers)
+            stop_pool(self._pool)
         self._pool, self._running, self._next = None, None, None
 
     def figures(self) -> dict[str, float]:

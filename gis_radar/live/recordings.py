@@ -8,7 +8,6 @@ then. A frame is in it once, in the order of time, whenever and however often it
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -202,8 +201,6 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
             unfinished(path), compression="zstd", row_group_size=ROWS_OF_GROUP,
             use_dictionary=REPEATED, use_byte_stream_split=["x", "y"],
         )  # fmt: skip
-        with unfinished(path).open("rb") as file:
-            os.fsync(file.fileno())
     rename_whole(unfinished(path), path)
 
 

@@ -20,9 +20,9 @@ from gis_radar.crs import transformer
 from gis_radar.heatmap import style
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
 from gis_radar.lanelets import lanes, read_map
-from gis_radar.live.now import VehiclesNow
 from gis_radar.live.quarters import Lately
 from gis_radar.live.settings import LiveSite
+from gis_radar.live.vehicles_now import VehiclesNow
 from gis_radar.poses.pose import Pose
 from gis_radar.steps import zone_of
 from gis_radar.tiles.tiles import fingerprint
