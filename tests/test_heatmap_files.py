@@ -102,20 +102,36 @@ def test_wide_layer_reads_back_equal(heatmap, folder):
     )
 
 
+@pytest.fixture
+def relabelled(folder, tmp_path):
+    """Give a function that changes a note in a copy of the map, and gives the folder."""
+
+    def change(key, function):
+        shutil.copytree(folder, tmp_path / "map")
+        package = tmp_path / "map" / "heatmap.gpkg"
+        with closing(sqlite3.connect(package)) as database, database:
+            (text,) = database.execute("SELECT metadata FROM gpkg_metadata").fetchone()
+            root = ET.fromstring(text)  # noqa: S314 - our own file
+            note = root.find(f".//MDI[@key='{key}']")
+            note.text = function(note.text)
+            changed = ET.tostring(root, encoding="unicode")
+            database.execute("UPDATE gpkg_metadata SET metadata = ?", (changed,))
+        return tmp_path / "map"
+
+    return change
+
+
 @pytest.mark.parametrize(
     "labels", ["nonsense", "[1]", '{"x": 1}', '{"sources": 5}', '{"timezone": "Mars/Base"}']
 )
-def test_damaged_labels_are_refused_by_name(folder, tmp_path, labels):
-    shutil.copytree(folder, tmp_path / "map")
-    package = tmp_path / "map" / "heatmap.gpkg"
-    with closing(sqlite3.connect(package)) as database, database:
-        (text,) = database.execute("SELECT metadata FROM gpkg_metadata").fetchone()
-        root = ET.fromstring(text)  # noqa: S314 - our own file
-        root.find(".//MDI[@key='labels']").text = labels
-        changed = ET.tostring(root, encoding="unicode")
-        database.execute("UPDATE gpkg_metadata SET metadata = ?", (changed,))
+def test_damaged_labels_are_refused_by_name(relabelled, labels):
     with pytest.raises(InputError, match=r"heatmap\.gpkg: its labels cannot be read"):
-        read_heatmap(tmp_path / "map")
+        read_heatmap(relabelled("labels", lambda _: labels))
+
+
+def test_tiles_that_are_not_those_of_the_counts_are_refused(relabelled):
+    with pytest.raises(InputError, match=r"heatmap\.gpkg: its tiles were changed"):
+        read_heatmap(relabelled("fingerprint", lambda text: text[::-1]))
 
 
 def test_long_layer_reads_back_equal(heatmap, folder):

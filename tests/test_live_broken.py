@@ -159,7 +159,7 @@ def test_fusion_on_a_full_disk_acknowledges_nothing_and_goes_on_once_there_is_ro
         wait_for(lambda: said.told("the disk is full"))
         wait_for(lambda: edge.frames == 2000)
         time.sleep(1.0)
-        assert not edge._outbox.empty
+        assert not edge.outbox.empty
         disk.grow("40m")
         work.join()
         work.end()
@@ -179,7 +179,7 @@ def test_fusion_on_a_disk_without_an_inode_goes_on_and_measures_once_there_is_on
         said, settings = Lines(), LiveSettings(settle_s=1.0, again_s=1.0)
         fusion = Fusion(read_live_site(site.file), settings=settings, reporter=said)
         middle = Background(fusion.run)
-        wait_for(lambda: fusion._link is not None and fusion._link.connected)
+        wait_for(lambda: fusion.link is not None and fusion.link.connected)
         disk.fill()
         edge = Edge(read_edge_file(site.edge("R1")))
         work = Background(edge.run)
@@ -212,9 +212,9 @@ def test_a_sensor_on_a_full_disk_loses_what_is_new_and_says_so(tmp_path, once):
         said = Lines()
         edge = Edge(read_edge_file(path), reporter=said)
         work = Background(edge.run)  # no broker, so nothing is acknowledged
-        wait_for(lambda: edge.frames and edge._outbox.lost > 10)
+        wait_for(lambda: edge.frames and edge.outbox.lost > 10)
         assert said.told("the disk is full")
-        lost = edge._outbox.lost
+        lost = edge.outbox.lost
         disk.grow("40m")
         site.broker.start()
         middle = Background(Fusion(read_live_site(site.file)).run)
@@ -222,8 +222,8 @@ def test_a_sensor_on_a_full_disk_loses_what_is_new_and_says_so(tmp_path, once):
         work.end()
         middle.end()
         site.broker.kill()
-        assert len(frames_on_disk(site.folder, "R1")) == edge.frames - edge._outbox.lost
-        assert edge._outbox.lost < lost + 1000
+        assert len(frames_on_disk(site.folder, "R1")) == edge.frames - edge.outbox.lost
+        assert edge.outbox.lost < lost + 1000
     finally:
         disk.close()
 
@@ -310,7 +310,7 @@ def test_two_sensors_with_one_name_are_noticed_and_nothing_counts_twice(site):
     middle.end()
     assert_all_recorded(site.folder, ["R1"])
     assert_equal_to_batch(site, ["R1"])
-    assert [edge._outbox.empty for edge in edges] == [True, True]
+    assert [edge.outbox.empty for edge in edges] == [True, True]
 
 
 def restored_broker(site, copy):
@@ -340,13 +340,13 @@ def test_an_older_copy_of_a_disk_that_is_put_back_loses_nothing(tmp_path, once, 
     edge = HeldEdge(read_edge_file(file))
     edge.until = 600
     work = Background(edge.run)
-    wait_for(lambda: health.counts["frames"] == 600 and edge._outbox.empty)
+    wait_for(lambda: health.counts["frames"] == 600 and edge.outbox.empty)
     disk = tmp_path / "disk" / "mosquitto.db" if what == "broker" else tmp_path / "R1.buffer"
     wait_for(disk.exists)
     time.sleep(1.5)  # it is written each second
     shutil.copy(disk, tmp_path / "copy")
     edge.until = 1200
-    wait_for(lambda: health.counts["frames"] == 1200 and edge._outbox.empty)
+    wait_for(lambda: health.counts["frames"] == 1200 and edge.outbox.empty)
     if what == "broker":
         restored_broker(site, tmp_path / "copy")
     else:

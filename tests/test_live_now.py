@@ -145,7 +145,7 @@ def test_a_live_site_shows_vehicles_and_measures_the_hour(tmp_path, once):
     site.broker.start()
     fusion = Fusion(read_live_site(site.file))
     middle = Background(fusion.run)
-    wait_for(lambda: fusion._link is not None and fusion._link.connected)
+    wait_for(lambda: fusion.link is not None and fusion.link.connected)
     source = 'speed = 1.0\nloop = "100s"'
     work = [Background(Edge(read_edge_file(site.edge(name, source=source))).run) for name in NAMES]
     try:

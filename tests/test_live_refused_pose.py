@@ -75,7 +75,7 @@ def run(tmp_path, once, monkeypatch):
         road = f'"{SAMPLE / "scan.laz"}"'
         file = site.edge("R1", more=LANES, road=road, follow="true", **keys)
         edge = Edge(read_edge_file(file), reporter=said)
-        edge._outbox = Outbox()
+        edge.outbox = Outbox()
         for k in range(number):
             frame = frames[k % len(frames)]
             frame = replace(frame, time=np.full(len(frame), 1_750_000_000.0 + 0.05 * k))
@@ -99,9 +99,9 @@ def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run, monkeypatch)
     guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
     edge, said = run(2000 + 100 + 2000 + 500 + 50, pose=None, guess=guess)
     wrong, right = WRONG.easting, RIGHT.easting
-    assert edge._outbox.poses == [wrong, wrong, right]
-    assert edge._outbox.sent[1] == 0  # nothing is sent by a pose that is doubted
-    assert edge.not_sent == 4650 - sum(edge._outbox.sent) > 2400
+    assert edge.outbox.poses == [wrong, wrong, right]
+    assert edge.outbox.sent[1] == 0  # nothing is sent by a pose that is doubted
+    assert edge.not_sent == 4650 - sum(edge.outbox.sent) > 2400
     assert edge.not_followed == len(Script.made)
     assert Script.made == ((wrong, False), (right, False))
     assert sum("not confirmed: traffic lies elsewhere" in line for line in said) == 1
@@ -113,7 +113,7 @@ def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_co
 ):
     gr.write_pose(WRONG, tmp_path / "R1.pose.json")
     edge, said = run(2000, pose='"R1.pose.json"')
-    assert (len(edge._outbox.poses), edge._outbox.sent[1]) == (2, 0)
+    assert (len(edge.outbox.poses), edge.outbox.sent[1]) == (2, 0)
     assert len(Script.made) > 2
     assert [doubted for _, doubted in Script.made] == [False, *[True] * (len(Script.made) - 1)]
     assert sum("not confirmed" in line for line in said) == 1
@@ -132,8 +132,8 @@ def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_co
     monkeypatch.setattr(edge_module, "PoseFollower", Later)
     Script.made = ()
     edge, _ = run(700, pose='"R1.pose.json"')
-    assert len(edge._outbox.poses) == 3
-    assert [bool(count) for count in edge._outbox.sent] == [True, False, True]
+    assert len(edge.outbox.poses) == 3
+    assert [bool(count) for count in edge.outbox.sent] == [True, False, True]
     assert confirmed == [True]
 
 
@@ -144,7 +144,7 @@ def test_a_recording_that_ends_before_the_pose_is_known_is_used_as_far_as_it_goe
     guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
     edge, _ = run(700, pose=None, guess=guess)
     assert edge.frames == 0
-    edge._outbox.pump = lambda: None
+    edge.outbox.pump = lambda: None
     edge._end_of_source(edge_module.Event())
     assert edge.frames == 700
 

@@ -81,7 +81,7 @@ def test_a_radar_on_udp_is_stored_as_its_capture_is_counted(tmp_path, once, port
             # the system drops what an edge that gets no time has not taken
             wait_for(lambda number=number: edge.frames > number - 3 or work.error)
             time.sleep(0.01)
-    wait_for(lambda: edge.frames >= FRAMES and edge._outbox.empty)
+    wait_for(lambda: edge.frames >= FRAMES and edge.outbox.empty)
     work.end()
     middle.end()
     site.broker.kill()

@@ -117,7 +117,7 @@ class Edge:
                 file.address(), name=f"{file.site}-{file.sensor}", topics=(topics.of("ack"),),
                 will=(topics.of("status"), will), reporter=self._reporter,
             )  # fmt: skip
-            self._outbox = Outbox(
+            self.outbox = Outbox(
                 buffer, link, topics, figures=lambda: self._figures(buffer),
                 settings=self._settings, reporter=self._reporter,
             )  # fmt: skip
@@ -131,13 +131,13 @@ class Edge:
 
     def figures(self) -> dict[str, object]:
         """Return what it did, by name."""
-        return {"frames": self.frames, "not_sent": self.not_sent, "lost": self._outbox.lost}
+        return {"frames": self.frames, "not_sent": self.not_sent, "lost": self.outbox.lost}
 
     def _figures(self, buffer: DiskBuffer) -> dict[str, object]:
         return {
             "fingerprint": self._road.fingerprint,
             "frames": self.frames,
-            "lost": self._outbox.lost,
+            "lost": self.outbox.lost,
             "not_followed": self.not_followed,
             "waiting_bytes": buffer.bytes_used,
             "pose": "found" if self._pose else "searched",
@@ -159,11 +159,11 @@ class Edge:
                 self._look_at_clock(frame)
                 for ready in self._with_pose(frame):
                     self._select(ready)
-            self._outbox.pump()
+            self.outbox.pump()
         self._end_of_source(stop)
         self._flush()
-        while not (stop.is_set() or self._outbox.empty):
-            self._outbox.pump()
+        while not (stop.is_set() or self.outbox.empty):
+            self.outbox.pump()
             sleep(IDLE_S)
 
     def _end_of_source(self, stop: Event) -> None:
@@ -171,7 +171,7 @@ class Edge:
         if self._pose is None and self._gathered and not stop.is_set() and self._try_to_find():
             for ready in self._begin_with_gathered():
                 self._select(ready)
-                self._outbox.pump()
+                self.outbox.pump()
 
     def _look_at_clock(self, frame: Detections) -> None:
         """Reset the buffers after a backward clock jump."""
@@ -269,7 +269,7 @@ class Edge:
             return
         self._flush()
         content = PoseContent(pose=found.pose.as_dict(), fingerprint=self._road.fingerprint).pack()
-        if self._outbox.put_pose(content):  # else by the earlier pose, as that one is known
+        if self.outbox.put_pose(content):  # else by the earlier pose, as that one is known
             self._pose, self._pose_key = found.pose, key_of_pose(content)
             self._road_m = road_near(find_sight(found.pose, self._road), self._road)
             self._trusted = found.trusted
@@ -296,7 +296,7 @@ class Edge:
         waiting, self._waiting = self._waiting, []
         if waiting:
             for content in in_parts(waiting, partial(pack_detections, pose=self._pose_key)):
-                self._outbox.put(content)
+                self.outbox.put(content)
 
 
 def _is_same(one: Pose, other: Pose) -> bool:

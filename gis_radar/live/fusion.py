@@ -156,14 +156,14 @@ class Fusion:
             "unwritten_messages": float(self._spool.waiting),
             "map_step": float(self._map.step),
             "unknown_sensors": float(len(self.intake.unknown)),
-            "broker_connections": float(self._link.connections) if self._link else 0.0,
+            "broker_connections": float(self.link.connections) if self.link else 0.0,
             **self._jobs.figures(),
         }
         if self.vehicles is not None:
             figures |= self.vehicles.figures()
         return prometheus_text([each.health for each in self.sensors.values()], figures)
 
-    _link: Link | None = None
+    link: Link | None = None
     _rotate_at = 0.0
 
     def run(self, stop: Event) -> None:
@@ -185,7 +185,7 @@ class Fusion:
             topics=tuple(topics.of(kind) for kind in (POSE, "status", DETECTIONS)),
             will=(own, _state("offline")), reporter=self._reporter,
         )  # fmt: skip
-        self._link = link
+        self.link = link
         server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(Text("the page is at {}", self._page.open()))
@@ -330,14 +330,14 @@ class Fusion:
             self._rotate()
 
     def _acknowledge(self, sensor: SensorState) -> None:
-        if self._link is None or not self._link.connected:
+        if self.link is None or not self.link.connected:
             return
         sensor.due, mark = False, sensor.mark
         found = Acknowledgement(
             stream=sensor.stream, stored=mark.stored, check=mark.stored_check,
             session=self._session, resend=sensor.resend, refused=sensor.refused,
         )  # fmt: skip
-        self._link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
+        self.link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
         sensor.told = mark.stored
 
     def _finish(self) -> None:
