@@ -115,7 +115,7 @@ class JsonConsole(Console):
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
         message = one_line(self.said(error.message), LETTERS_OF_AN_ERROR)
-        hint = self.said(error.hint)
+        hint = one_line(self.said(error.hint))
         self._write(event="error", code=error.exit_code, message=message, hint=hint)
 
     @staticmethod
@@ -212,7 +212,7 @@ class TerminalConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
-        hint = f" ({self.said(error.hint)})" if error.hint else ""
+        hint = f" ({one_line(self.said(error.hint))})" if error.hint else ""
         text = f"gis-radar: {one_line(self.said(error.message), LETTERS_OF_AN_ERROR)}{hint}"
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 

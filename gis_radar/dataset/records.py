@@ -161,7 +161,11 @@ def _read(path: Path) -> HourRecord | None:
             )
         record = HourRecord(
             hour=int(datetime.fromisoformat(document["hour"]).timestamp()) // 3600,
-            origin=Origin(**{name: document[name] for name in Origin.__annotations__}),
+            origin=Origin(
+                fingerprint=str(document["fingerprint"]),
+                method=int(document["method"]),
+                inputs=str(document["inputs"]),
+            ),
             parts={name: PartDigest(**part) for name, part in document["parts"].items()},
             dropped=tuple(document["dropped"]),
         )

@@ -54,12 +54,13 @@ def made(folder):
 def test_threads_and_order_change_no_byte(sample, tmp_path, words):
     found = []
     for threads, order in ((1, ("R1", "R2")), (2, ("R2", "R1"))):
-        folder = shutil.copytree(sample, tmp_path / f"{threads}")
+        folder = shutil.copytree(sample, tmp_path / "case")  # whose name is in recordings.parquet
         names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
         environment = os.environ | dict.fromkeys(names, str(threads)) | {"PYTHONPATH": str(ROOT)}
         line = [sys.executable, "-m", "gis_radar", *words.format(*order).split()]
         subprocess.run(line, cwd=folder, env=environment, check=True, capture_output=True)
         found.append(made(folder))
+        shutil.rmtree(folder)
     one, other = found
     assert one
     assert sorted(one) == sorted(other)
