@@ -256,3 +256,11 @@ def test_a_line_of_the_log_is_one_line(console, capsys, caplog):
     assert len(written.strip().splitlines()) == 1
     assert "\x1b" not in written
     assert len(written) < 3_000
+
+
+@pytest.mark.parametrize("console", [JsonConsole, TerminalConsole])
+def test_what_to_do_about_an_error_is_one_line(console, capsys):
+    console().error(InputError("not known", hint="it has a\nerror: forged \x1b[2J \u2028b"))
+    written = "".join(capsys.readouterr())
+    assert len(written.strip().splitlines()) == 1
+    assert not any(each in written for each in ("\x1b", "\\n", "\\u001b"))  # as it is, as JSON

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gis_radar.live import RecentCounts, server
+from gis_radar.live import RecentCounts, recent
 
 FIRST = 20 * 1_700_000_100
 LANE_OF_TILE, LANES = np.array([0, 0, 1, 2]), [7, 9, 30]
@@ -17,9 +17,9 @@ LANE_OF_TILE, LANES = np.array([0, 0, 1, 2]), [7, 9, 30]
 @pytest.fixture(autouse=True)
 def short_minutes(monkeypatch):
     """Let a minute have 4 steps and an interval 3 minutes, so that many pass."""
-    monkeypatch.setattr(server, "MINUTE", 4)
-    monkeypatch.setattr(server, "MINUTES", 3)
-    monkeypatch.setattr(server, "INTERVAL", 12)
+    monkeypatch.setattr(recent, "MINUTE", 4)
+    monkeypatch.setattr(recent, "MINUTES", 3)
+    monkeypatch.setattr(recent, "INTERVAL", 12)
 
 
 GAPS = st.lists(st.sampled_from([1, 1, 1, 1, 2, 5, 11, 13, 40]), min_size=1, max_size=60)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import pyarrow.parquet as pq
 
@@ -161,11 +161,7 @@ def _read(path: Path) -> HourRecord | None:
             )
         record = HourRecord(
             hour=int(datetime.fromisoformat(document["hour"]).timestamp()) // 3600,
-            origin=Origin(
-                fingerprint=str(document["fingerprint"]),
-                method=int(document["method"]),
-                inputs=str(document["inputs"]),
-            ),
+            origin=_origin(document),
             parts={name: PartDigest(**part) for name, part in document["parts"].items()},
             dropped=tuple(document["dropped"]),
         )
@@ -176,6 +172,15 @@ def _read(path: Path) -> HourRecord | None:
             "{}: is the record of {}", path, hour_text(record.hour), hint=MEASURE_AGAIN
         )
     return record
+
+
+def _origin(document: dict[str, Any]) -> Origin:
+    """Return what an hour was made from; what is not of its type was never written by us."""
+    found = Origin(**{name: document[name] for name in Origin.__annotations__})
+    for name, value in asdict(found).items():
+        if not isinstance(value, int if name == "method" else str):
+            raise TypeError(name)
+    return found
 
 
 def write_record(folder: Path, record: HourRecord) -> None:

@@ -19,8 +19,8 @@ from .payload import (
     unpack_message,
 )
 from .quarters import Lately, TileOccupancy
+from .recent import RecentCounts
 from .recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
-from .server import RecentCounts
 from .settings import read_edge_file, read_live_site
 from .snapshot import Place, Snapshot
 from .sources import Radar, frames_of_recording

@@ -88,9 +88,8 @@ class Windows:
         last = (now_us - self._lateness_us) // STEP_US - 1
         if self._closed is None:
             self._closed = min(self._open, default=last + 1) - 1
-        if (
-            last < self._closed - BACK_STEPS
-        ):  # else no step would be closed until it is as late again
+        if last < self._closed - BACK_STEPS:
+            # else no step would be closed until it is as late again
             self._closed = last - 1
             self._open = {step: seen for step, seen in self._open.items() if step >= last}
         if last - self._closed > most:

@@ -42,6 +42,18 @@ HELD_S = 180.0  # one that stood when the filter lost it is shown for so long
 GONE_MPS = 0.7  # who was faster when it was lost has left
 SAME_M = 2.5  # what is nearer to where one stood is the same
 RCS_KEPT, JUDGED = 40, 400  # cross sections of a vehicle, and vehicles by which walkers are told
+NOW_S, REORDER_S = 0.5, 0.3  # how often they are told; how long frames wait for other sensors
+OLD_S = 5.0  # vehicles of now that are older are none
+MOST_WAITING = 20_000  # messages, while the process is busy: 10 s of a hundred sensors
+AGAIN_S = 30.0  # after which a process that ended is started anew
+SAMPLE_FRAMES = 100  # 5 s: with so many, vehicles are found
+
+Placed = tuple[int, Pose, float]
+"""Number of a sensor, its pose, and the height of the road near it (m; NaN where not known)."""
+PoseName = tuple[str, bytes]
+"""Name of a sensor, and the key of its pose."""
+Message = tuple[str, bytes]
+"""Name of a sensor, and the content of what it sent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,20 +244,6 @@ def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
         },
         geometry=shapely.points(now.place.reshape(-1, 2)), crs=crs,
     )  # fmt: skip
-
-
-NOW_S, REORDER_S = 0.5, 0.3  # how often they are told; how long frames wait for other sensors
-OLD_S = 5.0  # vehicles of now that are older are none
-MOST_WAITING = 20_000  # messages, while the process is busy: 10 s of a hundred sensors
-AGAIN_S = 30.0  # after which a process that ended is started anew
-SAMPLE_FRAMES = 100  # 5 s: with so many, vehicles are found
-
-Placed = tuple[int, Pose, float]
-"""Number of a sensor, its pose, and the height of the road near it (m; NaN where not known)."""
-PoseName = tuple[str, bytes]
-"""Name of a sensor, and the key of its pose."""
-Message = tuple[str, bytes]
-"""Name of a sensor, and the content of what it sent."""
 
 
 class _Turn(NamedTuple):

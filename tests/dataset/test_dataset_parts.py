@@ -1,5 +1,6 @@
 """Parts and hours: whole or not there, equal bytes, and refused when they are not what they say."""
 
+import json
 import os
 import shutil
 from dataclasses import replace
@@ -316,6 +317,18 @@ def test_records_that_are_none_are_refused(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as refused:
         read_hours(tmp_path)
     assert refused.value.message.startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("fingerprint", []), ("inputs", []), ("inputs", 7), ("method", []), ("method", "3")],
+)
+def test_a_record_whose_origin_is_of_other_types_is_damaged(tmp_path, name, value):
+    write_hour(tmp_path)
+    path = record_path(tmp_path, HOUR)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    with pytest.raises(InputError, match=f"damaged.*{name}"):
+        read_hours(tmp_path)
 
 
 def test_the_record_of_another_hour_is_refused(tmp_path):
