@@ -6,7 +6,6 @@ stored it, so that a broker may be killed, or lose its disk.
 
 from __future__ import annotations
 
-import socket
 import ssl
 import sys
 import time
@@ -183,7 +182,6 @@ class Link:
         client.reconnect_delay_set(1, SLOWEST_RETRY_S)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_connect_fail = self._on_connect_fail
-        client.on_socket_open = _send_at_once
         client.on_message, client.on_publish = self._on_message, self._on_publish
         self._properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         self._properties.MaximumPacketSize = MOST_BYTES + 1024
@@ -300,11 +298,6 @@ def _why_no_link(error: BaseException | None, address: BrokerAddress) -> str:
         reason = error.reason or str(error)
         return Text("the broker at {} does not speak TLS as expected: {}", address, reason)
     return Text("no broker answers at {}", address)
-
-
-def _send_at_once(_c: Any, _u: Any, link: Any) -> None:
-    """Let no frame wait until the one before it is acknowledged: up to 40 ms."""
-    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 def _code(reason: Any) -> int:

@@ -77,8 +77,6 @@ max_inflight_messages {in_flight}
 max_queued_messages {queued}
 max_queued_bytes {queued_bytes}
 max_keepalive 60
-# Else a frame may wait for the receiver's acknowledgement of the one before it, 40 ms.
-set_tcp_nodelay true
 connection_messages true
 log_dest stderr
 """
