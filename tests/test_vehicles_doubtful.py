@@ -9,7 +9,7 @@ from test_vehicles_evidence import detections_at, driven, road_of, setting_off
 
 from gis_radar.tracking import track_management
 from gis_radar.tracking.batches import pose_warnings
-from gis_radar.tracking.bodies import is_person, without_faint_ends
+from gis_radar.tracking.bodies import are_persons, is_person, without_faint_ends
 from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.management_settings import StationarySettings
 from gis_radar.tracking.motion import fit_motion
@@ -46,6 +46,25 @@ def test_where_no_vehicle_drives_walkers_are_none(ghosts):
 def test_persons_are_weaker_than_who_drives_fast():
     detections, motions = followed([-6.0, -1.0, 0.0], [1.4, 12.0, 10.0])
     assert is_person(detections, motions, VehicleSettings()) == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("rcs", "fast", "spread", "person"),
+    [
+        (-5.0, 5.0, 0.6, True),  # a cyclist
+        (-5.0, 5.0, 1.5, False),  # as long as a car that creeps
+        (0.0, 5.0, 0.6, False),  # a car of which one end is seen
+        (-5.0, 12.0, 0.6, False),  # a motorcycle
+        (-5.0, 0.1, 0.6, False),  # a part of what stands
+        (-10.0, 5.0, np.nan, True),
+    ],
+)
+def test_a_cyclist_is_weak_and_small_and_slow(rcs, fast, spread, person):
+    found = are_persons(
+        np.array([rcs, 0.0]), np.array([fast, 14.0]), np.array([spread, 1.4]), 0.0,
+        VehicleSettings().bodies,
+    )  # fmt: skip
+    assert found.tolist() == [person, False]
 
 
 def seen_by(sensor, shift, ways, rng, on=1.0):

@@ -184,7 +184,8 @@ class NowFilter:
         numbers = [*self._known]
         rcs = np.array([usual_rcs(np.array(each.rcs)) for each in self._known.values()])
         fast = np.array([each.fast for each in self._known.values()])
-        person = are_persons(rcs, fast, self._still, self.tracker.bodies)
+        unknown = np.full(len(rcs), np.nan)
+        person = are_persons(rcs, fast, unknown, self._still, self.tracker.bodies)
         return {numbers[k] for k in np.flatnonzero(person).tolist()}
 
     def _show(self) -> None:

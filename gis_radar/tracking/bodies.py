@@ -7,6 +7,7 @@ of it: they keep their places in the frame that moves along with it, as no other
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +18,9 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.settings import BodySettings, MotionSettings, VehicleSettings
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
+
+LEAST_SPREAD_M = 0.1  # two detections of one scatterer
+STANDING_MPS = 0.5  # what is never faster may be a part of any vehicle at rest
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
@@ -255,9 +259,9 @@ def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Intege
 
 
 def is_person(
-    detections: MapDetections, motions: list[Motion], every: VehicleSettings
+    detections: MapDetections, motions: Sequence[Motion], every: VehicleSettings
 ) -> list[bool]:
-    """Return for each motion whether it is a walker or a cyclist: slow and weaker, or far weaker.
+    """Return for each motion whether it is a walker or a cyclist: slow, weak and small.
 
     The cross section of vehicles is that of fast ones in the same recordings, since radars
     state cross sections on scales of their own. Still detections are about as strong: a track far
@@ -265,28 +269,43 @@ def is_person(
     """
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
-    found = are_persons(rcs, fast, still_rcs(detections, every), every.bodies)
+    spread = np.array([np.hypot(np.std(each.along_m), np.std(each.left_m)) for each in motions])
+    found = are_persons(rcs, fast, spread, still_rcs(detections, every), every.bodies)
     return list(found.tolist())
 
 
-def are_persons(rcs: Floats, fast: Floats, still: float, settings: BodySettings) -> Booleans:
-    """Return which are persons by their median cross sections, dBm2, and how fast they are, m/s.
+def are_persons(
+    rcs: Floats, fast: Floats, spread_m: Floats, still: float, settings: BodySettings
+) -> Booleans:
+    """Return which are persons: what their size and cross section tell, and their speed allows.
 
     Parameters
     ----------
-    rcs, fast : (n,) arrays
-        Of each.
+    rcs, fast, spread_m : (n,) arrays
+        Of each the median cross section, dBm2, how fast it is, m/s, and how far its detections lie
+        apart on it: the standard deviation, metres, NaN where that is not known.
     still : float
         Median cross section of still detections, dBm2.
     settings : BodySettings
-        What is weak and slow.
+        What is usual of both.
     """
     faint = rcs < still - settings.faint_db
     usual = _driven_rcs(rcs, fast, faint, settings)
-    person = (rcs < usual - settings.person_db) & (fast < settings.cyclist_mps)
-    person |= (rcs < usual - settings.walker_db) & (fast < settings.walker_mps)
-    person |= rcs < usual - settings.faint_db
-    return np.asarray(faint if np.isnan(usual) else person)
+    if np.isnan(usual):
+        return np.asarray(faint)
+    person, vehicle = settings.person, settings.vehicle
+    size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
+    odds = _log_normal(rcs - usual, person[:2]) - _log_normal(rcs - usual, vehicle[:2])
+    told = _log_normal(size, person[2:]) - _log_normal(size, vehicle[2:])
+    odds += np.where(np.isnan(told), 0.0, told)
+    slow = (fast < settings.cyclist_mps) & (fast > STANDING_MPS)
+    return np.asarray(slow & (odds > 0.0) | (rcs < usual - settings.faint_db))
+
+
+def _log_normal(value: Floats, usual: Sequence[float]) -> Floats:
+    """Return the logarithm of a normal density by its mean and standard deviation, but for pi."""
+    mean, sigma = usual
+    return np.asarray(-0.5 * ((value - mean) / sigma) ** 2 - np.log(sigma))
 
 
 def still_rcs(detections: MapDetections, every: VehicleSettings) -> float:

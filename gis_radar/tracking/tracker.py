@@ -40,7 +40,9 @@ def vehicles_in(
         return []
     found = _found(detections, graph, settings)
     give_back_memory()  # what they are found by takes twice the memory of the detections
-    return improve(found, detections, graph, settings.motion)
+    improved = improve(found, detections, graph, settings.motion)
+    persons = is_person(detections, improved, settings)
+    return [each for each, person in zip(improved, persons, strict=True) if not person]
 
 
 def _found(detections: MapDetections, graph: LaneGraph, settings: VehicleSettings) -> list[Motion]:
