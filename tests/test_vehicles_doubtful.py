@@ -55,7 +55,6 @@ def test_persons_are_weaker_than_who_drives_fast():
         (-5.0, 5.0, 1.5, False),  # as long as a car that creeps
         (0.0, 5.0, 0.6, False),  # a car of which one end is seen
         (-5.0, 12.0, 0.6, False),  # a motorcycle
-        (-5.0, 0.1, 0.6, False),  # a part of what stands
         (-10.0, 5.0, np.nan, True),
     ],
 )
@@ -65,6 +64,13 @@ def test_a_cyclist_is_weak_and_small_and_slow(rcs, fast, spread, person):
         VehicleSettings().bodies,
     )  # fmt: skip
     assert found.tolist() == [person, False]
+
+
+def test_who_mostly_stands_is_no_cyclist():
+    detections, motions = followed([-6.0, 0.0], [5.0, 12.0])
+    stopped = replace(motions[0], speed=np.where(np.arange(20) < 12, 0.0, 5.0))
+    both = [motions[0], stopped, motions[1]]
+    assert is_person(detections, both, VehicleSettings()) == [True, False, False]
 
 
 def seen_by(sensor, shift, ways, rng, on=1.0):

@@ -20,7 +20,7 @@ from gis_radar.tracking.settings import BodySettings, MotionSettings, VehicleSet
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
-STANDING_MPS = 0.5  # what is never faster may be a part of any vehicle at rest
+STEADY = 0.5  # of the speed that is exceeded a tenth of the time: people hold it half of the time
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
@@ -261,23 +261,25 @@ def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Intege
 def is_person(
     detections: MapDetections, motions: Sequence[Motion], every: VehicleSettings
 ) -> list[bool]:
-    """Return for each motion whether it is a walker or a cyclist: slow, weak and small.
+    """Return for each motion whether it is a walker or a cyclist: weak, small, slow and steady.
 
     The cross section of vehicles is that of fast ones in the same recordings, since radars
     state cross sections on scales of their own. Still detections are about as strong: a track far
-    weaker than that is none of them, and where nobody else drives fast is a person.
+    weaker than that is none of them, and where nobody else drives fast is a person. People keep
+    their pace; of who mostly stands, its returns tell less than those of what is around it.
     """
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
     spread = np.array([np.hypot(np.std(each.along_m), np.std(each.left_m)) for each in motions])
     found = are_persons(rcs, fast, spread, still_rcs(detections, every), every.bodies)
-    return list(found.tolist())
+    steady = [np.median(each.speed) > STEADY * v for each, v in zip(motions, fast, strict=True)]
+    return list((found & np.array(steady, np.bool_)).tolist())
 
 
 def are_persons(
     rcs: Floats, fast: Floats, spread_m: Floats, still: float, settings: BodySettings
 ) -> Booleans:
-    """Return which are persons: what their size and cross section tell, and their speed allows.
+    """Return which may be persons by their size, their cross section, and how fast they are.
 
     Parameters
     ----------
@@ -296,9 +298,9 @@ def are_persons(
     person, vehicle = settings.person, settings.vehicle
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
     odds = _log_normal(rcs - usual, person[:2]) - _log_normal(rcs - usual, vehicle[:2])
-    told = _log_normal(size, person[2:]) - _log_normal(size, vehicle[2:])
-    odds += np.where(np.isnan(told), 0.0, told)
-    slow = (fast < settings.cyclist_mps) & (fast > STANDING_MPS)
+    by_size = _log_normal(size, person[2:]) - _log_normal(size, vehicle[2:])
+    odds += np.where(np.isnan(by_size), 0.0, by_size)
+    slow = fast < settings.cyclist_mps
     return np.asarray(slow & (odds > 0.0) | (rcs < usual - settings.faint_db))
 
 
