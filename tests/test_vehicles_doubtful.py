@@ -49,19 +49,21 @@ def test_persons_are_weaker_than_who_drives_fast():
 
 
 @pytest.mark.parametrize(
-    ("rcs", "fast", "spread", "person"),
+    ("rcs", "fast", "spread", "steady", "person"),
     [
-        (-5.0, 5.0, 0.6, True),  # a cyclist
-        (-5.0, 5.0, 1.5, False),  # as long as a car that creeps
-        (0.0, 5.0, 0.6, False),  # a car of which one end is seen
-        (-5.0, 12.0, 0.6, False),  # a motorcycle
-        (-10.0, 5.0, np.nan, True),
+        (-5.0, 5.0, 0.6, True, True),  # a cyclist
+        (-5.0, 5.0, 1.5, True, False),  # as long as a car that creeps
+        (0.0, 5.0, 0.6, True, False),  # a car of which one end is seen
+        (-5.0, 12.0, 0.6, True, False),  # a motorcycle
+        (-10.0, 5.0, np.nan, True, True),
+        (-13.0, 0.3, 0.7, False, True),  # a walker who waits
+        (-11.0, 0.3, 3.9, False, False),  # a lorry far away that stands
     ],
 )
-def test_a_cyclist_is_weak_and_small_and_slow(rcs, fast, spread, person):
+def test_a_cyclist_is_weak_and_small_and_slow(rcs, fast, spread, steady, person):
     found = are_persons(
-        np.array([rcs, 0.0]), np.array([fast, 14.0]), np.array([spread, 1.4]), 0.0,
-        VehicleSettings().bodies,
+        np.array([rcs, 0.0]), np.array([fast, 14.0]), np.array([spread, 1.4]),
+        np.array([steady, False]), 0.0, VehicleSettings().bodies,
     )  # fmt: skip
     assert found.tolist() == [person, False]
 

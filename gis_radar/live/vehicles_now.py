@@ -184,8 +184,10 @@ class NowFilter:
         numbers = [*self._known]
         rcs = np.array([usual_rcs(np.array(each.rcs)) for each in self._known.values()])
         fast = np.array([each.fast for each in self._known.values()])
-        unknown = np.full(len(rcs), np.nan)
-        person = are_persons(rcs, fast, unknown, self._still, self.tracker.bodies)
+        person = are_persons(
+            rcs, fast, np.full(len(rcs), np.nan), np.ones(len(rcs), np.bool_), self._still,
+            self.tracker.bodies,
+        )  # fmt: skip
         return {numbers[k] for k in np.flatnonzero(person).tolist()}
 
     def _show(self) -> None:

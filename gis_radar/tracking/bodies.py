@@ -271,21 +271,24 @@ def is_person(
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
     spread = np.array([np.hypot(np.std(each.along_m), np.std(each.left_m)) for each in motions])
-    found = are_persons(rcs, fast, spread, still_rcs(detections, every), every.bodies)
     steady = [np.median(each.speed) > STEADY * v for each, v in zip(motions, fast, strict=True)]
-    return list((found & np.array(steady, np.bool_)).tolist())
+    still, told = still_rcs(detections, every), np.array(steady, np.bool_)
+    return list(are_persons(rcs, fast, spread, told, still, every.bodies).tolist())
 
 
 def are_persons(
-    rcs: Floats, fast: Floats, spread_m: Floats, still: float, settings: BodySettings
-) -> Booleans:
-    """Return which may be persons by their size, their cross section, and how fast they are.
+    rcs: Floats, fast: Floats, spread_m: Floats, steady: Booleans, still: float,
+    settings: BodySettings,
+) -> Booleans:  # fmt: skip
+    """Return which are persons by their size, their cross section, and how they move.
 
     Parameters
     ----------
     rcs, fast, spread_m : (n,) arrays
         Of each the median cross section, dBm2, how fast it is, m/s, and how far its detections lie
         apart on it: the standard deviation, metres, NaN where that is not known.
+    steady : (n,) bool array
+        Whether it keeps its pace.
     still : float
         Median cross section of still detections, dBm2.
     settings : BodySettings
@@ -300,8 +303,8 @@ def are_persons(
     odds = _log_normal(rcs - usual, person[:2]) - _log_normal(rcs - usual, vehicle[:2])
     by_size = _log_normal(size, person[2:]) - _log_normal(size, vehicle[2:])
     odds += np.where(np.isnan(by_size), 0.0, by_size)
-    slow = fast < settings.cyclist_mps
-    return np.asarray(slow & (odds > 0.0) | (rcs < usual - settings.faint_db))
+    may_be = steady & (fast < settings.cyclist_mps) | (rcs < usual - settings.faint_db)
+    return np.asarray(may_be & (odds > 0.0))
 
 
 def _log_normal(value: Floats, usual: Sequence[float]) -> Floats:

@@ -188,7 +188,7 @@ class BodySettings:
     person, vehicle : (float, float, float, float)
         Mean and standard deviation of the cross section, dB over that of vehicles, and of the
         logarithm of the spread of detections, metres: cyclists and walkers return 7 to 12 dB less;
-        a cyclist of 1.8 x 0.6 m spreads by 0.55 m, a car by 1.4 m, and bearings add 0.4 m.
+        a cyclist of 1.8 x 0.6 m spreads by 0.55 m, a car by 1.4 m, bearings and smoothing add 0.5 m.
     faint_db : float
         Detections weaker by this belong to no vehicle at any speed: persons next to a passing one.
     faint_share, faint_odds : float, float
@@ -217,7 +217,7 @@ class BodySettings:
     least_rows: int = 5
     driven_mps: float = 8.0
     cyclist_mps: float = 7.5
-    person: tuple[float, float, float, float] = (-7.0, 3.0, -0.4, 0.35)
+    person: tuple[float, float, float, float] = (-7.0, 3.0, -0.3, 0.45)
     vehicle: tuple[float, float, float, float] = (0.0, 4.0, 0.4, 0.5)
     faint_db: float = 9.0
     faint_share: float = 0.2
