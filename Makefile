@@ -23,7 +23,7 @@ BENCHES := bench-assignment bench-tiles bench-dataset bench-mask \
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo docs test test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo docs test rules test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -84,6 +84,11 @@ test-newest: set-up-dev ## Test with the newest versions of all packages
 
 test-qgis: set-up ## Test the plugin in a real QGIS, which is installed on Debian 12
 	@sh tools/test_qgis.sh
+
+# The build of the documentation, what it shows to run, and the report in two languages take minutes.
+rules: lint ## Check the rules of CONTRIBUTING.md in half a minute; `make test` has the rest of them
+	$(ONE_THREAD) $(BIN)/pytest -q $(patsubst %,tests/test_%.py,layers names languages project plugin formats_known docs) \
+		-k "not (site_builds or tutorial_runs or docstrings_run or german_report or reports or paper or every_language)"
 
 lint: set-up-dev ## Check style and layout
 	$(BIN)/ruff check

@@ -45,7 +45,7 @@ from .projection import project, write_projection
 from .qgis import write_qgis_project, write_site_project
 from .quality import Quality, measure_quality
 from .recordings import Conversion, convert
-from .recordings.recording import open_recording
+from .recordings.formats import open_recording
 from .report import Report, write_report
 from .sample import sample_folder
 from .scans.mask import RoadMask, mask_road

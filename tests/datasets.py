@@ -22,6 +22,7 @@ from gis_radar.dataset import (
 )
 from gis_radar.dataset.measure import measure
 from gis_radar.dataset.tables import HIT_TABLES, HOUR_TABLES, POSES, RECORDINGS, SIGHTS
+from gis_radar.sight import VIEW_ONLY
 from gis_radar.tiles import fingerprint
 
 HOUR = 472_222  # 2023-11-14, 22 h
@@ -52,15 +53,19 @@ def write_dataset(
     """Write a dataset from rows of any hours by table, and open it.
 
     Rows are put into their hours by their first step; runs must not cross an hour. `hours` are
-    written even where they have no rows. `continued` are pairs of numbers by hour.
+    written even where they have no rows. `continued` are pairs of numbers by hour. `lanes` without
+    `lanelets` are the lanelets of their numbers.
     """
     tiles = square_tiles(20) if tiles is None else tiles
     tables = tables or {}
     manifest = Manifest(
         map="0" * 64, fingerprint=fingerprint(tiles), crs="EPSG:25832",
         origin=(int(EAST), int(NORTH)), timezone=timezone,
-        settings={"vehicles": {} if vehicles else None} | (settings or {}),
+        settings={"vehicles": {} if vehicles else None, "sight": VIEW_ONLY, "filters": {}}
+        | (settings or {}),
     )  # fmt: skip
+    if lanes is not None and "lanelets" not in lanes:
+        lanes = lanes.assign(lanelets=[[number] for number in lanes["lane"]])
     create_dataset(folder, manifest, tiles, lanes=lanes, stop_lines=stop_lines)
     if recordings is not None:
         write_whole(RECORDINGS, folder, recordings, manifest.fingerprint)

@@ -207,12 +207,19 @@ def test_a_disk_that_is_full(tmp_path):
 
 
 def test_start_up_does_not_load_the_bags_library():
-    code = (
-        "import sys, gis_radar.recordings.conversion as c; c.known_formats(); print(*sys.modules)"
-    )
+    code = "import sys, gis_radar.recordings.formats as f; f.known_formats(); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "gis_radar.recordings.readers.bags" in done.stdout.split()
     assert "rosbags" not in done.stdout.split()
+
+
+def test_a_recording_as_we_write_it_opens_without_the_readers_of_others():
+    code = (
+        "import sys, gis_radar as gr; gr.open_recording(gr.sample_folder() / 'R1.parquet'); "
+        "print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "gis_radar.recordings.readers." not in done.stdout
 
 
 def test_the_commands_are_there_before_numpy():

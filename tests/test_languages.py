@@ -45,6 +45,13 @@ def test_each_text_has_its_german_and_no_german_is_left_of_old_ones():
     assert tool.unused(set(german)) == []
 
 
+def test_a_text_that_a_constant_carries_to_a_user_is_asked():
+    carried = {text for _, text in tool.carried()}
+    assert "each lane in each interval" in carried  # through a list, a call and a loop
+    assert carried <= set(tool.asked())
+    assert "Cannot allocate memory" not in carried  # of a library
+
+
 def test_no_text_is_finished_where_a_user_is_told_it():
     finished = [f"{where}: {text}" for where, text in tool.told() if text[:2] in {"f'", 'f"'}]
     assert [each for each in finished if re.search("[A-Za-z]{2} ", each.partition(": ")[2])] == []

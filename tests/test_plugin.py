@@ -22,6 +22,7 @@ from plugin_words import (
     texts,
 )
 
+from gis_radar.cli import group
 from gis_radar.languages import catalogue
 
 ROOT = Path(__file__).parents[1]
@@ -287,6 +288,18 @@ def is_short(node):
         and re.match(r"(Qgs|Qgis$|Q[A-Z]|Qt$)", node.value.id) is not None
         and node.attr[0].isupper()
     )
+
+
+def test_every_command_has_its_algorithm_or_says_why_not():
+    """What an algorithm offers of its command's options is compared in a real QGIS."""
+    text = (FOLDER.parent / "tests" / "test_options.py").read_text(encoding="utf-8")
+    tables = {
+        ast.unparse(each.targets[0]): each.value
+        for each in ast.parse(text).body
+        if isinstance(each, ast.Assign)
+    }
+    named = [ast.literal_eval(tables[name]) for name in ("COMMANDS", "NO_ALGORITHM")]
+    assert sorted(group.commands) == sorted([*named[0], *named[1]])
 
 
 def test_enums_are_scoped_as_qt_6_wants_them():

@@ -31,9 +31,14 @@ msgstr ""
 "Content-Transfer-Encoding: 8bit\\n"
 
 """
-PLACES = {"tr": (0,), "Text": (0,), "log": (0,), "warn": (0,), "remark": (0,), "plural": (1, 2)}
+PLACES = {
+    "tr": (0,), "Text": (0,), "log": (0,), "warn": (0,), "remark": (0,), "progress": (0,),
+    "plural": (1, 2),
+}  # fmt: skip
 KEYWORDS = {"hint", "message", "expected"}
 _HOLE, _WORDS = re.compile(r"\{[^}]*\}"), re.compile("[A-Za-z]{2}")
+_WORDS_OF_SEVERAL = re.compile(r"[\w{].* .*[a-z]{2}.*\S")
+NO_TEXTS = {"DEFINITIONS", "KEYS", "_NO_MEMORY_TEXTS", "_OURS"}  # of files, keys, libraries
 SERVERS = PACKAGE / "live"  # whose log is English
 OTHERS = ("*.html", "*.jinja", "*.qgs", "*.qpt", "*.qml")
 
@@ -92,9 +97,50 @@ def told() -> Iterator[tuple[str, str]]:
             yield from ((where, text) for each in given for text in _texts(each))
 
 
+def _names(*nodes: ast.AST) -> set[str]:
+    return {_name(each) for node in nodes for each in ast.walk(node)} - {""}
+
+
+def _flows(nodes: list[ast.AST]) -> Iterator[tuple[set[str], ast.AST]]:
+    """Yield what names are given: by assignments, loops and calls of the module's functions."""
+    functions = {each.name: each.args for each in nodes if isinstance(each, ast.FunctionDef)}
+    for node in nodes:
+        if isinstance(node, ast.For | ast.comprehension):
+            yield _names(node.target), node.iter
+        elif isinstance(node, ast.Assign):
+            yield _names(*node.targets), node.value
+        elif isinstance(node, ast.NamedExpr | ast.AnnAssign) and node.value:
+            yield _names(node.target), node.value
+        elif isinstance(node, ast.Call) and (takes := functions.get(_name(node.func))):
+            names = [each.arg for each in takes.args if each.arg not in {"self", "cls"}]
+            rest = {takes.vararg.arg} if takes.vararg else set()
+            for place, value in enumerate(node.args):
+                yield set(names[place : place + 1]) or rest, value
+            yield from (({each.arg}, each.value) for each in node.keywords if each.arg)
+
+
+def carried() -> Iterator[tuple[str, str]]:
+    """Yield texts of several words that names carry to where a user is told them, and files."""
+    for path, nodes in trees(PACKAGE).items():
+        names: set[str] = set()
+        for node in nodes:
+            if isinstance(node, ast.Call) and SERVERS not in path.parents:
+                for place in PLACES.get(_name(node.func), ()):
+                    names |= _names(*node.args[place : place + 1])
+        flows = [(to, _names(value), value) for to, value in _flows(nodes) if not to & NO_TEXTS]
+        while more := {name for to, given, _ in flows if to & names for name in given} - names:
+            names |= more
+        for part in (part for to, _, value in flows if to & names for part in ast.walk(value)):
+            if isinstance(part, ast.Constant):
+                texts = filter(_WORDS_OF_SEVERAL.fullmatch, _texts(part))
+                yield from ((str(path.relative_to(ROOT)), text) for text in texts)
+
+
+@cache
 def asked() -> dict[str, str]:
     """Return the texts with words of their own that the source asks a translation of."""
-    found = {text: where for where, text in told() if _WORDS.search(_HOLE.sub("", text))}
+    texts = (*carried(), *told())
+    found = {text: where for where, text in texts if _WORDS.search(_HOLE.sub("", text))}
     for place in (path for kind in ("*.html", "*.jinja") for path in PACKAGE.rglob(kind)):
         for text in re.findall(r'\btr\("([^"]+)"', place.read_text(encoding="utf-8")):
             found[text] = str(place.relative_to(ROOT))

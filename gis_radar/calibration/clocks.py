@@ -36,7 +36,8 @@ from gis_radar.notebooks import card
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.recordings.formats import as_recording
+from gis_radar.recordings.recording import Recording
 from gis_radar.steps import seconds_from_iso
 from gis_radar.texts import Text
 

@@ -37,7 +37,7 @@ from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, SILENT, Reporter
-from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.formats import open_recording
 from gis_radar.scans.scan import read_road, road_crs
 from gis_radar.sight import Sight, SightScan, SightTiles, find_sight
 from gis_radar.texts import Text

@@ -40,7 +40,8 @@ from gis_radar.lanelets import LaneletMap
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Detections, Recording, as_recording
+from gis_radar.recordings.formats import as_recording
+from gis_radar.recordings.recording import Detections, Recording
 from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso, step_of
 from gis_radar.texts import Text
 

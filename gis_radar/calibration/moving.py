@@ -13,7 +13,7 @@ from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings, T
 from gis_radar.calibration.traces import Moving
 from gis_radar.errors import InputError
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.formats import open_recording
 from gis_radar.recordings.window import RollingWindow
 
 STAGE = "reading traces"

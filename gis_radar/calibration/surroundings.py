@@ -18,7 +18,8 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.grid import CELL_M, Grid
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import RangeCounts, Recording, as_recording
+from gis_radar.recordings.formats import as_recording
+from gis_radar.recordings.recording import RangeCounts, Recording
 from gis_radar.recordings.window import RollingWindow
 from gis_radar.scans.columns import Columns, ground_under, nearest_known, read_columns
 from gis_radar.scans.scan import box_with_margin, open_scan

@@ -53,7 +53,8 @@ from gis_radar.measures.validity import validity_of
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.recordings.formats import as_recording
+from gis_radar.recordings.recording import Recording
 from gis_radar.sight import SightSource, SightTiles, describe_sight, open_sight
 from gis_radar.steps import zone_of
 from gis_radar.texts import Text

@@ -27,7 +27,8 @@ from gis_radar.errors import InputError
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import pose_from_dict
-from gis_radar.recordings.recording import Recording, has_height, open_recording
+from gis_radar.recordings.formats import open_recording
+from gis_radar.recordings.recording import Recording, has_height
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.texts import Text
 

@@ -20,7 +20,7 @@ from gis_radar.dataset.registry import (
 from gis_radar.errors import InputError
 from gis_radar.lanelets.graph import lane_graph
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import FORMATS
+from gis_radar.recordings.formats import is_recording
 from gis_radar.texts import Text
 from gis_radar.tracking.map_check import map_of_tiles
 
@@ -106,7 +106,7 @@ def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET
         registry = Registry.read(folder, dataset.manifest.fingerprint)
         lost = {each.digest: each for each in registry.entries if not _is_there(each)}
         found: dict[str, Path] = {}
-        paths = sorted(p for p in Path(search).rglob("*") if p.suffix.lower() in FORMATS)
+        paths = sorted(p for p in Path(search).rglob("*") if is_recording(p))
         for done, path in enumerate(paths if lost else []):
             digest = digest_of(path)
             if digest in lost:

@@ -31,7 +31,7 @@ from gis_radar.measures.hour import MARGIN_STEPS
 from gis_radar.poses.files import PoseTrack, read_track, write_pose, write_track
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.formats import open_recording
 from gis_radar.steps import STEP_US, step_begin
 from gis_radar.texts import Text
 

@@ -19,10 +19,10 @@ import numpy as np
 from gis_radar.errors import NoAnswerError
 from gis_radar.measures.frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.conversion import format_of
+from gis_radar.recordings.formats import format_of, open_recording
 from gis_radar.recordings.frame_clock import AGREEING_S
 from gis_radar.recordings.frames import Frame, ReaderContext
-from gis_radar.recordings.recording import Detections, open_recording
+from gis_radar.recordings.recording import Detections
 
 IDLE_S = 0.02  # between two looks while no frame is there
 SET_BACK_S = 0.5  # a frame that is earlier by less came out of order

@@ -27,7 +27,8 @@ from gis_radar.measures.settings import DEFAULTS, HitSettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.recordings.formats import as_recording
+from gis_radar.recordings.recording import Recording
 from gis_radar.sight import (
     HIDDEN,
     IN_SIGHT,

@@ -27,7 +27,8 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.projection.on_lanes import LANE_COLUMNS, OnLanes
-from gis_radar.recordings.recording import Detections, Recording, as_recording
+from gis_radar.recordings.formats import as_recording
+from gis_radar.recordings.recording import Detections, Recording
 from gis_radar.steps import gps_seconds
 from gis_radar.texts import Text
 

@@ -1,6 +1,7 @@
 from .conversion import Conversion, SensorRecording, convert
+from .formats import as_recording, is_recording, open_recording
 from .frames import DamagedError, Frame
-from .recording import Detections, RangeCounts, Recording, as_recording, open_recording
+from .recording import Detections, RangeCounts, Recording
 from .units import compare_speeds
 
 __all__ = [
@@ -14,5 +15,6 @@ __all__ = [
     "as_recording",
     "compare_speeds",
     "convert",
+    "is_recording",
     "open_recording",
 ]

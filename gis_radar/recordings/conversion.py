@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import re
 import struct
 from collections import Counter, OrderedDict
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 from gis_radar.errors import InputError, OutputError, UsageError, first_line, placed
 from gis_radar.files import atomic_writes, refuse_inputs
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings import readers
+from gis_radar.recordings.formats import format_of
 from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
 from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
@@ -335,30 +333,6 @@ def convert(
         places.update(zip(tracks.parts, result.outputs, strict=True))
     _tell(result, reporter)
     return result
-
-
-def format_of(source: str) -> Format:
-    """Return the format of an input.
-
-    Raises
-    ------
-    InputError
-        If it does not exist or is of no known format.
-    """
-    for form in known_formats():
-        if form.accepts(source):
-            return form
-    if "://" not in source and not Path(source).exists():
-        raise InputError("{}: no such file or folder", source)
-    takes = "; ".join(f"{form.name}: {form.takes}" for form in known_formats())
-    raise InputError("{}: of no known radar format", source, hint=takes)
-
-
-@cache
-def known_formats() -> tuple[Format, ...]:
-    """Return the formats, one of each module in `readers`."""
-    found = sorted(info.name for info in pkgutil.iter_modules(readers.__path__))
-    return tuple(importlib.import_module(f"{readers.__name__}.{name}").FORMAT for name in found)
 
 
 def _refuse_options(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from gis_radar.errors import InputError
 from gis_radar.progress import QUIET, Level, Reporter
-from gis_radar.recordings.recording import FARTHEST_M
+from gis_radar.recordings.recording import FARTHEST_M, Recording
 from gis_radar.texts import Text
 
 Column = NDArray[Any]
@@ -154,6 +155,14 @@ class Format:
     frames : callable
         Reads an input. Frames come in order of arrival. Raises NothingHereError where there is
         none, with what there is instead in the message.
+    endings : tuple of str
+        Of its files, in small letters; folders and addresses have none.
+    rank : int
+        When it is asked, the least first: 0 where the content, an address or fixed names tell, 1
+        where an ending or any folder of such files does, 2 for tables of any columns.
+    opens : callable, optional
+        Opens a file as a recording, which every command then takes as it is; without it only
+        `convert` does.
     live : bool
         Whether it never ends by itself.
     """
@@ -162,6 +171,9 @@ class Format:
     takes: str
     accepts: Callable[[str], bool]
     frames: Callable[[str, ReaderContext], Generator[Frame]]
+    endings: tuple[str, ...] = ()
+    rank: int = 0
+    opens: Callable[[Path], Recording] | None = None
     live: bool = False
 
 

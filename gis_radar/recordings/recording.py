@@ -224,48 +224,9 @@ def has_height(rows: Detections) -> bool:
     return bool(np.isfinite(rows.points[rows.present, 2][0]))
 
 
-def open_recording(path: str | Path) -> Recording:
-    """Open a recording of any known format.
-
-    Parameters
-    ----------
-    path : str or Path
-        A Parquet file, or CSV with the same header.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is of no known format, lacks columns, or has one twice.
-
-    Examples
-    --------
-    >>> import gis_radar as gr
-    >>> recording = gr.open_recording(gr.sample_folder() / "R1.parquet")
-    >>> detections = next(recording.read())
-    >>> recording.rows, detections.points.shape
-    (167617, (65536, 3))
-    """
-    path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(
-            "{}: not a known recording format ({})",
-            path,
-            path.suffix or Text("no ending"),
-            hint=Text(
-                "known endings: {}; gis-radar convert takes other formats", ", ".join(FORMATS)
-            ),
-        )
-    if not path.is_file():
-        raise InputError("{}: no such file", path)
-    try:
-        return FORMATS[path.suffix.lower()](path)
-    except UNREADABLE as error:
-        raise InputError("{}: cannot be read: {}", path, first_line(error)) from error
-
-
-def as_recording(source: str | Path | Recording) -> Recording:
-    """Return a recording, opened if `source` is its path."""
-    return source if isinstance(source, Recording) else open_recording(source)
+def open_table(path: Path) -> Recording:
+    """Open a table in the form of a recording: Parquet, or CSV with the same header."""
+    return (_open_csv if path.suffix.lower() == ".csv" else _open_parquet)(path)
 
 
 def _open_parquet(path: Path) -> Recording:
@@ -296,7 +257,6 @@ def _open_csv(path: Path) -> Recording:
 UNREADABLE = (pa.ArrowException, OSError, ValueError)
 NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
 VIEWS = {pa.string_view(): pa.string(), pa.binary_view(): pa.binary()}
-FORMATS: dict[str, Callable[[Path], Recording]] = {".parquet": _open_parquet, ".csv": _open_csv}
 
 
 def _require_columns(names: list[str], path: Path) -> None:

@@ -26,8 +26,9 @@ from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.lanelets import LaneletMap, lanes, read_map
 from gis_radar.poses.files import read_track
 from gis_radar.progress import QUIET, SILENT, Level, Reporter
+from gis_radar.recordings.formats import open_recording
 from gis_radar.recordings.overlaps import overlap_warnings
-from gis_radar.recordings.recording import RangeCounts, Recording, open_recording
+from gis_radar.recordings.recording import RangeCounts, Recording
 from gis_radar.scans.scan import open_scan, road_crs
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site

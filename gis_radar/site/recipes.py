@@ -238,7 +238,7 @@ def _moving_hits(
     """Return what moves on the tiles, of each place where the sensor stood for long enough."""
     from gis_radar.measures.frames import rows_of, whole_frames
     from gis_radar.measures.pose_sights import places_of, road_near, standing_for
-    from gis_radar.recordings.recording import open_recording
+    from gis_radar.recordings.formats import open_recording
     from gis_radar.sight import MovementCounter, MovingHits
     from gis_radar.sight.settings import DEFAULTS
     from gis_radar.tiles import TileGrid

@@ -5,11 +5,13 @@ The models say it once: types check the values, their fields give template and r
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from gis_radar import recordings
 from gis_radar.site.live_table import LiveTable
 from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
 from gis_radar.site.values import (
@@ -36,8 +38,6 @@ from gis_radar.site.values import (
     within,
 )  # fmt: skip
 from gis_radar.texts import Text
-
-READ_AS_THEY_ARE = (".parquet", ".csv")
 
 _HINT = Text("begin with: gis-radar run --template > SITE.toml")
 
@@ -196,16 +196,13 @@ class Sensor(TomlTable):
     view: ViewTable | None = None
     """What it sees, where its pose does not state it; without it 120 by 30 deg, 1 to 300 m."""
     convert: ConvertTable | None = None
-    """How recordings are converted; with it, Parquet and CSV files are, too."""
+    """How recordings are converted; with it, those that need no conversion are, too."""
 
-    @property
+    @cached_property
     def foreign(self) -> tuple[Path, ...]:
         """The recordings that must be converted."""
-        return tuple(
-            path
-            for path in self.recordings
-            if self.convert is not None or path.suffix.lower() not in READ_AS_THEY_ARE
-        )
+        is_recording = recordings.is_recording
+        return tuple(each for each in self.recordings if self.convert or not is_recording(each))
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

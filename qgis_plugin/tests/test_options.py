@@ -9,6 +9,7 @@ from conftest import ROOT, SAMPLE, WORKER
 from helpers import algorithm
 
 # Which algorithm is which command's, and the names of parameters that differ from their options'.
+# tests/test_plugin.py reads here that no command is forgotten.
 COMMANDS = {
     "tiles": ("splitlanelets", {"map_path": "MAP"}),
     "mask": ("maskroad", {"scans": "SCANS"}),
@@ -62,10 +63,6 @@ def options():
     done = subprocess.run([WORKER, "-c", _ASK], capture_output=True, text=True, check=True,
                           cwd=ROOT, env=around)  # fmt: skip
     return json.loads(done.stdout)
-
-
-def test_every_command_has_its_algorithm(options):
-    assert sorted(options) == sorted(COMMANDS | NO_ALGORITHM)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -357,4 +357,6 @@ FORMAT = Format(
     takes=".bag (ROS 1), a folder with metadata.yaml, .db3 or .mcap (ROS 2)",
     accepts=_accepts,
     frames=_frames,
+    endings=STORAGE,
+    rank=1,
 )

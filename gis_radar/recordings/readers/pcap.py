@@ -471,4 +471,5 @@ FORMAT = Format(
     takes=".pcap, .pcapng (also .gz)",
     accepts=lambda source: Path(source).is_file() and is_capture(Path(source)),
     frames=_frames,
+    endings=(".pcap", ".pcapng", ".gz"),
 )

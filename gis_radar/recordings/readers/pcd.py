@@ -264,4 +264,6 @@ FORMAT = Format(
     takes="a folder of .pcd files with the time in their names, or one",
     accepts=lambda source: any(path.is_file() for path in _files(Path(source))),
     frames=_frames,
+    endings=(".pcd",),
+    rank=1,
 )

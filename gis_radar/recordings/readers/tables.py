@@ -19,10 +19,11 @@ from gis_radar.recordings.columns import NAMES, Layout, find_layout
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.parquet_table import parquet_batches
+from gis_radar.recordings.recording import open_table
 from gis_radar.texts import Text
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-ENDINGS = (".csv", ".parquet")
+ENDINGS = (".parquet", ".csv")
 SENSOR = "table"  # several tables are one sensor's, hour by hour
 
 
@@ -184,4 +185,7 @@ FORMAT = Format(
     takes=".csv or .parquet with columns of any name (--columns)",
     accepts=_accepts,
     frames=_frames,
+    endings=ENDINGS,
+    rank=2,
+    opens=open_table,
 )
