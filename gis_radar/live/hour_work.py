@@ -105,7 +105,7 @@ class MeasuredSite:
             cycles={name: self.cycles[name] for name in self.cycles
                     if any(track.sensor == name for _, track in recordings)},
             hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
-            accept=None, processes=processes, reporter=reporter,
+            check=False, processes=processes, reporter=reporter,
         )  # fmt: skip
 
 
