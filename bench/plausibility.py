@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
@@ -33,7 +34,8 @@ import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.calibration import Finding, LaneMap
 from gis_radar.calibration.excerpt import read_excerpt
-from gis_radar.calibration.plausibility import FITS, UNKNOWN, UNKNOWN_CAUSE, judge
+from gis_radar.calibration.findings import FITS, UNKNOWN
+from gis_radar.calibration.plausibility import BESIDE_LANES, UNKNOWN_CAUSE, judge
 from gis_radar.poses.files import as_track
 
 sys.path.insert(0, str(ROOT / "bench" / "localization"))
@@ -140,9 +142,12 @@ def elsewhere(place: Place, sensor: str, other: Place, there: str) -> LaneMap:
     for name in ("centre", "geometry"):
         deep = lanelets[name].has_z.any()
         shift = by if deep else by[:2]
-        lanelets[name] = shapely.transform(
-            lanelets[name].to_numpy(), lambda xyz, s=shift: xyz + s, include_z=bool(deep)
-        )
+        lanelets[name] = gpd.GeoSeries(
+            shapely.transform(
+                lanelets[name].to_numpy(), lambda xyz, s=shift: xyz + s, include_z=bool(deep)
+            ),
+            index=lanelets.index, crs=lanelets.crs,
+        )  # fmt: skip
     return LaneMap(lanelets=lanelets, road=other.lanes.road + by)
 
 
@@ -232,7 +237,7 @@ def outcome(case: Case, found: Finding) -> str:
         return "silent" if case.name not in RIGHT else ""
     if any(part in found.cause for part in case.says):
         return "right cause"
-    return "unknown" if found.cause.endswith(UNKNOWN_CAUSE) else "wrong cause"
+    return "unknown" if found.cause.endswith((UNKNOWN_CAUSE, BESIDE_LANES)) else "wrong cause"
 
 
 def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, float]:
