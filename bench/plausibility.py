@@ -5,6 +5,9 @@ the bench of localization get two dozen errors, one at a time. An error passes *
 a *wrong cause*, by the *right cause*, as *unknown*, or there is *too little* traffic to tell. Right
 poses, as they are and 0.3 m off, must not be refused.
 
+In light traffic (`--light`) a third of the vehicles is there: of the known sites the others are
+left out whole, with what is within their true outline; random places have a third of the demand.
+
 Example: ``python bench/plausibility.py --random 2000 textbook:2002 --lines``
 """
 
@@ -19,16 +22,20 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
+import shapely
 from figures import ROOT, table
+from scipy.spatial import cKDTree
 from simulated import sites, true_pose
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.calibration import Finding, LaneMap
 from gis_radar.calibration.excerpt import read_excerpt
-from gis_radar.calibration.plausibility import FITS, UNKNOWN, UNKNOWN_CAUSE, judge
+from gis_radar.calibration.findings import FITS, UNKNOWN
+from gis_radar.calibration.plausibility import BESIDE_LANES, UNKNOWN_CAUSE, judge
 from gis_radar.poses.files import as_track
 
 sys.path.insert(0, str(ROOT / "bench" / "localization"))
@@ -37,6 +44,10 @@ OUTCOMES = ("silent", "wrong cause", "right cause", "unknown", "too little")
 RIGHT = ("right", "0.3 m off")
 # Where an error cannot be told: a pitch that small is within what a pose may be off.
 LEAST_PITCH_DEG = 0.75
+# Light traffic: what of the vehicles stays; how far beyond an outline its detections are, metres;
+# the longest half of a vehicle; and how many vehicles may be so near to a detection.
+LIGHT, AROUND_M, HALF_M, NEAREST = 1.0 / 3.0, 1.0, 10.0, 6
+STEP_S, START_S = 0.05, 1.7e9  # of the true places; of those of the towns
 Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
@@ -54,12 +65,15 @@ class Case:
         What is given.
     says : tuple of str
         Beginnings or parts of causes that are right.
+    lanes : LaneMap, optional
+        In place of the site's.
     """
 
     name: str
     rows: pd.DataFrame
     pose: gr.Pose
     says: tuple[str, ...] = ()
+    lanes: LaneMap | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +96,59 @@ def read_place(folder: Path, name: str) -> Place:
         rows={each: pd.read_parquet(folder / f"{each}.parquet") for each in names},
         poses={each: true_pose(folder, each) for each in names},
     )  # fmt: skip
+
+
+def lightened(place: Place, folder: Path) -> Place:
+    """Return a site with a third of its vehicles: nothing is seen of the others."""
+    true = pd.read_parquet(folder / "vehicles.parquet")
+    true = true.rename(columns={"length": "L", "width": "W"})
+    ids = np.unique(true["id"])
+    kept = ids[np.random.default_rng(0).random(len(ids)) < LIGHT]
+    offset_s = START_S if true["t"].iloc[0] < START_S else 0.0
+    step = np.rint((true["t"].to_numpy() + offset_s) / STEP_S)
+    centre = true[["easting", "northing"]].to_numpy()
+    origin = centre[0]
+    apart_m = 1000.0 * (step - step[0])  # in another step is far away
+    tree = cKDTree(np.column_stack([centre - origin, apart_m]))
+    stays = np.append(true["id"].isin(kept).to_numpy(), True)
+    sizes = true[["L", "W", "heading"]].to_numpy()
+
+    def seen(rows: pd.DataFrame, pose: gr.Pose) -> pd.DataFrame:
+        points = pose.to_map(np.nan_to_num(rows[["x", "y", "z"]].to_numpy(np.float64)))[:, :2]
+        at_m = 1000.0 * (np.rint(rows["time"].to_numpy() / STEP_S) - step[0])
+        near = tree.query(
+            np.column_stack([points - origin, at_m]), NEAREST, distance_upper_bound=HALF_M
+        )[1]
+        nearest, least_m = np.full(len(rows), len(true)), np.full(len(rows), AROUND_M)
+        for number in near.T:
+            there = number < len(true)
+            one = np.where(there, number, 0)
+            turn = np.radians(sizes[one, 2])
+            gap = points - centre[one]
+            ahead = np.abs(gap[:, 0] * np.cos(turn) + gap[:, 1] * np.sin(turn))
+            aside = np.abs(gap[:, 1] * np.cos(turn) - gap[:, 0] * np.sin(turn))
+            beyond = np.maximum(ahead - sizes[one, 0] / 2.0, aside - sizes[one, 1] / 2.0)
+            closer = there & (beyond < least_m)
+            nearest[closer], least_m[closer] = number[closer], beyond[closer]
+        return rows[stays[nearest]]
+
+    return replace(place, rows={n: seen(r, place.poses[n]) for n, r in place.rows.items()})
+
+
+def elsewhere(place: Place, sensor: str, other: Place, there: str) -> LaneMap:
+    """Return the lanes around another place's sensor, moved to where one stands."""
+    by = place.poses[sensor].position - other.poses[there].position
+    lanelets = other.lanes.lanelets.copy()
+    for name in ("centre", "geometry"):
+        deep = lanelets[name].has_z.any()
+        shift = by if deep else by[:2]
+        lanelets[name] = gpd.GeoSeries(
+            shapely.transform(
+                lanelets[name].to_numpy(), lambda xyz, s=shift: xyz + s, include_z=bool(deep)
+            ),
+            index=lanelets.index, crs=lanelets.crs,
+        )  # fmt: skip
+    return LaneMap(lanelets=lanelets, road=other.lanes.road + by)
 
 
 def times(factor: float, *columns: str) -> Change:
@@ -111,7 +178,9 @@ def moved(pose: gr.Pose, **by: float) -> gr.Pose:
     return replace(pose, **{name: getattr(pose, name) + step for name, step in by.items()})
 
 
-def cases(place: Place, sensor: str, foreign: pd.DataFrame) -> Iterator[Case]:
+def cases(
+    place: Place, sensor: str, foreign: pd.DataFrame, other_map: LaneMap | None
+) -> Iterator[Case]:
     """Yield a sensor as it is, and with each error; `foreign` is another sensor's recording."""
     rows, pose = place.rows[sensor], place.poses[sensor]
     alone = len(place.poses) == 1
@@ -156,6 +225,8 @@ def cases(place: Place, sensor: str, foreign: pd.DataFrame) -> Iterator[Case]:
     since_half = ("from", "until")
     yield case("another's from half", *since_half, by=lambda r: half(r, foreign))
     yield case("frozen", "the recording is frozen", by=frozen)
+    if other_map is not None:
+        yield replace(case("another's map"), lanes=other_map)
 
 
 def outcome(case: Case, found: Finding) -> str:
@@ -166,7 +237,7 @@ def outcome(case: Case, found: Finding) -> str:
         return "silent" if case.name not in RIGHT else ""
     if any(part in found.cause for part in case.says):
         return "right cause"
-    return "unknown" if found.cause.endswith(UNKNOWN_CAUSE) else "wrong cause"
+    return "unknown" if found.cause.endswith((UNKNOWN_CAUSE, BESIDE_LANES)) else "wrong cause"
 
 
 def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, float]:
@@ -177,17 +248,17 @@ def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, float]:
         case.rows.to_parquet(path, index=False)
         begin = time.process_time()
         excerpt = read_excerpt([gr.open_recording(path)], [as_track(case.pose)])
-        found = judge(sensor, excerpt, place.lanes, others)
+        found = judge(sensor, excerpt, case.lanes or place.lanes, others)
     return found, time.process_time() - begin
 
 
-def _folders(numbers: list[str], *, known: bool) -> list[tuple[str, Path]]:
+def _folders(numbers: list[str], *, known: bool, light: bool) -> list[tuple[str, Path]]:
     from random_places import random_place  # noqa: PLC0415 - needs the simulator
 
     folders = [(each.name, each) for each in sites("town01", "town02", "town04")] if known else []
     for number in numbers:
         conditions, _, seed = number.rpartition(":")
-        conditions = conditions or "drivers as recorded"
+        conditions = conditions or ("light" if light else "drivers as recorded")
         folders.append((f"{conditions} {seed}", random_place((int(seed), conditions))))
     return folders
 
@@ -197,12 +268,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--random", nargs="*", default=[], help="NUMBER or CONDITIONS:NUMBER")
     parser.add_argument("--no-known", action="store_true", help="leave out sample and towns")
+    parser.add_argument("--light", action="store_true", help="with a third of the traffic")
     parser.add_argument("--only", nargs="*", help="names of errors")
     parser.add_argument("--lines", action="store_true", help="print what is said of each")
     given = parser.parse_args()
-    places = [
-        read_place(path, name) for name, path in _folders(given.random, known=not given.no_known)
-    ]
+    folders = _folders(given.random, known=not given.no_known, light=given.light)
+    places = [read_place(path, name) for name, path in folders]
+    if given.light:
+        places = [
+            lightened(place, path) if (path / "vehicles.parquet").exists() else place
+            for place, (_, path) in zip(places, folders, strict=True)
+        ]
     everyone = [(place, sensor) for place in places for sensor in place.poses]
     counts, refused, doubted, right = dict[str, Counter[str]](), 0, 0, 0
     seconds: list[float] = []
@@ -211,7 +287,11 @@ def main() -> None:
         if there is place:
             names = sorted(place.poses)
             other = names[(names.index(sensor) + 1) % len(names)]
-        for case in cases(place, sensor, there.rows[other]):
+        far, far_sensor = next(
+            (each for each in everyone[number:] + everyone if each[0] is not place), everyone[0]
+        )
+        other_map = None if far is place else elsewhere(place, sensor, far, far_sensor)
+        for case in cases(place, sensor, there.rows[other], other_map):
             if given.only and case.name not in given.only:
                 continue
             found, took_s = judged(place, sensor, case)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, ClassVar
 
@@ -21,6 +21,8 @@ class GisRadarError(Exception):
         For the holes of the template.
     hint : str, optional
         One line: what to do about it.
+    parts : sequence of GisRadarError
+        Where it is about several things: the same in a line each, with a hint of its own.
 
     Examples
     --------
@@ -30,13 +32,16 @@ class GisRadarError(Exception):
 
     exit_code: ClassVar[int] = 3
 
-    def __init__(self, template: str, /, *values: Any, hint: str = "") -> None:
+    def __init__(
+        self, template: str, /, *values: Any, hint: str = "", parts: Sequence[GisRadarError] = ()
+    ) -> None:
         message = Text(template, *values)
         if len(message.splitlines()) > 1:
             flat = map(_one_line, message.values)
             message = Text(message.template, *flat) if message.values else Text(_one_line(message))
         super().__init__(message)
         self.message = message
+        self.parts = tuple(parts)
         self._hint = ""
         self.hint = hint
 

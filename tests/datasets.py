@@ -199,5 +199,5 @@ def recordings_of(sensors):
 def measured(recordings, poses, tiles, folder, **options):
     """Measure hits alone, or with a map vehicles too; roads and traffic need not fit."""
     map_path = options.pop("map_path", None)
-    options = {"accept": None, "hits_only": map_path is None} | options
+    options = {"check": False, "hits_only": map_path is None} | options
     return measure(recordings, poses, tiles, map_path, folder, **options)

@@ -52,7 +52,7 @@ def write_results(folder: Path, *, names=("R1", "R2"), interval="20s", steps=STE
         )
         poses.append(seen)
     dataset = measure(
-        paths, poses, report_tiles(), None, folder / "dataset", hits_only=True, accept=None
+        paths, poses, report_tiles(), None, folder / "dataset", hits_only=True, check=False
     )
     make_heatmap(dataset, interval=interval).write(folder / "heatmap")
     return folder

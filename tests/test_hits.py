@@ -21,7 +21,7 @@ FIRST_STEP = int(START * 20)
 def hits_of(recordings, poses, tiles, folder, **options):
     """Measure hits alone, which need no map."""
     return gr.measure(
-        recordings, poses, tiles, None, folder, hits_only=True, accept=None, **options
+        recordings, poses, tiles, None, folder, hits_only=True, check=False, **options
     )
 
 

@@ -1,5 +1,6 @@
 """Hours and quarters that fusion has measured beside the map: equal to the batch, made once."""
 
+import json
 import multiprocessing
 from concurrent.futures import Future
 from dataclasses import replace
@@ -53,7 +54,7 @@ def batch_of(made, folder, **given):
     tracks = [gr.read_track(pose_beside(path)) for path in paths]
     gr.measure(
         paths, tracks, gr.read_tiles(made.site.tiles), SAMPLE / "junction.osm", folder,
-        accept=None, **given,
+        check=False, **given,
     )  # fmt: skip
     found = folder.glob("*/date=*/*.parquet")
     return {str(path.relative_to(folder)): path.read_bytes() for path in found}
@@ -78,6 +79,19 @@ def test_an_hour_is_made_once_with_what_follows_it_and_equals_the_batch(tmp_path
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps  # not made again
     assert len(gr.open_dataset(made.site.dataset).continued()) > 0
     assert made.parts() == batch_of(made, tmp_path / "batch")
+
+
+def test_a_pose_that_does_not_fit_is_named_each_hour(tmp_path):
+    made = SpooledSite(tmp_path)
+    spooled = recorded_at(made, FULL_US - 45_000_000)
+    assert make_hours(made.site, spooled, [HOUR]).doubts == {"R1": None, "R2": None}
+    (pose,) = (made.folder / "recordings" / "R1").glob("*.json")
+    table = json.loads(pose.read_text())
+    table.pop("quaternion", None)
+    pose.write_text(json.dumps(table | {"yaw": table["yaw"] - 180.0}))
+    doubts = make_hours(made.site, [], [HOUR]).doubts
+    assert doubts["R1"].startswith("R1: does not fit: yaw is off by 180 deg (")
+    assert doubts["R2"] is None
 
 
 def test_frames_that_come_late_make_their_hour_again(tmp_path):

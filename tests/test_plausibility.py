@@ -11,7 +11,7 @@ from maps import Listener
 import gis_radar as gr
 from gis_radar.calibration import ImplausibleError
 from gis_radar.errors import UsageError
-from gis_radar.poses import write_pose
+from gis_radar.poses import PoseTrack, write_pose
 
 SAMPLE = gr.sample_folder()
 MAP = SAMPLE / "junction.osm"
@@ -57,11 +57,11 @@ MISTAKES = {
     "a bearing": (turned("yaw", 90.0 - YAW), None, "its yaw is a bearing", "21.7"),
     "two degrees": (turned("yaw", YAW + 2.0), None, "its pose is off", "set yaw 21.7"),
     "pitch": (turned("pitch", -PITCH), None, "pitch has the wrong sign", "set pitch to 3.2"),
-    "height": (turned("height", POSES["R1"].height + 3.0), None, "height is 3", "height to 519"),
+    "height": (turned("height", POSES["R1"].height + 3.0), None, "height is 3", "height to 520"),
     "mirrored": (POSES["R1"], times("y", -1.0), "left and right are swapped", "the sign of y"),
-    "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 0.27"),
+    "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 3.6"),
     "cm/s": (POSES["R1"], times("range_rate", 100.0), "cm/s or mm/s", "m/s"),
-    "sign": (POSES["R1"], times("range_rate", -1.0), "positive where targets approach", "by -1.0"),
+    "sign": (POSES["R1"], times("range_rate", -1.0), "positive where targets", "change the sign"),
     "absolute": (POSES["R1"], signless, "absolute values", "positive"),
     "frozen": (POSES["R1"], frozen, "the recording is frozen", "leave"),
 }  # fmt: skip
@@ -122,6 +122,20 @@ def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
         assert f"it fits the pose of {other}" in line[2]
         assert line[3] == f"give the recording with the pose of {other}"
     assert "accept = true in [[sensor]] of R1" in events["error"]["hint"]
+    parts = events["error"]["parts"]
+    assert [part["hint"].partition(";")[0] for part in parts] == [line[3] for line in lines]
+    told = [
+        f"gis-radar: {name}: does not fit: recording and pose are of two sensors: it fits the pose "
+        f"of {other} (" for name, other in (("R1", "R2"), ("R2", "R1"))
+    ]  # fmt: skip
+    lines = [
+        line for line in run("check", mixed_up / "SITE.toml")[2].splitlines() if line[:1] == "g"
+    ]
+    assert [line[: len(begin)] for line, begin in zip(lines, told, strict=True)] == told
+    assert lines[1].endswith(
+        "(give the recording with the pose of R1; or go on anyway: accept = true in [[sensor]] of "
+        "R2)"
+    )
 
 
 def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted(
@@ -137,6 +151,8 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert code == 4
     assert "no result for R2" in err
     assert "yaw is off by 180 deg" in err
+    hint = "(set yaw to -66.4; or go on anyway: accept = true in [[sensor]] of R2)"
+    assert err.rstrip().endswith(hint)
     dataset = mixed_up / "out" / "dataset"
     assert gr.open_dataset(dataset).sensors == ["R1"]
     tiles = mixed_up / "out" / "tiles.gpkg"
@@ -157,6 +173,43 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert code == 0
     events = [json.loads(line) for line in out.splitlines()]
     assert checks["R2"] in events[-1]["summary"]["remarks"]
+
+
+def test_a_run_shows_what_it_doubts(run, mixed_up, rows):
+    for name, file in (("R1", "A"), ("R2", "B")):
+        rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
+    write_pose(replace(POSES["R2"], northing=POSES["R2"].northing + 1.0), mixed_up / "R2.json")
+    site = mixed_up / "SITE.toml"
+    site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
+    code, out, err = run("check", site)
+    assert code == 0
+    assert "warning: R2: fits: its pose may be off (" in err
+    code, out, _ = run("run", site, "-o", mixed_up / "out", "--json")
+    assert code == 0
+    summary = json.loads(out.splitlines()[-1])["summary"]
+    (doubt,) = summary["doubts"]
+    assert doubt.startswith("R2: fits: its pose may be off (")
+    assert summary["sensors"]["R2"]["state"] == doubt.removeprefix("R2: ")
+    assert doubt in (mixed_up / "out" / "summary.md").read_text().replace("\\", "")
+
+
+def test_a_pose_track_is_judged_at_the_pose_in_force(tmp_path, tiles, rows):
+    """What was wrong before anything was recorded does no harm; small corrections are one pose."""
+    path = tmp_path / "R1.parquet"
+    rows["R1"].to_parquet(path, index=False)
+    begin = rows["R1"]["time"].iloc[0]
+    right, wrong = POSES["R1"], turned("yaw", YAW + 180.0)
+
+    def measured(*poses, changed_s=20.0):
+        since = np.array([begin - 3600.0, begin + changed_s])
+        track = PoseTrack(since=since, poses=poses)
+        return gr.measure([path], [track], tiles, MAP, tmp_path / "d", hits_only=True, only=True)
+
+    assert measured(wrong, right, changed_s=-60.0).manifest.checks == {}
+    near = replace(right, yaw=YAW + 0.05)
+    assert measured(near, right).manifest.checks == {}
+    with pytest.raises(ImplausibleError, match=r"R1: does not fit: yaw is off by 180 deg"):
+        measured(wrong, replace(wrong, yaw=YAW + 179.9))
 
 
 @pytest.mark.parametrize(("recorded", "pose"), [("R1", "R2"), ("R2", "R1")])
@@ -202,8 +255,12 @@ def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_pat
     late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)
     late.to_parquet(tmp_path / "B.parquet", index=False)
     files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
-    with pytest.raises(ImplausibleError, match=r"R2: .* clock and that of R1 are apart \(\+1\.0"):
+    with pytest.raises(
+        ImplausibleError, match=r"R2: .* clock and that of R1 are apart \(\+1\.0"
+    ) as e:
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
+    assert "R1: does not fit: its clock and that of R2 are apart (-1.0" in e.value.message
+    assert [each.sensor for each in e.value.findings] == ["R1", "R2"]
     clocks = {"R2": gr.SensorClock(offset_s=1.0)}
     gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True, clocks=clocks)
 

@@ -32,7 +32,7 @@ def drive(time, rng=None):
 def measured(folder, name, time, points, rate, **changes):
     path = recording(folder / f"{name}.parquet", time, points, range_rate=np.float32(rate))
     return measure(
-        [path], [pose(**changes)], crossing(), None, folder / name, hits_only=True, accept=None
+        [path], [pose(**changes)], crossing(), None, folder / name, hits_only=True, check=False
     )
 
 
@@ -68,7 +68,7 @@ def test_a_sensor_that_stops_is_at_fault_hour_by_hour(tmp_path):
     time, points, rate = drive(slow[:2400], np.random.default_rng(1))
     path = recording(tmp_path / "b.parquet", time, points, range_rate=np.float32(rate))
     both = measure(
-        [path], [pose(sensor="R2")], crossing(), None, tmp_path / "a", hits_only=True, accept=None
+        [path], [pose(sensor="R2")], crossing(), None, tmp_path / "a", hits_only=True, check=False
     )
     table = measure_quality(both).table
     seen = table[["sensor", "frames_expected", "frames", "verdict"]].to_numpy().tolist()
@@ -168,7 +168,7 @@ def test_quality_of_a_recording_in_two_is_that_of_the_whole(tmp_path_factory, se
         time_s, points, rate = (column[part] for column in rows)
         path = recording(folder / f"{name}.parquet", time_s, points, range_rate=np.float32(rate))
         parts = measure(
-            [path], [pose()], crossing(), None, folder / "parts", hits_only=True, accept=None
+            [path], [pose()], crossing(), None, folder / "parts", hits_only=True, check=False
         )
     pd.testing.assert_frame_equal(measure_quality(parts).table, measure_quality(whole).table)
     table = measure_quality(whole).table

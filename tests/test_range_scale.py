@@ -7,6 +7,7 @@ import pytest
 
 from gis_radar.calibration import RangeScale, measure_range_scale
 from gis_radar.calibration.traces import Moving
+from gis_radar.errors import NoAnswerError
 
 YARDS = 1.0 / 0.9144
 
@@ -101,6 +102,47 @@ def test_the_error_covers_the_truth_from_draw_to_draw():
     scales = [measure_range_scale(traffic(12, 40.0, seed)) for seed in range(2, 8)]
     assert all(abs(scale.factor - 1.0) < 2.0 * scale.sigma for scale in scales)
     assert not any(scale.off for scale in scales)
+
+
+def test_one_vehicle_that_carries_the_scale_makes_it_uncertain():
+    """A long look at a vehicle that reflects oddly counts as one, however many its detections."""
+    others, one = traffic(12, 60.0, 3), traffic(1, 1.0, 4, speed_mps=5.0)
+    short = (others.time - others.time[0]) % 8.0 < 1.0
+    parts = [
+        [getattr(m, n)[keep] for n in ("time", "points", "range_rate")]
+        for m, keep in ((others, short), (one, one.time > 0.0))
+    ]
+    time, points, rate = (np.concatenate(each) for each in zip(*parts, strict=True))
+    points[-len(one.time) :] *= 1.04
+    order = np.argsort(time, kind="stable")
+    scale = measure_range_scale(
+        replace(others, time=time[order], points=points[order], range_rate=rate[order])
+    )
+    assert abs(scale.factor - 1.0) < scale.sigma
+
+
+@pytest.mark.parametrize(
+    ("factor", "looks", "advice"),
+    [
+        (1.0 / 3.6, "km/h", "divide range_rate by 3.6"),
+        (1.609344 / 3.6, "mph", "multiply range_rate by 0.44704"),
+        (1.852 / 3.6, "knots", "multiply range_rate by 0.514444"),
+        (1.0 / 0.3048, "feet", "multiply x, y and z by 0.3048"),
+        (1.0 / 0.9144, "yards", "multiply x, y and z by 0.9144"),
+    ],
+)
+def test_a_unit_is_told_with_its_exact_factor(factor, looks, advice):
+    scale = RangeScale(factor=1.003 * factor, sigma=0.003 * factor, vehicles=30)
+    assert scale.likely.endswith(looks)
+    with pytest.raises(NoAnswerError, match=looks) as caught:
+        scale.require_one("R1")
+    assert caught.value.hint == advice
+
+
+def test_units_that_are_as_likely_are_all_told():
+    scale = RangeScale(factor=0.507, sigma=0.006, vehicles=30)
+    assert "doubled" in scale.likely
+    assert "knots" in scale.likely
 
 
 def test_too_little_traffic_has_no_scale(right):

@@ -1,6 +1,6 @@
 """Conditions: which radar, which drivers and which people, by name.
 
-Places, poses and demand are the same under each.
+Places and poses are the same under each, and the demand but where traffic is light.
 """
 
 from __future__ import annotations
@@ -41,12 +41,15 @@ class Conditions:
         Who walks and cycles.
     kinds : tuple of VehicleKind
         What drives.
+    demand : float
+        How much of it, as a share of what a place has.
     """
 
     radar: str = TEXTBOOK
     drivers: str = TEXTBOOK
     people: People = field(default_factory=People)
     kinds: tuple[VehicleKind, ...] = KINDS
+    demand: float = 1.0
 
     @property
     def model(self) -> RadarModel:
@@ -68,10 +71,12 @@ class Conditions:
 AS_RECORDED = Conditions(
     radar="as recorded", drivers="as recorded", people=_PEOPLE, kinds=ALL_KINDS
 )
+_DRIVERS = Conditions(drivers="as recorded", kinds=ALL_KINDS)
 CONDITIONS = {
     TEXTBOOK: Conditions(),
     "radar as recorded, walkers": Conditions(radar="as recorded", people=_PEOPLE),
-    "drivers as recorded": Conditions(drivers="as recorded", kinds=ALL_KINDS),
+    "drivers as recorded": _DRIVERS,
+    "light": replace(_DRIVERS, demand=1.0 / 3.0),
     "as recorded": AS_RECORDED,
     "harsh": replace(AS_RECORDED, radar="harsh"),
 }

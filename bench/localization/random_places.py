@@ -76,7 +76,7 @@ def _make(number: int, folder: Path, conditions: str) -> None:
         wave_length_m=float(rng.uniform(180.0, 320.0)),
     )
     manners = Manners(
-        per_hour=round(float(np.exp(rng.uniform(np.log(500.0), np.log(2400.0))))),
+        per_hour=round(float(np.exp(rng.uniform(np.log(500.0), np.log(2400.0)))) * under.demand),
         kinds=mixed(KINDS, rng),
         keeping=_keeping(rng),
         people=under.people,

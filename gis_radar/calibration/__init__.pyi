@@ -1,16 +1,11 @@
 from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
+from .findings import Finding, ImplausibleError, refuse_implausible
 from .joint import JointCalibration, adjust_poses, gain_line, localize_together
 from .lane_detections import ClockSettings
 from .localization import localize, localize_files
 from .monitor import Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
-from .plausibility import (
-    Finding,
-    ImplausibleError,
-    RecordedSensor,
-    check_plausibility,
-    refuse_implausible,
-)
+from .plausibility import RecordedSensor, check_plausibility
 from .pose_track import MOVED, Event, Track, draw_track, track_of
 from .range_scale import RangeScale, measure_range_scale
 from .result import AmbiguousError, Localization, Problem, draw_localization

@@ -10,7 +10,14 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.settings import LOCALIZATION
-from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
+from gis_radar.calibration.traces import (
+    CREEPING,
+    NONE,
+    Moving,
+    link_tracks,
+    top_speeds,
+    vehicles_of,
+)
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections, Recording
@@ -20,6 +27,9 @@ PIECE_S = 20.0  # in which a vehicle crosses the view
 PIECES = 5  # together as long as the window of a localization
 MOST_PIECES = 33  # of a quiet night; 5, 9, 17, 33: the earlier ones are among the later
 ENOUGH = 30  # vehicles
+LEAST_VEHICLES = 10  # fewer tell nothing
+CYCLING_MPS = 7.0  # 25 km/h: cyclists go at 5 and 1, pedelecs are held to that
+CORRECTED_M = 1.0  # poses of a track that are farther apart are of two places
 PER_TRACK = 40  # detections of each that are compared: more are alike
 WILD_MPS, LEAST_WILD = 300.0, 30  # no unit that is m/s or km/h shows so many so fast
 LEAST_REPEATED = 2  # detections of a frame that cannot come again by chance
@@ -36,6 +46,8 @@ class Excerpt:
         All that moved, times by a clock that is right.
     track : (m,) array
         The moving object of each of these, `NONE` for detections of none.
+    held : (m,) array
+        Which pose was in force at each of these, by number.
     frozen : (begin, end, frames) or None
         The longest time in which each frame is the same as the one before, UNIX seconds.
     wild : int
@@ -52,6 +64,7 @@ class Excerpt:
 
     moving: Moving
     track: Integers
+    held: Integers
     frozen: tuple[float, float, int] | None
     wild: int
     time: Floats
@@ -68,6 +81,32 @@ class Excerpt:
     def vehicles(self) -> int:
         """How many vehicles there are."""
         return len(np.unique(self.vehicle))
+
+    @property
+    def usual(self) -> Pose:
+        """The pose that was in force for most of what moved."""
+        return self.poses[int(np.bincount(self.held).argmax())]
+
+    @property
+    def as_usual(self) -> tuple[Moving, Integers]:
+        """What moved, and its objects, as seen from the usual pose.
+
+        What was seen from another place, farther off than poses are corrected, is left out.
+        """
+        usual, points = self.usual, self.moving.points.copy()
+        stays = np.ones(len(points), dtype=bool)
+        for number, pose in enumerate(self.poses):
+            mine = self.held == number
+            if np.linalg.norm(pose.position - usual.position) > CORRECTED_M:
+                stays[mine] = False
+            elif pose != usual:
+                there = pose.to_map(points[mine]) - usual.position
+                points[mine] = there @ usual.R_map_sensor
+        moving = replace(
+            self.moving, time=self.moving.time[stays], points=points[stays],
+            range_rate=self.moving.range_rate[stays],
+        )  # fmt: skip
+        return moving, self.track[stays]
 
     def where(self, keep: Booleans) -> Excerpt:
         """Return the detections for which `keep` is true; vehicles keep their numbers."""
@@ -180,13 +219,15 @@ def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
     wild = int((np.abs(moving.range_rate) > WILD_MPS).sum())
     wild = wild if wild >= LEAST_WILD else 0
     number = np.full(len(moving), NONE) if wild else link_tracks(level)
+    vehicle = vehicles_of(level, number)
     kept = _thinned(number)
-    source, time = rows.source[moves][kept], moving.time[kept]
-    poses, pose = _in_force(time, source, tracks)
+    kept = kept[~_cycling(level, number, vehicle)[number[kept]]]
+    poses, held = _in_force(moving.time, rows.source[moves], tracks)
     return Excerpt(
-        moving=moving, track=number, frozen=_frozen(rows), wild=wild, time=time,
+        moving=moving, track=number, held=held, frozen=_frozen(rows), wild=wild,
+        time=moving.time[kept],
         points=moving.points[kept], range_rate=moving.range_rate[kept],
-        vehicle=vehicles_of(level, number)[number[kept]], pose=pose, poses=poses,
+        vehicle=vehicle[number[kept]], pose=held[kept], poses=poses,
     )  # fmt: skip
 
 
@@ -198,6 +239,21 @@ def _thinned(track: Integers) -> Integers:
     rank = np.arange(len(on)) - np.repeat(first, count)
     every = np.repeat(-(-count // PER_TRACK), count)
     return np.sort(on[rank % np.maximum(every, 1) == 0])
+
+
+def _cycling(moving: Moving, track: Integers, vehicle: Integers) -> Booleans:
+    """Return which tracks are left out, as they may be of cyclists or walkers, who need no lane.
+
+    Those of vehicles that never go faster, where these are many and enough others drive: in a jam
+    all creep.
+    """
+    if len(vehicle) == 0:
+        return np.zeros(0, dtype=bool)
+    top = np.zeros(int(vehicle.max()) + 1)
+    np.maximum.at(top, vehicle, top_speeds(moving, track))
+    slow = top <= CYCLING_MPS
+    leave_out = slow.mean() > CREEPING and (~slow).sum() >= LEAST_VEHICLES
+    return np.asarray(slow[vehicle] & leave_out)
 
 
 def _in_force(

@@ -474,7 +474,7 @@ def _with_pose(found: Localization, pose: Pose) -> Localization:
 def _line(pose: Pose) -> str:
     look, scale = pose.evidence.get("scan_check"), pose.evidence.get("range_scale")
     parts = [gain_line(pose)]
-    if scale:
+    if isinstance(scale, Mapping):
         parts.append(Text("scale of range {:.3f} ± {:.3f}", scale["factor"], scale["sigma"]))
     if look:
         parts.append(f"scan check: {look['verdict']}")

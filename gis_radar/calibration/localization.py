@@ -15,7 +15,7 @@ from gis_radar.arrays import Floats
 from gis_radar.calibration.icp import by_icp
 from gis_radar.calibration.lane_method import by_lanes
 from gis_radar.calibration.moving import read_moving
-from gis_radar.calibration.range_scale import measure_range_scale
+from gis_radar.calibration.range_scale import NOT_FITTED, measure_range_scale
 from gis_radar.calibration.result import (
     AmbiguousError,
     Localization,
@@ -127,7 +127,7 @@ def localize(
     if scale is not None:
         scale.require_one(Path(recording).stem)
     stated = {
-        "range_scale": None if scale is None else scale.evidence(),
+        "range_scale": NOT_FITTED if scale is None else scale.evidence(),
         "settings": settings.changes(),
     }
     problem = Problem(

@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
+import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
@@ -48,17 +50,83 @@ FACES, KNOWN = 0.7, np.diag([0.0, 0.4**-2])  # and its information, beside none 
 SHARED_M = 0.35
 
 SIGMAS, LEAST_OFF = 3.0, 0.01  # off 1 is what is off by more than both
-# What a factor looks like that is one of these within its error.
-LIKELY = {
-    3.28084: Text("positions look like feet"),
-    1.0 / 0.9144: Text("positions look like yards"),
-    1.0 / 3.6: Text("range rates look like km/h"),
-    1.0 / 2.23694: Text("range rates look like mph"),
-    -1.0: Text("range rates look positive where targets approach"),
-    2.0: Text("range rates look halved, or times run half as fast"),
-    0.5: Text("range rates look doubled, or times run twice as fast"),
-}
-BY_TIMES = (LIKELY[2.0], LIKELY[0.5])
+NOT_FITTED = Text("not fitted")  # what a pose's evidence states of a scale in too little traffic
+FOOT_M, YARD_M, MILE_KM, NAUTICAL_MILE_KM, KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
+
+
+class Quantity(Enum):
+    """What of a recording a mistake is in."""
+
+    POSITIONS = "positions"
+    RATES = "range rates"
+    RATES_OR_TIMES = "range rates or times"
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitMistake:
+    """A usual mistake of units or signs, with its exact factor.
+
+    Parameters
+    ----------
+    looks : str
+        What a recording looks like then.
+    advice : str
+        What to do.
+    factor : float
+        How much faster ranges change than the range rates state.
+    of : Quantity
+        What is wrong.
+    """
+
+    looks: str
+    advice: str
+    factor: float
+    of: Quantity = Quantity.RATES
+
+
+FEET = UnitMistake(
+    looks=Text("positions look like feet"), of=Quantity.POSITIONS, factor=1.0 / FOOT_M,
+    advice=Text("multiply x, y and z by {:g}", FOOT_M),
+)  # fmt: skip
+YARDS = UnitMistake(
+    looks=Text("positions look like yards"), of=Quantity.POSITIONS, factor=1.0 / YARD_M,
+    advice=Text("multiply x, y and z by {:g}", YARD_M),
+)  # fmt: skip
+ABSOLUTE = UnitMistake(
+    looks=Text("range rates look like absolute values"), factor=1.0,
+    advice=Text("range_rate is positive when receding"),
+)  # fmt: skip
+SIGN = UnitMistake(
+    looks=Text("range rates look positive where targets approach"), factor=-1.0,
+    advice=Text("change the sign of range_rate"),
+)  # fmt: skip
+LIKELY = (
+    FEET,
+    YARDS,
+    UnitMistake(
+        looks=Text("range rates look like km/h"), factor=1.0 / KMH,
+        advice=Text("divide range_rate by {:g}", KMH),
+    ),
+    UnitMistake(
+        looks=Text("range rates look like mph"), factor=MILE_KM / KMH,
+        advice=Text("multiply range_rate by {:g}", MILE_KM / KMH),
+    ),
+    UnitMistake(
+        looks=Text("range rates look like knots"), factor=NAUTICAL_MILE_KM / KMH,
+        advice=Text("multiply range_rate by {:g}", round(NAUTICAL_MILE_KM / KMH, 6)),
+    ),
+    SIGN,
+    UnitMistake(
+        looks=Text("range rates look halved, or times run half as fast"), factor=2.0,
+        of=Quantity.RATES_OR_TIMES,
+        advice=Text("multiply range_rate by {:g}, or time if the clock is off", 2.0),
+    ),
+    UnitMistake(
+        looks=Text("range rates look doubled, or times run twice as fast"), factor=0.5,
+        of=Quantity.RATES_OR_TIMES,
+        advice=Text("multiply range_rate by {:g}, or time if the clock is off", 0.5),
+    ),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,13 +157,22 @@ class RangeScale:
         return self.absolute or abs(self.factor - 1.0) > max(SIGMAS * self.sigma, LEAST_OFF)
 
     @property
+    def mistakes(self) -> tuple[UnitMistake, ...]:
+        """The usual mistakes that it looks like; of several, it does not tell which."""
+        if self.absolute:
+            return (ABSOLUTE,)
+        within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
+        return tuple(each for each in LIKELY if abs(self.factor - each.factor) < within)
+
+    @property
     def likely(self) -> str:
         """What it looks like; empty where it is none of the usual mistakes."""
-        if self.absolute:
-            return Text("range rates look like absolute values")
-        within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
-        near = [text for factor, text in LIKELY.items() if abs(self.factor - factor) < within]
-        return near[0] if len(near) == 1 else ""
+        return Text(" or ").join(each.looks for each in self.mistakes)
+
+    @property
+    def advice(self) -> str:
+        """What to do then; empty where it is none of them."""
+        return Text(" or ").join(each.advice for each in self.mistakes)
 
     def require_one(self, name: str) -> None:
         """Refuse a scale that contradicts 1.
@@ -120,7 +197,8 @@ class RangeScale:
         raise NoAnswerError(
             "{}",
             Text(": ").join([stated, self.likely] if self.likely else [stated]),
-            hint="x, y, z are metres, range_rate is m/s, positive when receding, time is seconds",
+            hint=self.advice
+            or "x, y, z are metres, range_rate is m/s, positive when receding, time is seconds",
         )
 
     def evidence(self) -> Mapping[str, float]:
@@ -335,10 +413,33 @@ def _regressed(tracks: _Tracks) -> tuple[float, float, int] | None:
     if used < LEAST_VEHICLES:
         return None
     # second derivative of the cost, where it is positive
-    bent = columns.T @ (columns * (share * np.maximum(2.0 * weight - 1.0, 0.0))[:, None]) + KNOWN
-    inverse = np.linalg.inv(bent)
-    scores = np.column_stack([np.bincount(vehicle, share * misfit * each) for each in columns.T])
-    spread = scores.T @ scores * used / (used - len(found)) + KNOWN
-    drawn = math.sqrt((inverse @ spread @ inverse)[0, 0])
+    bends = columns * (share * np.maximum(2.0 * weight - 1.0, 0.0))[:, None]
+    drawn, carry = _drawn(columns, bends, share * misfit, vehicle)
+    if carry <= 1.0:
+        return None
     shared = SHARED_M * float(np.average(1.0 / tracks.way_m, weights=share * x**2))
     return float(found[0]), math.hypot(drawn, shared), used
+
+
+def _drawn(columns: Floats, bends: Floats, pulls: Floats, vehicle: Integers) -> tuple[float, float]:
+    """Return the standard error of the slope by the vehicles drawn, and how many carry it.
+
+    The jackknife leaves out one vehicle at a time. Where few carry the slope, its error is that of
+    Student's distribution at so many degrees of freedom: three standard errors mean what they do
+    for a normal one.
+    """
+    count = int(vehicle.max()) + 1
+    bent = np.zeros((count, 2, 2))
+    np.add.at(bent, vehicle, columns[:, :, None] * bends[:, None, :])
+    pull = np.column_stack([np.bincount(vehicle, pulls * each) for each in columns.T])
+    kept = bent[:, 0, 0] > 0.0
+    left = bent.sum(axis=0) + KNOWN - bent[kept]
+    if kept.sum() < LEAST_VEHICLES or (np.linalg.det(left) <= 0.0).any():
+        return np.inf, 0.0
+    moved = np.linalg.solve(left, pull[kept][:, :, None])[:, 0, 0]
+    number = len(moved)
+    carried = bent[kept, 0, 0]
+    carry = float(carried.sum() ** 2 / np.square(carried).sum())
+    tail = float(scipy.special.ndtr(-SIGMAS))
+    wider = -float(scipy.special.stdtrit(max(carry - 1.0, 1.0), tail)) / SIGMAS
+    return wider * math.sqrt((number - 1) / number * float(np.square(moved).sum())), carry

@@ -162,7 +162,8 @@ class Localization:
                 "position ± {across} m, yaw ± {yaw}°",
                 across=figure_text(across, 2), yaw=figure_text(sigma["yaw"], 2),
             ))  # fmt: skip
-        if scale := self.pose.evidence.get("range_scale"):
+        scale = self.pose.evidence.get("range_scale")
+        if isinstance(scale, Mapping):
             factor, error = (figure_text(scale[each], 3) for each in ("factor", "sigma"))
             parts.append(tr("scale of range {factor} ± {error}", factor=factor, error=error))
         if not self.observable:
@@ -193,11 +194,11 @@ class Localization:
         ax.tick_params(labelsize=6)
 
 
-def range_scale_figures(pose: Pose) -> dict[str, float]:
+def range_scale_figures(pose: Pose) -> dict[str, Any]:
     """Return the scale of range that a pose's evidence states, and its error, by name."""
     scale = pose.evidence.get("range_scale")
-    if scale is None:
-        return {}
+    if not isinstance(scale, Mapping):
+        return {} if scale is None else {"range_scale": scale}
     return {
         "range_scale": round(scale["factor"], 3),
         "sigma_range_scale": float(f"{scale['sigma']:.2g}"),

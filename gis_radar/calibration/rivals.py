@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import geopandas as gpd
 import numpy as np
@@ -22,6 +23,7 @@ from gis_radar.calibration.lanes import (
     match_along,
     sample_lanes,
 )
+from gis_radar.calibration.range_scale import ABSOLUTE
 from gis_radar.calibration.traces import thin
 from gis_radar.crs import yaw_from_compass
 from gis_radar.errors import NoAnswerError
@@ -35,15 +37,24 @@ OTHERS = 0.1
 AREA_M = 8.0  # width and height over which these spread
 # Heights over the road at which vehicles reflect, and how these and elevations differ.
 REFLECTION_M, HEIGHT_M, HEIGHT_SHARE = 0.7, 1.0, 0.012
-AXES = {
-    "given": ((0, 1, 2), (1.0, 1.0, 1.0)),
-    "mirrored": ((0, 1, 2), (1.0, -1.0, 1.0)),
-    "swapped": ((1, 0, 2), (1.0, 1.0, 1.0)),
-    "ahead": ((1, 0, 2), (1.0, -1.0, 1.0)),
-}
 FARTHEST_M = 20.0  # a pose that is searched is found from 15 m off; farther is another place
+SAME_M = 0.3  # around places so near, lanes are sampled once: the poses of a track
 LANES_KEPT = 4  # places around which the lanes are held at once, 25 MB each
+# Poses so near to each other are one (metres; degrees of yaw, pitch, roll: of a rough search).
+SAME_PLACE_M, SAME_DEG, TURNS = 2.0, (2.0, 3.0, 5.0), ("yaw", "pitch", "roll")
+# Who errs in place or yaw keeps the other, to what a search leaves open: metres, degrees.
+ONE_MISTAKE_M, ONE_MISTAKE_DEG = 3.0, 3.0
+SEARCHED = 3  # of the poses that a search finds, the likeliest
 STEP_DEG, NEAR_DEG = 10.0, 20.0  # of yaws at random; one so near to the given one is no other
+
+
+class Axes(Enum):
+    """Which columns of a recording are x forward, y left, z up, and with which signs."""
+
+    GIVEN = (0, 1, 2), (1.0, 1.0, 1.0)
+    MIRRORED = (0, 1, 2), (1.0, -1.0, 1.0)
+    SWAPPED = (1, 0, 2), (1.0, 1.0, 1.0)
+    AHEAD = (1, 0, 2), (1.0, -1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,34 +69,80 @@ class Rival:
         What to do then.
     turned : callable
         Takes a pose as given to the right one.
-    axes : str
-        One of `AXES`: how x, y, z of the recording become x forward, y left, z up.
+    axes : Axes
+        How x, y, z of the recording become x forward, y left, z up.
     against : bool
         Whether lanes are driven against their direction.
     heights : bool
         Whether heights over the road count.
     scale : float
         By how much ranges are too long.
+    signless : bool
+        Whether range rates have lost their sign.
+    fitted : int
+        How many of its numbers were fitted to the traffic: none of a mistake with a name.
     """
 
     cause: str = ""
     advice: str = ""
     turned: Callable[[Pose], Pose] = lambda pose: pose
-    axes: str = "given"
+    axes: Axes = Axes.GIVEN
     against: bool = False
     heights: bool = True
     scale: float = 1.0
+    signless: bool = False
+    fitted: int = 0
 
-    def at(self, pose: Pose) -> Rival:
-        """Return the same explanation with another pose."""
-        return replace(self, turned=lambda _: pose)
+    @property
+    def searched(self) -> bool:
+        """Whether a search found the pose."""
+        return self.fitted > 1
+
+    def off(self, pose: Pose) -> tuple[float, float]:
+        """Return how far a pose is off, metres, and turned, degrees, if it is right."""
+        there = self.turned(pose)
+        turn = (there.yaw - pose.yaw + 180.0) % 360.0 - 180.0
+        return float(np.hypot(*(there.position - pose.position)[:2])), turn
+
+    def twofold(self, pose: Pose) -> bool:
+        """Return whether it takes two mistakes at once, of place and yaw: as another place does."""
+        off_m, turn = self.off(pose)
+        return self.searched and off_m > ONE_MISTAKE_M and abs(turn) > ONE_MISTAKE_DEG
+
+    def same_as(self, other: Rival, pose: Pose) -> bool:
+        """Return whether two explanations of one pose differ by no more than is measured.
+
+        All searched places with the yaw as given are one: along a street they are open.
+        """
+        here, there = self.turned(pose), other.turned(pose)
+        turns = [
+            abs((getattr(here, name) - getattr(there, name) + 180.0) % 360.0 - 180.0) < least
+            for name, least in zip(TURNS, SAME_DEG, strict=True)
+        ]
+        alike = (self.axes, self.against) == (other.axes, other.against)
+        apart_m = float(np.linalg.norm(here.position - there.position))
+        aside = all(r.searched and abs(r.off(pose)[1]) < ONE_MISTAKE_DEG for r in (self, other))
+        return alike and ((apart_m < SAME_PLACE_M and all(turns)) or aside)
+
+    def by(self, pose: Pose, there: Pose) -> Rival:
+        """Return the same explanation with all poses changed as one is to another."""
+        names = ("easting", "northing", "height", "yaw", "pitch", "roll")
+        step = {name: getattr(there, name) - getattr(pose, name) for name in names}
+        return replace(
+            self, turned=lambda p: replace(p, **{n: getattr(p, n) + step[n] for n in names})
+        )
 
 
 GIVEN = Rival()
+AGAINST = Rival(
+    cause=Text("traffic runs against the lanes"),
+    advice=Text("the map's left and right bounds are swapped: turn its lanes"),
+    against=True,
+)
 MIRRORED = Rival(
     cause=Text("left and right are swapped, in the recording or in the map"),
     advice=Text("change the sign of y, or mirror the map"),
-    axes="mirrored",
+    axes=Axes.MIRRORED,
 )
 
 
@@ -149,6 +206,9 @@ class LaneMap:
     def around(self, pose: Pose, reach_m: float) -> Lanes | None:
         """Return the lanes within reach of a pose; None where there is none."""
         key = pose.easting, pose.northing, reach_m
+        for east, north, reach in self.kept:
+            if reach == reach_m and np.hypot(east - key[0], north - key[1]) < SAME_M:
+                key = east, north, reach
         if key not in self.kept:
             while len(self.kept) >= LANES_KEPT:
                 del self.kept[next(iter(self.kept))]
@@ -176,7 +236,7 @@ def score(excerpt: Excerpt, lanes: LaneMap, rival: Rival = GIVEN) -> Score:
     rival : Rival
         The explanation.
     """
-    order, signs = AXES[rival.axes]
+    order, signs = rival.axes.value
     points = excerpt.points[:, order] * np.array(signs) / rival.scale
     rate = -excerpt.range_rate if rival.against else excerpt.range_rate
     reach_m = lanes.reach_m(excerpt.moving.points)
@@ -186,9 +246,13 @@ def score(excerpt: Excerpt, lanes: LaneMap, rival: Rival = GIVEN) -> Score:
         mine, pose = excerpt.pose == k, rival.turned(given)
         near = lanes.around(pose, reach_m)
         if near is not None and mine.any():
-            fit[mine], on[mine], over[mine] = _compared(
-                points[mine], rate[mine], pose, near, heights=rival.heights
-            )
+            for sign in (1.0, -1.0) if rival.signless else (1.0,):
+                found = _compared(
+                    points[mine], sign * rate[mine], pose, near, heights=rival.heights
+                )
+                better = found[0] > fit[mine] if sign < 0.0 else np.ones(mine.sum(), dtype=bool)
+                rows = np.flatnonzero(mine)[better]
+                fit[rows], on[rows], over[rows] = (each[better] for each in found)
     number = np.unique(excerpt.vehicle, return_inverse=True)[1]
     count = np.bincount(number)
     return Score(
@@ -231,7 +295,7 @@ def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival
     others : mapping of str to Pose
         The poses of other sensors of the site.
     """
-    pose = excerpt.poses[0]
+    pose = excerpt.usual
     compass = yaw_from_compass(pose.yaw, pose.crs, pose.easting, pose.northing)
     back, over = ((angle + 360.0) % 360.0 - 180.0 for angle in (pose.yaw, pose.roll))
     measured = bool(np.isfinite(excerpt.points[:, 2]).any())
@@ -246,13 +310,11 @@ def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival
               turned=lambda p: replace(p, yaw=90.0 - p.yaw)),
         Rival(cause=Text("its yaw counts clockwise"), advice=Text("set yaw to {:.1f}", -pose.yaw),
               turned=lambda p: replace(p, yaw=-p.yaw)),
-        Rival(cause=Text("x and y are swapped"), advice=Text("swap x and y"), axes="swapped"),
+        Rival(cause=Text("x and y are swapped"), advice=Text("swap x and y"), axes=Axes.SWAPPED),
         Rival(cause=Text("x points to the right and y forward"),
-              advice=Text("turn the axes: x forward, y to the left"), axes="ahead"),
+              advice=Text("turn the axes: x forward, y to the left"), axes=Axes.AHEAD),
         MIRRORED,
-        Rival(cause=Text("traffic runs against the lanes"),
-              advice=Text("the map's left and right bounds are swapped: turn its lanes"),
-              against=True),
+        AGAINST,
     ]  # fmt: skip
     if measured:
         found += [
@@ -265,6 +327,8 @@ def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival
             Rival(cause=Text("roll is off by 180 deg"), advice=Text("set roll to {:.1f}", over),
                   turned=lambda p: replace(p, roll=p.roll + 180.0)),
         ]  # fmt: skip
+    if (excerpt.range_rate > 0.0).all() or (excerpt.range_rate < 0.0).all():
+        found.append(Rival(cause=ABSOLUTE.looks, advice=ABSOLUTE.advice, signless=True))
     return found + [_of_another(name, other) for name, other in others.items()]
 
 
@@ -279,7 +343,7 @@ def _of_another(name: str, other: Pose) -> Rival:
 def other_yaws(pose: Pose) -> Iterator[Rival]:
     """Yield explanations with another yaw, all around: what they explain is chance."""
     for turn in np.arange(NEAR_DEG, 360.0 - NEAR_DEG + 0.1, STEP_DEG).tolist():
-        yield GIVEN.at(replace(pose, yaw=pose.yaw + turn))
+        yield GIVEN.by(pose, replace(pose, yaw=pose.yaw + turn))
 
 
 def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
@@ -292,38 +356,42 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
     lanes : LaneMap
         The map.
     """
-    pose = excerpt.poses[0]
+    pose = excerpt.usual
     near = lanes.around(pose, lanes.reach_m(excerpt.moving.points))
     if near is None or not np.isfinite(excerpt.moving.points).all():
         return []
-    scene = Scene(lanes=near, samples=thin(excerpt.moving, excerpt.track))
+    scene = Scene(lanes=near, samples=thin(*excerpt.as_usual))
     found = []
-    for axes, part in (("given", scene), ("mirrored", scene.of(mirrored(scene.samples)))):
-        state = find_hypotheses(part, heading=None)[0].fit.state
-        if np.hypot(*state.position[:2]) > FARTHEST_M:
-            continue
-        place = state.position + np.append(near.origin, 0.0)
-        yaw, pitch, roll = np.degrees(state.yaw_pitch_roll).tolist()
-        there = replace(
-            pose, easting=float(place[0]), northing=float(place[1]), height=float(place[2]),
-            yaw=yaw, pitch=pitch, roll=roll,
-        )  # fmt: skip
-        found.append(moved(pose, there) if axes == "given" else MIRRORED.at(there))
+    for axes, part in ((Axes.GIVEN, scene), (Axes.MIRRORED, scene.of(mirrored(scene.samples)))):
+        for tried in find_hypotheses(part, heading=None)[:SEARCHED]:
+            state = tried.fit.state
+            if np.hypot(*state.position[:2]) > FARTHEST_M:
+                continue
+            place = state.position + np.append(near.origin, 0.0)
+            yaw, pitch, roll = np.degrees(state.yaw_pitch_roll).tolist()
+            there = replace(
+                pose, easting=float(place[0]), northing=float(place[1]), height=float(place[2]),
+                yaw=yaw, pitch=pitch, roll=roll,
+            )  # fmt: skip
+            # down a street the place is open: one mistake may explain as much as two
+            turned = replace(pose, yaw=yaw)
+            aside = replace(there, yaw=pose.yaw, pitch=pose.pitch, roll=pose.roll)
+            for each in (turned, aside, there):
+                rival = moved(pose, each) if axes is Axes.GIVEN else MIRRORED.by(pose, each)
+                found.append(replace(rival, fitted=6))
     return found
 
 
 def moved(pose: Pose, there: Pose) -> Rival:
     """Return the explanation that a sensor stands or looks elsewhere."""
-    off_m = float(np.hypot(*(there.position - pose.position)[:2]))
-    off_deg = abs((there.yaw - pose.yaw + 180.0) % 360.0 - 180.0)
+    off_m, turn = GIVEN.by(pose, there).off(pose)
     return Rival(
-        cause=Text("its pose is off by {:.1f} m and {:.1f} deg", off_m, off_deg),
+        cause=Text("its pose is off by {:.1f} m and {:.1f} deg", off_m, abs(turn)),
         advice=Text(
             "find it with gis-radar localize, near {:.1f}, {:.1f} with yaw {:.1f}",
             there.easting, there.northing, there.yaw,
         ),
-        turned=lambda _: there,
-    )  # fmt: skip
+    ).by(pose, there)  # fmt: skip
 
 
 def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
@@ -342,13 +410,13 @@ def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
         return []
     high_m = float(np.median(given.over[known])) - REFLECTION_M
     tilt = np.degrees(np.median((given.over[known] - REFLECTION_M) / ahead[known]))
-    pose = excerpt.poses[0]
+    pose = excerpt.usual
     return [
         Rival(cause=Text("height is {:.1f} m off", high_m),
-              advice=Text("set height to {:.1f}", pose.height - high_m),
+              advice=Text("set height to {:.1f}", pose.height - high_m), fitted=1,
               turned=lambda p: replace(p, height=p.height - high_m)),
         Rival(cause=Text("pitch is {:.1f} deg off", -tilt),
-              advice=Text("set pitch to {:.1f}", pose.pitch + tilt),
+              advice=Text("set pitch to {:.1f}", pose.pitch + tilt), fitted=1,
               turned=lambda p: replace(p, pitch=p.pitch + tilt)),
     ]  # fmt: skip
 
@@ -363,16 +431,22 @@ def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
     lanes : LaneMap
         The map.
     """
-    pose, moving = excerpt.poses[0], excerpt.moving
-    near = lanes.around(pose, lanes.reach_m(moving.points))
-    if near is None:
-        return LaneDetections.joined([])
-    origin = np.array([*near.origin, 0.0])
-    points = pose.to_map(moving.points) - origin
-    points[np.isnan(moving.points[:, 2]), 2] = np.nan
-    return lane_detections(
-        near, moving.time, points, moving.range_rate, pose.position - origin, CLOCKS
-    )
+    moving, found = excerpt.moving, list[LaneDetections]()
+    for number, pose in enumerate(excerpt.poses):
+        mine, near = excerpt.held == number, lanes.around(pose, lanes.reach_m(moving.points))
+        if near is None:
+            continue
+        origin = np.array([*near.origin, 0.0])
+        points = pose.to_map(moving.points[mine]) - origin
+        points[np.isnan(moving.points[mine, 2]), 2] = np.nan
+        found.append(
+            lane_detections(
+                near, moving.time[mine], points, moving.range_rate[mine], pose.position - origin,
+                CLOCKS,
+            )
+        )  # fmt: skip
+    seen = LaneDetections.joined(found)
+    return seen.take(np.argsort(seen.time, kind="stable"))
 
 
 def best_split(driving: Booleans, least: int) -> tuple[int, float]:

@@ -251,6 +251,24 @@ def _steady_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
     return np.where(np.sqrt(np.maximum(left, 0.0)) < ACROSS_M, speed, 0.0)
 
 
+def top_speeds(moving: Moving, tracks: Integers) -> Floats:
+    """Return how fast each track goes at most for a while, m/s.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+    tracks : (n,) array
+        As from :func:`link_tracks`.
+    """
+    on = tracks != NONE
+    followed = replace(
+        moving, time=moving.time[on], points=moving.points[on], range_rate=moving.range_rate[on]
+    )
+    time = followed.time - moving.begin
+    return np.maximum(*(way(tracks[on], time, followed) for way in (_pace, _steady_speed)))
+
+
 def thin(
     moving: Moving, tracks: Integers, settings: TraceSettings = LOCALIZATION.traces
 ) -> Samples:

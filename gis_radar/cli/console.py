@@ -116,7 +116,12 @@ class JsonConsole(Console):
         """Write what went wrong; the code is the exit code."""
         message = one_line(self.said(error.message), LETTERS_OF_AN_ERROR)
         hint = one_line(self.said(error.hint))
-        self._write(event="error", code=error.exit_code, message=message, hint=hint)
+        parts = [
+            {name: one_line(self.said(getattr(part, name))) for name in ("message", "hint")}
+            for part in error.parts
+        ]
+        told = {"parts": parts} if parts else {}
+        self._write(event="error", code=error.exit_code, message=message, hint=hint, **told)
 
     @staticmethod
     def _write(**record: Any) -> None:
@@ -211,7 +216,11 @@ class TerminalConsole(Console):
             out.print(tr(result.advice), markup=False, highlight=False, soft_wrap=True)
 
     def error(self, error: GisRadarError) -> None:
-        """Print the error as one line; what to do about it in the same line."""
+        """Print the error as one line, or each of its parts; what to do about it in the same."""
+        for part in error.parts:
+            self.error(part)
+        if error.parts:
+            return
         hint = f" ({one_line(self.said(error.hint))})" if error.hint else ""
         text = f"gis-radar: {one_line(self.said(error.message), LETTERS_OF_AN_ERROR)}{hint}"
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)

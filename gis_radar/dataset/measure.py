@@ -106,7 +106,8 @@ def measure(
     timezone: str = "UTC",
     settings: MeasureSettings | None = None,
     before_hour: int | None = None,
-    accept: Collection[str] | None = (),
+    check: bool = True,
+    accept: Collection[str] = (),
     processes: int = 1,
     reporter: Reporter = QUIET,
 ) -> Dataset:
@@ -156,8 +157,10 @@ def measure(
     before_hour : int, optional
         Make only hours before this one (since 1970): for others recordings are still to come, and
         a later call makes them.
-    accept : collection of str, optional
-        Sensors to go on with although their poses and recordings do not fit; None checks nothing.
+    check : bool
+        Check whether poses, recordings and map fit each other.
+    accept : collection of str
+        Sensors to go on with although they do not fit.
     processes : int
         How many hours are made side by side.
     reporter : Reporter
@@ -212,7 +215,7 @@ def measure(
     refuse_swapped(opened, tracks)
     sources = book.place(opened, tracks, clocks, reporter)
     given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
-    if accept is not None:
+    if check:
         given = _checked(given, accept, reporter)
     folder = Path(folder)
     with writing(folder, reporter):

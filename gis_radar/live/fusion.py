@@ -325,6 +325,9 @@ class Fusion:
         newest = {name: each.health.newest_s for name, each in self.sensors.items()}
         full = self._spool.size > self._settings.spool_bytes
         self._jobs.turn(time.time(), newest, full=full)
+        for name, doubt in self._jobs.doubts.items():
+            if name in self.sensors:
+                self.sensors[name].health.alarm("pose", doubt)
         if self._jobs.wanted and not self._disk.busy and time.monotonic() >= self._rotate_at:
             self._rotate_at = time.monotonic() + self._settings.commit_s
             self._rotate()

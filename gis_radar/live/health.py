@@ -42,6 +42,7 @@ ALARMS = {
     "offline": "the sensor is not linked",
     "silent": "nothing comes from the sensor",
     "clock": "its clock is off",
+    "pose": "its pose or what it sends is doubtful",
     "moved": "it was moved: its tiles are not observed",
     "refused": "what it sends is not taken",
     "damaged": "messages cannot be read",

@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
+import numpy as np
 
+from gis_radar.calibration import LaneMap, RecordedSensor, check_plausibility
+from gis_radar.calibration.findings import UNKNOWN
 from gis_radar.dataset import Dataset, clear_unfinished, open_dataset, record_path
 from gis_radar.dataset.hour_job import MeasureSettings
 from gis_radar.dataset.manifest import Manifest, require_same_settings
@@ -42,7 +45,8 @@ from gis_radar.measures.validity import validity_of
 from gis_radar.poses.files import PoseTrack
 from gis_radar.processes import workers_here
 from gis_radar.progress import Reporter
-from gis_radar.sight import SightSource
+from gis_radar.recordings.recording import open_recording
+from gis_radar.sight import SightSource, SightTiles
 from gis_radar.tiles import read_tiles
 from gis_radar.tracking.map_check import map_of_tiles
 
@@ -105,7 +109,7 @@ class MeasuredSite:
             cycles={name: self.cycles[name] for name in self.cycles
                     if any(track.sensor == name for _, track in recordings)},
             hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
-            accept=None, processes=processes, reporter=reporter,
+            check=False, processes=processes, reporter=reporter,
         )  # fmt: skip
 
 
@@ -123,12 +127,16 @@ class Done(Reporter):
         What was measured.
     hours : list of int
         Those that are to be made (again).
+    doubts : dict
+        By sensor, what the check of poses and recordings doubts, nothing where all fits; sensors
+        with too little traffic to tell are left out.
     """
 
     said: list[str] = field(default_factory=list)
     not_measured: dict[int, str] = field(default_factory=dict)
     quarters: list[Lately] = field(default_factory=list)
     hours: list[int] = field(default_factory=list)
+    doubts: dict[str, str | None] = field(default_factory=dict)
 
     def log(self, message: str, level: str = "info") -> None:
         """Keep a warning."""
@@ -182,6 +190,7 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
     done = make_recordings(site, spooled)
     before_hour = hour_of_time(int(time.time() * 1e6))
     _measure_hours(site, hours, before_hour, done)
+    _check_poses(site, max(hours), done)
     _read_day(site, done)
     for path in (site.folder / PROVISIONAL).glob("2*"):
         if time_of_name(path.name) // HOUR_US < before_hour:
@@ -216,6 +225,24 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
             site.measure(recordings, site.dataset, before_hour=before_hour, reporter=done)
         except InputError as error:
             done.not_measured[hour] = error.message
+
+
+def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
+    """Check whether poses, recordings and map fit each other in an hour; no table depends on it."""
+    paths = {name: recording_path(site.folder, name, hour) for name in site.sensors}
+    tiles = read_tiles(site.tiles)
+    roads, _ = map_of_tiles(site.map, tiles)
+    centres = SightTiles.of(tiles).centres
+    lanes = LaneMap(lanelets=roads.lanelets, road=centres[np.isfinite(centres[:, 2])])
+    with suppress(InputError):  # what is damaged is named where it is measured
+        sensors = {
+            name: RecordedSensor(recordings=[open_recording(path)], tracks=[track_beside(path)])
+            for name, path in paths.items()
+            if path.exists()
+        }
+        for each in check_plausibility(sensors, lanes):
+            if each.verdict != UNKNOWN:
+                done.doubts[each.sensor] = each.line if each.doubt else None
 
 
 def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:

@@ -85,6 +85,8 @@ class HourJobs:
         seconds).
     wanted : bool
         Whether work waits for the spool to be closed.
+    doubts : dict
+        By sensor, what the check of the last hour doubts of its pose and recording, or None.
     """
 
     def __init__(
@@ -92,6 +94,7 @@ class HourJobs:
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
+        self.doubts: dict[str, str | None] = {}
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._settings, self._reporter = settings, reporter
@@ -218,6 +221,7 @@ class HourJobs:
                 self._unmeasured.pop(hour, None)
         self.touch(done.hours)
         self._quarters.add(done.quarters)
+        self.doubts |= done.doubts
         self._say(done.said)
         for hour, why in done.not_measured.items():
             self._wait(hour, why)

@@ -187,6 +187,8 @@ def check_site(
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
     warnings += _time_warnings(found)
     findings = _check_poses(site, roads, reporter)
+    accepted = {each.name for each in site.sensor if each.accept}
+    warnings += [f.doubt for f in findings if f.doubt and (not f.refused or f.sensor in accepted)]
     folder = site.path.absolute().parent  # as in remarks of a run
     warnings = [in_site_words(line, site.timezone, folder) for line in warnings]
     for line in warnings:

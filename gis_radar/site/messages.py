@@ -76,4 +76,6 @@ def error_in_site_words(
     error.message = in_site_words(error.message, timezone, folder)
     error.hint = in_site_words(error.hint, timezone, folder)
     error.args = (error.message, *error.args[1:])
+    for part in error.parts:
+        error_in_site_words(part, timezone, folder)
     return error

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gis_radar.crs import name_of, require_same
-from gis_radar.errors import GisRadarError, InputError, NoAnswerError, UsageError
+from gis_radar.errors import GisRadarError, InputError, UsageError
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
@@ -113,8 +113,8 @@ def measure_site(
             if len(error.findings) == len(left):
                 raise
             for each in error.findings:
-                reporter.warn("{} is left out: {}", each.sensor, each.line)
-                refused[each.sensor] = NoAnswerError("{}", each.line, hint=each.advice)
+                reporter.warn("{} is left out: {} ({})", each.sensor, each.line, each.advice)
+                refused[each.sensor] = each.refusal
                 del left[each.sensor]
         except InputError as error:
             named = [n for n, (paths, _) in left.items() if _names_one(error.message, paths)]

@@ -32,6 +32,7 @@ from gis_radar.processes import workers_here
 from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
+from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.software import software
@@ -74,7 +75,7 @@ class SiteRun:
     @property
     def missing(self) -> dict[str, GisRadarError]:
         """The sensors without a result, and why."""
-        return _refused(self.outcomes) | {
+        return _refused(self.outcomes, self.site.timezone) | {
             each.stage.sensor: each.error
             for each in reversed(self.outcomes)
             if each.stage.sensor and each.error is not None
@@ -98,10 +99,12 @@ class SiteRun:
             rest = Text("the heat maps show {} only", ", ".join(made_of))
         kind = InputError if bad else NoAnswerError
         lost = ", ".join(sorted(missing))
-        reason = missing[first].message
-        if first not in reason.partition(":")[0].split():  # else it names the sensor itself
-            reason = Text("{}: {}", first, reason)
-        return kind("no result for {}; {}; {}", lost, rest, reason, hint=missing[first].hint)
+        told = {name: _named(name, error) for name, error in missing.items()}
+        parts = [kind("no result for {}; {}", lost, rest), *told.values()]
+        return kind(
+            "no result for {}; {}; {}", lost, rest, told[first].message, hint=told[first].hint,
+            parts=parts if len(told) > 1 else (),
+        )  # fmt: skip
 
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
@@ -120,6 +123,7 @@ class SiteRun:
                 for k, value in (by_work.get(work.measure_stage) or {}).items()
                 if k in {"vehicles", "heavy", "passages"}
             },
+            **({"doubts": [*doubts.values()]} if (doubts := _doubts(self.outcomes)) else {}),
             "warnings": len(_warnings(self.outcomes)),
             "stages": len(self.outcomes),
             "stages_done_before": sum(each.state == "kept" for each in self.outcomes),
@@ -295,14 +299,32 @@ def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
     ]
 
 
-def _refused(outcomes: Sequence[Outcome]) -> dict[str, GisRadarError]:
+def _refused(outcomes: Sequence[Outcome], timezone: str) -> dict[str, GisRadarError]:
     """Return the sensors whose recordings are not in the dataset, and why."""
     measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
     return {
-        name: (NoAnswerError if name in each.get("implausible", ()) else InputError)("{}", why)
+        name: error_in_site_words(
+            (NoAnswerError if name in each.get("implausible", ()) else InputError)(
+                "{}", why, hint=each.get("hints", {}).get(name, "")
+            ),
+            timezone,
+        )
         for each in measured
         for name, why in each.get("refused", {}).items()
     }
+
+
+def _named(name: str, error: GisRadarError) -> GisRadarError:
+    """Return why a sensor has no result, with its name."""
+    if name in error.message.partition(":")[0].split():  # it names the sensor itself
+        return error
+    return type(error)("{}: {}", name, error.message, hint=error.hint)
+
+
+def _doubts(outcomes: Sequence[Outcome]) -> dict[str, str]:
+    """Return by sensor what the check of poses and recordings doubts."""
+    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
+    return {name: line for each in measured for name, line in each.get("doubts", {}).items()}
 
 
 def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
@@ -318,8 +340,10 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
         elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
             # how a pose was found comes first; the pose in use counts
             found[each.stage.sensor] = {**facts, **each.figures}
-    for name, error in _refused(outcomes).items():
+    for name, error in _refused(outcomes, site.timezone).items():
         found[name]["state"] = error.message
+    for name, doubt in _doubts(outcomes).items():
+        found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
     return {name: {"state": "ok"} | facts for name, facts in found.items()}
 
 

@@ -214,7 +214,9 @@ def measure_stage(
     heavy = {"heavy": int((made.vehicles()["p_heavy"] >= 0.5).sum())} if made.has_vehicles else {}
     return {
         **made.figures(), **heavy,
+        "doubts": {n: line for n, line in made.manifest.checks.items() if n in made.sensors},
         "refused": {name: error.message for name, error in refused.items()},
+        "hints": {name: error.hint for name, error in refused.items()},
         "implausible": [n for n, error in refused.items() if isinstance(error, NoAnswerError)],
     }  # fmt: skip
 

@@ -27,7 +27,7 @@ def files(tmp_path_factory):
 
 
 def hits_of(folder, *recordings, **options):
-    options = {"hits_only": True, "accept": None} | options  # frames are looked at later
+    options = {"hits_only": True, "check": False} | options  # frames are looked at later
     return measured(folder, *recordings, **options)
 
 

@@ -1,0 +1,126 @@
+"""What the check of poses and recordings found of each sensor, and how it is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gis_radar.errors import NoAnswerError
+from gis_radar.progress import Reporter
+from gis_radar.texts import Text
+
+FITS, WRONG = Text("fits"), Text("does not fit")
+UNKNOWN = Text("too little traffic to tell")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What the check found of a sensor.
+
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    verdict : str
+        `FITS`, `WRONG` or `UNKNOWN`.
+    evidence : str
+        The numbers that it rests on.
+    cause, advice : str
+        What is probably wrong and what to do; empty where nothing is.
+    """
+
+    sensor: str
+    verdict: str
+    evidence: str
+    cause: str = ""
+    advice: str = ""
+
+    @property
+    def refused(self) -> bool:
+        """Whether nothing goes on but where it is accepted."""
+        return self.verdict == WRONG
+
+    @property
+    def doubt(self) -> str:
+        """What results say that go on anyway; empty where all fits."""
+        if self.refused:
+            return Text("{}; it is accepted anyway", self.line)
+        return self.line if self.verdict != FITS or self.cause else ""
+
+    @property
+    def refusal(self) -> NoAnswerError:
+        """The finding as an error, with what to do."""
+        go_on = Text("{} {}", "--accept", self.sensor)
+        hint = Text("{}; or go on anyway: {}", self.advice, go_on)
+        return NoAnswerError("{}", self.line, hint=hint)
+
+    @property
+    def reason(self) -> str:
+        """The cause with its evidence, or the evidence alone."""
+        return Text("{} ({})", self.cause, self.evidence) if self.cause else self.evidence
+
+    @property
+    def line(self) -> Text:
+        """The finding in a line."""
+        return Text("{}: {}: {}", self.sensor, self.verdict, self.reason)
+
+
+def wrong(evidence: str, cause: str, advice: str) -> Finding:
+    """Return that a sensor does not fit, which is still to be named."""
+    return Finding(sensor="", verdict=WRONG, evidence=evidence, cause=cause, advice=advice)
+
+
+class ImplausibleError(NoAnswerError):
+    """Sensors whose poses and recordings do not fit each other or the map.
+
+    Parameters
+    ----------
+    template, *values, hint
+        As for every error.
+    findings : tuple of Finding
+        What was found of these sensors.
+    """
+
+    def __init__(  # by the message alone, too: so errors come back from worker processes
+        self, template: str, /, *values: Any, hint: str = "", findings: tuple[Finding, ...] = ()
+    ) -> None:
+        parts = [each.refusal for each in findings] if len(findings) > 1 else []
+        super().__init__(template, *values, hint=hint, parts=parts)
+        self.findings = findings
+
+
+def refuse_implausible(
+    findings: Sequence[Finding], accepted: Collection[str], reporter: Reporter
+) -> None:
+    """Refuse sensors that do not fit; warn of those that are accepted, or show too little.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        As from :func:`check_plausibility`.
+    accepted : collection of str
+        Sensors to go on with anyway.
+    reporter : Reporter
+        Receives the warnings.
+
+    Raises
+    ------
+    ImplausibleError
+        Naming all sensors that do not fit.
+    """
+    refused = tuple(each for each in findings if each.refused and each.sensor not in accepted)
+    if refused:
+        accept = Text(", ").join(Text("{} {}", "--accept", each.sensor) for each in refused)
+        advice = Text("; ").join(Text("{}: {}", each.sensor, each.advice) for each in refused)
+        if len(refused) == 1:
+            advice = Text(refused[0].advice)
+        raise ImplausibleError(
+            "{}",
+            Text("; ").join(each.line for each in refused),
+            hint=Text("{}; or go on anyway: {}", advice, accept),
+            findings=refused,
+        )
+    for each in findings:
+        if each.doubt:
+            reporter.warn("{}", each.doubt)

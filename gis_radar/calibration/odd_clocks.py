@@ -1,0 +1,52 @@
+"""Odd clocks: sensors that see the vehicles of a common view at different times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+
+from gis_radar.calibration.clock_offsets import measured_offset
+from gis_radar.calibration.findings import Finding, wrong
+from gis_radar.calibration.lane_detections import LaneDetections
+from gis_radar.errors import NoAnswerError
+from gis_radar.texts import Text
+
+CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0  # between sensors with a common view: a car's length and more
+
+
+def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
+    """Return the sensors that see vehicles at other times than those with a common view.
+
+    Parameters
+    ----------
+    seen : mapping of str to LaneDetections
+        What moved along lanes, by sensor.
+    """
+    odd: dict[str, list[tuple[str, float, float]]] = {}
+    for one, other in combinations(seen, 2):
+        try:
+            offset = measured_offset(seen[one], seen[other])
+        except NoAnswerError:  # no common view
+            continue
+        if abs(offset.offset_s) > max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s):
+            odd.setdefault(one, []).append((other, -offset.offset_s, offset.sigma_s))
+            odd.setdefault(other, []).append((one, offset.offset_s, offset.sigma_s))
+    told = dict[str, Finding]()
+    while odd:  # who contradicts most is off; of two that contradict each other, either may be
+        most = max(map(len, odd.values()))
+        named = {name for name, pairs in odd.items() if len(pairs) == most}
+        told |= {name: _apart(name, *odd[name][0]) for name in named}
+        odd = {
+            key: left
+            for key, pairs in odd.items()
+            if key not in named and (left := [each for each in pairs if each[0] not in named])
+        }
+    return dict(sorted(told.items()))
+
+
+def _apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
+    evidence = Text("{:+.2f} ± {:.2f} s by vehicles that both see", ahead_s, sigma_s)
+    cause = Text("its clock and that of {} are apart", other)
+    found = wrong(evidence, cause, Text("find the offset with gis-radar clocks"))
+    return replace(found, sensor=name)
