@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import geopandas as gpd
@@ -116,9 +117,11 @@ def lightened(place: Place, folder: Path) -> Place:
     def seen(rows: pd.DataFrame, pose: gr.Pose) -> pd.DataFrame:
         points = pose.to_map(np.nan_to_num(rows[["x", "y", "z"]].to_numpy(np.float64)))[:, :2]
         at_m = 1000.0 * (np.rint(rows["time"].to_numpy() / STEP_S) - step[0])
-        near = tree.query(
-            np.column_stack([points - origin, at_m]), NEAREST, distance_upper_bound=HALF_M
-        )[1]
+        near = np.asarray(
+            tree.query(
+                np.column_stack([points - origin, at_m]), NEAREST, distance_upper_bound=HALF_M
+            )[1]
+        )
         nearest, least_m = np.full(len(rows), len(true)), np.full(len(rows), AROUND_M)
         for number in near.T:
             there = number < len(true)
@@ -130,7 +133,7 @@ def lightened(place: Place, folder: Path) -> Place:
             beyond = np.maximum(ahead - sizes[one, 0] / 2.0, aside - sizes[one, 1] / 2.0)
             closer = there & (beyond < least_m)
             nearest[closer], least_m[closer] = number[closer], beyond[closer]
-        return rows[stays[nearest]]
+        return pd.DataFrame(rows[stays[nearest]])
 
     return replace(place, rows={n: seen(r, place.poses[n]) for n, r in place.rows.items()})
 
@@ -142,12 +145,10 @@ def elsewhere(place: Place, sensor: str, other: Place, there: str) -> LaneMap:
     for name in ("centre", "geometry"):
         deep = lanelets[name].has_z.any()
         shift = by if deep else by[:2]
-        lanelets[name] = gpd.GeoSeries(
-            shapely.transform(
-                lanelets[name].to_numpy(), lambda xyz, s=shift: xyz + s, include_z=bool(deep)
-            ),
-            index=lanelets.index, crs=lanelets.crs,
-        )  # fmt: skip
+        moved = shapely.transform(
+            lanelets[name].to_numpy(), partial(np.add, shift), include_z=bool(deep)
+        )
+        lanelets[name] = gpd.GeoSeries(moved, index=lanelets.index, crs=lanelets.crs)
     return LaneMap(lanelets=lanelets, road=other.lanes.road + by)
 
 

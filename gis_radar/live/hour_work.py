@@ -45,7 +45,7 @@ from gis_radar.measures.validity import validity_of
 from gis_radar.poses.files import PoseTrack
 from gis_radar.processes import workers_here
 from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.formats import open_recording
 from gis_radar.sight import SightSource, SightTiles
 from gis_radar.tiles import read_tiles
 from gis_radar.tracking.map_check import map_of_tiles
