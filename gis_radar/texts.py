@@ -52,8 +52,11 @@ class Text(str):
         return self  # of an error, too: `str(error)` keeps the template
 
     def join(self, parts: Iterable[str], /) -> Text:
-        """Return texts as one, with this one between them."""
+        """Return texts as one, with this one between them; a word of it is translated, too."""
         values = tuple(parts)
+        if any(map(str.isalpha, self)):
+            between = [each for part in values for each in (self, part)][1:]
+            return Text("{}" * len(between), *between)
         return Text(str.__str__(self).join("{}" for _ in values), *values)
 
     def removeprefix(self, prefix: str, /) -> str:
@@ -90,7 +93,7 @@ def _collect(value: Any, found: dict[str, Any]) -> None:
 
 def _as_list(value: Any) -> Any:
     """Return a value as JSON holds it; a text as a list of template and values."""
-    if isinstance(value, Text) and value.values:
+    if isinstance(value, Text):
         return [value.template, *map(_as_list, value.values)]
     if isinstance(value, float):
         return float(
@@ -110,7 +113,7 @@ def restored(document: dict[str, Any]) -> dict[str, Any]:
 def _from_list(entry: Any) -> Any:
     match entry:
         case [str(template), *values]:
-            if values and _fits(template, len(values)):
+            if not values or _fits(template, len(values)):
                 return Text(template, *map(_from_list, values))
     return str(entry) if isinstance(entry, list | dict) else entry
 

@@ -158,14 +158,19 @@ def test_a_name_before_a_text_is_taken_off():
          "a.pcap: 12\u202f000 zerlegte Datagramme sind unvollständig"),
         ("this and that of a library", "this and that of a library"),
         (Text("{}: {}", "R1", "this and that of a library"), "R1: this and that of a library"),
+        (Text(" or ").join([Text("x and y are swapped"), Text("its yaw counts clockwise")]),
+         "x und y sind vertauscht oder yaw zählt im Uhrzeigersinn"),
+        (Text("{}: {}: {}", "R1", Text("fits"), Text("its pose may be off")),
+         "R1: passt: der Standort ist vielleicht ungenau"),
         # names of sensors and files are no words of the catalogue
         (Text("no tile lies in the view of {}", "Map"), "keine Kachel liegt im Sichtfeld von Map"),
     ],
 )  # fmt: skip
 def test_errors_are_german_wherever_they_stand(told, german):
     assert tr(told) == told
+    (read,) = restored(json.loads(json.dumps(with_texts({"told": [told]}))))["told"]
     with speaking("de"):
-        assert tr(told) == german
+        assert tr(told) == tr(read) == german
 
 
 @pytest.mark.parametrize(
