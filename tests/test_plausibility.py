@@ -61,6 +61,7 @@ MISTAKES = {
     "mirrored": (POSES["R1"], times("y", -1.0), "left and right are swapped", "the sign of y"),
     "km/h": (POSES["R1"], times("range_rate", 3.6), "range rates look like km/h", "by 3.6"),
     "cm/s": (POSES["R1"], times("range_rate", 100.0), "cm/s or mm/s", "m/s"),
+    "infinite": (POSES["R1"], times("range_rate", np.inf), "cm/s or mm/s", "m/s"),
     "sign": (POSES["R1"], times("range_rate", -1.0), "positive where targets", "change the sign"),
     "absolute": (POSES["R1"], signless, "absolute values", "positive"),
     "frozen": (POSES["R1"], frozen, "the recording is frozen", "leave"),

@@ -277,7 +277,8 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     frames, first, count = np.unique(time, return_index=True, return_counts=True)
     if len(frames) == 0:
         return None
-    values = np.nan_to_num(np.column_stack([rows.points, rows.range_rate])[present])
+    values = np.column_stack([rows.points, rows.range_rate])[present]
+    values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
     sums = np.add.reduceat(values, first)
     same = (np.diff(count) == 0) & (np.diff(sums, axis=0) == 0.0).all(axis=1)
     same = np.append(False, same & (count[1:] >= LEAST_REPEATED))

@@ -106,7 +106,7 @@ def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET
         registry = Registry.read(folder, dataset.manifest.fingerprint)
         lost = {each.digest: each for each in registry.entries if not _is_there(each)}
         found: dict[str, Path] = {}
-        paths = sorted(p for p in Path(search).rglob("*") if is_recording(p))
+        paths = sorted(p for p in Path(search).rglob("*") if p.is_file() and is_recording(p))
         for done, path in enumerate(paths if lost else []):
             digest = digest_of(path)
             if digest in lost:

@@ -223,6 +223,8 @@ def test_a_recording_that_an_hour_needs_has_gone_or_changed(files, tmp_path):
     hits_of(tmp_path / "site", ("R1", moved))
     (tmp_path / "archive").mkdir()
     moved.rename(tmp_path / "archive" / "renamed.parquet")
+    (tmp_path / "archive" / "folder.parquet").mkdir()
+    (tmp_path / "archive" / "gone.csv").symlink_to("nowhere")
     error = refused(tmp_path / "site", ("R2", files["R2"]), match=r"R1\.parquet: is not there")
     assert "--relink" in error.hint
     shutil.copy(files["R2"], moved)
