@@ -90,7 +90,7 @@ def test_a_pose_that_does_not_fit_is_named_each_hour(tmp_path):
     table.pop("quaternion", None)
     pose.write_text(json.dumps(table | {"yaw": table["yaw"] - 180.0}))
     doubts = make_hours(made.site, [], [HOUR]).doubts
-    assert doubts["R1"].startswith("R1: does not fit: yaw is off by 180 deg (")
+    assert doubts["R1"].startswith("does not fit: yaw is off by 180 deg (")
     assert doubts["R2"] is None
 
 

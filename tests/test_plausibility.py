@@ -122,7 +122,7 @@ def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
         assert line[:2] == [name, "does not fit"]
         assert f"it fits the pose of {other}" in line[2]
         assert line[3] == f"give the recording with the pose of {other}"
-    assert "accept = true in [[sensor]] of R1" in events["error"]["hint"]
+    assert "accept = true in [[sensor]] R1" in events["error"]["hint"]
     parts = events["error"]["parts"]
     assert [part["hint"].partition(";")[0] for part in parts] == [line[3] for line in lines]
     told = [
@@ -134,8 +134,7 @@ def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
     ]
     assert [line[: len(begin)] for line, begin in zip(lines, told, strict=True)] == told
     assert lines[1].endswith(
-        "(give the recording with the pose of R1; or go on anyway: accept = true in [[sensor]] of "
-        "R2)"
+        "(give the recording with the pose of R1; or go on anyway: accept = true in [[sensor]] R2)"
     )
 
 
@@ -152,8 +151,10 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert code == 4
     assert "no result for R2" in err
     assert "yaw is off by 180 deg" in err
-    hint = "(set yaw to -66.4; or go on anyway: accept = true in [[sensor]] of R2)"
+    hint = "(set yaw to -66.4; or go on anyway: accept = true in [[sensor]] R2)"
     assert err.rstrip().endswith(hint)
+    assert "R2 is left out: does not fit: yaw is off" in err
+    assert "| does not fit: yaw is off" in (mixed_up / "out" / "summary.md").read_text()
     dataset = mixed_up / "out" / "dataset"
     assert gr.open_dataset(dataset).sensors == ["R1"]
     tiles = mixed_up / "out" / "tiles.gpkg"
@@ -188,7 +189,7 @@ def test_a_run_shows_what_it_doubts(run, mixed_up, rows):
     code, out, _ = run("run", site, "-o", mixed_up / "out", "--json")
     assert code == 0
     summary = json.loads(out.splitlines()[-1])["summary"]
-    (doubt,) = summary["doubts"]
+    (doubt,) = summary["not_known_to_fit"]
     assert doubt.startswith("R2: fits: its pose may be off (")
     assert summary["sensors"]["R2"]["state"] == doubt.removeprefix("R2: ")
     assert doubt in (mixed_up / "out" / "summary.md").read_text().replace("\\", "")

@@ -74,7 +74,11 @@ def test_every_key_is_one():
      ("is the pose off? gis-radar sight --recording lists the tiles",
       "is the pose off? gis-radar sight --recording lists the tiles", None),
      (Text("no frame from {} on", "2025-06-12T07:30Z"),
-      "no frame from 2025-06-12 09:30 UTC+02:00 on", None)],
+      "no frame from 2025-06-12 09:30 UTC+02:00 on", None),
+     (Text("{}: {}", "R1", Text("fits")), "R1: fits", "R1: passt"),
+     (Text("{}; or go on anyway: {}", Text("leave that time out"), Text("{} {}", "--accept", "R1")),
+      "leave that time out; or go on anyway: accept = true in [[sensor]] R1",
+      "diese Zeit weglassen; oder trotzdem weiter: accept = true in [[sensor]] R1")],
 )  # fmt: skip
 def test_messages_are_in_the_words_of_the_site_file(told, shown, german):
     said = in_site_words(told, "Europe/Berlin")

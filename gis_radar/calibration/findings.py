@@ -61,9 +61,14 @@ class Finding:
         return Text("{} ({})", self.cause, self.evidence) if self.cause else self.evidence
 
     @property
+    def told(self) -> Text:
+        """The finding, without the sensor's name."""
+        return Text("{}: {}", self.verdict, self.reason)
+
+    @property
     def line(self) -> Text:
         """The finding in a line."""
-        return Text("{}: {}: {}", self.sensor, self.verdict, self.reason)
+        return Text("{}: {}", self.sensor, self.told)
 
 
 def wrong(evidence: str, cause: str, advice: str) -> Finding:

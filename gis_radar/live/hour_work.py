@@ -242,7 +242,7 @@ def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
         }
         for each in check_plausibility(sensors, lanes):
             if each.verdict != UNKNOWN:
-                done.doubts[each.sensor] = each.line if each.doubt else None
+                done.doubts[each.sensor] = each.told if each.doubt else None
 
 
 def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:

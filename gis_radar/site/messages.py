@@ -17,7 +17,7 @@ from gis_radar.texts import Text
 
 # What stands for a value, or for a text by its template.
 KEYS = {
-    "--accept": "accept = true in [[sensor]] of",
+    "--accept": "accept = true in [[sensor]]",
     "--clock": "clock in [sensor.convert]",
     "--columns": "columns in [sensor.convert]",
     "--crs": "crs in [map]",
@@ -64,7 +64,8 @@ def in_site_words(text: str, timezone: str, folder: Path | None = None) -> Text:
         if not isinstance(value, str | PurePath):
             return value
         shown = KEYS.get(str(value)) or clock.localised(str(value))
-        return shown if folder is None else inside.sub("", shown)
+        shown = shown if folder is None else inside.sub("", shown)
+        return value if shown == value else shown  # a text of one word stays one
 
     return Text(told(Text(text)))
 

@@ -109,6 +109,7 @@ class SiteRun:
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
         by_work = {e.stage.work: e.figures for e in reversed(self.outcomes) if e.has_result}
+        unsure = _doubts(self.outcomes)
         heat, tiles = by_work.get(work.heatmap_stage), by_work.get(work.tiles_stage)
         names = (*_POSE, "fitness", "scan_check", "state")
         sensors = _sensors_of(self.outcomes, self.site).items()
@@ -123,7 +124,7 @@ class SiteRun:
                 for k, value in (by_work.get(work.measure_stage) or {}).items()
                 if k in {"vehicles", "heavy", "passages"}
             },
-            **({"doubts": [*doubts.values()]} if (doubts := _doubts(self.outcomes)) else {}),
+            **({"not_known_to_fit": [*unsure.values()]} if unsure else {}),
             "warnings": len(_warnings(self.outcomes)),
             "stages": len(self.outcomes),
             "stages_done_before": sum(each.state == "kept" for each in self.outcomes),
@@ -305,7 +306,7 @@ def _refused(outcomes: Sequence[Outcome], timezone: str) -> dict[str, GisRadarEr
     return {
         name: error_in_site_words(
             (NoAnswerError if name in each.get("implausible", ()) else InputError)(
-                "{}", why, hint=each.get("hints", {}).get(name, "")
+                why, hint=each.get("hints", {}).get(name, "")
             ),
             timezone,
         )
@@ -341,7 +342,7 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
             # how a pose was found comes first; the pose in use counts
             found[each.stage.sensor] = {**facts, **each.figures}
     for name, error in _refused(outcomes, site.timezone).items():
-        found[name]["state"] = error.message
+        found[name]["state"] = Text(error.message).removeprefix(f"{name}: ")
     for name, doubt in _doubts(outcomes).items():
         found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
     return {name: {"state": "ok"} | facts for name, facts in found.items()}

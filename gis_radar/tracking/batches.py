@@ -27,7 +27,7 @@ LEAST_ROWS = 5  # detections of a vehicle on a lane, of which the median tells i
 SURE = 4.0  # sigma of a shift that is named: of hundreds of sensors hardly one is blamed wrongly
 DRAWN = 0.75  # who is off by a smaller share of the worst is drawn along by that one
 SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-POSE_HINT = ": its pose may be off (gis-radar track, gis-radar localize)"
+POSE_HINT = "gis-radar track, gis-radar localize"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -342,7 +342,7 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSet
             what = Text("{:.0%} of its vehicles follow no lanelet", off)
         elif shifts[number] > least:
             side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
-            what = Text("its vehicles drive {:.1f} m {} of the lanes", shifts[number], side)
+            what = Text("its vehicles drive {:.1f} m {} of the lanes", shifts[number], Text(side))
         elif apart > settings.most_beside_m:
             what = Text(
                 "its vehicles drive {:.1f} m farther from their lanes' centres than "
@@ -351,7 +351,8 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSet
             )
         else:
             continue
-        lines.append(Text("{}: {}{}", sensors[number], what, POSE_HINT))
+        doubt = Text("its pose may be off")
+        lines.append(Text("{}: {}: {} ({})", sensors[number], what, doubt, POSE_HINT))
     return lines
 
 
