@@ -300,14 +300,14 @@ def are_persons(
         return np.asarray(faint)
     person, vehicle = settings.person, settings.vehicle
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
-    odds = _log_normal(rcs - usual, person[:2]) - _log_normal(rcs - usual, vehicle[:2])
-    by_size = _log_normal(size, person[2:]) - _log_normal(size, vehicle[2:])
+    odds = _log_density(rcs - usual, person[:2]) - _log_density(rcs - usual, vehicle[:2])
+    by_size = _log_density(size, person[2:]) - _log_density(size, vehicle[2:])
     odds += np.where(np.isnan(by_size), 0.0, by_size)
     may_be = steady & (fast < settings.cyclist_mps) | (rcs < usual - settings.faint_db)
     return np.asarray(may_be & (odds > 0.0))
 
 
-def _log_normal(value: Floats, usual: Sequence[float]) -> Floats:
+def _log_density(value: Floats, usual: Sequence[float]) -> Floats:
     """Return the logarithm of a normal density by its mean and standard deviation, but for pi."""
     mean, sigma = usual
     return np.asarray(-0.5 * ((value - mean) / sigma) ** 2 - np.log(sigma))
