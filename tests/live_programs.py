@@ -212,7 +212,7 @@ def assert_equal_to_batch(site, names, *, hits_only=True, **given):
     poses = [gr.read_track(pose_beside(path)) for path in recordings]
     folder = site.folder / f"batch-{time.monotonic_ns()}"
     tiles = gr.read_tiles(site.tiles)
-    given = {"hits_only": hits_only, "check": False} | given  # live checks no poses
+    given = {"hits_only": hits_only, "check": False} | given  # live refuses no pose
     gr.measure(recordings, poses, tiles, site.map_file, folder, **given)
     mine, theirs = (parts_of(each) for each in (site.folder / "live" / "dataset", folder))
     assert mine

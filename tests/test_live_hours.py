@@ -94,6 +94,14 @@ def test_a_pose_that_does_not_fit_is_named_each_hour(tmp_path):
     assert doubts["R2"] is None
 
 
+def test_a_map_that_is_gone_keeps_its_hour_from_being_measured_and_checked(tmp_path):
+    made = SpooledSite(tmp_path)
+    spooled = recorded_at(made, FULL_US - 20_000_000)
+    done = make_hours(replace(made.site, map=tmp_path / "gone.osm"), spooled, [HOUR])
+    assert "gone.osm" in done.not_measured[HOUR]
+    assert done.doubts == {}
+
+
 def test_frames_that_come_late_make_their_hour_again(tmp_path):
     made = SpooledSite(tmp_path)
     make_hours(made.site, recorded_at(made, FULL_US - 20_000_000, ["R1"]), [HOUR])

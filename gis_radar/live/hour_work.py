@@ -230,11 +230,11 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
 def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
     """Check whether poses, recordings and map fit each other in an hour; no table depends on it."""
     paths = {name: recording_path(site.folder, name, hour) for name in site.sensors}
-    tiles = read_tiles(site.tiles)
-    roads, _ = map_of_tiles(site.map, tiles)
-    centres = SightTiles.of(tiles).centres
-    lanes = LaneMap(lanelets=roads.lanelets, road=centres[np.isfinite(centres[:, 2])])
     with suppress(InputError):  # what is damaged is named where it is measured
+        tiles = read_tiles(site.tiles)
+        roads, _ = map_of_tiles(site.map, tiles)
+        centres = SightTiles.of(tiles).centres
+        lanes = LaneMap(lanelets=roads.lanelets, road=centres[np.isfinite(centres[:, 2])])
         sensors = {
             name: RecordedSensor(recordings=[open_recording(path)], tracks=[track_beside(path)])
             for name, path in paths.items()
