@@ -21,7 +21,7 @@ from gis_radar.calibration.kalman_filter import Measurement
 from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.odd_clocks import odd_clocks
-from gis_radar.calibration.range_scale import SIGN, Quantity, RangeScale, measure_range_scale
+from gis_radar.calibration.range_scale import SIGN, RangeScale, measure_range_scale
 from gis_radar.calibration.rivals import (
     AGAINST,
     NEAR_DEG,
@@ -209,7 +209,7 @@ def _odd_pace(pace: RangeScale | None) -> Finding | None:
         return wrong(_paced(pace), pace.likely, pace.advice)
     if abs(pace.factor - 1.0) <= max(PACE, PACE_SIGMAS * pace.sigma):
         return None
-    lengths = [each for each in pace.mistakes if each.of is Quantity.POSITIONS]
+    lengths = [each for each in pace.mistakes if each.of_positions]
     if pace.mistakes and not lengths:
         return wrong(_paced(pace), pace.likely, pace.advice)
     if lengths or abs(pace.factor - 1.0) <= LENGTHENED:

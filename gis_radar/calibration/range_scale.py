@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 import scipy
@@ -54,14 +53,6 @@ NOT_FITTED = Text("not fitted")  # what a pose's evidence states of a scale in t
 FOOT_M, YARD_M, MILE_KM, NAUTICAL_MILE_KM, KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
 
 
-class Quantity(Enum):
-    """What of a recording a mistake is in."""
-
-    POSITIONS = "positions"
-    RATES = "range rates"
-    RATES_OR_TIMES = "range rates or times"
-
-
 @dataclass(frozen=True, kw_only=True)
 class UnitMistake:
     """A usual mistake of units or signs, with its exact factor.
@@ -74,22 +65,22 @@ class UnitMistake:
         What to do.
     factor : float
         How much faster ranges change than the range rates state.
-    of : Quantity
-        What is wrong.
+    of_positions : bool
+        Whether x, y and z are wrong; else it is the range rates, or the times.
     """
 
     looks: str
     advice: str
     factor: float
-    of: Quantity = Quantity.RATES
+    of_positions: bool = False
 
 
 FEET = UnitMistake(
-    looks=Text("positions look like feet"), of=Quantity.POSITIONS, factor=1.0 / FOOT_M,
+    looks=Text("positions look like feet"), of_positions=True, factor=1.0 / FOOT_M,
     advice=Text("multiply x, y and z by {:g}", FOOT_M),
 )  # fmt: skip
 YARDS = UnitMistake(
-    looks=Text("positions look like yards"), of=Quantity.POSITIONS, factor=1.0 / YARD_M,
+    looks=Text("positions look like yards"), of_positions=True, factor=1.0 / YARD_M,
     advice=Text("multiply x, y and z by {:g}", YARD_M),
 )  # fmt: skip
 ABSOLUTE = UnitMistake(
@@ -118,12 +109,10 @@ LIKELY = (
     SIGN,
     UnitMistake(
         looks=Text("range rates look halved, or times run half as fast"), factor=2.0,
-        of=Quantity.RATES_OR_TIMES,
         advice=Text("multiply range_rate by {:g}, or time if the clock is off", 2.0),
     ),
     UnitMistake(
         looks=Text("range rates look doubled, or times run twice as fast"), factor=0.5,
-        of=Quantity.RATES_OR_TIMES,
         advice=Text("multiply range_rate by {:g}, or time if the clock is off", 0.5),
     ),
 )  # fmt: skip
