@@ -40,7 +40,8 @@ def warn(*, reporter, **more):
 
 def refuse(*, outputs, reporter, text="", **_inputs):
     _note(outputs[0], text)
-    raise NoAnswerError("nothing fits", hint="look again")
+    parts = [NoAnswerError("{} does not fit", name, hint=f"look at {name}") for name in "ab"]
+    raise NoAnswerError("nothing fits", hint="look again", parts=parts)
 
 
 def fail(*, outputs, reporter, text="", **_inputs):

@@ -137,7 +137,11 @@ def test_a_sensor_that_fails_does_not_stop_the_others(root, source, work, kind):
     assert not (root / "a2").exists()
     assert any("a1" in text and found["a1"].error.message in text for _, text in heard.messages)
     calls(root)
-    execute(stages, root)
+    again = execute(stages, root)["a1"].error
+    for told in (found["a1"].error, again) if work == "refuse" else ():
+        lines = [(each.message, each.hint) for each in (told, *told.parts)]
+        assert lines == [("nothing fits", "look again"), ("a does not fit", "look at a"),
+                         ("b does not fit", "look at b")]  # fmt: skip
     # A refusal is an answer and stands; bad data may have been a bad moment.
     assert calls(root) == ([] if work == "refuse" else ["a1"])
     assert execute(diamond(root, source), root)["map"].state == "done"

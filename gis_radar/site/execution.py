@@ -270,7 +270,8 @@ class _Record(BaseModel):
     figures: dict[str, Any]
     warnings: tuple[str, ...]
     refusal: tuple[str, str] | None  # message and hint, where there was no trustworthy answer
-    texts: dict[str, Any] = {}  # of figures, warnings and refusal
+    parts: tuple[tuple[str, str], ...] = ()  # of the refusal
+    texts: dict[str, Any] = {}  # of figures, warnings, refusal and parts
     seconds: float
 
 
@@ -386,10 +387,13 @@ class RunState:
             return None
         if record.refusal is None and record.outputs != self._held(stage):
             return None
-        told = restored(record.model_dump(include={"figures", "warnings", "refusal", "texts"}))
+        names = {"figures", "warnings", "refusal", "parts", "texts"}
+        told = restored(record.model_dump(include=names))
         error = None
         if told["refusal"] is not None:
-            error = NoAnswerError(told["refusal"][0], hint=told["refusal"][1])
+            message, hint = told["refusal"]
+            parts = [NoAnswerError(each, hint=what_to_do) for each, what_to_do in told["parts"]]
+            error = NoAnswerError(message, hint=hint, parts=parts)
         return Outcome(
             stage=stage,
             state="refused" if error else "kept",
@@ -406,6 +410,7 @@ class RunState:
             "figures": dict(outcome.figures),
             "warnings": tuple(outcome.warnings),
             "refusal": (error.message, error.hint) if error else None,
+            "parts": [(each.message, each.hint) for each in (error.parts if error else ())],
         }
         self.records[stage.name] = _Record(
             key=self.key_of(stage.asking(outcome.figures.get("asked"))),
