@@ -94,6 +94,15 @@ def test_a_pose_that_does_not_fit_is_named_each_hour(tmp_path):
     assert doubts["R2"] is None
 
 
+def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
+    made = SpooledSite(tmp_path)
+    later = recorded_at(made, FULL_US + HOUR_US - 45_000_000, ["R1"])
+    assert make_hours(made.site, later, [HOUR + 1]).doubts == {"R1": None}
+    late = recorded_at(made, FULL_US - 45_000_000, ["R1"])
+    assert make_hours(made.site, late, [HOUR]).doubts == {}
+    assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
+
+
 def test_a_map_that_is_gone_keeps_its_hour_from_being_measured_and_checked(tmp_path):
     made = SpooledSite(tmp_path)
     spooled = recorded_at(made, FULL_US - 20_000_000)

@@ -15,7 +15,7 @@ import numpy as np
 
 from gis_radar.calibration import LaneMap, RecordedSensor, check_plausibility
 from gis_radar.calibration.findings import UNKNOWN
-from gis_radar.dataset import Dataset, clear_unfinished, open_dataset, record_path
+from gis_radar.dataset import Dataset, clear_unfinished, open_dataset, read_hours, record_path
 from gis_radar.dataset.hour_job import MeasureSettings
 from gis_radar.dataset.manifest import Manifest, require_same_settings
 from gis_radar.dataset.measure import manifest_of, measure
@@ -190,7 +190,8 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
     done = make_recordings(site, spooled)
     before_hour = hour_of_time(int(time.time() * 1e6))
     _measure_hours(site, hours, before_hour, done)
-    _check_poses(site, max(hours), done)
+    if hours:
+        _check_poses(site, max(hours), done)
     _read_day(site, done)
     for path in (site.folder / PROVISIONAL).glob("2*"):
         if time_of_name(path.name) // HOUR_US < before_hour:
@@ -228,9 +229,14 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
 
 
 def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
-    """Check whether poses, recordings and map fit each other in an hour; no table depends on it."""
+    """Check whether poses, recordings and map fit each other in the last hour that is measured.
+
+    No table depends on it. An earlier hour, made again, says nothing of now.
+    """
     paths = {name: recording_path(site.folder, name, hour) for name in site.sensors}
     with suppress(InputError):  # what is damaged is named where it is measured
+        if read_hours(site.dataset, hour + 1):
+            return
         tiles = read_tiles(site.tiles)
         roads, _ = map_of_tiles(site.map, tiles)
         centres = SightTiles.of(tiles).centres
