@@ -17,7 +17,7 @@ from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import _best_stretches
 from gis_radar.tracking.posterior.joins import join_ends
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
-from gis_radar.tracking.posterior.neighbours import split_long
+from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.settings import MotionSettings
 
 BEGIN, RATE = 1e9, 20
@@ -164,6 +164,24 @@ def test_nobody_drives_three_metres_behind_another(graph):
     slow = detected(*(returns(rng, 0, 25, 50.0 + shift, 1.0) for shift in (-3.75, 3.75)))
     queue = track(slow, 0, 25, 50.0, 1.0, length=BUS)
     assert len(split_long(Posterior(slow, [queue]))) == 2
+
+
+@pytest.mark.parametrize(
+    ("apart", "faster", "left"),
+    [
+        (8.0, 0.02, 1),  # ends of a lorry, 3.5 m between them at 36 km/h
+        (8.0, 0.4, 2),  # the second falls behind by 5 m
+        (14.0, 0.02, 2),  # cars a second apart
+    ],
+)
+def test_who_keeps_no_distance_is_the_end_of_another(apart, faster, left):
+    """Both returned like a car of its own, so what lies where does not tell."""
+    rng = np.random.default_rng(11)
+    starts, speeds = (30.0 + apart, 30.0), (10.0, 10.0 - faster)
+    parts = [returns(rng, 0, 14, *each) for each in zip(starts, speeds, strict=True)]
+    found = detected(*parts, clutter(rng, 15))
+    motions = [track(found, 0, 14, *each) for each in zip(starts, speeds, strict=True)]
+    assert len(join_neighbours(Posterior(found, motions))) == left
 
 
 def test_two_tracks_of_one_vehicle_that_meet_become_one(graph):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gis_radar.arrays import Floats, Integers, compiled
-from gis_radar.steps import STEP_S
+from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import EXISTS
 from gis_radar.tracking.posterior.estimate import Posterior
@@ -27,6 +27,10 @@ USUAL_M, BETWEEN_M = 4.5, 2.0  # the usual length of a car, and a gap in a queue
 # their median, s, the standard deviation of their logarithm, and the speed from which they count.
 GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
 KEPT_S = 5.0  # so long a driver keeps a gap
+# Parts of one body keep their distance by so much, m; drivers who flow, faster than that, m/s,
+# differ by so much, m/s; after a second it can be told. Odds against a join: it loses a vehicle.
+RIGID_M, FLOWS_MPS, DIFFER_MPS, LEAST_S, LEAST_ODDS = 0.4, 5.0, 1.0, 1.0, 12.0
+CLOSEST_S = 0.05  # gaps under it, and bodies that overlap, tell no more
 
 
 def join_neighbours(posterior: Posterior) -> list[Motion]:
@@ -43,7 +47,8 @@ def join_neighbours(posterior: Posterior) -> list[Motion]:
         if len(posterior.motions[one].s_m) < len(posterior.motions[other].s_m):
             one, other = other, one  # noqa: PLW2901 - the longer track is kept
         length, ahead, gain = _as_one(posterior, one, other)
-        if gain > LEAST_GAIN:
+        gain = max(gain, _driven_as_one(posterior.motions[one], posterior.motions[other]))
+        if gain > LEAST_GAIN and length > 0.0:
             found.append((-gain, one, other, length, ahead))
     used: set[int] = set()
     for _, one, other, length, ahead in sorted(found):
@@ -51,7 +56,16 @@ def join_neighbours(posterior: Posterior) -> list[Motion]:
             used |= {one, other}
             motions[one] = with_size(posterior.motions[one], length, ahead)
             motions[other] = None
+            motions += _alone(posterior.motions[one], posterior.motions[other], posterior)
     return [each for each in motions if each is not None]
+
+
+def _alone(one: Motion, other: Motion, posterior: Posterior) -> list[Motion]:
+    """Return what a vehicle drives before another is there, and after it is gone: a second each."""
+    time = posterior.given.time
+    spans = ((other.first_step, one.first_step - 1), (one.last_step + 1, other.last_step))
+    long = [span for span in spans if span[1] - span[0] >= STEPS_PER_SECOND]
+    return [each for each in (other.between(*span, time) for span in long) if each is not None]
 
 
 def _neighbours(posterior: Posterior) -> list[tuple[int, int]]:
@@ -122,12 +136,38 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
         (min(max(front - rear + longer, SHORTEST_M), LONGEST_M), 0.5 * (front + rear) + ahead)
         for longer in (-2.0, 0.0, 2.0) for ahead in (-1.0, 0.0, 1.0)
     ]  # fmt: skip
+    tried.append((lengths[0], 0.0))
     gains = _tempered(gains_of_sizes(posterior, a, count, tried) - old)
     gains += [prior(length) - before for length, _ in tried]
     for each in (one, other):
         posterior.lift(each, 1.0)
     best = int(np.argmax(gains))
     return (*tried[best], float(gains[best]))
+
+
+def _driven_as_one(one: Motion, other: Motion) -> float:
+    """Return the log odds, less those against a join, that two who drive are one long vehicle.
+
+    Parts of one keep their distance as drivers do not, and are nearer than drivers follow. Where
+    detections lie on them tells nothing: a body returns from a few places.
+    """
+    low, high = max(one.first_step, other.first_step), min(one.last_step, other.last_step)
+    a, b = (slice(low - each.first_step, high + 1 - each.first_step) for each in (one, other))
+    flows = np.minimum(one.speed[a], other.speed[b]) > FLOWS_MPS
+    time = float(flows.sum()) * STEP_S
+    # halves of one that was just split drive alike, step by step
+    if time < LEAST_S or np.array_equal(one.speed[a], other.speed[b]):
+        return -np.inf
+    apart = np.hypot(*(one.places[0][a] - other.places[0][b])[flows].T)
+    away, bodies = float(np.median(apart)), one.length_m + other.length_m
+    pace = max(float(np.median(each[flows])) for each in (one.speed[a], other.speed[b]))
+    differ = max(DIFFER_MPS * time / math.sqrt(12.0), RIGID_M)
+    off = 0.5 * float(np.var(apart))
+    stays = math.log(differ / RIGID_M) - off * (RIGID_M**-2 - differ**-2)
+    near = min(math.log(max((away - 0.5 * bodies) / pace, CLOSEST_S) / GAP_S), 0.0) / GAP_SPREAD
+    odds = 2.0 * stays + 0.5 * (1.0 + time / KEPT_S) * near * near
+    odds += prior(min(away + 0.5 * bodies, LONGEST_M)) - prior(one.length_m) - prior(other.length_m)
+    return odds - LEAST_ODDS
 
 
 def split_long(posterior: Posterior) -> list[Motion]:
