@@ -56,6 +56,8 @@ def test_persons_are_weaker_than_who_drives_fast():
         (0.0, 5.0, 0.6, True, False),  # a car of which one end is seen
         (-5.0, 12.0, 0.6, True, False),  # a motorcycle
         (-10.0, 5.0, np.nan, True, True),
+        (-4.0, 5.0, np.nan, True, False),  # of unknown size, as of now: rather a car
+        (-2.0, 5.0, 0.9, True, False),  # a small car that creeps
         (-13.0, 0.3, 0.7, False, True),  # a walker who waits
         (-11.0, 0.3, 3.9, False, False),  # a lorry far away that stands
     ],

@@ -20,6 +20,7 @@ from gis_radar.tracking.settings import BodySettings, MotionSettings, VehicleSet
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
+UNKNOWN_SIZE = -1.0  # log odds of a person of whom no size is known: on lanes they are fewer
 STEADY = 0.5  # of the speed that is exceeded a tenth of the time: people hold it half of the time
 
 
@@ -302,7 +303,7 @@ def are_persons(
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
     odds = _log_density(rcs - usual, person[:2]) - _log_density(rcs - usual, vehicle[:2])
     by_size = _log_density(size, person[2:]) - _log_density(size, vehicle[2:])
-    odds += np.where(np.isnan(by_size), 0.0, by_size)
+    odds += np.where(np.isnan(by_size), UNKNOWN_SIZE, by_size)
     may_be = steady & (fast < settings.cyclist_mps) | (rcs < usual - settings.faint_db)
     return np.asarray(may_be & (odds > 0.0))
 

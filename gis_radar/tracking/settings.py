@@ -187,7 +187,7 @@ class BodySettings:
         Largest speed of cyclists.
     person, vehicle : (float, float, float, float)
         Mean and standard deviation of the cross section, dB over that of vehicles, and of the
-        logarithm of the spread of detections, metres: cyclists and walkers return 7 to 12 dB less;
+        logarithm of the spread of detections, metres: most people return 4 to 10 dB less;
         a cyclist of 1.8 x 0.6 m spreads by 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m.
     faint_db : float
         Detections weaker by this belong to no vehicle at any speed: persons next to a passing one.
