@@ -184,6 +184,17 @@ def test_who_keeps_no_distance_is_the_end_of_another(apart, faster, left):
     assert len(join_neighbours(Posterior(found, motions))) == left
 
 
+def test_what_the_end_of_another_drives_alone_is_kept():
+    """The rear is followed for three seconds longer than the front: that time is not lost."""
+    rng = np.random.default_rng(13)
+    parts = returns(rng, 0, 18, 38.0, 10.0), returns(rng, 4, 22, 69.92, 9.98)
+    found = detected(*parts, clutter(rng, 23))
+    front, rear = track(found, 0, 18, 38.0, 10.0), track(found, 4, 21, 69.92, 9.98)
+    whole, alone = join_neighbours(Posterior(found, [front, rear]))
+    assert span_s(whole) == pytest.approx(span_s(front))
+    assert span_s(alone) == pytest.approx((18.0, 21.0), abs=0.2)
+
+
 def test_two_tracks_of_one_vehicle_that_meet_become_one(graph):
     """The later one begins on the vehicle that the earlier one runs past."""
     rng = np.random.default_rng(12)

@@ -11,6 +11,7 @@ import shapely
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, match_along, sample_lanes
 from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections, Recording
 from gis_radar.texts import Text
@@ -257,16 +258,24 @@ def _matched(
     """Return the detections that move along a lane, pose by pose."""
     least_mps = settings.min_speed_mps * settings.min_cosine
     rows = rows.take(rows.present & (np.abs(rows.range_rate) >= least_mps))
-    held, origin = track.at(rows.time), np.array([*lanes.origin, 0.0])
+    held = track.at(rows.time)
     found = []
     for index in np.unique(held).tolist():
         pose, now = track.poses[index], held == index
-        points = pose.to_map(rows.points[now]) - origin
-        points[np.isnan(rows.points[now, 2]), 2] = np.nan
         found.append(
-            lane_detections(
-                lanes, rows.time[now], points, rows.range_rate[now], pose.position - origin,
-                settings,
+            placed_on_lanes(
+                lanes, rows.time[now], rows.points[now], rows.range_rate[now], pose, settings
             )
-        )  # fmt: skip
+        )
     return found
+
+
+def placed_on_lanes(
+    lanes: Lanes, time: Floats, points: Floats, range_rate: Floats, pose: Pose,
+    settings: ClockSettings,
+) -> LaneDetections:  # fmt: skip
+    """Return the detections of a sensor, in its own frame, that move along a lane from a pose."""
+    origin = np.array([*lanes.origin, 0.0])
+    placed = pose.to_map(points) - origin
+    placed[np.isnan(points[:, 2]), 2] = np.nan
+    return lane_detections(lanes, time, placed, range_rate, pose.position - origin, settings)

@@ -14,7 +14,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.hypotheses import find_hypotheses, mirrored
-from gis_radar.calibration.lane_detections import CLOCKS, LaneDetections, lane_detections
+from gis_radar.calibration.lane_detections import CLOCKS, LaneDetections, placed_on_lanes
 from gis_radar.calibration.lanes import (
     LANE_STEP_M,
     MARGIN_M,
@@ -436,15 +436,11 @@ def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
         mine, near = excerpt.held == number, lanes.around(pose, lanes.reach_m(moving.points))
         if near is None:
             continue
-        origin = np.array([*near.origin, 0.0])
-        points = pose.to_map(moving.points[mine]) - origin
-        points[np.isnan(moving.points[mine, 2]), 2] = np.nan
         found.append(
-            lane_detections(
-                near, moving.time[mine], points, moving.range_rate[mine], pose.position - origin,
-                CLOCKS,
+            placed_on_lanes(
+                near, moving.time[mine], moving.points[mine], moving.range_rate[mine], pose, CLOCKS
             )
-        )  # fmt: skip
+        )
     seen = LaneDetections.joined(found)
     return seen.take(np.argsort(seen.time, kind="stable"))
 

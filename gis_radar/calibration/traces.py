@@ -216,11 +216,15 @@ def _goes_somewhere(
     goes = (path >= least_m) & (path >= 0.5 * extent)
     streams = (rows["rate"].median() >= SURE_MPS) & (extent >= least_m)
     good = (rows.size() >= MIN_POINTS) & (goes | streams)
-    pace, steady = (way(number, time, moving) for way in (_pace, _steady_speed))
-    drives = good & (np.maximum(pace, steady) > settings.walk_mps)
+    drives = good & (_fastest(number, time, moving) > settings.walk_mps)
     # walkers keep to kerbs, not to lanes; but in a queue vehicles creep
     walkers = 1.0 - drives.sum() / max(good.sum(), 1)
     return np.asarray(drives if walkers > CREEPING else good)
+
+
+def _fastest(number: Integers, time: Floats, moving: Moving) -> Floats:
+    """Return how fast each track goes at most for a while, m/s."""
+    return np.maximum(_pace(number, time, moving), _steady_speed(number, time, moving))
 
 
 def _pace(number: Integers, time: Floats, moving: Moving) -> Floats:
@@ -265,8 +269,7 @@ def top_speeds(moving: Moving, tracks: Integers) -> Floats:
     followed = replace(
         moving, time=moving.time[on], points=moving.points[on], range_rate=moving.range_rate[on]
     )
-    time = followed.time - moving.begin
-    return np.maximum(*(way(tracks[on], time, followed) for way in (_pace, _steady_speed)))
+    return _fastest(tracks[on], followed.time - moving.begin, followed)
 
 
 def thin(

@@ -136,7 +136,7 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
         (min(max(front - rear + longer, SHORTEST_M), LONGEST_M), 0.5 * (front + rear) + ahead)
         for longer in (-2.0, 0.0, 2.0) for ahead in (-1.0, 0.0, 1.0)
     ]  # fmt: skip
-    tried.append((lengths[0], 0.0))
+    tried.append((lengths[0], 0.0))  # the second may only double the first for a while
     gains = _tempered(gains_of_sizes(posterior, a, count, tried) - old)
     gains += [prior(length) - before for length, _ in tried]
     for each in (one, other):
