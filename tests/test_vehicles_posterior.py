@@ -15,6 +15,7 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import _best_stretches
+from gis_radar.tracking.posterior.ends import into_silence
 from gis_radar.tracking.posterior.joins import join_ends
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
@@ -126,6 +127,27 @@ def test_a_track_goes_on_along_the_lane_as_far_as_it_is_detected(graph):
     assert len(longer.rows) > 400
 
 
+@pytest.mark.parametrize(("each", "least_s", "most_s"), [(2.0, 0.0, 0.1), (0.1, 0.6, 1.4)])
+def test_a_vehicle_is_there_undetected_for_as_long_as_little_is_due(each, least_s, most_s):
+    """In plain view not at all; where a detection comes every half second, for about a second."""
+    rng = np.random.default_rng(14)
+    found = detected(returns(rng, 4, 16, 50.0, 10.0, each=each), clutter(rng, 20, 0.2))
+    known = track(found, 4, 16, 50.0, 10.0)
+    (longer,) = into_silence(Posterior(found, [known]), [known])
+    begin, end = span_s(longer)
+    assert least_s <= 4.0 - begin <= most_s
+    assert least_s <= end - span_s(known)[1] <= most_s
+    assert longer.s_m[0] == pytest.approx(known.s_m[0] - 10.0 * (4.0 - begin))
+
+
+def test_nobody_is_there_before_the_first_frame_or_after_the_last():
+    rng = np.random.default_rng(15)
+    found = detected(returns(rng, 0, 12, 50.0, 10.0, each=0.1))
+    known = track(found, 0, 12, 50.0, 10.0)
+    (same,) = into_silence(Posterior(found, [known]), [known])
+    assert span_s(same) == pytest.approx(span_s(known), abs=0.2)
+
+
 def test_two_tracks_on_one_bus_become_one_that_is_as_long(graph):
     rng = np.random.default_rng(4)
     found = detected(returns(rng, 0, 12, 30.0, 10.0, length=BUS, each=5.0), clutter(rng, 14))
@@ -161,6 +183,10 @@ def test_nobody_drives_three_metres_behind_another(graph):
     found = detected(*ends, clutter(rng, 25))
     lorry = track(found, 0, 25, 10.0, 10.0, length=BUS)
     assert len(split_long(Posterior(found, [lorry]))) == 1
+    ends = [returns(rng, 0, 2, 10.0 + shift, 14.0, each=3.0) for shift in (-3.75, 3.75)]
+    soon = detected(*ends, clutter(rng, 25, 0.3))
+    lorry = track(soon, 0, 2, 10.0, 14.0, length=BUS)
+    assert len(split_long(Posterior(soon, [lorry]))) == 1
     slow = detected(*(returns(rng, 0, 25, 50.0 + shift, 1.0) for shift in (-3.75, 3.75)))
     queue = track(slow, 0, 25, 50.0, 1.0, length=BUS)
     assert len(split_long(Posterior(slow, [queue]))) == 2

@@ -390,12 +390,9 @@ class _States:
 
     @classmethod
     def of(cls, motion: Motion, block: Block, settings: VehicleSettings) -> _States:
-        """Return the states of a motion, extended at both ends where the vehicle moves."""
-        more = settings.batches.unseen_steps
-        before = more if motion.speed[0] > settings.batches.driving_mps else 0
-        after = more if motion.speed[-1] > settings.batches.driving_mps else 0
-        first = max(motion.first_step - before, block.first_step)
-        last = min(motion.last_step + after, block.last_step)
+        """Return the states of a motion from its first step to its last."""
+        first = max(motion.first_step, block.first_step)
+        last = min(motion.last_step, block.last_step)
         step = np.arange(first, last + 1)
         time = np.asarray(step * STEP_S, np.float64)
         s_m, speed = motion.at(time)

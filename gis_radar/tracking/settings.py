@@ -273,11 +273,6 @@ class BatchSettings:
     ----------
     seen_s : float
         A state is seen within so many seconds of a detection (the contract).
-    unseen_steps : int
-        Steps by which a track is extended before its first and after its last detection: into and
-        out of the view, and while a radar misses it.
-    driving_mps : float
-        Least speed at which a track is extended.
     through_mps : float
         Slower vehicles may turn in, park or load beside the lanes.
     least_judged : int
@@ -293,8 +288,6 @@ class BatchSettings:
     """
 
     seen_s: float = 0.5
-    unseen_steps: int = 20
-    driving_mps: float = 1.0
     through_mps: float = 3.0
     least_judged: int = 8
     most_off_lane: float = 0.2

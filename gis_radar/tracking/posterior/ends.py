@@ -1,8 +1,9 @@
-"""Longer tracks: from their ends on along the lanes, as far as the detections there say so."""
+"""Longer tracks: along the lanes as far as the detections there say so, and into silence."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
+from gis_radar.tracking.posterior.cuts import END_SHARE, END_WINDOWS
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import BEND_M, WINDOW_S
 from gis_radar.tracking.posterior.likelihood import (
@@ -33,6 +35,8 @@ GIVE_UP, LEAST_GAIN = 12.0, 3.0  # of the log-probability
 UNSEEN = 8  # half seconds without a gain, after which nobody is looked for any longer
 SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses nearer to each other are one
 SPREAD_M2, MOST_SPREAD_M2 = 0.05, 1.0  # variance of the place, a second
+SILENT_STEPS = round(END_WINDOWS * WINDOW_S * STEPS_PER_SECOND)  # longer nothing tells the way
+SILENT_DUE = 1.0 / END_SHARE  # expected detections; so long a vehicle is undetected on average
 
 
 def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
@@ -57,6 +61,47 @@ def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
                 posterior.gain(longer, add=True, within=new)
                 found[k] = longer
     return found
+
+
+def into_silence(posterior: Posterior, motions: Sequence[Motion]) -> list[Motion]:
+    """Return vehicles that go on before their first detection and after their last one.
+
+    Far away or behind another one, a vehicle is not detected as soon as it comes into view. It is
+    taken to be there for as long as one goes undetected on average, by what is due of it.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        What is expected; the longer vehicles are placed in it.
+    motions : sequence of Motion
+        The vehicles.
+    """
+    posterior.place([_beyond(each, SILENT_STEPS, SILENT_STEPS) for each in motions])
+    found = []
+    for k, motion in enumerate(motions):
+        time, due = posterior.due(k)
+        step = time * STEPS_PER_SECOND
+        before = _silent_steps(motion.first_step - 0.5 - step, due)
+        after = _silent_steps(step - motion.last_step - 0.5, due)
+        found.append(_beyond(motion, before, after))
+    return found
+
+
+def _silent_steps(beyond: Floats, due: Floats) -> int:
+    """Return for how many steps beyond an end no more than `SILENT_DUE` is expected in all."""
+    order = np.argsort(beyond, kind="stable")
+    order = order[beyond[order] > 0.0]
+    silent = beyond[order][np.cumsum(due[order]) <= SILENT_DUE]
+    return min(math.ceil(silent[-1]), SILENT_STEPS) if len(silent) else 0
+
+
+def _beyond(motion: Motion, before: int, after: int) -> Motion:
+    """Return a motion with so many more steps at its ends, straight on at its speed there."""
+    first = motion.first_step - before
+    step = np.arange(first, motion.last_step + after + 1)
+    s_m, speed = motion.at(np.asarray(step * STEP_S, np.float64))
+    var_s = np.pad(motion.var_s, (before, after), "edge")
+    return replace(motion, first_step=first, s_m=s_m, speed=speed, var_s=var_s)
 
 
 def _go_on(posterior: Posterior, motion: Motion, graph: LaneGraph, way: int) -> Motion:

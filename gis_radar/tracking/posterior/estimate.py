@@ -246,10 +246,10 @@ class Posterior:
             self.open[rows], self.rates, self.seen, self.alpha, add,
         )  # fmt: skip
 
-    def due(self, vehicle: int) -> tuple[Integers, Floats]:
-        """Return the half second of each state of a vehicle, and what is due."""
+    def due(self, vehicle: int) -> tuple[Floats, Floats]:
+        """Return the time of each state of a vehicle, UNIX seconds, and what is due."""
         rows = self.states.rows(vehicle)
-        return self.states.window[rows], self._due[rows]
+        return self.frames.time[self.states.frame[rows]], self._due[rows]
 
     def own_gains(self, vehicle: int) -> Floats:
         """Return (groups, 2) the gain of a vehicle as it is over all else, and what is due."""

@@ -11,6 +11,7 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior.cuts import END_MOST, END_SHARE, END_WINDOWS, EXISTS
 from gis_radar.tracking.posterior.estimate import Posterior
+from gis_radar.tracking.posterior.frames import window_of
 from gis_radar.tracking.posterior.neighbours import TOLD
 from gis_radar.tracking.posterior.sizes import with_size
 from gis_radar.tracking.size import LONGEST_M
@@ -144,8 +145,9 @@ def _gain(posterior: Posterior, one: int, other: int, joined: Motion) -> float:
 
 def _end(posterior: Posterior, vehicle: int, *, last: bool) -> float:
     """Return what a vehicle pays for its end or begin in plain view."""
-    window, due = posterior.due(vehicle)
-    if len(window) == 0:
+    time, due = posterior.due(vehicle)
+    if len(time) == 0:
         return 0.0
+    window = window_of(time)
     there = window == (window.max() if last else window.min())
     return float(min(END_SHARE * END_WINDOWS * due[there].sum(), END_MOST))

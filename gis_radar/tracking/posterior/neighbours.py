@@ -27,10 +27,11 @@ USUAL_M, BETWEEN_M = 4.5, 2.0  # the usual length of a car, and a gap in a queue
 # their median, s, the standard deviation of their logarithm, and the speed from which they count.
 GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
 KEPT_S = 5.0  # so long a driver keeps a gap
+LENGTH_STEPS_M = (2.0, 1.0, 0.5)  # by which the length of two as one is sought, ever finer
+LEAST_M = 0.5  # shorter gaps tell no more: errors of lengths
 # Parts of one body keep their distance by so much, m; drivers who flow, faster than that, m/s,
 # differ by so much, m/s; after a second it can be told. Odds against a join: it loses a vehicle.
 RIGID_M, FLOWS_MPS, DIFFER_MPS, LEAST_S, LEAST_ODDS = 0.4, 5.0, 1.0, 1.0, 12.0
-CLOSEST_S = 0.05  # gaps under it, and bodies that overlap, tell no more
 
 
 def join_neighbours(posterior: Posterior) -> list[Motion]:
@@ -131,18 +132,21 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
     old = _sum(posterior, a, count, states.shape[a]) + _sum(posterior, b, counts, states.shape[b])
     posterior.total[:] = alone
     apart = abs(along) - 0.5 * sum(lengths)
-    before = sum(map(prior, lengths)) - EXISTS + _following(apart, posterior.motions[one])
-    tried = [
-        (min(max(front - rear + longer, SHORTEST_M), LONGEST_M), 0.5 * (front + rear) + ahead)
-        for longer in (-2.0, 0.0, 2.0) for ahead in (-1.0, 0.0, 1.0)
-    ]  # fmt: skip
-    tried.append((lengths[0], 0.0))  # the second may only double the first for a while
-    gains = _tempered(gains_of_sizes(posterior, a, count, tried) - old)
-    gains += [prior(length) - before for length, _ in tried]
+    before = sum(map(prior, lengths)) - EXISTS + _gap_prior(apart, posterior.motions[one].speed)
+    # the second may only double the first for a while
+    best, gain, extra = (front - rear, 0.5 * (front + rear)), -np.inf, [(lengths[0], 0.0)]
+    for change in LENGTH_STEPS_M:
+        tried = [
+            (min(max(best[0] + longer * change, SHORTEST_M), LONGEST_M), best[1] + ahead * change)
+            for longer in (-1.0, 0.0, 1.0) for ahead in (-0.5, 0.0, 0.5)
+        ] + extra  # fmt: skip
+        gains = _tempered(gains_of_sizes(posterior, a, count, tried) - old)
+        gains += [prior(length) - before for length, _ in tried]
+        k = int(np.argmax(gains))
+        best, gain, extra = tried[k], float(gains[k]), []
     for each in (one, other):
         posterior.lift(each, 1.0)
-    best = int(np.argmax(gains))
-    return (*tried[best], float(gains[best]))
+    return (*best, gain)
 
 
 def _driven_as_one(one: Motion, other: Motion) -> float:
@@ -160,12 +164,10 @@ def _driven_as_one(one: Motion, other: Motion) -> float:
         return -np.inf
     apart = np.hypot(*(one.places[0][a] - other.places[0][b])[flows].T)
     away, bodies = float(np.median(apart)), one.length_m + other.length_m
-    pace = max(float(np.median(each[flows])) for each in (one.speed[a], other.speed[b]))
     differ = max(DIFFER_MPS * time / math.sqrt(12.0), RIGID_M)
     off = 0.5 * float(np.var(apart))
-    stays = math.log(differ / RIGID_M) - off * (RIGID_M**-2 - differ**-2)
-    near = min(math.log(max((away - 0.5 * bodies) / pace, CLOSEST_S) / GAP_S), 0.0) / GAP_SPREAD
-    odds = 2.0 * stays + 0.5 * (1.0 + time / KEPT_S) * near * near
+    odds = 2.0 * (math.log(differ / RIGID_M) - off * (RIGID_M**-2 - differ**-2))
+    odds -= _gap_prior(away - 0.5 * bodies, np.maximum(one.speed[a], other.speed[b])[flows])
     odds += prior(min(away + 0.5 * bodies, LONGEST_M)) - prior(one.length_m) - prior(other.length_m)
     return odds - LEAST_ODDS
 
@@ -211,7 +213,7 @@ def _as_two(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
         apart = length - front - rear
         gain = float(_tempered(np.array(new - now)))
         gain += prior(front) + prior(rear) - EXISTS - prior(length)
-        gain += _following(apart, motion)
+        gain += _gap_prior(apart, motion.speed)
         if gain > best:
             best, found = gain, sizes
     posterior.lift(vehicle, 1.0)
@@ -229,14 +231,13 @@ def _tempered(gain: Floats) -> Floats:
     return np.where(gain > 0.0, TOLD * gain, gain)
 
 
-def _following(apart: float, motion: Motion) -> float:
-    """Return the log prior of a gap that two drivers keep, metres, relative to the usual one."""
-    driven = motion.speed[motion.speed > DRIVES_MPS]
-    if len(driven) == 0:
-        return 0.0
-    gap_s = max(apart, 0.1) / float(np.median(driven))
-    often = len(driven) * STEP_S / KEPT_S
-    return -0.5 * often * (min(math.log(gap_s / GAP_S), 0.0) / GAP_SPREAD) ** 2
+def _gap_prior(gap_m: float, speed: Floats) -> float:
+    """Return the log prior of a gap that two drivers keep at some speeds, beside the usual one."""
+    drives = speed > DRIVES_MPS
+    usual = BETWEEN_M + GAP_S * (speed[drives] if drives.any() else np.zeros(1))
+    short = np.minimum(np.log(max(gap_m, LEAST_M) / usual), 0.0) / GAP_SPREAD
+    often = 1.0 + float(drives.sum()) * STEP_S / KEPT_S
+    return -0.5 * often * float(np.mean(short**2))
 
 
 def _resized(shape: Floats, length: float, ahead: float) -> Floats:
