@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,3 +30,17 @@ def _between(lines: list[str], name: str, page: Path) -> tuple[int, int]:
     if begin > end:
         sys.exit(f"{page}: has {_marks(name)[1]} before {_marks(name)[0]}")
     return begin, end
+
+
+def picture_options(description: str | None) -> argparse.Namespace:
+    """Return what a script that draws the demo beside its truth was asked for.
+
+    It has ``demo``, ``picture``, and ``into``, a page or None.
+    """
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("demo", type=Path, help="results of gis-radar demo")
+    parser.add_argument("picture", type=Path, metavar="PNG")
+    parser.add_argument("--into", type=Path, metavar="MD", help="put the figures into this page")
+    return parser.parse_args()

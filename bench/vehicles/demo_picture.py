@@ -9,7 +9,6 @@ a page, between its marks.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -42,13 +41,7 @@ WIDTH_PX = 1600
 
 def main() -> None:
     """Draw, print, and put the figures into a page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("demo", type=Path, help="results of gis-radar demo")
-    parser.add_argument("picture", type=Path, metavar="PNG")
-    parser.add_argument("--into", type=Path, metavar="MD", help="put the figures into this page")
-    options = parser.parse_args()
+    options = pages.picture_options(__doc__)
     with tempfile.TemporaryDirectory() as kept:
         site = SceneFiles(name="sample", folder=gr.sample_folder(), kept=Path(kept))
         truth = site.truth()

@@ -257,7 +257,7 @@ def _window_gain(  # noqa: PLR0917 - numba takes plain arrays
 @compiled
 def _bends(s_line: Floats, turn: Floats, i: int, way: int) -> tuple[float, float]:
     """Return the curvature behind a vehicle on a segment and ahead of it, within the line."""
-    before = max(np.searchsorted(s_line, s_line[i] - BEND_M), 0)
+    before = np.searchsorted(s_line, s_line[i] - BEND_M)
     after = min(np.searchsorted(s_line, s_line[i] + BEND_M), len(turn) - 1)
     early = (turn[i] - turn[before]) / BEND_M
     late = (turn[after] - turn[i]) / BEND_M

@@ -15,7 +15,7 @@ from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import AHEAD, BEHIND, COS, LENGTH, SIN, WIDTH, X, Y
 from gis_radar.tracking.posterior.likelihood import aspect, on_body
 from gis_radar.tracking.posterior.sizes import gains_of_sizes, prior, sample, with_size
-from gis_radar.tracking.size import LONG_M, LONGEST_M, width_of
+from gis_radar.tracking.size import LONG_M, LONGEST_M, length_prior, width_of
 
 LEAST_GAIN = 1.0  # of the log-probability
 TOLD = 0.1  # of what speaks for a change: detections of one scatterer repeat each other
@@ -141,7 +141,7 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
             for longer in (-1.0, 0.0, 1.0) for ahead in (-0.5, 0.0, 0.5)
         ] + extra  # fmt: skip
         gains = _tempered(gains_of_sizes(posterior, a, count, tried) - old)
-        gains += [prior(length) - before for length, _ in tried]
+        gains += length_prior(np.array([length for length, _ in tried])) - before
         k = int(np.argmax(gains))
         best, gain, extra = tried[k], float(gains[k]), []
     for each in (one, other):
