@@ -33,7 +33,7 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
 _LOOK_S = 0.05  # between two looks whether a child has ended
-_GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
+GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
 
@@ -126,9 +126,9 @@ def run_child(
         child.asked.put(None)  # called here, for it is in C: a second Ctrl-C comes after it
         with suppress(Empty):
             try:
-                child.gone.get(timeout=_GONE_S)
+                child.gone.get(timeout=GONE_S)
             except KeyboardInterrupt:  # at once, Python's end would stop the thread before it kills
-                child.gone.get(timeout=_GONE_S)
+                child.gone.get(timeout=GONE_S)
                 raise
 
 

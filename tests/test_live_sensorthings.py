@@ -19,7 +19,7 @@ from live_site import LONGEST_S, SAMPLE, LiveSite
 import gis_radar as gr
 from gis_radar.errors import InputError
 from gis_radar.live import Fusion, Place, read_live_site
-from gis_radar.live.fusion import _counted_since
+from gis_radar.live.fusion import counted_since
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.sensorthings import LaneMeasure, LaneServer, ServerError, Service
 from gis_radar.site import SensorThingsTable
@@ -323,7 +323,7 @@ def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server):
 def test_what_began_before_a_kill_is_counted_again_from_its_begin(tmp_path, once):
     more = '[live.sensorthings]\naddress = "https://x.example/v1.1"\ninterval = "1h"'
     site = read_live_site(LiveSite(tmp_path, once, of_live=more).file)
-    assert _counted_since(site, BEGIN_OF_HOUR_US + 50 * 60_000_000) == BEGIN_OF_HOUR_US
+    assert counted_since(site, BEGIN_OF_HOUR_US + 50 * 60_000_000) == BEGIN_OF_HOUR_US
 
 
 OK = b"HTTP/1.0 200 OK\r\n\r\n"

@@ -12,7 +12,7 @@ import pytest
 from waiting import is_gone, wait_for
 
 from gis_radar.errors import GisRadarError
-from gis_radar.processes import _GONE_S, WATCHDOG_VARIABLE, run_child, watch_parent
+from gis_radar.processes import GONE_S, WATCHDOG_VARIABLE, run_child, watch_parent
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="process groups")
@@ -152,7 +152,7 @@ def test_what_cannot_be_started_is_an_error_at_once(tmp_path, monkeypatch, name,
     begin = time.monotonic()
     with (tmp_path / "a").open("w+b") as file, pytest.raises(error, match=match):
         run_child([name], stdin=file, stderr=file, environment={}, waiting=print)
-    assert time.monotonic() - begin < _GONE_S
+    assert time.monotonic() - begin < GONE_S
 
 
 @posix

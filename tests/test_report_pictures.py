@@ -21,7 +21,7 @@ from gis_radar.heatmap import picture
 from gis_radar.languages import catalogue
 from gis_radar.notebooks import label_map, legend_below, picture_file
 from gis_radar.report import chart, maps, plan
-from gis_radar.report.results import _flat_picture, _panels
+from gis_radar.report.results import flat_picture, panels_of
 from gis_radar.steps import Clock
 
 PHONE_PX, LEAST_PX = 350, 10  # of a page 390 pixels wide, between its edges
@@ -77,8 +77,8 @@ def test_panels_of_a_picture_are_found_again(tmp_path):
     with picture_file(tmp_path / "p.png", (6.0, 4.0), 100, tight=True) as figure:
         for ax in figure.subplot_mosaic([["a", "b"], ["a", "c"]]).values():
             ax.set(xlabel="below", title="above")
-    drawn = _flat_picture(tmp_path / "p.png", 500)
-    boxes = _panels(tmp_path / "p.png", drawn)
+    drawn = flat_picture(tmp_path / "p.png", 500)
+    boxes = panels_of(tmp_path / "p.png", drawn)
     assert len(boxes) == 3
     ink = np.asarray(drawn.convert("L")) < 200
     for left, top, right, base in boxes:
@@ -93,7 +93,7 @@ def test_a_picture_whose_panels_are_not_told_is_shown_whole(tmp_path, told):
     about = PngInfo()
     about.add_text("Panels", told)
     Image.new("RGB", (300, 300)).save(tmp_path / "p.png", pnginfo=about)
-    assert _panels(tmp_path / "p.png", _flat_picture(tmp_path / "p.png", 500)) == []
+    assert panels_of(tmp_path / "p.png", flat_picture(tmp_path / "p.png", 500)) == []
 
 
 def test_words_in_pictures_can_be_read_on_a_phone():
