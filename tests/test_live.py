@@ -99,7 +99,7 @@ def test_a_sensor_that_takes_the_name_of_fusion_ends_nobodys_link(site):
         known = replace(read_live_site(site.file).address(), user=user,
                         password=site.password(user))  # fmt: skip
         links[user] = Link(known, name=name, topics=(f"v1/junction/{user}/ack",))
-    thief = Link(links["R1"]._address, name="junction-fusion")
+    thief = Link(known, name="junction-fusion")  # of R1
     links["fusion"].open()
     wait_for(lambda: links["fusion"].connected)
     thief.open()
