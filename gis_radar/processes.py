@@ -280,12 +280,18 @@ def workers_here() -> int:
         cores = len(os.sched_getaffinity(0))
     else:
         cores = os.cpu_count() or 1
-    memory = _free_memory()
+    memory = free_memory()
     return cores if memory is None else max(1, min(cores, memory // _MEMORY_EACH))
 
 
-def _free_memory() -> int | None:
-    """Return the bytes that new processes may use; None where the system does not state it."""
+def free_memory() -> int | None:
+    """Return the memory that new processes may use.
+
+    Returns
+    -------
+    int or None
+        Bytes, of the machine or of the group of processes; None where the system does not state it.
+    """
     group = Path("/sys/fs/cgroup")
     found = []
     with suppress(OSError, ValueError):

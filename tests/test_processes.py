@@ -148,7 +148,7 @@ def test_what_cannot_be_started_is_an_error_at_once(tmp_path, monkeypatch, name,
         raise RuntimeError("can't start new thread")
 
     if not name:
-        monkeypatch.setattr("gis_radar.processes._thread.start_new_thread", no_thread)
+        monkeypatch.setattr("_thread.start_new_thread", no_thread)
     begin = time.monotonic()
     with (tmp_path / "a").open("w+b") as file, pytest.raises(error, match=match):
         run_child([name], stdin=file, stderr=file, environment={}, waiting=print)

@@ -30,7 +30,7 @@ LONELY = np.array([0.2, np.nan, 0.4]), np.array([0.1, np.nan, 0.1])
 
 def test_the_band_of_a_lonely_interval_is_drawn():
     """Of a lane that is seen in one interval, then not."""
-    strip = chart._strip("1", np.array([0.0, 0.25, 0.5, 1.0]), *LONELY)
+    strip = chart.strip_of("1", np.array([0.0, 0.25, 0.5, 1.0]), *LONELY)
     assert strip.line == "M0 80 250 80M500 60 1000 60"
     assert strip.band == "M0 70 250 70L250 90 0 90ZM500 50 1000 50L1000 70 500 70Z"
     assert strip.unseen == [(0.25, 0.25)]
@@ -49,7 +49,7 @@ def test_times_below_a_chart_are_round(minutes, count, begin, labels):
     edges = [first + timedelta(minutes=minutes) * i for i in range(count + 1)]
     clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=first, last=edges[-1], to_seconds=False)
     seconds = np.array([(each - first).total_seconds() for each in edges])
-    times = chart._times(edges, seconds, clock)
+    times = chart.times_below(edges, seconds, clock)
     assert len(times) <= chart.MOST_TICKS + 1
     if labels is not None:
         assert [label.split("\n")[0] for _, label in times] == labels

@@ -199,7 +199,7 @@ def run_site(
                 stages=stages_of(site, root), state=kept, pool=pool, reporter=reporter,
                 timezone=site.timezone, folder=site.path.absolute().parent,
             )  # fmt: skip
-            _forget(kept, execution.stages, reporter)
+            forget_stages_gone(kept, execution.stages, reporter)
             _write_record(site, root, execution.run(-1), kept, finished=False)
             outcomes = execution.run()
         except KeyboardInterrupt:
@@ -233,8 +233,18 @@ def _cleared(root: Path, state: Path) -> Path:
     return scratch
 
 
-def _forget(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
-    """Forget stages that are no more, with their results."""
+def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
+    """Forget stages that are no more, and remove their results.
+
+    Parameters
+    ----------
+    state : RunState
+        What earlier runs made.
+    stages : sequence of Stage
+        Those that there are; what they make stays.
+    reporter : Reporter
+        Receives a line for each stage that had results.
+    """
     names = {stage.name for stage in stages}
     made = {path for stage in stages for path in stage.outputs}
     for name in sorted(state.records.keys() - names):
