@@ -146,7 +146,7 @@ def test_targets_are_learnt_again_after_others_have_left(taught):
     told = targets.verdict(6)
     assert told.sees
     assert told.found.score < OF.gate
-    assert len(pickle.dumps(targets)) < held + 50_000  # bytes; of 11 million
+    assert len(pickle.dumps(targets)) < held + 50_000  # bytes; of 22 million
     assert len(targets) < 60
 
 
