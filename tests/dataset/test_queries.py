@@ -12,7 +12,6 @@ import pytest
 from datasets import BEGIN, HOUR, write_dataset
 
 from gis_radar.dataset import STEPS_PER_HOUR, part_path, record_path
-from gis_radar.dataset.queries import run_query
 from gis_radar.dataset.tables import HITS, TABLES
 from gis_radar.errors import InputError, UsageError
 
@@ -185,6 +184,8 @@ def test_a_check_reads_the_tile_counts(dataset):
 
 
 def test_hours_that_are_made_meanwhile_are_said(dataset):
+    from gis_radar.dataset.queries import run_query
+
     record = record_path(dataset.folder, HOUR)
     state = record.stat()
     with (
