@@ -37,7 +37,7 @@ FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Libraries that write our files, by the module of their errors: importing them takes a second.
 _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
-_LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
+LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
 
 _unfinished: set[Path] = set()
 _CLEARING_FILES = 4  # file descriptors to remove a folder in a folder
@@ -326,7 +326,7 @@ def writing_errors(path: Path) -> Iterator[None]:
 def _is_full(path: Path) -> bool:
     """Return whether next to nothing is free where a file lies."""
     try:
-        return shutil.disk_usage(path.absolute().parent).free < _LEAST_FREE
+        return shutil.disk_usage(path.absolute().parent).free < LEAST_FREE
     except OSError:
         return False
 

@@ -43,7 +43,7 @@ DAMAGE = (
 _LOCKED = "database is locked"  # as SQLite says it
 _HELD = "another program has it locked"
 _HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
-_PATIENCE_S = 2.0  # another program may be at the end of its writing
+PATIENCE_S = 2.0  # another program may be at the end of its writing
 _OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
 
 # As QGIS itself makes it; GDAL and QGIS look for it by this name.
@@ -319,7 +319,7 @@ def _refuse_locked(path: Path) -> None:
     """Refuse to replace a GeoPackage that another program writes; who only reads it does not."""
     uri = f"{_uri(path)}?mode=rw"
     try:
-        with closing(sqlite3.connect(uri, uri=True, timeout=_PATIENCE_S)) as database:
+        with closing(sqlite3.connect(uri, uri=True, timeout=PATIENCE_S)) as database:
             database.execute("BEGIN IMMEDIATE")
             database.execute("ROLLBACK")
     except sqlite3.Error as error:

@@ -13,7 +13,7 @@ from hashlib import blake2b
 from pathlib import Path
 
 _LONGEST_NAME = 255  # bytes, of most file systems
-_ALIVE = ".alive"  # locked in a private folder as long as the process that made it lives
+ALIVE = ".alive"  # locked in a private folder as long as the process that made it lives
 PLAN = ".places.json"  # in a private folder that is whole and about to be moved
 SCRATCH = ".gis_radar-scratch-"  # begins the names of temporary folders: nobody else's do
 PRIVATE = re.compile(r"\..+\.[0-9a-f]{8}\.(part|before)")
@@ -96,7 +96,7 @@ def living(private: Path) -> Iterator[None]:
     """
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
-    handle = os.open(private / _ALIVE, os.O_RDWR | os.O_CREAT, 0o600)
+    handle = os.open(private / ALIVE, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         with suppress(OSError):  # no locks here
             lock_descriptor(handle, blocking=True)  # others hold it for a look only
@@ -136,7 +136,7 @@ def clear_scratch(folder: Path) -> None:
     """
     named = re.compile(rf"{re.escape(SCRATCH)}\w+")
     for private in _abandoned(folder, named):
-        if (private / _ALIVE).is_file():
+        if (private / ALIVE).is_file():
             shutil.rmtree(private, ignore_errors=True)
 
 
@@ -148,18 +148,31 @@ def _abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False) -> 
         for private in [each for each in folder.iterdir() if named.fullmatch(each.name)]:
             if private.suffix == ".before" or private.is_symlink():
                 continue
-            if _is_abandoned(private, alone=alone):
+            if is_abandoned(private, alone=alone):
                 yield private
 
 
-def _is_abandoned(private: Path, *, alone: bool = False) -> bool:
-    """Return whether the process that made a private folder is gone."""
+def is_abandoned(private: Path, *, alone: bool = False) -> bool:
+    """Return whether the process that made a private folder is gone.
+
+    Parameters
+    ----------
+    private : Path
+        The folder.
+    alone : bool
+        As for :func:`clear_abandoned`.
+
+    Returns
+    -------
+    bool
+        False where that cannot be told, for a day.
+    """
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
     age_s = time.time() - private.stat().st_mtime
     made = alone or age_s > _MAKING_S  # else its file and the lock may come in a moment
     try:
-        handle = os.open(private / _ALIVE, os.O_RDWR)
+        handle = os.open(private / ALIVE, os.O_RDWR)
     except FileNotFoundError:
         return made
     except OSError:  # of somebody else, or no more files can be opened

@@ -33,7 +33,7 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
 _LOOK_S = 0.05  # between two looks whether a child has ended
-_GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
+GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
 
@@ -126,9 +126,9 @@ def run_child(
         child.asked.put(None)  # called here, for it is in C: a second Ctrl-C comes after it
         with suppress(Empty):
             try:
-                child.gone.get(timeout=_GONE_S)
+                child.gone.get(timeout=GONE_S)
             except KeyboardInterrupt:  # at once, Python's end would stop the thread before it kills
-                child.gone.get(timeout=_GONE_S)
+                child.gone.get(timeout=GONE_S)
                 raise
 
 
@@ -280,12 +280,18 @@ def workers_here() -> int:
         cores = len(os.sched_getaffinity(0))
     else:
         cores = os.cpu_count() or 1
-    memory = _free_memory()
+    memory = free_memory()
     return cores if memory is None else max(1, min(cores, memory // _MEMORY_EACH))
 
 
-def _free_memory() -> int | None:
-    """Return the bytes that new processes may use; None where the system does not state it."""
+def free_memory() -> int | None:
+    """Return the memory that new processes may use.
+
+    Returns
+    -------
+    int or None
+        Bytes, of the machine or of the group of processes; None where the system does not state it.
+    """
     group = Path("/sys/fs/cgroup")
     found = []
     with suppress(OSError, ValueError):

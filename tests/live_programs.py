@@ -53,8 +53,8 @@ class HeldEdge(Edge):
 
     until = math.inf
 
-    def _source(self):
-        for frame in super()._source():
+    def source(self):
+        for frame in super().source():
             while self.frames >= self.until:
                 time.sleep(0.01)
                 yield None

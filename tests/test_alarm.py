@@ -127,11 +127,11 @@ def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taug
     memory = Memory(detectors(cells, np.zeros(2))[0], replace(MONITOR, alarm=few))
     for k, block in enumerate(taught):
         memory.push(block, block.across_m, 60.0 * k)
-    assert len(memory._recent) <= ALARM.blocks[-1]
+    assert len(taught) - memory.learnt <= ALARM.blocks[-1]
     for k in range(200):
         seen = taught[k % 40]
         memory.push(seen, seen.across_m + 0.2, 60.0 * (40 + k))
-    assert len(memory._recent) == ALARM.blocks[-1]
+    assert len(taught) + 200 - memory.learnt == ALARM.blocks[-1]
     assert memory.reference.vehicles < 1.2 * 60 * 12  # 0.2 h
     mean = np.linalg.lstsq(memory.reference.weight, memory.reference.gradient, rcond=None)[0]
     seen = np.diag(memory.reference.weight) > 100.0
@@ -396,7 +396,7 @@ def test_few_vehicles_are_beyond_chance_later(vehicles, noise):
 )
 def test_a_move_is_likelier_by_all_vehicles(gain, alone, suspected, certain, monkeypatch):
     """Where traffic fixes a direction poorly, a fit is carried far along it."""
-    monkeypatch.setattr(MoveTest, "_change", lambda *_: None)
+    monkeypatch.setattr(MoveTest, "lasting_change", lambda *_: None)
     seen, rest = stub_fit(2.0, cost=100.0), stub_fit(0.0, cost=100.0 + gain, alone=alone)
     held = Estimate(
         time=0.0, position=np.zeros(3), quaternion=np.array([0.0, 0.0, 0.0, 1.0]),

@@ -21,7 +21,7 @@ import gis_radar as gr
 from gis_radar.errors import InputError
 from gis_radar.recordings import open_recording, settings, unpacking
 from gis_radar.recordings.readers.pcd import decompress, read_pcd
-from gis_radar.scans.cells import _counted
+from gis_radar.scans.cells import squares_with_cells
 from gis_radar.scans.settings import RoadSettings
 
 
@@ -262,7 +262,7 @@ def test_cells_are_counted_by_square():
     corner = np.array([-7.5, 1e6])
     places = (grid.centres(np.flatnonzero(cells)) + corner) // 3.0
     want, count = np.unique(places, axis=0, return_counts=True)
-    found = _counted(cells, grid, corner, 3.0)
+    found = squares_with_cells(cells, grid, corner, 3.0)
     order = np.lexsort(found.T[1::-1])
     np.testing.assert_array_equal(found[order], np.column_stack([want * 3.0, count]))
-    assert _counted(np.zeros_like(cells), grid, corner, 3.0).shape == (0, 3)
+    assert squares_with_cells(np.zeros_like(cells), grid, corner, 3.0).shape == (0, 3)

@@ -18,7 +18,7 @@ from gis_radar.lanelets import (
     sound_rungs,
 )
 from gis_radar.lanelets.bounds import drawn_direction, matched
-from gis_radar.lanelets.mending import _first_loop_cut, is_sound, mend, without_loops
+from gis_radar.lanelets.mending import is_sound, mend, without_first_loop, without_loops
 
 SHIFT = np.array([678_123.25, 5_403_456.5])
 
@@ -340,7 +340,7 @@ def test_the_first_loop_is_cut_where_its_segments_meet(lines):
     assume(found is not None and np.all(np.abs(bends) > 1e-6))
     i, j = found
     try:
-        cut = _first_loop_cut(bound, "left")
+        cut = without_first_loop(bound, "left")
     except CannotMendError:
         return
     np.testing.assert_array_equal(cut[: i + 1], bound[: i + 1])

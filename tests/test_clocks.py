@@ -19,7 +19,7 @@ from gis_radar.calibration.clock_offsets import (
     rough_offset,
     validate_offset,
 )
-from gis_radar.calibration.clocks import _reason, adjust_network, best_linked
+from gis_radar.calibration.clocks import adjust_network, best_linked, why_not_compared
 from gis_radar.calibration.lane_detections import LaneDetections, lanelets_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 
@@ -163,8 +163,8 @@ def test_sensors_that_see_different_roads_give_no_offset(drive):
 def test_the_reason_given_is_that_of_a_pair_with_common_traffic():
     nothing = NoCommonTrafficError("in whatever words")
     reasons = {("R1", "R3"): nothing, ("R2", "R3"): NoAnswerError("too few"), ("R1", "R2"): nothing}
-    assert _reason("R3", reasons) == "with R2: too few"
-    assert _reason("R1", reasons) == "with R3: in whatever words"
+    assert why_not_compared("R3", reasons) == "with R2: too few"
+    assert why_not_compared("R1", reasons) == "with R3: in whatever words"
 
 
 def test_what_is_asked_wrongly(drive):

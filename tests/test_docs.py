@@ -12,7 +12,6 @@ import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
-from zoneinfo import ZoneInfo
 
 import click
 import matplotlib as mpl
@@ -21,13 +20,14 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from doc_pages import DOCS, PAGES, ROOT, blocks, commands, sayings
+from sites import START, crossing, pose, recording
 
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.dataset.tables import TILE_COUNTS
 from gis_radar.poses.files import TRACK_FIELDS
 from gis_radar.quality.counting import Count
-from gis_radar.quality.quality import _row, faults_of
+from gis_radar.quality.quality import faults_of
 from gis_radar.tiles.tiles import COLUMNS as TILES
 
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src"}
@@ -233,9 +233,11 @@ def text_of(name):
     return (DOCS / name).read_text(encoding="utf-8")
 
 
-def test_every_measure_of_a_file_is_defined():
+def test_every_measure_of_a_file_is_defined(tmp_path):
     defined = set(re.findall(r"`([\w.]+)`", text_of("definitions.md")))
-    row = set(_row("R1", 0, Count(), [], ZoneInfo("UTC")))
+    path = recording(tmp_path / "R1.parquet", [START], [[12.25, 0.0, -5.0]])
+    dataset = gr.measure([path], [pose()], crossing(), None, tmp_path / "dataset", hits_only=True)
+    row = {*gr.measure_quality(dataset).table}
     track = {name.removeprefix("sigma_").partition("_")[0] for name in TRACK_FIELDS}
     measures = {"occupied_s", "visible_s", "occupancy", "occupancy_se", "hit_s", "observed_s"}
     layers = (

@@ -11,13 +11,13 @@ from test_heatmap import lane_tiles, make_site
 from test_heatmap_occupancy import both_of
 
 from gis_radar.heatmap import MapLabels, make_heatmap
-from gis_radar.heatmap.figure import _figure, busiest_window, free_corner
+from gis_radar.heatmap.figure import busiest_window, free_corner, heatmap_figure
 from gis_radar.heatmap.intervals import HOUR
 from gis_radar.heatmap.picture import (
     NARROW_IN,
     OVERLAY_IN,
-    _add_sensor,
     add_corner_scale,
+    add_sensor,
     map_picture,
     round_length,
 )
@@ -79,7 +79,7 @@ def test_the_words_over_the_map_end_before_the_scale_bar(title):
     day = set(range(int(begin), int(begin) + 25 * HOUR, HOUR - 1))
     site = make_site(lane_tiles(2), {view: day}, {view: {0, 1}}, {(int(begin), 1)})
     labels = MapLabels(title=title, timezone="Europe/Berlin")
-    figure = _figure(make_heatmap(site.dataset, labels=labels))
+    figure = heatmap_figure(make_heatmap(site.dataset, labels=labels))
     bar = min(
         patch.get_window_extent().x0 for patch in figure.artists if isinstance(patch, Rectangle)
     )
@@ -96,7 +96,7 @@ def test_the_figures_beside_a_wide_map_end_above_the_words_below(language):
     tiles = lane_tiles(120, turn=0.0).iloc[:60]
     dataset, *_ = both_of(tiles)
     labels = MapLabels(sources=["Map: City of Example, CC BY 4.0"] * 3, language=language)
-    figure = _figure(make_heatmap(dataset, labels=labels))
+    figure = heatmap_figure(make_heatmap(dataset, labels=labels))
     wide, tall = figure.get_size_inches()
     assert wide > tall
     heights = [text.get_window_extent() for text in figure.texts]
@@ -115,7 +115,7 @@ def test_the_name_of_a_sensor_at_the_edge_is_whole(at):
     names = []
     for width_in in (OVERLAY_IN, NARROW_IN):
         figure, ax = picture.blank(width_in)
-        _add_sensor(ax, pose, add_corner_scale(figure, ax))
+        add_sensor(ax, pose, add_corner_scale(figure, ax))
         box, held = ax.texts[0].get_window_extent(), ax.get_window_extent()
         names.append((box.x0 >= held.x0 - 1, box.x1 <= held.x1 + 1, box.y0 >= held.y0 - 1))
     assert names == [(True, True, True)] * 2
@@ -135,5 +135,5 @@ def test_the_name_of_a_sensor_beside_the_scale_bar_is_not_under_its_ground(width
         dot = ax.transData.transform((90.0, up))
         if taken.y0 <= dot[1] <= taken.y1:
             continue  # the sensor itself is under it
-        _add_sensor(ax, pose, taken)
+        add_sensor(ax, pose, taken)
         assert not ax.texts[0].get_window_extent().overlaps(taken)

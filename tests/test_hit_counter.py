@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 import gis_radar as gr
 from gis_radar.errors import InputError
 from gis_radar.measures import FrameCounter, PoseNumbers
-from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT
+from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT, count_rows
 from gis_radar.measures.hit_counter import HitCounter, rows_of_columns
 from gis_radar.measures.placing import PLACED_AT_ONCE
 from gis_radar.recordings import RangeCounts
@@ -46,8 +45,14 @@ def test_the_loop_is_compiled_for_one_kind_of_tiles(tiles):
     """Another kind of the same arrays costs a user eight seconds of compiling anew."""
     quads, road = gr.quads(tiles), SightTiles.of(tiles)
     grids = [gr.TileGrid(each) for each in (quads, np.asfortranarray(quads))]
-    counters = [HitCounter(road, grid) for grid in grids]
-    assert len({numba.typeof(each._index) for each in counters}) == 1
+    pose = gr.read_pose(SAMPLE / "R1.json")
+    detections = next(gr.open_recording(SAMPLE / "R1.parquet").read())
+    first = detections.take(detections.time == detections.time[0])
+    kinds = []
+    for grid in grids:
+        FrameCounter(road, grid=grid).count(first, pose)
+        kinds.append(len(count_rows.machine_code.signatures))
+    assert kinds[0] == kinds[1]
 
 
 def test_a_frame_without_positions_hits_nothing(tiles):

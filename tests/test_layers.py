@@ -1,6 +1,8 @@
 """A module of gis_radar imports only from rows of the table below that stand above its own."""
 
 import ast
+import re
+from contextlib import suppress
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -162,3 +164,101 @@ def test_the_reader_sees_every_kind_of_import(tmp_path):
         "errors imports heatmap.style",
         "heatmap.style imports gis_radar",
     ]
+
+
+# Public in spite of the underscore: of Jupyter, of named tuples, of the module `os`.
+PUBLIC = {"_repr_html_", "_asdict", "_exit"}
+OF_US = re.compile(r"\b(import|from) gis_radar\b")  # in code that a test runs in another process
+
+
+def is_private(name):
+    return name.startswith("_") and not name.endswith("__") and name not in PUBLIC
+
+
+def past_the_public(text):
+    """Yield where a test looks past the public names of what it tests, in code within it, too."""
+    tree = ast.parse(text)
+    ours = set(imported_from_us(tree))
+    classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    derived = [
+        node for node in classes
+        if any(ast.unparse(base).partition(".")[0] in ours for base in node.bases)
+    ]  # fmt: skip
+    own = {name for node in classes if node not in derived for name in made_by(node)}
+    for node in derived:
+        yield from (f"{node.lineno}: {node.name}.{name}" for name in made_by(node))
+    for node in ast.walk(tree):
+        yield from (f"{node.lineno}: {name}" for name in private_in(node, own))
+        if isinstance(node, ast.Constant) and OF_US.search(str(node.value)):
+            with suppress(SyntaxError):
+                yield from (f"{node.lineno}: code: {each}" for each in past_the_public(node.value))
+
+
+def imported_from_us(tree):
+    """Yield the names that stand for something of the package."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom | ast.Import):
+            for alias in node.names:
+                if (getattr(node, "module", None) or alias.name).startswith("gis_radar"):
+                    yield (alias.asname or alias.name).partition(".")[0]
+
+
+def made_by(node):
+    """Yield the private names that a class defines, or assigns to its objects."""
+    for each in ast.walk(node):
+        is_stored = isinstance(each, ast.Attribute) and isinstance(each.ctx, ast.Store)
+        if isinstance(each, ast.FunctionDef) and is_private(each.name):
+            yield each.name
+        elif is_stored and is_own(each) and is_private(each.attr):
+            yield each.attr
+
+
+def is_own(node):
+    return ast.unparse(node.value) in {"self", "cls", "super()"}
+
+
+def private_in(node, own):
+    """Yield the private names of others that a node imports, takes or sets."""
+    names = []
+    if isinstance(node, ast.Attribute) and not (is_own(node) and node.attr in own):
+        names = [node.attr]
+    elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gis_radar"):
+        names = [*node.module.split("."), *(alias.name for alias in node.names)]
+    elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("attr"):
+        texts = [each.value for each in node.args[:2] if isinstance(each, ast.Constant)]
+        names = [name for each in map(str, texts) for name in each.split(".")["." in each :]]
+    yield from filter(is_private, names)
+
+
+def test_tests_use_public_names():
+    found = [
+        f"{path.name}:{line}"
+        for path in sorted(Path(__file__).parent.rglob("*.py"))
+        for line in past_the_public(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
+SEEN = """
+from PACKAGE.live.jobs import HourJobs, _begin
+from PACKAGE._hidden import shown
+class Own(Base):
+    def _make(self):
+        self._made = self._make()
+        return self._missing, other._made, self._asdict(), self.__dict__
+class Jobs(HourJobs):
+    def _submit(self):
+        self._running = super()._submit()
+monkeypatch.setattr(files, "_LEAST", 0)
+monkeypatch.setattr("PACKAGE.files._LEAST", 0)
+monkeypatch.setattr("_thread.start", None)
+code = "import PACKAGE as gr; gr._version"
+"""
+
+
+def test_the_reader_sees_every_kind_of_private_access():
+    assert sorted(past_the_public(SEEN.replace("PACKAGE", "gis_radar"))) == [
+        "10: _running", "10: _submit", "11: _LEAST", "12: _LEAST", "14: code: 1: _version",
+        "2: _begin", "3: _hidden", "7: _made", "7: _missing", "8: Jobs._running",
+        "8: Jobs._submit",
+    ]  # fmt: skip

@@ -42,6 +42,10 @@ def test_what_fusion_measures_equals_the_batch(site):
     assert_equal_to_batch(site, NAMES)
 
 
+class KilledError(Exception):
+    """Ends fusion in the midst of its work."""
+
+
 def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site):
     """Everything breaks in the midst of a replay; fusion is left without a word, as if killed."""
     middle = Fusion(read_live_site(site.file))
@@ -53,8 +57,14 @@ def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site
     site.broker.kill()
     edge.until = 1000
     wait_for(lambda: edge.frames == 1000)  # it goes on, on disk
-    middle._finish = lambda: None  # what it has taken and not committed is gone
-    first.end()
+
+    def killed(_timeout_s):
+        raise KilledError
+
+    middle.link.take = killed  # what it has taken and not committed is gone
+    first.join()
+    with pytest.raises(KilledError):
+        first.end()
     site.broker.start()
     again = Fusion(read_live_site(site.file))
     second = Background(again.run)
@@ -99,7 +109,7 @@ def test_a_sensor_that_takes_the_name_of_fusion_ends_nobodys_link(site):
         known = replace(read_live_site(site.file).address(), user=user,
                         password=site.password(user))  # fmt: skip
         links[user] = Link(known, name=name, topics=(f"v1/junction/{user}/ack",))
-    thief = Link(links["R1"]._address, name="junction-fusion")
+    thief = Link(known, name="junction-fusion")  # of R1
     links["fusion"].open()
     wait_for(lambda: links["fusion"].connected)
     thief.open()

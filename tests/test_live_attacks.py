@@ -212,12 +212,17 @@ def test_a_pose_that_is_nowhere_is_not_taken(live, changes):
 
 
 @pytest.fixture
-def intake(live, tmp_path):
+def said():
+    return Lines()
+
+
+@pytest.fixture
+def intake(live, tmp_path, said):
     road = SightTiles.of(live.place.tiles)
     return Intake(
         ["R1"], site="s", spool=Spool(tmp_path / "spool"), road=road,
         counter=FrameCounter(road), windows=Windows(0.2),
-        oldest_s=1e6, reporter=Lines(),
+        oldest_s=1e6, reporter=said,
     )  # fmt: skip
 
 
@@ -238,11 +243,11 @@ def test_fusion_goes_past_a_pose_that_is_nowhere(intake, live):
      '{"version": 2, "state": "online", "lost": ' + 60_000 * "9" + "}",
      '{"version": "' + 60_000 * "a" + '"}'],
 )  # fmt: skip
-def test_a_status_writes_no_line_of_its_own_and_no_long_one(intake, status):
+def test_a_status_writes_no_line_of_its_own_and_no_long_one(intake, said, status):
     for text in (status, '{"version": 2, "state": "online", "stream": "0011aabb"}', status):
         intake.handle(Received("v1/s/R1/status", text.encode(), 1.0, retained=False))
     health = intake.sensors["R1"].health
-    for text in (*intake._reporter.lines, *health.alarms.values(), str(health.counts["lost"])):
+    for text in (*said.lines, *health.alarms.values(), str(health.counts["lost"])):
         assert len(text.splitlines()) == 1
         assert len(text) < 600
     assert intake.sensors["R1"].stream == "0011aabb"

@@ -2,12 +2,15 @@
 
 import shutil
 import sqlite3
+import threading
+from functools import partial
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from live_programs import Lines
-from live_site import LONGEST_S, SAMPLE
+from live_site import LONGEST_S, SAMPLE, wait_for
 
 import gis_radar as gr
 from gis_radar.errors import NoAnswerError
@@ -34,19 +37,15 @@ PRINT = "00112233445566778899aabbccddeeff"
 STREAM = b"abcd"
 
 
-class Broken:
+class Database(sqlite3.Connection):
     """A database whose disk is full for as long as `full` is set."""
 
-    def __init__(self, database):
-        self._database, self.full = database, True
+    full = False
 
     def execute(self, query, *values):
-        if self.full and query.startswith(("INSERT", "DELETE")):
+        if Database.full and query.startswith(("INSERT", "DELETE")):
             raise sqlite3.OperationalError("database or disk is full")
-        return self._database.execute(query, *values)
-
-    def __getattr__(self, name):
-        return getattr(self._database, name)
+        return super().execute(query, *values)
 
 
 class NoLink:
@@ -87,19 +86,21 @@ def filled(path, count=5):
     return buffer
 
 
-def test_an_acknowledgement_on_a_full_disk_ends_no_edge(tmp_path):
+def test_an_acknowledgement_on_a_full_disk_ends_no_edge(tmp_path, monkeypatch):
+    connect = partial(sqlite3.connect, factory=Database)
+    monkeypatch.setattr("gis_radar.live.buffer.sqlite3.connect", connect)
     with filled(tmp_path / "b") as buffer:
         link, reporter = NoLink(), Lines()
         outbox = outbox_of(buffer, link, reporter)
-        buffer._database = broken = Broken(buffer._database)
+        monkeypatch.setattr(Database, "full", True)
         link.received = [ack(buffer, 2), ack(buffer, 3)]
         outbox.pump()
         assert not outbox.put(b"x")  # lost, and said
         assert (outbox.lost, len(buffer), outbox.stored) == (1, 5, 3)
         assert sum("the disk is full" in line for line in reporter.lines) == 2
         assert [number for _, number in link.messages()] == [4, 5]  # what fusion has goes not again
-        broken.full = False
-        outbox._reported = 0.0
+        monkeypatch.setattr(Database, "full", False)
+        monkeypatch.setattr("gis_radar.live.outbox.STATUS_S", 0.0)  # the next one is due
         outbox.pump()
         assert len(buffer) == 2
 
@@ -169,20 +170,27 @@ def test_what_fusion_has_of_another_program_is_not_dropped_here(tmp_path, stored
         assert (len(buffer), outbox.empty) == (0, True)
 
 
-def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeypatch):
+@pytest.fixture
+def edge_file(monkeypatch):
+    """Give a sensor's file whose map is not looked at."""
+    monkeypatch.setattr(own_pose, "read_map", lambda *_, **__: SimpleNamespace(crs=None))
+    monkeypatch.setattr(own_pose, "read_road", lambda *_: None)
+    monkeypatch.setattr(own_pose, "WindowFitter", lambda *_, **__: None)
+    map_table = SimpleNamespace(file="map.osm", crs=None, origin=None)
+    return SimpleNamespace(map=map_table, road="road.laz")
+
+
+def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeypatch, edge_file):
     """What a thread meets is never silent, and nothing gathers before a thread that is gone."""
     frame = next(frames_of_recording(SAMPLE / "R1.parquet"))
     begin = float(frame.time[0])
+    monkeypatch.setattr(own_pose, "WAITING_FRAMES", 10)
     for fault in (NoAnswerError("no traffic"), ZeroDivisionError("a fault")):
-        monkeypatch.setattr(own_pose, "_map_of", lambda *_: (None, None))
-        monkeypatch.setattr(own_pose, "WindowFitter", lambda *_, **__: None)
         monkeypatch.setattr(own_pose, "Follower", lambda *_, fault=fault, **__: Faulty(fault))
-        follower = own_pose.PoseFollower(None, gr.read_pose(SAMPLE / "R1.json"), begin)
+        follower = own_pose.PoseFollower(edge_file, gr.read_pose(SAMPLE / "R1.json"), begin)
         follower.push(frame)
-        follower._thread.join(LONGEST_S)
-        for _ in range(50):
-            follower.push(frame)
-        assert follower._frames.empty()
+        wait_for(lambda: all(each.name != "pose" for each in threading.enumerate()))
+        assert all(follower.push(frame) for _ in range(50))  # nothing gathers: no room is needed
         if isinstance(fault, NoAnswerError):
             found = follower.latest()
             assert (found.trusted, found.refused) == (False, "no traffic")
@@ -192,14 +200,13 @@ def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeyp
         follower.close()
 
 
-def test_frames_that_a_slow_follower_leaves_out_are_counted(monkeypatch):
+def test_frames_that_a_slow_follower_leaves_out_are_counted(monkeypatch, edge_file):
     frame = next(frames_of_recording(SAMPLE / "R1.parquet"))
     free = Event()
-    monkeypatch.setattr(own_pose, "_map_of", lambda *_: (None, None))
-    monkeypatch.setattr(own_pose, "WindowFitter", lambda *_, **__: None)
     monkeypatch.setattr(own_pose, "Follower", lambda *_, **__: Slow(free))
     monkeypatch.setattr(own_pose, "WAITING_FRAMES", 10)
-    follower = own_pose.PoseFollower(None, gr.read_pose(SAMPLE / "R1.json"), float(frame.time[0]))
+    start, begin = gr.read_pose(SAMPLE / "R1.json"), float(frame.time[0])
+    follower = own_pose.PoseFollower(edge_file, start, begin)
     taken = [follower.push(frame) for _ in range(40)]
     assert 10 <= sum(taken) <= 11  # one of them is being fitted
     assert taken[:10] == [True] * 10

@@ -12,18 +12,18 @@ from gis_radar.live.first_run import COMPILING
 
 BEGIN = """
 import gis_radar as gr
-from gis_radar.arrays import _Compiled
 from gis_radar.live import first_run
 from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
 from gis_radar.live.sources import frames_of_recording
 from gis_radar.measures.hit_counter import FrameCounter
 from gis_radar.sight import SightTiles
+from numba.core.dispatcher import Dispatcher
 import gc
 
 def compiled():
     return {
-        each.function.__name__: len(each.machine_code.signatures)
-        for each in gc.get_objects() if isinstance(each, _Compiled) and each._is_begun
+        each.py_func.__qualname__.rpartition("_")[0]: len(each.signatures)
+        for each in gc.get_objects() if isinstance(each, Dispatcher) and each.signatures
     }
 
 sample = gr.sample_folder()
@@ -49,9 +49,9 @@ OF_VEHICLES = (
     BEGIN
     + """
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live.vehicles_now import _Following, run_vehicles_once
+from gis_radar.live.vehicles_now import VehicleFollowing, run_vehicles_once
 run_vehicles_once()
-following = _Following(lane_graph(gr.read_map(sample / "junction.osm").lanelets))
+following = VehicleFollowing(lane_graph(gr.read_map(sample / "junction.osm").lanelets))
 before = compiled()
 placed = {("R2", b"pose"): (1, pose, 0.0)}
 for k, frame in zip(range(600), frames_of_recording(sample / "R2.parquet")):

@@ -15,6 +15,7 @@ import gis_radar as gr
 from gis_radar.dataset import hour_text, read_hours
 from gis_radar.errors import InputError
 from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
+from gis_radar.live import jobs as jobs_module
 from gis_radar.live.hour_work import (
     QUARTER_US,
     Done,
@@ -26,6 +27,7 @@ from gis_radar.live.hour_work import (
 from gis_radar.live.jobs import HourJobs
 from gis_radar.live.quarters import KEPT, Quarters, read_quarters
 from gis_radar.live.recordings import end_of_hour_s
+from gis_radar.live.settings import DEFAULTS
 
 HOUR = 486_111  # since 1970: 2025-06-15T15Z
 FULL_US = (HOUR + 1) * HOUR_US  # the full hour after it
@@ -39,6 +41,9 @@ class Clock:
         self.now_s = now_s
 
     def time(self):
+        return self.now_s
+
+    def monotonic(self):
         return self.now_s
 
 
@@ -224,101 +229,126 @@ def test_a_dataset_of_other_tiles_or_settings_is_refused(tmp_path):
             refuse_other_settings(replace(made.site, **{name: value}), tiles, None)
 
 
-def test_each_hour_that_is_not_measured_is_named(tmp_path):
+def test_each_hour_that_is_not_measured_is_named(tmp_path, pool):
     said = Lines()
-    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said)
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said, pool=pool)
     for hour in (HOUR, HOUR + 1):
         jobs.touch([hour])
-        jobs._quarter = 1 << 40
-        jobs.turn_at(end_of_hour_s(hour) + 1.0, end_of_hour_s(hour) + 1.0)
+        assert jobs.hours_at(end_of_hour_s(hour) + 1.0) is not None
         jobs.end(Done(not_measured={hour: "why"}))
-        jobs._take()
+    jobs.hours_at(end_of_hour_s(HOUR + 1) + 2.0)
     assert said.lines == [f"{hour_text(hour)} is not measured: why" for hour in (HOUR, HOUR + 1)]
 
 
-def test_an_hour_that_is_not_measured_is_tried_again_ever_more_rarely(tmp_path):
+def test_an_hour_that_is_not_measured_is_tried_again_ever_more_rarely(tmp_path, pool):
     said = Lines()
-    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said)
-    jobs._quarter = 1 << 40
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said, pool=pool)
     jobs.touch([HOUR])
     begin_s, tried = end_of_hour_s(HOUR) + 1.0, []
     for quarter in range(16):
         now_s = begin_s + 900.0 * quarter
         for _ in range(2):  # once in a quarter
-            if jobs.turn_at(now_s, now_s) is not None:
+            if jobs.hours_at(now_s) is not None:
                 tried.append(quarter)
                 why = "why" if quarter < 7 else "another reason"
                 jobs.end(Done(not_measured={HOUR: why} if quarter < 15 else {}))
-                jobs._take()
     assert tried == [0, 1, 3, 7, 15]
     assert jobs.figures()["hours_not_measured"] == 0.0
     assert [line.rpartition(": ")[2] for line in said.lines] == ["why", "another reason"]
-    assert jobs.turn_at(begin_s + 1e6, begin_s + 1e6) is None
+    assert jobs.hours_at(begin_s + 1e6) is None
+
+
+class HeldPool:
+    """A pool of processes whose work is done when the test says so."""
+
+    def __init__(self):
+        self.begun, self.future = [], Future()
+        self.future.set_result(None)
+
+    def submit(self, work, *given):
+        work(*given)
+        self.future = Future()
+        return self.future
+
+
+@pytest.fixture
+def pool(monkeypatch):
+    """Put a pool that is held in place of the processes, which notes what is begun."""
+    held = HeldPool()
+    for name in ("make_quarter", "make_hours", "make_recordings"):
+        note = lambda _site, _spooled, *words, name=name: held.begun.append((name, *words))  # noqa: E731
+        monkeypatch.setattr(jobs_module, name, note)
+    monkeypatch.setattr(jobs_module, "ProcessPoolExecutor", lambda *_, **__: held)
+    monkeypatch.setattr(jobs_module, "stop_pool", lambda _: None)
+    return held
 
 
 class JobsHere(HourJobs):
-    """Jobs whose work is done when the test says so."""
+    """Jobs in a pool that is held."""
 
-    def __init__(self, *given, **more):
+    def __init__(self, *given, pool, **more):
         super().__init__(*given, **more)
-        self.begun = []
-
-    def _submit(self, work, _spooled):
-        self.begun.append((work.func.__name__, *work.args) if hasattr(work, "func")
-                          else (work.__name__,))  # fmt: skip
-        self._running = Future()
+        self.pool = pool
 
     def turn_at(self, now_s, newest_s, **more):
+        """Turn; return what is being done then."""
         self.turn(now_s, {"R1": newest_s, "R2": newest_s}, **more)
         if self.wanted:
             self.begin([])
-        return self.begun[-1] if self._running is not None else None
+        return None if self.pool.future.done() else self.pool.begun[-1]
+
+    def hours_at(self, now_s):
+        """Turn until no quarter is left to do; return what is being done then."""
+        while (work := self.turn_at(now_s, now_s)) is not None and work[0] == "make_quarter":
+            self.end()
+        return work
 
     def end(self, done=None, error=None):
         if error is not None:
-            self._running.set_exception(error)
+            self.pool.future.set_exception(error)
         else:
-            self._running.set_result(done or Done())
+            self.pool.future.set_result(done or Done())
 
 
-def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_while(tmp_path):
-    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters())
+def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_while(tmp_path, pool):
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), pool=pool)
     begin_s = HOUR * 3600.0 + 1800.0
     jobs.touch([HOUR])
     quarter = int(begin_s) // 900 - 1
-    assert jobs.turn_at(begin_s + 59.0, begin_s + 59.0) == ("_of_quarter", quarter - 1)
+    assert jobs.turn_at(begin_s + 59.0, begin_s + 59.0) == ("make_quarter", quarter - 1)
     jobs.end()
     assert jobs.turn_at(begin_s + 59.0, begin_s + 59.0) is None
     assert jobs.turn_at(begin_s + 60.5, begin_s + 59.0) is None  # a sensor is still to come
-    assert jobs.turn_at(begin_s + 60.5, begin_s + 60.1) == ("_of_quarter", quarter)
+    assert jobs.turn_at(begin_s + 60.5, begin_s + 60.1) == ("make_quarter", quarter)
     jobs.end()
     assert jobs.turn_at(begin_s + 62.0, begin_s + 62.0) is None  # it was measured
     assert jobs.turn_at(begin_s + 989.0, begin_s + 900.0) is None
-    assert jobs.turn_at(begin_s + 991.0, begin_s + 900.0) == ("_of_quarter", quarter + 1)
+    assert jobs.turn_at(begin_s + 991.0, begin_s + 900.0) == ("make_quarter", quarter + 1)
     jobs.end()
     end_s = end_of_hour_s(HOUR)
-    assert jobs.turn_at(end_s - 1.0, end_s - 1.0)[0] == "_of_quarter"
+    assert jobs.turn_at(end_s - 1.0, end_s - 1.0)[0] == "make_quarter"
     jobs.end()
     assert jobs.turn_at(end_s + 1.0, end_s - 1.0) is None
-    assert jobs.turn_at(end_s + 1.0, end_s + 0.5) == ("_of_hours", [HOUR])
+    assert jobs.turn_at(end_s + 1.0, end_s + 0.5) == ("make_hours", [HOUR])
     jobs.touch([HOUR])  # a late frame, meanwhile
     jobs.end()
-    assert jobs.turn_at(end_s + 2.0, end_s + 2.0) == ("_of_hours", [HOUR])
+    assert jobs.turn_at(end_s + 2.0, end_s + 2.0) == ("make_hours", [HOUR])
     jobs.end()
     assert jobs.turn_at(end_s + 3.0, end_s + 3.0) is None
     assert jobs.turn_at(end_s + 3.0, end_s + 3.0, full=True) == ("make_recordings",)
 
 
-def test_falling_behind_is_told_with_how_far(tmp_path):
-    said = Lines()
-    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said)
+def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
+    said, clock = Lines(), Clock(0.0)
+    monkeypatch.setattr(jobs_module, "time", clock)
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), reporter=said, pool=pool)
     end_s = end_of_hour_s(HOUR)
     jobs.touch([HOUR])
     for minutes in (16, 17, 40, 50):
         jobs.turn_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
         jobs.end(error=OSError(28, "no space"))
         assert jobs.turn_at(end_s + 60.0 * minutes, end_s) is None  # not at once
-        jobs._again_at = 0.0
+        clock.now_s += DEFAULTS.again_s
     behind = [line for line in said.lines if "measuring is behind" in line]
     assert ["16 min" in behind[0], "40 min" in behind[1], len(behind)] == [True, True, 2]
     assert jobs.figures()["hours_behind_seconds"] == 3000.0
@@ -334,7 +364,7 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path):
     made = SpooledSite(tmp_path)
     recorded_at(made, FULL_US - 20_000_000)
     said = Lines()
-    jobs = HourJobs(made.site, Quarters(), reporter=said)
+    jobs = HourJobs(made.site, Quarters(), settings=replace(DEFAULTS, again_s=0.0), reporter=said)
     jobs.take_up([])
     wait_for(multiprocessing.active_children)
     for each in multiprocessing.active_children():
@@ -342,7 +372,6 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path):
     jobs.touch([HOUR])
 
     def turned():
-        jobs._again_at = 0.0
         jobs.turn(end_of_hour_s(HOUR) + 60.0, {"R1": 2e9, "R2": 2e9})
         if jobs.wanted:
             jobs.begin(made.spool.closed)

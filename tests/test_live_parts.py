@@ -321,7 +321,6 @@ def test_cumulative_counts_begin_anew_with_the_interval():
 def test_a_looping_replay_is_at_the_same_place_whenever_it_began(monkeypatch):
     now = [1_800_000_000.0]
     monkeypatch.setattr("gis_radar.live.sources.time.time", lambda: now[0])
-    monkeypatch.setattr("gis_radar.live.sources._until", lambda _: iter(()))
     first = next(iter(Replay(path=SAMPLE / "R1.parquet", loop_s=100.0).frames()))
     now[0] += 37.0
     later = next(iter(Replay(path=SAMPLE / "R1.parquet", loop_s=100.0).frames()))

@@ -1,6 +1,8 @@
 """A start pose that traffic refuses: it is searched anew, or waited for, and counts only then."""
 
 from dataclasses import replace
+from itertools import cycle
+from threading import Event
 
 import numpy as np
 import pytest
@@ -22,9 +24,9 @@ LANES = f'[map]\nfile = "{SAMPLE / "junction.osm"}"\n'
 class Outbox:
     """Keeps the poses that are sent, and counts the messages by each."""
 
-    lost = 0
+    lost, empty = 0, True
 
-    def __init__(self):
+    def __init__(self, *_, **__):
         self.poses, self.sent = [], []
 
     def put_pose(self, message):
@@ -35,6 +37,27 @@ class Outbox:
     def put(self, _content):
         self.sent[-1] += 1
         return True
+
+    def pump(self):
+        """Send nothing."""
+
+
+class FedEdge(Edge):
+    """A sensor's side whose frames a test makes."""
+
+    def __init__(self, *given, frames, **more):
+        super().__init__(*given, **more)
+        self.fed = frames
+
+    def source(self):
+        yield from self.fed
+
+
+class NoLink:
+    """A link to no broker."""
+
+    def __init__(self, *_, **__):
+        self.open = self.close = lambda *_: None
 
 
 class Script:
@@ -67,6 +90,9 @@ def run(tmp_path, once, monkeypatch):
     """Give a function that lets an edge take frames; it returns what was sent and said."""
     site = LiveSite(tmp_path, once)
     monkeypatch.setattr(edge_module, "PoseFollower", Script)
+    monkeypatch.setattr(edge_module, "Outbox", Outbox)
+    monkeypatch.setattr(edge_module, "Link", NoLink)
+    monkeypatch.setattr(edge_module, "compile_first", lambda *_: None)
     monkeypatch.setattr(Script, "made", ())
     frames = list(frames_of_recording(SAMPLE / "R1.parquet"))
 
@@ -74,13 +100,12 @@ def run(tmp_path, once, monkeypatch):
         said = Lines()
         road = f'"{SAMPLE / "scan.laz"}"'
         file = site.edge("R1", more=LANES, road=road, follow="true", **keys)
-        edge = Edge(read_edge_file(file), reporter=said)
-        edge.outbox = Outbox()
-        for k in range(number):
-            frame = frames[k % len(frames)]
-            frame = replace(frame, time=np.full(len(frame), 1_750_000_000.0 + 0.05 * k))
-            for ready in edge._with_pose(frame):
-                edge._select(ready)
+        fed = (
+            replace(frame, time=np.full(len(frame), 1_750_000_000.0 + 0.05 * k))
+            for k, frame in zip(range(number), cycle(frames))
+        )
+        edge = FedEdge(read_edge_file(file), frames=fed, reporter=said)
+        edge.run(Event())
         return edge, said.lines
 
     return take
@@ -140,12 +165,16 @@ def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_co
 def test_a_recording_that_ends_before_the_pose_is_known_is_used_as_far_as_it_goes(
     run, monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(edge_module, "find_own_pose", lambda *_, **__: RIGHT)
+    searched = []
+
+    def find(_file, gathered, **_):
+        searched.append(len(gathered))
+        return RIGHT
+
+    monkeypatch.setattr(edge_module, "find_own_pose", find)
     guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
     edge, _ = run(700, pose=None, guess=guess)
-    assert edge.frames == 0
-    edge.outbox.pump = lambda: None
-    edge._end_of_source(edge_module.Event())
+    assert searched == [700]  # once there are no more, and not before
     assert edge.frames == 700
 
 

@@ -14,12 +14,12 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 from live_programs import Lines
-from live_site import LONGEST_S, SAMPLE, LiveSite
+from live_site import LONGEST_S, SAMPLE, LiveSite, wait_for
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.live import Fusion, Place, read_live_site
-from gis_radar.live.fusion import _counted_since
+from gis_radar.live import Fusion, Place, lane_push, read_live_site
+from gis_radar.live.fusion import counted_since
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.sensorthings import LaneMeasure, LaneServer, ServerError, Service
 from gis_radar.site import SensorThingsTable
@@ -179,19 +179,22 @@ def table(server, **more):
     return SensorThingsTable.model_validate({"address": server.address} | more)
 
 
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch):
+    monkeypatch.setattr(lane_push, "FIRST_RETRY_S", 0.05)
+    monkeypatch.setattr(lane_push, "SLOWEST_RETRY_S", 0.05)
+
+
 def push_of(server, place, folder, said=None, **more):
-    made = LanePush(
+    return LanePush(
         table(server, **more), place, site="junction", path=folder / "waiting.json",
         reporter=said or Lines(),
     )  # fmt: skip
-    made._patience_s = 0.05
-    return made
 
 
 def until_sent(push):
     end = time.monotonic() + LONGEST_S
-    while push.waiting or push._work.busy:
-        push._patience_s = min(push._patience_s, 0.05)
+    while push.waiting:
         push.regular()
         assert time.monotonic() < end
         time.sleep(0.01)
@@ -303,17 +306,23 @@ def test_log_ins_are_sent(server, tmp_path, keys, header):
                              header)]  # fmt: skip
 
 
-def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server):
+def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server, monkeypatch):
+    asked = []
+
+    class NotedPush(LanePush):
+        def __init__(self, table, *given, **more):
+            asked.append(table.interval)
+            super().__init__(table, *given, **more)
+
+    monkeypatch.setattr("gis_radar.live.fusion.LanePush", NotedPush)
     site = LiveSite(tmp_path, once)
-    plain = Fusion(read_live_site(site.file))
-    assert plain._push is None
-    plain.close()
+    Fusion(read_live_site(site.file)).close()
+    assert asked == []
     (tmp_path / "two").mkdir()
     more = f'[live.sensorthings]\naddress = "{server.address}"\ninterval = "5min"'
     other = LiveSite(tmp_path / "two", once, of_live=more)
-    fusion = Fusion(read_live_site(other.file))
-    assert fusion._push is not None
-    fusion.close()
+    Fusion(read_live_site(other.file)).close()
+    assert asked == ["5min"]
     bad = other.file.read_text().replace(server.address, "ftp://x")
     other.file.write_text(bad)
     with pytest.raises(InputError, match="expected an http or https address"):
@@ -323,7 +332,7 @@ def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server):
 def test_what_began_before_a_kill_is_counted_again_from_its_begin(tmp_path, once):
     more = '[live.sensorthings]\naddress = "https://x.example/v1.1"\ninterval = "1h"'
     site = read_live_site(LiveSite(tmp_path, once, of_live=more).file)
-    assert _counted_since(site, BEGIN_OF_HOUR_US + 50 * 60_000_000) == BEGIN_OF_HOUR_US
+    assert counted_since(site, BEGIN_OF_HOUR_US + 50 * 60_000_000) == BEGIN_OF_HOUR_US
 
 
 OK = b"HTTP/1.0 200 OK\r\n\r\n"
@@ -337,32 +346,32 @@ OK = b"HTTP/1.0 200 OK\r\n\r\n"
 )  # fmt: skip
 def test_what_is_no_answer_of_such_a_server_is_an_error_of_it(server, place, method, answer):
     rows = [LaneMeasure(place.lane_numbers[0], BEGIN, BEGIN + 1200, 1.0, 60.0)]
-    lanes = LaneServer(Service.of(table(server)), place, "junction")
+    lanes, begun = (LaneServer(Service.of(table(server)), place, "junction") for _ in range(2))
     lanes.push(rows)
     server.raw[method] = answer
-    if method == "GET":
-        lanes._streams.clear()  # as after a new start
     with pytest.raises(ServerError, match=server.address):
-        lanes.push(rows)
-    if method == "GET":
-        lanes._streams[rows[0].lane] = 1
-        if b"iot.id" not in answer:  # for times an id is nothing
-            with pytest.raises(ServerError, match=server.address):
-                lanes.push(rows, again=True)
+        (begun if method == "GET" else lanes).push(rows)
+    if method == "GET" and b"iot.id" not in answer:  # for times an id is nothing
+        with pytest.raises(ServerError, match=server.address):
+            lanes.push(rows, again=True)
 
 
-def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, tmp_path):
-    said = Lines()
-    push = push_of(server, place, tmp_path, said)
-    push._waiting = [LaneMeasure(place.lane_numbers[0], 10**18, 10**18 + 1, 1.0, 60.0)]  # no year
-    for _ in range(2):
-        push._try_at = 0.0
-        push.regular()
-        push._work._thread.join(LONGEST_S)
-        push.regular()
+def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(
+    server, place, tmp_path, monkeypatch
+):
+    said, tries, sent = Lines(), [], LaneServer.push
+
+    def tried(*given, **more):
+        tries.append(more)
+        return sent(*given, **more)
+
+    monkeypatch.setattr(LaneServer, "push", tried)
+    push = push_of(server, place, tmp_path, said, interval="1min")
+    count(push, place, 1200 * 10**15, 1201)  # of no year
+    wait_for(lambda: push.regular() or len(tries) == 3)
     assert len(said.lines) == 1
     assert said.told("lane measures cannot be pushed: ")
-    assert push.waiting == 1
+    assert push.waiting == len(place.lane_numbers)
 
 
 def test_measures_of_lanes_that_the_map_no_longer_has_do_not_hold_up_others(

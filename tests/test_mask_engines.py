@@ -15,7 +15,7 @@ import gis_radar as gr
 from gis_radar.crs import transformer
 from gis_radar.errors import InputError
 from gis_radar.scans import engines as pipeline
-from gis_radar.scans.mask import _relative
+from gis_radar.scans.mask import relative_name
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
@@ -180,7 +180,9 @@ def test_names_in_the_document_are_relative_where_they_can_be(tmp_path):
     assert str(tmp_path) not in text
     assert json.loads(text)["pipeline"][0]["filename"] == "../scans/scan.laz"
     elsewhere = Path(tmp_path.anchor) / "elsewhere" / "scan.laz"
-    assert _relative(str(elsewhere), tmp_path) == str(elsewhere)  # nothing but the root in common
+    assert relative_name(str(elsewhere), tmp_path) == str(
+        elsewhere
+    )  # nothing but the root in common
 
 
 def test_classes_that_pass():

@@ -187,7 +187,7 @@ def test_heights_that_are_no_numbers_are_named(tmp_path):
 
 def test_a_map_outside_its_zone_names_its_file_and_no_option(tmp_path, monkeypatch):
     path = write_road(tmp_path / "m.osm")
-    monkeypatch.setattr("gis_radar.lanelets.positions._zone", lambda _: CRS.from_epsg(32755))
+    monkeypatch.setattr("gis_radar.lanelets.positions.utm_zone", lambda *_: CRS.from_epsg(32755))
     with pytest.raises(CrsError, match=r"m\.osm: the site lies far outside") as caught:
         gr.read_map(path)
     assert "--crs" not in caught.value.message

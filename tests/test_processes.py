@@ -12,7 +12,7 @@ import pytest
 from waiting import is_gone, wait_for
 
 from gis_radar.errors import GisRadarError
-from gis_radar.processes import _GONE_S, WATCHDOG_VARIABLE, run_child, watch_parent
+from gis_radar.processes import GONE_S, WATCHDOG_VARIABLE, run_child, watch_parent
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="process groups")
@@ -148,11 +148,11 @@ def test_what_cannot_be_started_is_an_error_at_once(tmp_path, monkeypatch, name,
         raise RuntimeError("can't start new thread")
 
     if not name:
-        monkeypatch.setattr("gis_radar.processes._thread.start_new_thread", no_thread)
+        monkeypatch.setattr("_thread.start_new_thread", no_thread)
     begin = time.monotonic()
     with (tmp_path / "a").open("w+b") as file, pytest.raises(error, match=match):
         run_child([name], stdin=file, stderr=file, environment={}, waiting=print)
-    assert time.monotonic() - begin < _GONE_S
+    assert time.monotonic() - begin < GONE_S
 
 
 @posix

@@ -17,12 +17,12 @@ from gis_radar.calibration import LOCALIZATION
 from gis_radar.calibration.adaptation import adapted, heights
 from gis_radar.calibration.certainty import (
     CLEAR_RISE,
-    _along,
-    _excluded,
-    _spread,
     advantage,
     along_valley,
     certainty,
+    narrowed_by_exclusion,
+    sigma_along,
+    with_information_along,
 )
 from gis_radar.calibration.hypotheses import Hypothesis, level, look_around, prior_at
 from gis_radar.calibration.lanes import Lanes, Scene, match, match_along, place, sample_lanes
@@ -415,16 +415,16 @@ def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
     fit, settings = solve(scene, state, prior_at(state)), LOCALIZATION.answer
     hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
     curved = 1.0 / np.linalg.inv(fit.information)[0, 0]
-    flat = _along(fit, hold, curved, 0.02 * curved)
+    flat = with_information_along(fit, hold, curved, 0.02 * curved)
     assert 1.0 / np.linalg.inv(flat.information)[0, 0] == pytest.approx(0.02 * curved)
-    assert _spread(flat, hold, settings) == pytest.approx(certainty(flat).sigma[0])
+    assert sigma_along(flat, hold, settings) == pytest.approx(certainty(flat).sigma[0])
     assert certainty(flat).sigma[0] > 1.0
     costs = {0.5: 20.0, 1.0: 80.0, 2.0: 400.0, 4.0: 400.0}
     sides = [
         [(d, replace(flat, cost=flat.cost + more)) for d, more in changed.items()]
         for changed in (costs, costs | {4.0: rise})
     ]
-    walled = _excluded(scene, flat, hold, sides)
+    walled = narrowed_by_exclusion(scene, flat, hold, sides)
     if rise > CLEAR_RISE:
         assert certainty(walled).sigma[0] <= 1.0
         assert certainty(walled).sigma[1] <= certainty(flat).sigma[1]

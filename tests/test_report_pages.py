@@ -18,7 +18,7 @@ from gis_radar.progress import Reporter
 from gis_radar.report.content import Chapter, Content, Fact, Figure, MapSeries, Table
 from gis_radar.report.pages import bound
 from gis_radar.report.paper import write_pdf
-from gis_radar.report.report import _lane_columns
+from gis_radar.report.report import lane_columns
 from gis_radar.steps import Clock
 from gis_radar.words import speaking
 
@@ -91,13 +91,13 @@ def test_heads_and_numbers_of_lanes_are_not_broken(tmp_path):
     tables = []
     for language, lane in product(("en", "de"), ("10944738", str(2**63 - 1))):
         with speaking(language):
-            columns = _lane_columns(None, "occupancy")
+            columns = lane_columns(None, "occupancy")
         cells = [lane, "too few tracks", "north-west", *["12.3 % ± 1.2 %"] * (len(columns) - 3)]
         tables.append((columns, cells))
     # As in a town: four digits of length, five of a lane, and why a lane has no rank.
     with speaking("de"):
         clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=MOMENT, last=MOMENT)
-        columns = _lane_columns(clock, "occupancy")
+        columns = lane_columns(clock, "occupancy")
     cells = ["17863", "zu wenig davon einsehbar", "Bahnhofsvorplatz (West), Nordost",
              "27,8 ± 24,4 %", "41", "1 700", "100 %", "100 ± 26 % bei 1 266 m", "194,3",
              "23:13:20 bis 23:13:40: 35 ± 4 %"]  # fmt: skip

@@ -21,7 +21,7 @@ from gis_radar.heatmap import picture
 from gis_radar.languages import catalogue
 from gis_radar.notebooks import label_map, legend_below, picture_file
 from gis_radar.report import chart, maps, plan
-from gis_radar.report.results import _flat_picture, _panels
+from gis_radar.report.results import flat_picture, panels_of
 from gis_radar.steps import Clock
 
 PHONE_PX, LEAST_PX = 350, 10  # of a page 390 pixels wide, between its edges
@@ -30,7 +30,7 @@ LONELY = np.array([0.2, np.nan, 0.4]), np.array([0.1, np.nan, 0.1])
 
 def test_the_band_of_a_lonely_interval_is_drawn():
     """Of a lane that is seen in one interval, then not."""
-    strip = chart._strip("1", np.array([0.0, 0.25, 0.5, 1.0]), *LONELY)
+    strip = chart.strip_of("1", np.array([0.0, 0.25, 0.5, 1.0]), *LONELY)
     assert strip.line == "M0 80 250 80M500 60 1000 60"
     assert strip.band == "M0 70 250 70L250 90 0 90ZM500 50 1000 50L1000 70 500 70Z"
     assert strip.unseen == [(0.25, 0.25)]
@@ -49,7 +49,7 @@ def test_times_below_a_chart_are_round(minutes, count, begin, labels):
     edges = [first + timedelta(minutes=minutes) * i for i in range(count + 1)]
     clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=first, last=edges[-1], to_seconds=False)
     seconds = np.array([(each - first).total_seconds() for each in edges])
-    times = chart._times(edges, seconds, clock)
+    times = chart.times_below(edges, seconds, clock)
     assert len(times) <= chart.MOST_TICKS + 1
     if labels is not None:
         assert [label.split("\n")[0] for _, label in times] == labels
@@ -77,8 +77,8 @@ def test_panels_of_a_picture_are_found_again(tmp_path):
     with picture_file(tmp_path / "p.png", (6.0, 4.0), 100, tight=True) as figure:
         for ax in figure.subplot_mosaic([["a", "b"], ["a", "c"]]).values():
             ax.set(xlabel="below", title="above")
-    drawn = _flat_picture(tmp_path / "p.png", 500)
-    boxes = _panels(tmp_path / "p.png", drawn)
+    drawn = flat_picture(tmp_path / "p.png", 500)
+    boxes = panels_of(tmp_path / "p.png", drawn)
     assert len(boxes) == 3
     ink = np.asarray(drawn.convert("L")) < 200
     for left, top, right, base in boxes:
@@ -93,7 +93,7 @@ def test_a_picture_whose_panels_are_not_told_is_shown_whole(tmp_path, told):
     about = PngInfo()
     about.add_text("Panels", told)
     Image.new("RGB", (300, 300)).save(tmp_path / "p.png", pnginfo=about)
-    assert _panels(tmp_path / "p.png", _flat_picture(tmp_path / "p.png", 500)) == []
+    assert panels_of(tmp_path / "p.png", flat_picture(tmp_path / "p.png", 500)) == []
 
 
 def test_words_in_pictures_can_be_read_on_a_phone():

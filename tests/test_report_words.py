@@ -14,7 +14,7 @@ from test_heatmap_occupancy import BEGIN
 from gis_radar.crs import bearing_of
 from gis_radar.heatmap.intervals import HOUR
 from gis_radar.measures import Runs
-from gis_radar.report.basis import _recorded
+from gis_radar.report.basis import recorded_row
 from gis_radar.steps import Clock, utc_offsets
 from gis_radar.words import WINDS, direction, figure_text, listed, percent, wind_of
 
@@ -184,4 +184,4 @@ def test_a_recording_of_a_day_is_not_called_less(steps, told):
         results=SimpleNamespace(dataset=dataset),
         clock=clock(at(2025, 6, 12), at(2025, 6, 13)),
     )
-    assert _recorded(found)[2] == told
+    assert recorded_row(found)[2] == told

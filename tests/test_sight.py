@@ -248,11 +248,11 @@ def test_sight_is_found_once_a_pose_and_the_same_when_kept(tmp_path):
     tiles = across()
     path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
     for turn in range(4):
-        scan = SightScan([path], tiles)
-        kept = KeptSight(scan, tmp_path / "sights")
+        heard = Listener()
+        kept = KeptSight(SightScan([path], tiles, reporter=heard), tmp_path / "sights")
         kept.read([SENSOR])
         found = kept.find(SENSOR)
-        assert bool(scan._kept) == (turn != 1)  # whether the scan was read
+        assert bool(heard.stages) == (turn != 1)  # whether the scan was read
         expected = SightScan([path], tiles).find(SENSOR)
         assert found.scan == expected.scan
         for name, values in arrays_of(expected).items():

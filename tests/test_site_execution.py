@@ -409,7 +409,7 @@ def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
 
 
 def test_there_is_at_least_one_worker(monkeypatch):
-    monkeypatch.setattr("gis_radar.processes._free_memory", lambda: 1)
+    monkeypatch.setattr("gis_radar.processes.free_memory", lambda: 1)
     assert workers_here() == 1
-    monkeypatch.setattr("gis_radar.processes._free_memory", lambda: None)
+    monkeypatch.setattr("gis_radar.processes.free_memory", lambda: None)
     assert workers_here() >= 1

@@ -498,7 +498,7 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied, bla
     state.outdate()
     localized = next(each.stage for each in done.outcomes if each.stage.name == "localize R1")
     assert state.kept(localized) is None
-    product._forget(state, [localized], heard)
+    product.forget_stages_gone(state, [localized], heard)
     assert set(state.records) == {"localize R1"}
     assert not (out / "sensors" / "R1" / "pose.json").exists()
 

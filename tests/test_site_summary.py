@@ -11,7 +11,7 @@ from markdown_it import MarkdownIt
 from gis_radar.errors import InputError
 from gis_radar.site import Site, Stage, stages
 from gis_radar.site.plan import Outcome
-from gis_radar.site.run import _summary, _unmarked
+from gis_radar.site.run import summary_page, unmarked
 
 HOSTILE = "<script>alert(1)</script> [a](javascript:x) `b` **c** __d__ | e &lt; \\ ~~f~~\n# g"
 
@@ -29,20 +29,20 @@ def printed(markdown):
 @example(text="===")
 @example(text="R_1 and _R2_ of R&D, 95 %")
 def test_any_name_is_printed_as_it_is(text):
-    shown, tags = printed(f"- a: {_unmarked(text)}")
+    shown, tags = printed(f"- a: {unmarked(text)}")
     assert shown == " ".join(f"a: {text}".split())
     assert tags <= {"ul", "li"}
 
 
 @pytest.mark.parametrize("name", ["1. one", "- list", "# title", "+ a", "=", "17) b", HOSTILE])
 def test_a_name_that_begins_a_line_is_no_list(name):
-    shown, tags = printed(_unmarked(name))
+    shown, tags = printed(unmarked(name))
     assert (shown, tags) == (" ".join(name.split()), {"p"})
 
 
 def test_names_that_are_common_stay_as_they_are():
     for name in ("R1", "R_1", "Karlsruhe, north", "R2_0.parquet: 99.9 %", "https://a.b/c_d?e=f"):
-        assert _unmarked(name) == name
+        assert unmarked(name) == name
 
 
 def hostile_site(folder, language):
@@ -83,7 +83,7 @@ def test_a_hostile_site_makes_no_markup(tmp_path, language):
         ended(stages.heatmap_stage, state="done", figures=span),
         ended(stages.report_stage, state="done", figures=told),
     ]
-    page = _summary(hostile_site(tmp_path, language), outcomes)
+    page = summary_page(hostile_site(tmp_path, language), outcomes)
     shown, tags = printed(page)
     assert tags <= TAGS
     # title, credits (map and attribution are one), 2 of facts, 2 of basis, and one each of lane,

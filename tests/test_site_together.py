@@ -22,7 +22,7 @@ from gis_radar.poses import View
 from gis_radar.report.content import how_found
 from gis_radar.site import stages as work
 from gis_radar.site import stages_of
-from gis_radar.site.run import SiteRun, _summary
+from gis_radar.site.run import SiteRun, summary_page
 
 POSES = (
     work.road_stage, work.localize_stage, work.together_stage, work.pose_stage,
@@ -78,7 +78,7 @@ def run(site, tmp_path, monkeypatch):
         stages = [each for each in stages_of(read, tmp_path) if each.work in POSES]
         outcomes = list(execute(stages, tmp_path, reporter=heard).values())
         return SimpleNamespace(
-            outcomes=outcomes, folder=tmp_path, heard=heard, summary=_summary(read, outcomes),
+            outcomes=outcomes, folder=tmp_path, heard=heard, summary=summary_page(read, outcomes),
             done=SiteRun(site=read, folder=tmp_path, outcomes=outcomes),
             pose=lambda name: gr.read_pose(tmp_path / "sensors" / name / "pose.json"),
         )  # fmt: skip

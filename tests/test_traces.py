@@ -82,7 +82,7 @@ def test_a_window_forgets_what_is_old():
     window = MovingWindow(replace(LOCALIZATION.traces, frames=5))
     for frame in range(1000):
         window.push(batch([frame] * 10, [3.0] * 10))
-        assert sum(len(kept[0]) for kept in window._batches) <= 60
+        assert window.detections_held <= 60
     assert len(window.moving()) == 50
 
 

@@ -1,7 +1,6 @@
 """Tracking: sensors that stand, are knocked, shake or see nothing, with the truth known."""
 
 import csv
-import itertools
 import json
 from dataclasses import replace
 from types import SimpleNamespace
@@ -18,17 +17,22 @@ from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
-from gis_radar.calibration import MONITOR, Follower, WindowFitter, draw_track, start_estimate, track
+from gis_radar.calibration import (
+    MONITOR,
+    Follower,
+    WindowFitter,
+    draw_track,
+    monitor,
+    start_estimate,
+    track,
+)
 from gis_radar.calibration.kalman_filter import Measurement
-from gis_radar.calibration.monitor import _cycles
 from gis_radar.calibration.moves import agreement
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError
 from gis_radar.poses import read_track, write_track
-from gis_radar.progress import Reporter
-from gis_radar.recordings import open_recording
 from gis_radar.steps import seconds_from_iso
 
 STREET = Street()
@@ -503,16 +507,23 @@ def test_who_is_lost_for_long_says_so(seen):
 
 
 @pytest.mark.parametrize("cycle_s", [5.0, 5.3, 3.3, 0.7])
-def test_cycles_of_any_length_end(tmp_path, cycle_s):
+def test_cycles_of_any_length_end(tmp_path, monkeypatch, cycle_s):
     """Twenty times a second, for a minute: a cycle ends at the first frame after it."""
     time = np.repeat(START + np.arange(1200) * 0.05, 2)
     path = recording(tmp_path / "R1.parquet", time, np.ones((len(time), 3)))
-    settings = replace(MONITOR, cycle_s=cycle_s)
-    parts = _cycles(open_recording(path), settings, Reporter())
-    ends, rows = [], 0
-    for piece, end in itertools.islice(parts, 1000):
-        rows += len(piece)
-        ends += [] if end is None else [end]
-    assert rows == len(time)
+    pushed, ends = [], []
+
+    def cycle(end):
+        ends.append(end)
+        assert len(ends) < 1000
+
+    follower = SimpleNamespace(
+        push=lambda rows: pushed.append(len(rows)), cycle=cycle, finish=lambda _: None, rows=[]
+    )
+    monkeypatch.setattr(monitor, "WindowFitter", lambda *_, **__: None)
+    monkeypatch.setattr(monitor, "Follower", lambda *_, **__: follower)
+    monkeypatch.setattr(monitor, "track_of", lambda *_: None)
+    follow(path, start(STREET.pose()), settings=replace(MONITOR, cycle_s=cycle_s))
+    assert sum(pushed) == len(time)
     assert np.all(np.diff(ends) > 0.0)
     assert len(ends) in {int(60.0 / cycle_s), int(60.0 / cycle_s) + 1}

@@ -14,11 +14,11 @@ from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.management_settings import StationarySettings
 from gis_radar.tracking.motion import fit_motion
 from gis_radar.tracking.passes import Passes
-from gis_radar.tracking.resting import _rate_without
+from gis_radar.tracking.resting import rate_without
 from gis_radar.tracking.settings import BatchSettings, VehicleSettings
-from gis_radar.tracking.stationary import StationaryTarget, _heard_parts
+from gis_radar.tracking.stationary import StationaryTarget, heard_parts
 from gis_radar.tracking.strips import Strips
-from gis_radar.tracking.track_management import _at_drives
+from gis_radar.tracking.track_management import split_at_drives
 
 RATE = 20
 
@@ -189,7 +189,7 @@ def test_who_is_elsewhere_after_a_long_silence_is_joined_by_links(silent_s, move
     motion = fit_motion(detections, np.arange(40), states, VehicleSettings().motion)
     passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
     free = np.zeros(40, bool)
-    found = _at_drives(motion, detections, states, free, passes, VehicleSettings())
+    found = split_at_drives(motion, detections, states, free, passes, VehicleSettings())
     assert len(found) == parts
 
 
@@ -212,7 +212,9 @@ def test_who_is_silent_while_others_drive_over_its_place_has_left(driver_y, part
         for rows in (np.flatnonzero(order < 40), moves)
     )
     passes = Passes.of([other], detections, Strips.of(road_of(1)), StationarySettings())
-    found = _at_drives(stays, detections, states, np.zeros(160, bool), passes, VehicleSettings())
+    found = split_at_drives(
+        stays, detections, states, np.zeros(160, bool), passes, VehicleSettings()
+    )
     assert len(found) == parts
 
 
@@ -251,8 +253,8 @@ def test_where_no_rate_is_known_nothing_stands():
         strip=0, rear_m=0.0, front_m=4.0, begin=0.0, end=9.0, rows=np.arange(60)
     )
     detections = detections_at(np.arange(60.0) / 6.0, np.tile([30.0, 0.0], (60, 1)))
-    assert _heard_parts(target, detections, 0.0, StationarySettings()) == []
-    assert len(_heard_parts(target, detections, 900.0, StationarySettings())) == 1
+    assert heard_parts(target, detections, 0.0, StationarySettings()) == []
+    assert len(heard_parts(target, detections, 900.0, StationarySettings())) == 1
 
 
 def test_what_is_there_once_the_followers_have_gone_is_of_the_road():
@@ -264,5 +266,5 @@ def test_what_is_there_once_the_followers_have_gone_is_of_the_road():
     seen = Detectability.learned(detections, [], VehicleSettings().detectability)
     follower = Occluders.stationary(1, (41.0, 50.0), 50.0, 0.0, 0.0, 4.5)
     seen = replace(seen, occluders=follower)
-    rate = _rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
+    rate = rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
     assert rate == pytest.approx(5.0, rel=0.2)

@@ -20,7 +20,7 @@ from gis_radar.tracking.management_settings import (
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
-from gis_radar.tracking.resting import _rate_without, unbroken, with_rest
+from gis_radar.tracking.resting import rate_without, unbroken, with_rest
 from gis_radar.tracking.settings import (
     DetectionSettings,
     ForwardSettings,
@@ -31,7 +31,7 @@ from gis_radar.tracking.size import size_of
 from gis_radar.tracking.stationary import StationaryTarget, not_built
 from gis_radar.tracking.strips import Strips
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
-from gis_radar.tracking.track_management import _as_strong
+from gis_radar.tracking.track_management import as_strong_as_moving
 
 BEGIN = 1_700_000_000.0
 RATE = 20
@@ -270,7 +270,7 @@ def test_a_place_is_judged_by_the_seconds_that_were_recorded():
     free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
     seen = Detectability.learned(detections, [], DetectabilitySettings())
-    rate = _rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
+    rate = rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
     assert rate == pytest.approx(5.0, rel=0.2)
 
 
@@ -395,7 +395,7 @@ def test_a_weak_return_is_refused_though_some_cross_sections_are_unknown(unknown
     detections.rcs[:unknown] = np.nan
     weak, strong = target(0.0, 4.0, np.arange(10, 20)), target(0.0, 4.0, np.arange(10))
     fast = driven(0.0, 2.0, 10.0, np.arange(10))
-    assert _as_strong([weak, strong], detections, [fast], VehicleSettings()) == [strong]
+    assert as_strong_as_moving([weak, strong], detections, [fast], VehicleSettings()) == [strong]
 
 
 @pytest.mark.parametrize("through", [True, False])

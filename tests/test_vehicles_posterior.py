@@ -14,7 +14,7 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
-from gis_radar.tracking.posterior.cuts import _best_stretches
+from gis_radar.tracking.posterior.cuts import best_stretches
 from gis_radar.tracking.posterior.ends import into_silence
 from gis_radar.tracking.posterior.joins import join_ends
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
@@ -347,5 +347,5 @@ def test_stretches_are_the_best_of_all(value, cost, end):
         return value[kept].sum() - (runs == 1).sum() * cost - (runs == -1).sum() * end
 
     best = max(worth(np.array([k >> j & 1 for j in range(n)], bool)) for k in range(2**n))
-    kept = _best_stretches(value, np.full(n, cost), np.full(n, end))
+    kept = best_stretches(value, np.full(n, cost), np.full(n, end))
     assert worth(kept) == pytest.approx(best, abs=1e-9)

@@ -219,12 +219,27 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
             break
         fit = again
     if sigma_m > curved_m:
-        fit = _along(fit, hold, curved_m**-2, sigma_m**-2)
-    return _excluded(scene, fit, hold, sides)
+        fit = with_information_along(fit, hold, curved_m**-2, sigma_m**-2)
+    return narrowed_by_exclusion(scene, fit, hold, sides)
 
 
-def _along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
-    """Return a fit with other information along a combination of the state's parts, 1/m^2."""
+def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
+    """Return a fit with other information along a combination of the state's parts.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    hold : (n,) array
+        Weight of each part of the state in the combination.
+    before, after : float
+        Information along it until now and from now on, 1/m^2.
+
+    Returns
+    -------
+    Fit
+        With the difference added to both of its matrices.
+    """
     more = (after - before) * np.outer(hold, hold)
     return replace(
         fit,
@@ -233,29 +248,63 @@ def _along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
     )
 
 
-def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]) -> Fit:
+def narrowed_by_exclusion(
+    scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]
+) -> Fit:
     """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
 
     Curvature holds near the optimum. Where what is not estimated would move the pose farther than
     to places from which on all are out of the question, these decide: their least rise counts as
     curvature, and the sigma that it leaves must be no longer than the way there.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the settings of answers.
+    fit : Fit
+        At the optimum.
+    hold : (n,) array
+        Weight of each part of the state in the combination along the valley.
+    sides : list of two lists of (float, Rest)
+        By side of the optimum: the way in metres, growing, and the fit there. The ways are those
+        of the first side.
+
+    Returns
+    -------
+    Fit
+        The fit itself where nothing excludes.
     """
     settings = scene.settings.answer
     curved = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
     for k, (step_m, _) in enumerate(sides[0]):
-        if _spread(fit, hold, settings) <= step_m:
+        if sigma_along(fit, hold, settings) <= step_m:
             break
         rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
         if rise < CLEAR_RISE:
             continue
-        walled = _along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
-        if _spread(walled, hold, settings) <= step_m:
+        walled = with_information_along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
+        if sigma_along(walled, hold, settings) <= step_m:
             return walled
     return fit
 
 
-def _spread(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
-    """Return one standard deviation along a combination of the pose's parts, metres."""
+def sigma_along(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
+    """Return one standard deviation along a combination of the pose's parts.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    hold : (n,) array
+        Weight of each part of the state in the combination.
+    settings : AnswerSettings
+        How a fit's information becomes a covariance.
+
+    Returns
+    -------
+    float
+        Metres.
+    """
     to_angles = fit.state.to_angles
     way = np.linalg.solve(to_angles.T, hold[POSE])
     return float(np.sqrt(way @ certainty(fit, settings).covariance @ way))

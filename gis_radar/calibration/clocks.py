@@ -272,7 +272,9 @@ def measure_clocks(
     edges, reasons = _compare(seen, settings, reporter)
     reference = reference or best_linked(edges, sensors)
     clocks, misfit = adjust_network(edges, reference)
-    refused = {sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in clocks}
+    refused = {
+        sensor: why_not_compared(sensor, reasons) for sensor in sensors if sensor not in clocks
+    }
     if len(clocks) < 2:
         pairs = reasons.items()
         why = Text("; ").join((Text("{} and {}: {}", a, b, e.message) for (a, b), e in pairs))
@@ -333,8 +335,21 @@ def _compare(
     return edges, reasons
 
 
-def _reason(sensor: str, reasons: Reasons) -> str:
-    """Return why a sensor could not be compared, with the other one that it shares most with."""
+def why_not_compared(sensor: str, reasons: Reasons) -> str:
+    """Return why a sensor could not be compared, with the other one that it shares most with.
+
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    reasons : Reasons
+        By pair of sensors why they could not be compared; at least one pair has the sensor.
+
+    Returns
+    -------
+    str
+        Of a pair with common traffic where there is one: its reason says more.
+    """
     mine = {pair: why for pair, why in reasons.items() if sensor in pair}
     pair = max(mine, key=lambda each: not isinstance(mine[each], NoCommonTrafficError))
     other = pair[1] if pair[0] == sensor else pair[0]

@@ -204,7 +204,7 @@ class MoveTest:
             suspected = SuspectedMove(
                 certain=beyond >= ratio * settings.gate and agreed >= settings.agreement,
                 move=likeliest_move(gap, settings.knock),
-                change=self._change(held, seen),
+                change=self.lasting_change(held, seen),
             )
             if suspected.change is not None or suspected.certain:
                 return suspected
@@ -225,8 +225,16 @@ class MoveTest:
             part = self.traffic.between(self.now - length_s, np.inf)
         return part
 
-    def _change(self, held: Estimate, seen: WindowFit) -> Change | None:
-        """Return the change that the newest data show, if it lasts and is certain."""
+    def lasting_change(self, held: Estimate, seen: WindowFit) -> Change | None:
+        """Return the change that the newest data show, if it lasts and is certain.
+
+        Parameters
+        ----------
+        held : Estimate
+            The pose now, predicted from data before.
+        seen : WindowFit
+            Of the newest data alone.
+        """
         fitter, traffic, settings = self.fitter, self.traffic, self.fitter.settings
         since, old = self.now, held.state(seen.fit.state)
         for _ in range(CHANGE_ROUNDS):

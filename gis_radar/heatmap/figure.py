@@ -151,7 +151,7 @@ def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
     """Write the picture as PNG, 2000 pixels wide."""
     reporter.progress("drawing the picture", 0, 1)
     with mpl.rc_context(FONTS), speaking(tally.labels.language):
-        figure = _figure(tally)
+        figure = heatmap_figure(tally)
         named = filter(None, (tally.labels.title, tr(TITLES[tally.measure])))
         about = {"Title": ", ".join(named), "Description": time_span(tally)}
         if tally.labels.sources:
@@ -160,7 +160,19 @@ def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
     reporter.progress("drawing the picture", 1, 1)
 
 
-def _figure(tally: Tally) -> Figure:
+def heatmap_figure(tally: Tally) -> Figure:
+    """Draw the page of a heat map: the map, a title above, explanations beside and below.
+
+    Parameters
+    ----------
+    tally : Tally
+        The heat map.
+
+    Returns
+    -------
+    Figure
+        Not yet written to a file.
+    """
     lowest, highest = (tall / MAP_WIDTH_IN for tall in MAP_HEIGHT_IN)
     extent = _extent(tally, (lowest, highest))
     foot_in = 0.26 + LINE_IN * len(_foot(tally))

@@ -139,7 +139,7 @@ class MapPicture:
         figure, ax = self.blank(width_in)
         scale = add_corner_scale(figure, ax)
         for pose in poses:
-            _add_sensor(ax, pose, scale)
+            add_sensor(ax, pose, scale)
         return image_of_figure(figure)
 
 
@@ -301,8 +301,18 @@ def add_corner_scale(figure: Figure, ax: Axes) -> BboxBase:
     return ground.get_window_extent()
 
 
-def _add_sensor(ax: Axes, pose: Pose, taken: BboxBase) -> None:
-    """Draw the outline of a sensor's view, a triangle that points ahead, and its name."""
+def add_sensor(ax: Axes, pose: Pose, taken: BboxBase) -> None:
+    """Draw the outline of a sensor's view, a triangle that points ahead, and its name.
+
+    Parameters
+    ----------
+    ax : Axes
+        A map in metres, with its limits set.
+    pose : Pose
+        The sensor's, in the map's coordinate system.
+    taken : BboxBase
+        Where the name must not lie, in pixels of the figure.
+    """
     rim = np.asarray(pose.outline().exterior.coords)
     dashed: dict[str, Any] = {"linewidth": 0.8, "linestyle": (0, (4, 3)), "alpha": 0.5}
     ax.add_patch(Polygon(rim, facecolor="none", edgecolor=SENSOR, **dashed))

@@ -294,11 +294,30 @@ def without_loops(bound: Floats, side: str) -> Floats:
     for _ in range(_MOST_LOOPS):
         if LineString(bound[:, :2]).is_simple:
             return bound
-        bound = _first_loop_cut(bound, side)
+        bound = without_first_loop(bound, side)
     raise CannotMendError(Text("the {} bound crosses itself again and again", Text(side)))
 
 
-def _first_loop_cut(bound: Floats, side: str) -> Floats:
+def without_first_loop(bound: Floats, side: str) -> Floats:
+    """Cut the first loop out of a bound that crosses itself.
+
+    Parameters
+    ----------
+    bound : (n, 2) or (n, 3) array
+        Its points, metres.
+    side : str
+        Which bound it is, for the message.
+
+    Returns
+    -------
+    (m, 2) or (m, 3) array
+        The bound with the point of the crossing in place of the loop.
+
+    Raises
+    ------
+    CannotMendError
+        If the bound only touches itself, or the loop is a large part of it.
+    """
     i, j = _near_pairs(bound[:, :2])
     on_first, on_second = _crossings(bound[:, :2], i, j)
     hits = np.flatnonzero(np.isfinite(on_first))

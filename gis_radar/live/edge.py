@@ -144,7 +144,8 @@ class Edge:
             "trusted": self._trusted,
         }
 
-    def _source(self) -> Frames:
+    def source(self) -> Frames:
+        """Yield the frames of the file's source as they come, None where none has come for long."""
         source = self._file.source
         if source.recording is not None:
             return Replay(path=source.recording, speed=source.speed, loop_s=source.loop).frames()
@@ -152,7 +153,7 @@ class Edge:
         return radar.frames()
 
     def _work(self, stop: Event) -> None:
-        for frame in self._source():
+        for frame in self.source():
             if stop.is_set():
                 break
             if frame is not None:

@@ -130,7 +130,7 @@ class Fusion:
     def _resume(self) -> None:
         """Take up what the spool holds, and go on in a new file of it."""
         now_us = int(time.time() * 1e6)
-        begin_us = max(_counted_since(self._site, now_us), now_us - HOUR_STEPS * STEP_US)
+        begin_us = max(counted_since(self._site, now_us), now_us - HOUR_STEPS * STEP_US)
         files = [SpoolFile(path) for path in spool_files(self._site.folder / SPOOL)]
         self.intake.resume(files, begin_us)
         self._advance(self._windows.close(now_us, most=HOUR_STEPS))
@@ -421,8 +421,21 @@ def _page(fusion: Fusion, site: LiveSite) -> Page | None:
     return Page(fusion, site, site.live.page, fusion.tiles)
 
 
-def _counted_since(site: LiveSite, now_us: int) -> int:
-    """Return when the intervals began that count now, those of the map and of the push."""
+def counted_since(site: LiveSite, now_us: int) -> int:
+    """Return when the intervals began that count now, those of the map and of the push.
+
+    Parameters
+    ----------
+    site : LiveSite
+        With the lengths of both intervals.
+    now_us : int
+        UNIX microseconds.
+
+    Returns
+    -------
+    int
+        UNIX microseconds of the earlier begin.
+    """
     texts = [site.live.interval]
     if site.live.sensorthings is not None:
         texts.append(site.live.sensorthings.interval)

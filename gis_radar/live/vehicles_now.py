@@ -249,7 +249,7 @@ def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
     )  # fmt: skip
 
 
-class _Turn(NamedTuple):
+class VehiclesTurn(NamedTuple):
     """What the process answers.
 
     Parameters
@@ -265,8 +265,14 @@ class _Turn(NamedTuple):
     late: int
 
 
-class _Following:
-    """What the process keeps."""
+class VehicleFollowing:
+    """Follows the vehicles of now from messages of sensors, in a process of its own.
+
+    Parameters
+    ----------
+    graph : LaneGraph
+        The lanes.
+    """
 
     def __init__(self, graph: LaneGraph) -> None:
         self._filter = NowFilter(graph=graph, tracker=TRACKER)
@@ -277,8 +283,18 @@ class _Following:
     def go_on(
         self, placed: Mapping[PoseName, Placed], gone: Collection[PoseName],
         rows: Sequence[Message],
-    ) -> _Turn:  # fmt: skip
-        """Take new poses and messages; return the vehicles up to a moment before the newest."""
+    ) -> VehiclesTurn:  # fmt: skip
+        """Take new poses and messages; return the vehicles up to a moment before the newest.
+
+        Parameters
+        ----------
+        placed : mapping
+            Number, pose and road height (m) of a sensor, by its name and the key of the pose.
+        gone : collection
+            Poses that no message is found by any more.
+        rows : sequence of Message
+            In order of time.
+        """
         self._placed |= placed
         for name in gone:
             self._placed.pop(name, None)
@@ -288,7 +304,7 @@ class _Following:
             except InputError:
                 self._unread += 1
         self._filter.go_on(min(self._newest, time.time()) - REORDER_S)
-        found = _Turn(self._filter.now(), self._unread, self._filter.late)
+        found = VehiclesTurn(self._filter.now(), self._unread, self._filter.late)
         self._unread = self._filter.late = 0
         return found
 
@@ -309,18 +325,18 @@ class _Following:
             )  # fmt: skip
 
 
-_following: _Following | None = None  # of the process
+_following: VehicleFollowing | None = None  # of the process
 
 
 def _start(graph: LaneGraph | None) -> None:
     global _following  # noqa: PLW0603 - what all calls have in common
     watch_parent()
-    _following = None if graph is None else _Following(graph)
+    _following = None if graph is None else VehicleFollowing(graph)
 
 
 def _go_on(
     placed: Mapping[PoseName, Placed], gone: Collection[PoseName], rows: Sequence[Message]
-) -> _Turn:
+) -> VehiclesTurn:
     assert _following is not None  # noqa: S101 - set when the process starts
     return _following.go_on(placed, gone, rows)
 
@@ -329,7 +345,7 @@ def run_vehicles_once() -> None:
     """Follow a few seconds of the sample, by which all is compiled."""
     sample = SampleSensor()
     selector, key = DetectionSelector(sample.road), bytes(POSE_BYTES)
-    following = _Following(lane_graph(sample.roads.lanelets))
+    following = VehicleFollowing(lane_graph(sample.roads.lanelets))
     for frame in sample.frames(SAMPLE_FRAMES):
         found = selector.find(frame, sample.pose, road_m=np.nan)
         message = (sample.pose.sensor, pack_detections([found], pose=key))
@@ -369,7 +385,7 @@ class LiveVehicles:
         self._gone: set[PoseName] = set()
         self._waiting: list[Message] = []
         self._pool: ProcessPoolExecutor | None = None
-        self._work: Future[_Turn] | None = None
+        self._work: Future[VehiclesTurn] | None = None
         self._handed = 0  # messages that the process has at the moment
         self._now, self._told, self._start_at = VehiclesNow.none(), 0.0, 0.0
 

@@ -156,8 +156,8 @@ def as_high_as(table: pd.DataFrame) -> list[str]:
 def basis_of(found: Findings) -> Table:
     """Return what the report rests on: a row a thing, with what follows from it."""
     rows = [
-        _recorded(found), _seen(found), *_tracked(found), *_ranked(found), _placed(found.results),
-        _hidden(found.results), _delivered(found), _made_of(found.results),
+        recorded_row(found), _seen(found), *_tracked(found), *_ranked(found),
+        _placed(found.results), _hidden(found.results), _delivered(found), _made_of(found.results),
     ]  # fmt: skip
     columns = (
         Column(tr("What"), "", str, False),
@@ -168,7 +168,19 @@ def basis_of(found: Findings) -> Table:
     return Table(name="basis", caption=caption, columns=columns, rows=rows)
 
 
-def _recorded(found: Findings) -> list[str]:
+def recorded_row(found: Findings) -> list[str]:
+    """Return how much was recorded, and what it holds for.
+
+    Parameters
+    ----------
+    found : Findings
+        What the report shows.
+
+    Returns
+    -------
+    list of str
+        Title, seconds by sensor, and what follows, in the language of who reads.
+    """
     runs = recorded_runs(found.results)
     each = [f"{name} {seconds_text(part.steps * STEP_S)}" for name, part in runs.items()]
     seconds = recorded_s(found.results)

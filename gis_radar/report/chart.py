@@ -80,13 +80,30 @@ def _chart(
     return Chart(
         caption=_caption(heat.measure), alt=_described(heat, strips, clock),
         heading=_heading(heat.measure), top=f"{top * 100:g}", below=clock.name,
-        strips=[_strip(name, place, share / top, error / top) for name, share, error in strips],
-        times=[(float(at / seconds[-1]), label) for at, label in _times(edges, seconds, clock)],
+        strips=[strip_of(name, place, share / top, error / top) for name, share, error in strips],
+        times=[
+            (float(at / seconds[-1]), label) for at, label in times_below(edges, seconds, clock)
+        ],
     )  # fmt: skip
 
 
-def _strip(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
-    """Return a strip as paths, of the place of each edge and shares of the scale."""
+def strip_of(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
+    """Return a strip as paths, of the place of each edge and shares of the scale.
+
+    Parameters
+    ----------
+    name : str
+        What it shows.
+    place : (n + 1,) array
+        Of the edges of the intervals, from 0 to 1.
+    share, error : (n,) array
+        Of each interval, of the scale; NaN where nothing was seen.
+
+    Returns
+    -------
+    Strip
+        Paths of SVG: the line, the band of the error, and begin and width of what was not seen.
+    """
     seen = np.isfinite(share)
     low, high = (np.clip(share + side * error, 0.0, 1.0) for side in (-1, 1))
     unseen = [
@@ -117,8 +134,25 @@ def _path(place: Floats, share: Floats, run: slice, *, back: bool = False) -> st
     return " ".join(points[::-1] if back else points)
 
 
-def _times(edges: Sequence[datetime], seconds: Floats, clock: Clock) -> list[tuple[float, str]]:
-    """Return the times below a chart, in seconds from the begin, and their labels."""
+def times_below(
+    edges: Sequence[datetime], seconds: Floats, clock: Clock
+) -> list[tuple[float, str]]:
+    """Return the times below a chart: round ones where there are enough of them.
+
+    Parameters
+    ----------
+    edges : sequence of datetime
+        Of the intervals.
+    seconds : (n,) array
+        The same, from the begin.
+    clock : Clock
+        By which they are shown.
+
+    Returns
+    -------
+    list of (float, str)
+        Seconds from the begin, and labels.
+    """
     every = max(1, -(-(len(edges) - 1) // MOST_TICKS))
     chosen = _round_times(edges, seconds, clock) or list(range(0, len(edges), every))
     return [(float(seconds[i]), clock.tick(edges[i], edges[chosen[0]])) for i in chosen]

@@ -310,7 +310,7 @@ def _english_remarks(found: Findings) -> list[Text]:
 
 def _top_lanes(found: Findings) -> list[list[str]]:
     """Return the head of the table of lanes and its ranked rows, as many as a summary holds."""
-    columns = _lane_columns(found.clock, found.results.heat.measure)
+    columns = lane_columns(found.clock, found.results.heat.measure)
     ranked = found.table[found.table["rank"] > 0].head(SUMMARY_LANES)
     if ranked.empty:
         return []
@@ -372,7 +372,7 @@ def _lanes(found: Findings, *, intervals: bool) -> Table:
     table, measure = found.table, found.results.heat.measure
     seen, words = table[table["share"].notna()], WORDS[measure]
     shown = seen.head(MOST_LANES)
-    columns = _lane_columns(found.clock, measure)
+    columns = lane_columns(found.clock, measure)
     columns = columns if intervals else columns[:-1]
     notes = [] if measure == "hit_share" else [_ranking(table)]
     if unseen := len(table) - len(seen):
@@ -421,8 +421,21 @@ def _ranking(table: pd.DataFrame) -> str:
     return f"{rule} {first}"
 
 
-def _lane_columns(clock: Clock, measure: str) -> list[Column]:
-    """Return how a lane is read; the last is of its highest interval."""
+def lane_columns(clock: Clock, measure: str) -> list[Column]:
+    """Return how a lane is read; the last is of its highest interval.
+
+    Parameters
+    ----------
+    clock : Clock
+        Of the intervals.
+    measure : str
+        What lanes are compared by; those columns that only vehicles give are left out for others.
+
+    Returns
+    -------
+    list of Column
+        With titles in the language of who reads.
+    """
     words = WORDS[measure]
 
     def rank(row: pd.Series) -> str:

@@ -282,10 +282,10 @@ def pose_figures(results: Results) -> list[Figure]:
     poses = [pose for pose in results.poses if pose.sensor in results.figures]
     width = FIGURE_PIXELS if len(poses) <= FINE_FIGURES else COARSE_PIXELS
     for pose in poses[:MOST_FIGURES]:
-        image = _flat_picture(results.figures[pose.sensor], width)
+        image = flat_picture(results.figures[pose.sensor], width)
         if image is None:
             continue
-        boxes = _panels(results.figures[pose.sensor], image)
+        boxes = panels_of(results.figures[pose.sensor], image)
         found.append(
             Figure(
                 png=png(image),
@@ -304,8 +304,21 @@ def pose_figures(results: Results) -> list[Figure]:
     return found
 
 
-def _flat_picture(path: Path, width: int) -> Image.Image | None:
-    """Return a picture file, no wider than that, on white; None where it is none."""
+def flat_picture(path: Path, width: int) -> Image.Image | None:
+    """Return a picture file on white.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    width : int
+        The most pixels across; a wider picture is made smaller.
+
+    Returns
+    -------
+    Image or None
+        RGB; None where the file is no picture.
+    """
     try:
         with Image.open(path) as image:
             image.load()
@@ -319,8 +332,21 @@ def _flat_picture(path: Path, width: int) -> Image.Image | None:
     return flat
 
 
-def _panels(path: Path, image: Image.Image) -> list[tuple[int, int, int, int]]:
-    """Return where the panels of a picture lie, in its pixels; none where they are not told."""
+def panels_of(path: Path, image: Image.Image) -> list[tuple[int, int, int, int]]:
+    """Return where the panels of a picture lie.
+
+    Parameters
+    ----------
+    path : Path
+        The picture file, with the shares of its panels in its text.
+    image : Image
+        The same picture, of any size.
+
+    Returns
+    -------
+    list of (int, int, int, int)
+        Left, top, right and base in pixels of the image; none where the file does not tell them.
+    """
     with Image.open(path) as file:
         told = file.info.get(PANELS)
     try:

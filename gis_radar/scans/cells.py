@@ -384,7 +384,7 @@ def _cells_of_level(
         ground = _at_height(off, ground, cell, settings)
     xyz, cell = xyz[ground], cell[ground]
     if len(xyz) == 0 or not road.any():
-        bare = _counted(road, grid, corner, settings.square_m)
+        bare = squares_with_cells(road, grid, corner, settings.square_m)
         return _Part(np.empty((0, 3)), 0, int(np.count_nonzero(road)), bare, 0)
     surface = fit_ground(xyz, settings)
     over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
@@ -403,13 +403,30 @@ def _cells_of_level(
         points=np.column_stack([centres + corner, up]),
         used=int(np.count_nonzero(large.ravel()[cell])),
         area_cells=int(np.count_nonzero(road)),
-        missing=_counted(road & ~large, grid, corner, settings.square_m),
+        missing=squares_with_cells(road & ~large, grid, corner, settings.square_m),
         removed=int(np.count_nonzero(filled & block & ~large)),
     )
 
 
-def _counted(cells: Booleans, grid: Grid, corner: Floats, side_m: float) -> Floats:
-    """Return the south-west corners of the squares that hold cells, and how many: (k, 3)."""
+def squares_with_cells(cells: Booleans, grid: Grid, corner: Floats, side_m: float) -> Floats:
+    """Return the squares of a coarser grid that hold cells, and how many each holds.
+
+    Parameters
+    ----------
+    cells : (rows, columns) array of bool
+        The cells that count.
+    grid : Grid
+        Of the cells, in metres from the corner.
+    corner : (2,) array
+        Easting and northing of the grid's zero, metres.
+    side_m : float
+        Side of a square, metres; squares begin at its multiples.
+
+    Returns
+    -------
+    (k, 3) array
+        Easting and northing of the south-west corner, metres, and the number of cells.
+    """
     across = (grid.centres(np.arange(grid.columns))[:, 0] + corner[0]) // side_m
     up = (grid.centres(np.arange(grid.rows) * grid.columns)[:, 1] + corner[1]) // side_m
     columns, rows = (np.flatnonzero(np.diff(side, prepend=np.nan) != 0) for side in (across, up))

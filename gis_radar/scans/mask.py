@@ -131,7 +131,9 @@ class RoadMask:
         )
         for stage in stages["pipeline"]:
             names = {key: stage[key] for key in ("filename", "datasource") if key in stage}
-            stage |= {key: _relative(name, path.resolve().parent) for key, name in names.items()}
+            stage |= {
+                key: relative_name(name, path.resolve().parent) for key, name in names.items()
+            }
         with atomic_writes(path) as (private, places):
             parts = {output: private / output.name for output in outputs}
             write_layer(self.roads, parts[layer], outside=self.outside)
@@ -153,8 +155,21 @@ class RoadMask:
         return card("Road mask", figures)
 
 
-def _relative(name: str, folder: Path) -> str:
-    """Return a name relative to a folder; as it is where they share no more than a root."""
+def relative_name(name: str, folder: Path) -> str:
+    """Return a name relative to a folder; as it is where they share no more than a root.
+
+    Parameters
+    ----------
+    name : str
+        An absolute path.
+    folder : Path
+        Absolute, too.
+
+    Returns
+    -------
+    str
+        With forward slashes where it is relative.
+    """
     try:
         shared = os.path.commonpath([name, folder])
     except ValueError:  # drives of Windows

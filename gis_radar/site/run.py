@@ -199,7 +199,7 @@ def run_site(
                 stages=stages_of(site, root), state=kept, pool=pool, reporter=reporter,
                 timezone=site.timezone, folder=site.path.absolute().parent,
             )  # fmt: skip
-            _forget(kept, execution.stages, reporter)
+            forget_stages_gone(kept, execution.stages, reporter)
             _write_record(site, root, execution.run(-1), kept, finished=False)
             outcomes = execution.run()
         except KeyboardInterrupt:
@@ -233,8 +233,18 @@ def _cleared(root: Path, state: Path) -> Path:
     return scratch
 
 
-def _forget(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
-    """Forget stages that are no more, with their results."""
+def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
+    """Forget stages that are no more, and remove their results.
+
+    Parameters
+    ----------
+    state : RunState
+        What earlier runs made.
+    stages : sequence of Stage
+        Those that there are; what they make stays.
+    reporter : Reporter
+        Receives a line for each stage that had results.
+    """
     names = {stage.name for stage in stages}
     made = {path for stage in stages for path in stage.outputs}
     for name in sorted(state.records.keys() - names):
@@ -287,7 +297,7 @@ def _write_record(
         summary.unlink(missing_ok=True)
         return
     with atomic_write(summary) as part:
-        part.write_text(_summary(site, outcomes), encoding="utf-8")
+        part.write_text(summary_page(site, outcomes), encoding="utf-8")
 
 
 def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
@@ -387,8 +397,19 @@ _MARKS = re.compile(  # what Markdown takes for markup; no underscore within a w
 )
 
 
-def _unmarked(value: object) -> object:
-    """Return a text as Markdown prints it: names and titles are no markup and no HTML."""
+def unmarked(value: object) -> object:
+    """Return a text as Markdown prints it: names and titles are no markup and no HTML.
+
+    Parameters
+    ----------
+    value : object
+        Escaped where it is a text; anything else stays as it is.
+
+    Returns
+    -------
+    object
+        A text of one line, or the value.
+    """
     if not isinstance(value, str):
         return value
     return _MARKS.sub(_escaped, " ".join(value.split()))
@@ -399,13 +420,26 @@ def _escaped(found: re.Match[str]) -> str:
     return {"<": "&lt;", ">": "&gt;", "&": "&amp;"}.get(text, f"\\{text}")
 
 
-def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
-    """Return the summary of a run, to read: what the report says first, in its language."""
+def summary_page(site: Site, outcomes: Sequence[Outcome]) -> str:
+    """Return the summary of a run, to read: what the report says first, in its language.
+
+    Parameters
+    ----------
+    site : Site
+        With title, time zone and language.
+    outcomes : sequence of Outcome
+        Of the run's stages.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
     by_work = {each.stage.work: each.figures for each in outcomes if each.has_result}
     heat, told = by_work.get(work.heatmap_stage, {}), by_work.get(work.report_stage, {})
     text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
     plain = Environment(  # noqa: S701 - Markdown, escaped by `finalize`
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=_unmarked
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=unmarked
     )
     template = plain.from_string(text)
     with speaking(site.language):

@@ -182,16 +182,24 @@ def fit_motion(
         size, shift = size_of(along, ends, noise, time, trust, settings)
     return Motion(
         rows=rows, path=path, first_step=first,
-        s_m=_without_way_back(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
+        s_m=without_way_back(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
         var_s=smoothed[2], length_m=size.length_m, width_m=size.width_m,
         length_sigma_m=size.sigma_m, p_heavy=size.p_heavy, along_m=along - shift, left_m=left,
     )  # fmt: skip
 
 
-def _without_way_back(s_m: Floats) -> Floats:
+def without_way_back(s_m: Floats) -> Floats:
     """Return places that never decrease: the highest so far, or the lowest from there on.
 
-    Of both, what changes the places less.
+    Parameters
+    ----------
+    s_m : (n,) array
+        Places along a path by time, metres.
+
+    Returns
+    -------
+    (n,) array
+        Of both the one that changes the places less, metres.
     """
     held, until = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
     return np.asarray(min(held, until, key=lambda each: float(np.abs(each - s_m).sum())))

@@ -63,7 +63,7 @@ def with_rest(
         if side.any():
             ends = np.sort([span[at], float(detections.time[rows[side][at]])])
             due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
-            fixed = (ends[1] - ends[0]) * _rate_without(
+            fixed = (ends[1] - ends[0]) * rate_without(
                 number, motion, at, detections, free, seen, settings
             )
             own, count = side.sum() - fixed, side.sum()
@@ -110,7 +110,7 @@ def _on_body(
     return np.asarray((np.abs(along - s_m) < _half_m(motion)) & (np.abs(left) < beside))
 
 
-def _rate_without(
+def rate_without(
     number: int,
     motion: Motion,
     at: int,
@@ -119,10 +119,32 @@ def _rate_without(
     seen: Detectability,
     settings: VehicleSettings,
 ) -> float:
-    """Return the rate of detections of its place before the vehicle came or after it left, 1/s.
+    """Return the rate of detections of its place before the vehicle came or after it left.
 
     What stands there then, and is no other vehicle, is of the road or is parked beside it. The
     nearest seconds count in which no other vehicle is there.
+
+    Parameters
+    ----------
+    number : int
+        Of the vehicle, among those that occlude.
+    motion : Motion
+        The vehicle's.
+    at : int
+        0 for where it came, before it; -1 for where it left, after it.
+    detections : MapDetections
+        Of all sensors, by time.
+    free : (n,) array of bool
+        Which detections no vehicle has.
+    seen : Detectability
+        Knows where other vehicles are.
+    settings : VehicleSettings
+        How far and how long is looked for.
+
+    Returns
+    -------
+    float
+        1/s; zero where the place is never without vehicles.
     """
     limits = settings.management
     away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + limits.away_m

@@ -117,7 +117,7 @@ def find_stationary(
     return [
         part
         for each in _with_rows(targets, still)
-        for part in _heard_parts(each, detections, usual, settings)
+        for part in heard_parts(each, detections, usual, settings)
     ]
 
 
@@ -460,10 +460,27 @@ def _usual_rate(motions: Sequence[Motion], detections: MapDetections) -> float:
     return float(np.median(rates)) if rates else 0.0
 
 
-def _heard_parts(
+def heard_parts(
     target: StationaryTarget, detections: MapDetections, usual: float, settings: StationarySettings
 ) -> list[StationaryTarget]:
-    """Split a stationary target at gaps; keep the parts that are detected often enough."""
+    """Split a stationary target at gaps; keep the parts that are detected often enough.
+
+    Parameters
+    ----------
+    target : StationaryTarget
+        With the rows of its detections, by time.
+    detections : MapDetections
+        Which the rows are of.
+    usual : float
+        Rate of detections times the square of range, m^2/s; where it is zero nothing is kept.
+    settings : StationarySettings
+        The longest gap, and how often is enough.
+
+    Returns
+    -------
+    list of StationaryTarget
+        By time.
+    """
     if usual <= 0.0:
         return []
     cuts = np.flatnonzero(np.diff(detections.time[target.rows]) > settings.silence_s) + 1

@@ -60,7 +60,7 @@ def complete_tracks(
     seen = Detectability.learned(detections, motions, settings.detectability)
     motions = [
         part for each in motions
-        for part in _at_drives(each, detections, states, free, passes, settings)
+        for part in split_at_drives(each, detections, states, free, passes, settings)
     ]  # fmt: skip
     seen = replace(seen, occluders=Occluders.of(motions))  # numbered as the parts now
     motions = [
@@ -68,7 +68,7 @@ def complete_tracks(
         for number, each in enumerate(motions)
     ]  # fmt: skip
     targets = find_stationary(detections, free, motions, passes, settings.stationary)
-    targets = _as_strong(targets, detections, motions, settings)
+    targets = as_strong_as_moving(targets, detections, motions, settings)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in targets]
     hides = [Occluders.of(motions)]
     for number, (each, (place, heading)) in enumerate(zip(targets, places, strict=True)):
@@ -123,13 +123,33 @@ def _stood(motion: Motion, detections: MapDetections, settings: VehicleSettings)
     return enough and float(np.ptp(detections.time[still])) >= settings.management.alone_s
 
 
-def _at_drives(
+def split_at_drives(
     motion: Motion, detections: MapDetections, states: Floats, free: Booleans, passes: Passes,
     settings: VehicleSettings,
 ) -> list[Motion]:  # fmt: skip
     """Split a motion at gaps in which others drove over its place.
 
     A motion that is elsewhere after a long gap is split, too: links may join it again.
+
+    Parameters
+    ----------
+    motion : Motion
+        With the rows of its detections, by time.
+    detections : MapDetections
+        Of all sensors.
+    states : (n, k) array
+        Of the filter, a row per detection.
+    free : (n,) array of bool
+        Which detections no vehicle has.
+    passes : Passes
+        When others drove over a place.
+    settings : VehicleSettings
+        From which gaps on.
+
+    Returns
+    -------
+    list of Motion
+        The parts by time; the motion alone where nothing splits it.
     """
     time = detections.time[motion.rows]
     cuts = []
@@ -164,7 +184,7 @@ def _parts(
     return parts
 
 
-def _as_strong(
+def as_strong_as_moving(
     targets: Sequence[StationaryTarget],
     detections: MapDetections,
     motions: Sequence[Motion],
@@ -173,6 +193,22 @@ def _as_strong(
     """Return the targets whose strongest detections are about as strong as those of moving ones.
 
     Without moving vehicles, still detections are the reference.
+
+    Parameters
+    ----------
+    targets : sequence of StationaryTarget
+        With the rows of their detections.
+    detections : MapDetections
+        With RCS in dB.
+    motions : sequence of Motion
+        The vehicles; those count that drive.
+    settings : VehicleSettings
+        How much weaker is still as strong, dB.
+
+    Returns
+    -------
+    list of StationaryTarget
+        Also those whose RCS is not known.
     """
     driven = [
         usual_rcs(detections.rcs[each.rows]) for each in motions

@@ -1,10 +1,10 @@
 """SQL over a dataset: answers as other readers give them, and nothing but answers."""
 
+import os
 import signal
 import threading
 import time
 from functools import partial
-from itertools import count
 
 import pandas as pd
 import pyarrow.dataset as pads
@@ -183,11 +183,17 @@ def test_a_check_reads_the_tile_counts(dataset):
     assert "remove it" in refused.value.hint
 
 
-def test_hours_that_are_made_meanwhile_are_said(dataset, monkeypatch):
-    states = count()
-    monkeypatch.setattr("gis_radar.dataset.queries._states", lambda _: next(states))
-    with pytest.raises(InputError, match="hours were made again meanwhile"):
-        dataset.query("SELECT * FROM hits")
+def test_hours_that_are_made_meanwhile_are_said(dataset):
+    from gis_radar.dataset.queries import run_query
+
+    record = record_path(dataset.folder, HOUR)
+    state = record.stat()
+    with (
+        pytest.raises(InputError, match="hours were made again meanwhile"),
+        run_query(dataset, "SELECT * FROM hits", timeout_s=60.0, memory="1GB") as (_, batches),
+    ):
+        assert sum(len(each) for each in batches) == 3
+        os.utime(record, ns=(state.st_atime_ns, state.st_mtime_ns + 1_000_000))
 
 
 def test_a_dataset_without_hours_answers(tmp_path):

@@ -134,11 +134,11 @@ def _road(folder: Path) -> SightTiles:
     return _tiles(path, path.stat().st_mtime_ns)
 
 
-def _intake(folder: Path, spool: Spool) -> Intake:
+def _intake(folder: Path, spool: Spool, windows: Windows | None = None) -> Intake:
     road = _road(folder)
     return Intake(
         ["R1"], site="junction", spool=spool, road=road,
-        counter=FrameCounter(road), windows=Windows(0.2),
+        counter=FrameCounter(road), windows=windows or Windows(0.2),
         oldest_s=1e6,
     )  # fmt: skip
 
@@ -176,10 +176,11 @@ def messages(folder: Path) -> None:
     place = folder / "live" / "taken"
     shutil.rmtree(place, ignore_errors=True)
     spool = Spool(place / "spool")
-    intake = _intake(folder, spool)
+    windows = Windows(0.2)
+    intake = _intake(folder, spool, windows)
     spool.rotate(intake.marks)
     _deliver(intake, folder)
-    list(intake._windows.close(BEGIN_US + 10_000_000))
+    list(windows.close(BEGIN_US + 10_000_000))
     health = [each.health for each in intake.sensors.values()]
     prometheus_text(health, {})
     for each in health:
@@ -219,33 +220,42 @@ def buffer(folder: Path) -> None:
         _copied(folder, "buffer") as path,
         DiskBuffer(path, most_bytes=1 << 30, fingerprint=_road(folder).fingerprint) as found,
     ):
-        outbox = _outbox(found)
-        outbox._send()
+        outbox = _outbox(found, _Linked())
+        outbox.pump()
         outbox.put(b"more")
-        outbox._send()
+        outbox.pump()
         found.acknowledge(2)
         assert len(found) <= found.last
 
 
 def acknowledgement(folder: Path) -> None:
     """Hear what fusion says."""
-    from paho.mqtt.client import MQTTMessage
-
     with DiskBuffer(Path(":memory:"), most_bytes=1 << 30, fingerprint="00") as found:
         for _ in range(3):
             found.append(b"0")
         found.stream = STREAM
-        outbox = _outbox(found)
-        message = MQTTMessage(topic=b"v1/junction/R1/ack")
-        message.payload = (folder / "live" / "ack").read_bytes()
-        outbox._link._on_message(None, None, message)
+        link = _Linked()
+        outbox = _outbox(found, link)
+        payload = (folder / "live" / "ack").read_bytes()
+        link.received.append(Received("v1/junction/R1/ack", payload, 1.0, retained=False))
         outbox.pump()
-        outbox._send()
         assert 0 <= outbox.stored <= found.last
 
 
-def _outbox(found: DiskBuffer) -> Outbox:
-    link = Link(BrokerAddress.of("mqtt://127.0.0.1:1883"), name="junction-R1")
+class _Linked(Link):
+    """A link that is there, and brings what is put into it."""
+
+    connected = True
+
+    def __init__(self) -> None:
+        super().__init__(BrokerAddress.of("mqtt://127.0.0.1:1883"), name="junction-R1")
+        self.received: list[Received] = []
+
+    def take(self, _timeout_s: float) -> Received | None:
+        return self.received.pop(0) if self.received else None
+
+
+def _outbox(found: DiskBuffer, link: Link) -> Outbox:
     return Outbox(found, link, SensorTopics("junction", "R1"), figures=dict)
 
 

@@ -69,7 +69,7 @@ def _kept(posterior: Posterior, vehicle: int) -> Booleans:
     before = total[END_WINDOWS : END_WINDOWS + n] - total[:n]
     after = total[2 * END_WINDOWS + 1 :] - total[END_WINDOWS + 1 : END_WINDOWS + 1 + n]
     begin = EXISTS + np.minimum(END_SHARE * before, END_MOST)
-    return _best_stretches(value, begin, np.minimum(END_SHARE * after, END_MOST))
+    return best_stretches(value, begin, np.minimum(END_SHARE * after, END_MOST))
 
 
 def _on_others(posterior: Posterior, vehicle: int) -> Floats:
@@ -95,8 +95,21 @@ def _lasting(flags: Booleans) -> Booleans:
 
 
 @compiled
-def _best_stretches(value: Floats, begin: Floats, end: Floats) -> Booleans:
-    """Return the stretches with the highest sum of values, less the costs of begins and ends."""
+def best_stretches(value: Floats, begin: Floats, end: Floats) -> Booleans:
+    """Return the stretches with the highest sum of values, less the costs of begins and ends.
+
+    Parameters
+    ----------
+    value : (n,) array
+        What it gains to keep a place, nats; negative where it costs.
+    begin, end : (n,) array
+        What a stretch costs that begins or ends at a place, nats.
+
+    Returns
+    -------
+    (n,) array of bool
+        Which places are kept; none where nothing gains.
+    """
     n = len(value)
     kept, before = np.zeros(n, np.bool_), np.zeros((n, 2), np.bool_)
     on, off = -1e18, 0.0
