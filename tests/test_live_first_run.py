@@ -49,9 +49,9 @@ OF_VEHICLES = (
     BEGIN
     + """
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live.vehicles_now import VehicleFollowing, run_vehicles_once
+from gis_radar.live.vehicles_now import VehicleFollower, run_vehicles_once
 run_vehicles_once()
-following = VehicleFollowing(lane_graph(gr.read_map(sample / "junction.osm").lanelets))
+following = VehicleFollower(lane_graph(gr.read_map(sample / "junction.osm").lanelets))
 before = compiled()
 placed = {("R2", b"pose"): (1, pose, 0.0)}
 for k, frame in zip(range(600), frames_of_recording(sample / "R2.parquet")):

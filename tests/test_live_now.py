@@ -22,7 +22,7 @@ from gis_radar.live import (
     read_live_site,
     vehicles_now,
 )
-from gis_radar.live.vehicles_now import LiveVehicles, VehicleFollowing
+from gis_radar.live.vehicles_now import LiveVehicles, VehicleFollower
 from gis_radar.steps import STEPS_PER_SECOND
 
 NAMES, KEY, EVERY = ("R1", "R2"), b"pose", 4
@@ -56,7 +56,7 @@ def messages():
 
 def test_vehicles_of_now_are_where_the_batch_has_them(graph, batch):
     """The filter alone, a third of a second late: most vehicles, within some metres."""
-    following, sent = VehicleFollowing(graph), messages()[: round(20 * SECONDS) * len(NAMES)]
+    following, sent = VehicleFollower(graph), messages()[: round(20 * SECONDS) * len(NAMES)]
     placed = {(name, KEY): (k, POSES[name], np.nan) for k, name in enumerate(NAMES)}
     true = found = shown = 0
     for begin in range(0, len(sent), 20):

@@ -11,7 +11,7 @@ from markdown_it import MarkdownIt
 from gis_radar.errors import InputError
 from gis_radar.site import Site, Stage, stages
 from gis_radar.site.plan import Outcome
-from gis_radar.site.run import summary_page, unmarked
+from gis_radar.site.run import markdown_escaped, summary_page
 
 HOSTILE = "<script>alert(1)</script> [a](javascript:x) `b` **c** __d__ | e &lt; \\ ~~f~~\n# g"
 
@@ -29,20 +29,20 @@ def printed(markdown):
 @example(text="===")
 @example(text="R_1 and _R2_ of R&D, 95 %")
 def test_any_name_is_printed_as_it_is(text):
-    shown, tags = printed(f"- a: {unmarked(text)}")
+    shown, tags = printed(f"- a: {markdown_escaped(text)}")
     assert shown == " ".join(f"a: {text}".split())
     assert tags <= {"ul", "li"}
 
 
 @pytest.mark.parametrize("name", ["1. one", "- list", "# title", "+ a", "=", "17) b", HOSTILE])
 def test_a_name_that_begins_a_line_is_no_list(name):
-    shown, tags = printed(unmarked(name))
+    shown, tags = printed(markdown_escaped(name))
     assert (shown, tags) == (" ".join(name.split()), {"p"})
 
 
 def test_names_that_are_common_stay_as_they_are():
     for name in ("R1", "R_1", "Karlsruhe, north", "R2_0.parquet: 99.9 %", "https://a.b/c_d?e=f"):
-        assert unmarked(name) == name
+        assert markdown_escaped(name) == name
 
 
 def hostile_site(folder, language):

@@ -31,7 +31,7 @@ from gis_radar.tracking.size import size_of
 from gis_radar.tracking.stationary import StationaryTarget, not_built
 from gis_radar.tracking.strips import Strips
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
-from gis_radar.tracking.track_management import as_strong_as_moving
+from gis_radar.tracking.track_management import strong_targets
 
 BEGIN = 1_700_000_000.0
 RATE = 20
@@ -395,7 +395,7 @@ def test_a_weak_return_is_refused_though_some_cross_sections_are_unknown(unknown
     detections.rcs[:unknown] = np.nan
     weak, strong = target(0.0, 4.0, np.arange(10, 20)), target(0.0, 4.0, np.arange(10))
     fast = driven(0.0, 2.0, 10.0, np.arange(10))
-    assert as_strong_as_moving([weak, strong], detections, [fast], VehicleSettings()) == [strong]
+    assert strong_targets([weak, strong], detections, [fast], VehicleSettings()) == [strong]
 
 
 @pytest.mark.parametrize("through", [True, False])

@@ -226,7 +226,7 @@ def test_the_map_of_the_tiles_is_told_from_others():
 
 
 def test_lanelets_of_two_parts_of_a_vehicle_follow_each_other():
-    row = {"length_sigma_m": 0.3, "first_step": 1, "last_step": 2, "continues": False}
+    row = {"length_sigma_m": 0.3, "first_step": 1, "last_step": 2}
     one = row | {"lanelets": np.array([4, 7, 8]), "length_m": 4.0}
     other = row | {"lanelets": np.array([7, 8, 9]), "length_m": 5.0, "length_sigma_m": 0.1}
     joined = joined_rows(one, other)

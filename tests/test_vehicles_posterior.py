@@ -15,7 +15,7 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import best_stretches
-from gis_radar.tracking.posterior.ends import into_silence
+from gis_radar.tracking.posterior.ends import with_undetected_ends
 from gis_radar.tracking.posterior.joins import join_ends
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
@@ -133,18 +133,29 @@ def test_a_vehicle_is_there_undetected_for_as_long_as_little_is_due(each, least_
     rng = np.random.default_rng(14)
     found = detected(returns(rng, 4, 16, 50.0, 10.0, each=each), clutter(rng, 20, 0.2))
     known = track(found, 4, 16, 50.0, 10.0)
-    (longer,) = into_silence(Posterior(found, [known]), [known])
+    (longer,) = with_undetected_ends(Posterior(found, [known]), [known])
     begin, end = span_s(longer)
     assert least_s <= 4.0 - begin <= most_s
     assert least_s <= end - span_s(known)[1] <= most_s
     assert longer.s_m[0] == pytest.approx(known.s_m[0] - 10.0 * (4.0 - begin))
 
 
+def test_time_undetected_counts_from_the_last_detection():
+    """A track that runs on for half a second, where six detections are due, goes on no further."""
+    rng = np.random.default_rng(17)
+    ahead, seen = (returns(rng, 4, 12, start, 10.0, each=0.6) for start in (100.0, 50.0))
+    found = detected(ahead, seen, clutter(rng, 20, 0.2))
+    known, other = track(found, 4, 12.5, 50.0, 10.0), track(found, 4, 12, 100.0, 10.0)
+    known.rows = known.rows[found.time[known.rows] <= seen[:, 0].max()]
+    same, _ = with_undetected_ends(Posterior(found, [known, other]), [known, other])
+    assert same.last_step == known.last_step
+
+
 def test_nobody_is_there_before_the_first_frame_or_after_the_last():
     rng = np.random.default_rng(15)
     found = detected(returns(rng, 0, 12, 50.0, 10.0, each=0.1))
     known = track(found, 0, 12, 50.0, 10.0)
-    (same,) = into_silence(Posterior(found, [known]), [known])
+    (same,) = with_undetected_ends(Posterior(found, [known]), [known])
     assert span_s(same) == pytest.approx(span_s(known), abs=0.2)
 
 
@@ -153,7 +164,7 @@ def test_two_tracks_on_one_bus_become_one_that_is_as_long(graph):
     found = detected(returns(rng, 0, 12, 30.0, 10.0, length=BUS, each=5.0), clutter(rng, 14))
     parts = [track(found, 0, 12, 30.0 + shift, 10.0) for shift in (-3.7, 3.7)]
     (bus,) = improve(parts, found, graph, MotionSettings())
-    assert bus.length_m == pytest.approx(BUS, abs=2.0)
+    assert bus.length_m == pytest.approx(BUS, abs=0.6)
     assert bus.p_heavy > 0.5
 
 

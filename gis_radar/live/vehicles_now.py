@@ -249,7 +249,7 @@ def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
     )  # fmt: skip
 
 
-class VehiclesTurn(NamedTuple):
+class VehiclesAnswer(NamedTuple):
     """What the process answers.
 
     Parameters
@@ -265,7 +265,7 @@ class VehiclesTurn(NamedTuple):
     late: int
 
 
-class VehicleFollowing:
+class VehicleFollower:
     """Follows the vehicles of now from messages of sensors, in a process of its own.
 
     Parameters
@@ -283,7 +283,7 @@ class VehicleFollowing:
     def go_on(
         self, placed: Mapping[PoseName, Placed], gone: Collection[PoseName],
         rows: Sequence[Message],
-    ) -> VehiclesTurn:  # fmt: skip
+    ) -> VehiclesAnswer:  # fmt: skip
         """Take new poses and messages; return the vehicles up to a moment before the newest.
 
         Parameters
@@ -304,7 +304,7 @@ class VehicleFollowing:
             except InputError:
                 self._unread += 1
         self._filter.go_on(min(self._newest, time.time()) - REORDER_S)
-        found = VehiclesTurn(self._filter.now(), self._unread, self._filter.late)
+        found = VehiclesAnswer(self._filter.now(), self._unread, self._filter.late)
         self._unread = self._filter.late = 0
         return found
 
@@ -325,18 +325,18 @@ class VehicleFollowing:
             )  # fmt: skip
 
 
-_following: VehicleFollowing | None = None  # of the process
+_following: VehicleFollower | None = None  # of the process
 
 
 def _start(graph: LaneGraph | None) -> None:
     global _following  # noqa: PLW0603 - what all calls have in common
     watch_parent()
-    _following = None if graph is None else VehicleFollowing(graph)
+    _following = None if graph is None else VehicleFollower(graph)
 
 
 def _go_on(
     placed: Mapping[PoseName, Placed], gone: Collection[PoseName], rows: Sequence[Message]
-) -> VehiclesTurn:
+) -> VehiclesAnswer:
     assert _following is not None  # noqa: S101 - set when the process starts
     return _following.go_on(placed, gone, rows)
 
@@ -345,7 +345,7 @@ def run_vehicles_once() -> None:
     """Follow a few seconds of the sample, by which all is compiled."""
     sample = SampleSensor()
     selector, key = DetectionSelector(sample.road), bytes(POSE_BYTES)
-    following = VehicleFollowing(lane_graph(sample.roads.lanelets))
+    following = VehicleFollower(lane_graph(sample.roads.lanelets))
     for frame in sample.frames(SAMPLE_FRAMES):
         found = selector.find(frame, sample.pose, road_m=np.nan)
         message = (sample.pose.sensor, pack_detections([found], pose=key))
@@ -385,7 +385,7 @@ class LiveVehicles:
         self._gone: set[PoseName] = set()
         self._waiting: list[Message] = []
         self._pool: ProcessPoolExecutor | None = None
-        self._work: Future[VehiclesTurn] | None = None
+        self._work: Future[VehiclesAnswer] | None = None
         self._handed = 0  # messages that the process has at the moment
         self._now, self._told, self._start_at = VehiclesNow.none(), 0.0, 0.0
 

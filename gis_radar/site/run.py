@@ -397,7 +397,7 @@ _MARKS = re.compile(  # what Markdown takes for markup; no underscore within a w
 )
 
 
-def unmarked(value: object) -> object:
+def markdown_escaped(value: object) -> object:
     """Return a text as Markdown prints it: names and titles are no markup and no HTML.
 
     Parameters
@@ -439,7 +439,7 @@ def summary_page(site: Site, outcomes: Sequence[Outcome]) -> str:
     heat, told = by_work.get(work.heatmap_stage, {}), by_work.get(work.report_stage, {})
     text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
     plain = Environment(  # noqa: S701 - Markdown, escaped by `finalize`
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=unmarked
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=markdown_escaped
     )
     template = plain.from_string(text)
     with speaking(site.language):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -46,35 +46,12 @@ class VehicleBatch:
     vehicles : DataFrame
         The columns of `VEHICLES`: each vehicle with a state in the span, as known so far. It may
         go on in the next batch under the same number.
-    frames : DataFrame
-        `sensor, view, first_step, last_step`: runs of steps in the span with a frame.
     """
 
     first_step: int
     last_step: int
     tracks: pd.DataFrame
     vehicles: pd.DataFrame
-    frames: pd.DataFrame
-
-
-@dataclass(frozen=True, kw_only=True)
-class BlockEdge:
-    """State at the end of a block, from which another :class:`BatchMaker` continues.
-
-    Parameters
-    ----------
-    step : int
-        The last of the block.
-    found : int
-        How many vehicles there are so far.
-    table : DataFrame
-        `sensor, time, x, vehicle`: the detections of the vehicles that go on.
-    """
-
-    COLUMNS: ClassVar = ("sensor", "time", "x", "vehicle")
-    step: int
-    found: int
-    table: pd.DataFrame
 
 
 class BatchMaker:
@@ -85,7 +62,7 @@ class BatchMaker:
     graph : LaneGraph
         The lanes.
     settings : VehicleSettings
-        Of routes, and how long a vehicle goes on unseen.
+        Of routes, of when a state counts as seen, and of the check of poses.
     """
 
     def __init__(self, graph: LaneGraph, settings: VehicleSettings) -> None:
@@ -99,21 +76,6 @@ class BatchMaker:
     def forget_lanes(self) -> None:
         """Drop the places of vehicles by sensor: for programs that run without end."""
         self._on_lanes = []
-
-    def edge(self) -> BlockEdge:
-        """Return the state at the end of the last block."""
-        known = [] if self._known is None else self._known.to_numpy().tolist()
-        rows = [(*key, vehicle) for key, vehicle in known]
-        table = pd.DataFrame(rows, columns=[*BlockEdge.COLUMNS])
-        return BlockEdge(step=self._edge, found=self.found, table=table)
-
-    def take_up(self, edge: BlockEdge) -> None:
-        """Continue after a block that another instance made."""
-        self._edge, self.found = edge.step, edge.found
-        rows = edge.table.to_numpy().tolist()
-        keys = [(int(sensor), time, x) for sensor, time, x, _ in rows]
-        numbers = [int(row[3]) for row in rows]
-        self._known = pd.DataFrame({"key": keys, "vehicle": numbers}) if rows else None
 
     def batch(self, block: Block, motions: list[Motion]) -> VehicleBatch:
         """Return the states of the vehicles in the span of a block.
@@ -130,15 +92,12 @@ class BatchMaker:
             table, lanelets = self._tables(each, motion)
             driven.append(_driven(number, table, motion, block.detections, self._settings.batches))
             tables.append(table.assign(vehicle=number))
-            cut = (block.begins and each.step[0] == block.first_step) or (
-                block.ends and each.step[-1] == block.last_step
-            )
             rows.append(
                 {
                     "vehicle": number, "first_step": each.step[0], "last_step": each.step[-1],
                     "length_m": motion.length_m, "width_m": motion.width_m,
                     "length_sigma_m": motion.length_sigma_m, "p_heavy": motion.p_heavy,
-                    "lanelets": lanelets, "continues": cut,
+                    "lanelets": lanelets,
                 }
             )  # fmt: skip
         if driven:
@@ -147,7 +106,7 @@ class BatchMaker:
         tracks = pd.concat(tables, ignore_index=True).sort_values(["step", "vehicle"])
         return VehicleBatch(
             first_step=block.first_step, last_step=block.last_step, tracks=tracks,
-            vehicles=vehicles, frames=block.frames,
+            vehicles=vehicles,
         )  # fmt: skip
 
     def on_lanes(self, sensors: Sequence[str]) -> list[pd.DataFrame]:
@@ -281,7 +240,6 @@ def joined_rows(known: dict[str, Any] | None, row: dict[str, Any]) -> dict[str, 
         "first_step": min(known["first_step"], row["first_step"]),
         "last_step": max(known["last_step"], row["last_step"]),
         "lanelets": np.array([*before, *after[shared:]], np.int64),
-        "continues": bool(known["continues"] or row["continues"]),
     }
 
 

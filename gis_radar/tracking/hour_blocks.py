@@ -23,7 +23,6 @@ from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, step_of
 from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections, map_detections, still_rate
 from gis_radar.tracking.settings import BlockSettings, VehicleSettings
-from gis_radar.tracking.tables import FRAMES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +112,7 @@ def blocks_of(
                 first_step=begin if len(before) else int(inside[0]),
                 last_step=after - 1 if len(later) else int(inside[-1]),
                 detections=detections,
-                frames=FRAMES.empty(), frames_before=FRAMES.empty(), begins=False, ends=False,
-            )  # fmt: skip
+            )
             del detections
             give_back_memory()  # before the next block is read
 

@@ -134,7 +134,7 @@ VEHICLES = TableKind(
     columns={
         "vehicle": _ID, "first_step": _STEP, "last_step": _STEP, "length_m": _METRES,
         "width_m": _METRES, "length_sigma_m": _METRES, "p_heavy": _METRES,
-        "lanelets": pa.list_(pa.int64()), "continues": _FLAG,
+        "lanelets": pa.list_(pa.int64()),
     },
     order=("vehicle",),
 )  # fmt: skip
@@ -145,7 +145,3 @@ PASSAGES = TableKind(
 )
 OCCUPIED = TableKind(name="occupied", columns=_RUN | {"seen": _FLAG})
 VISIBLE = TableKind(name="visible", columns=_RUN | {"seen": _FLAG})
-FRAMES = TableKind(
-    name="frames",
-    columns={"sensor": pa.string(), "view": pa.string(), "first_step": _STEP, "last_step": _STEP},
-)

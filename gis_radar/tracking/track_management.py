@@ -68,7 +68,7 @@ def complete_tracks(
         for number, each in enumerate(motions)
     ]  # fmt: skip
     targets = find_stationary(detections, free, motions, passes, settings.stationary)
-    targets = as_strong_as_moving(targets, detections, motions, settings)
+    targets = strong_targets(targets, detections, motions, settings)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in targets]
     hides = [Occluders.of(motions)]
     for number, (each, (place, heading)) in enumerate(zip(targets, places, strict=True)):
@@ -184,7 +184,7 @@ def _parts(
     return parts
 
 
-def as_strong_as_moving(
+def strong_targets(
     targets: Sequence[StationaryTarget],
     detections: MapDetections,
     motions: Sequence[Motion],

@@ -1,4 +1,4 @@
-"""Longer tracks: along the lanes as far as the detections there say so, and into silence."""
+"""Longer tracks: along the lanes as far as detections support them, then while none is due."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ GIVE_UP, LEAST_GAIN = 12.0, 3.0  # of the log-probability
 UNSEEN = 8  # half seconds without a gain, after which nobody is looked for any longer
 SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses nearer to each other are one
 SPREAD_M2, MOST_SPREAD_M2 = 0.05, 1.0  # variance of the place, a second
-SILENT_STEPS = round(END_WINDOWS * WINDOW_S * STEPS_PER_SECOND)  # longer nothing tells the way
-SILENT_DUE = 1.0 / END_SHARE  # expected detections; so long a vehicle is undetected on average
+# After 2 s undetected its speed may have changed; an end costs END_SHARE for each detection due, so
+# that a vehicle which is there is undetected for 1 / END_SHARE of them on average.
+MOST_UNDETECTED_STEPS = round(END_WINDOWS * WINDOW_S * STEPS_PER_SECOND)
+MOST_DUE = 1.0 / END_SHARE
 
 
 def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
@@ -63,11 +65,11 @@ def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
     return found
 
 
-def into_silence(posterior: Posterior, motions: Sequence[Motion]) -> list[Motion]:
-    """Return vehicles that go on before their first detection and after their last one.
+def with_undetected_ends(posterior: Posterior, motions: Sequence[Motion]) -> list[Motion]:
+    """Return the vehicles extended at both ends for as long as hardly a detection is due there.
 
     Far away or behind another one, a vehicle is not detected as soon as it comes into view. It is
-    taken to be there for as long as one goes undetected on average, by what is due of it.
+    taken to be there for as long as one goes undetected on average.
 
     Parameters
     ----------
@@ -75,28 +77,37 @@ def into_silence(posterior: Posterior, motions: Sequence[Motion]) -> list[Motion
         What is expected; the longer vehicles are placed in it.
     motions : sequence of Motion
         The vehicles.
+
+    Returns
+    -------
+    list of Motion
+        In the same order; their detections are as before.
     """
-    posterior.place([_beyond(each, SILENT_STEPS, SILENT_STEPS) for each in motions])
+    most = MOST_UNDETECTED_STEPS
+    posterior.place([_extended(each, most, most) for each in motions])
     found = []
     for k, motion in enumerate(motions):
         time, due = posterior.due(k)
-        step = time * STEPS_PER_SECOND
-        before = _silent_steps(motion.first_step - 0.5 - step, due)
-        after = _silent_steps(step - motion.last_step - 0.5, due)
-        found.append(_beyond(motion, before, after))
+        step, mine = (each * STEPS_PER_SECOND for each in (time, posterior.given.time[motion.rows]))
+        first = float(mine.min()) - _undetected_steps(mine.min() - step, due)
+        last = float(mine.max()) + _undetected_steps(step - mine.max(), due)
+        before = max(motion.first_step - math.floor(first), 0)
+        found.append(_extended(motion, before, max(math.ceil(last) - motion.last_step, 0)))
     return found
 
 
-def _silent_steps(beyond: Floats, due: Floats) -> int:
-    """Return for how many steps beyond an end no more than `SILENT_DUE` is expected in all."""
-    order = np.argsort(beyond, kind="stable")
-    order = order[beyond[order] > 0.0]
-    silent = beyond[order][np.cumsum(due[order]) <= SILENT_DUE]
-    return min(math.ceil(silent[-1]), SILENT_STEPS) if len(silent) else 0
+def _undetected_steps(past: Floats, due: Floats) -> float:
+    """Return for how many steps past a detection no more than `MOST_DUE` is due in all."""
+    order = np.argsort(past, kind="stable")
+    order = order[past[order] > 0.0]
+    undetected = past[order][np.cumsum(due[order]) <= MOST_DUE]
+    return min(float(undetected[-1]), MOST_UNDETECTED_STEPS) if len(undetected) else 0.0
 
 
-def _beyond(motion: Motion, before: int, after: int) -> Motion:
-    """Return a motion with so many more steps at its ends, straight on at its speed there."""
+def _extended(motion: Motion, before: int, after: int) -> Motion:
+    """Return a motion with so many more steps at its ends, on its path at its speed there."""
+    if not before and not after:
+        return motion
     first = motion.first_step - before
     step = np.arange(first, motion.last_step + after + 1)
     s_m, speed = motion.at(np.asarray(step * STEP_S, np.float64))

@@ -23,12 +23,13 @@ ASIDE_M, SAME_WAY = 1.7, 0.9  # of two that may be one: lateral distance, cosine
 TOGETHER = 0.6  # and so much of the shorter's time
 SHORTEST_M = 4.0
 USUAL_M, BETWEEN_M = 4.5, 2.0  # the usual length of a car, and a gap in a queue
-# Time gaps between drivers are log-normal (Treiber and Kesting, Traffic Flow Dynamics, ch. 4):
-# their median, s, the standard deviation of their logarithm, and the speed from which they count.
+# The gap that a driver keeps is log-normal about BETWEEN_M + GAP_S x speed (time gaps: Treiber and
+# Kesting, Traffic Flow Dynamics, ch. 4): s; standard deviation of the logarithm; the speed, m/s,
+# under which a vehicle stands in a queue.
 GAP_S, GAP_SPREAD, DRIVES_MPS = 1.8, 0.6, 2.0
-KEPT_S = 5.0  # so long a driver keeps a gap
-LENGTH_STEPS_M = (2.0, 1.0, 0.5)  # by which the length of two as one is sought, ever finer
-LEAST_M = 0.5  # shorter gaps tell no more: errors of lengths
+KEPT_S = 5.0  # after which a gap counts as chosen anew
+LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
+LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # by which the length of two as one is sought, ever finer
 # Parts of one body keep their distance by so much, m; drivers who flow, faster than that, m/s,
 # differ by so much, m/s; after a second it can be told. Odds against a join: it loses a vehicle.
 RIGID_M, FLOWS_MPS, DIFFER_MPS, LEAST_S, LEAST_ODDS = 0.4, 5.0, 1.0, 1.0, 12.0
@@ -132,10 +133,11 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
     old = _sum(posterior, a, count, states.shape[a]) + _sum(posterior, b, counts, states.shape[b])
     posterior.total[:] = alone
     apart = abs(along) - 0.5 * sum(lengths)
+    # at the speeds of all its time: who follows the first does so while it drives, too
     before = sum(map(prior, lengths)) - EXISTS + _gap_prior(apart, posterior.motions[one].speed)
-    # the second may only double the first for a while
+    # tried too: the first as it is, where the second is a duplicate of a part of it
     best, gain, extra = (front - rear, 0.5 * (front + rear)), -np.inf, [(lengths[0], 0.0)]
-    for change in LENGTH_STEPS_M:
+    for change in LENGTH_CHANGES_M:
         tried = [
             (min(max(best[0] + longer * change, SHORTEST_M), LONGEST_M), best[1] + ahead * change)
             for longer in (-1.0, 0.0, 1.0) for ahead in (-0.5, 0.0, 0.5)
@@ -232,10 +234,13 @@ def _tempered(gain: Floats) -> Floats:
 
 
 def _gap_prior(gap_m: float, speed: Floats) -> float:
-    """Return the log prior of a gap that two drivers keep at some speeds, beside the usual one."""
+    """Return the log prior of a gap between two at these speeds, relative to the usual gap's.
+
+    Longer gaps cost nothing.
+    """
     drives = speed > DRIVES_MPS
     usual = BETWEEN_M + GAP_S * (speed[drives] if drives.any() else np.zeros(1))
-    short = np.minimum(np.log(max(gap_m, LEAST_M) / usual), 0.0) / GAP_SPREAD
+    short = np.minimum(np.log(max(gap_m, LEAST_GAP_M) / usual), 0.0) / GAP_SPREAD
     often = 1.0 + float(drives.sum()) * STEP_S / KEPT_S
     return -0.5 * often * float(np.mean(short**2))
 
