@@ -108,10 +108,13 @@ def blocks_of(
             for each in streams:
                 each.forget(after - margin)  # with which the next block begins
             give_back_memory()
-            yield (begin, after), Block(
-                first_step=begin if len(before) else int(inside[0]),
-                last_step=after - 1 if len(later) else int(inside[-1]),
-                detections=detections,
+            yield (
+                (begin, after),
+                Block(
+                    first_step=begin if len(before) else int(inside[0]),
+                    last_step=after - 1 if len(later) else int(inside[-1]),
+                    detections=detections,
+                ),
             )
             del detections
             give_back_memory()  # before the next block is read
