@@ -55,6 +55,17 @@ def refused(answer, code, *parts):
         assert str(part) in lines[0]
 
 
+def test_the_help_says_what_each_command_does_in_whole_sentences():
+    """A narrow terminal wraps them: a sentence that is cut tells nobody which command to take."""
+    shown = CliRunner().invoke(group, ["--help"], terminal_width=80).output
+    assert max(map(len, shown.splitlines())) <= 80
+    commands = " ".join(shown.split("Commands:")[1].split())
+    assert "..." not in commands
+    for name, verb in group.commands.items():
+        sentence = " ".join(verb.help.split("\n\n")[0].split()).removesuffix(".")
+        assert f"{name} {sentence}." in commands
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_each_help_has_an_example(name):
     answer = CliRunner().invoke(group, [name, "--help"])

@@ -10,8 +10,23 @@ from gis_radar.cli import datasets, live, maps, poses, recordings, sites
 from gis_radar.cli.console import run_group
 from gis_radar.processes import go_offline
 
+LONGEST_SENTENCE = 200  # characters of a command's first sentence, more is cut with dots
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+
+class WholeSentences(click.Group):
+    """A group whose help wraps what each command does, where click cuts it to the line."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands with the first sentence of each one's help."""
+        rows = [
+            (name, self.commands[name].get_short_help_str(LONGEST_SENTENCE))
+            for name in self.list_commands(ctx)
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+@click.group(cls=WholeSentences, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="gis_radar")
 def group() -> None:
     """Turn roadside 4D radar into traffic maps."""
