@@ -33,6 +33,7 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
 _LOOK_S = 0.05  # between two looks whether a child has ended
+_REAPED_S = 0.001  # between two looks whether another thread has reaped one
 GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
@@ -265,6 +266,9 @@ def stop_workers(workers: Iterable[BaseProcess], *, patience_s: float = STOP_PAT
                 os.killpg(worker.pid, signal.SIGKILL)  # no group: ended before it led one
         worker.kill()
         worker.join()
+        end_reaped = time.monotonic() + GONE_S
+        while worker.exitcode is None and time.monotonic() < end_reaped:
+            time.sleep(_REAPED_S)  # the pool's own thread reaps it: join returned before it did
 
 
 def stop_pool(pool: ProcessPoolExecutor) -> None:

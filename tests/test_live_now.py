@@ -104,7 +104,7 @@ def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph, mo
     monkeypatch.setattr(vehicles_now, "OLD_S", 0.0)
     assert len(vehicles.now()) == 0  # nothing came for long
     vehicles.close()
-    wait_for(lambda: not multiprocessing.active_children())
+    assert multiprocessing.active_children() == []
 
 
 def test_what_a_busy_process_cannot_take_is_dropped_and_counted(graph, monkeypatch):

@@ -250,7 +250,7 @@ def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
 
 
 class VehiclesAnswer(NamedTuple):
-    """What the process answers.
+    """What the process returns for a batch of messages.
 
     Parameters
     ----------
