@@ -17,10 +17,10 @@ from gis_radar.measures import PoseSight
 from gis_radar.tiles import quads
 from gis_radar.tracking.footprints import MOST_PARTS, PathBook, overlapped_m
 from gis_radar.tracking.occupancy import OccupancyEngine
-from gis_radar.tracking.occupancy_settings import DEFAULTS
+from gis_radar.tracking.occupancy_settings import OCCUPANCY_DEFAULTS
 from gis_radar.tracking.passages import LaneletPlaces, PassageBook, levels_of
 
-EVERY_STEP = replace(DEFAULTS, look_steps=1)
+EVERY_STEP = replace(OCCUPANCY_DEFAULTS, look_steps=1)
 NO_FRAMES = pd.DataFrame({"sight": [], "first_step": [], "last_step": []})
 
 
@@ -138,7 +138,7 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
         [fronts - move * length / 2, move, np.full(len(move), length / 2), np.full(len(move), 1.25)]
     )
     long = np.ones(len(fronts), np.bool_)
-    path, points, begins = PathBook(settings=replace(DEFAULTS, path_step_m=0.5)).extend(
+    path, points, begins = PathBook(settings=replace(OCCUPANCY_DEFAULTS, path_step_m=0.5)).extend(
         np.zeros(len(fronts), np.int64), boxes, long
     )
     ends = shapely.affinity.rotate(

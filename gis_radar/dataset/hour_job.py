@@ -46,15 +46,15 @@ from gis_radar.measures.hour_hits import (
 )
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight
 from gis_radar.measures.sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
-from gis_radar.measures.settings import DEFAULTS as HIT_DEFAULTS
+from gis_radar.measures.settings import HIT_DEFAULTS
 from gis_radar.measures.settings import Filters, HitSettings
 from gis_radar.measures.validity import valid_steps
 from gis_radar.sight import SightTiles
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tracking.hour_vehicles import HourVehicles, vehicles_of_hour
-from gis_radar.tracking.occupancy_settings import DEFAULTS as OCCUPANCY_DEFAULTS
+from gis_radar.tracking.occupancy_settings import OCCUPANCY_DEFAULTS
 from gis_radar.tracking.occupancy_settings import OccupancySettings
-from gis_radar.tracking.settings import DEFAULTS as VEHICLE_DEFAULTS
+from gis_radar.tracking.settings import VEHICLE_DEFAULTS
 from gis_radar.tracking.settings import VehicleSettings
 
 METHOD = 6

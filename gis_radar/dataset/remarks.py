@@ -27,7 +27,7 @@ from gis_radar.sight import (
     gap_warning,
     report_contradictions,
 )
-from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
+from gis_radar.sight.settings import SIGHT_DEFAULTS
 from gis_radar.steps import STEP_US, iso_from_step
 from gis_radar.texts import Text
 from gis_radar.tracking.batches import warn_of_poses

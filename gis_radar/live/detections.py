@@ -27,7 +27,7 @@ from gis_radar.recordings.recording import Detections
 from gis_radar.sight import SightTiles
 from gis_radar.tiles import TileGrid
 from gis_radar.tracking.detections import still_rate
-from gis_radar.tracking.settings import DEFAULTS, DetectionSettings
+from gis_radar.tracking.settings import VEHICLE_DEFAULTS, DetectionSettings
 
 UNITS, RATES = 250, 500  # in a metre, and in a metre a second
 UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
@@ -100,7 +100,7 @@ class DetectionSelector:
         Which heights over the road count, and how noise is told.
     """
 
-    def __init__(self, road: SightTiles, settings: DetectionSettings = DEFAULTS.detections) -> None:
+    def __init__(self, road: SightTiles, settings: DetectionSettings = VEHICLE_DEFAULTS.detections) -> None:
         self._height, self._settings = road.height, settings
         self._grid = TileGrid(_widened(road.quads, MARGIN_M))
         self._rates: list[Floats] = []

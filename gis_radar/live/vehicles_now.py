@@ -32,7 +32,7 @@ from gis_radar.tracking.bodies import are_persons, usual_rcs
 from gis_radar.tracking.columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
 from gis_radar.tracking.detections import MapDetections, map_detections
 from gis_radar.tracking.forward import ForwardFilter
-from gis_radar.tracking.settings import DEFAULTS as TRACKER
+from gis_radar.tracking.settings import VEHICLE_DEFAULTS
 from gis_radar.tracking.settings import VehicleSettings
 
 HEAVY_M = 7.0  # the contract: who is longer counts as heavy
@@ -275,7 +275,7 @@ class VehicleFollower:
     """
 
     def __init__(self, graph: LaneGraph) -> None:
-        self._filter = NowFilter(graph=graph, tracker=TRACKER)
+        self._filter = NowFilter(graph=graph, tracker=VEHICLE_DEFAULTS)
         self._graph, self._newest = graph, -np.inf
         self._placed: dict[PoseName, Placed] = {}
         self._unread = 0
@@ -319,7 +319,7 @@ class VehicleFollower:
             self._newest = max(self._newest, frame.time_us / 1e6)
             self._filter.take(
                 map_detections(
-                    rows_of(rows, rows.present), pose, number, self._graph, TRACKER.detections,
+                    rows_of(rows, rows.present), pose, number, self._graph, VEHICLE_DEFAULTS.detections,
                     road_m=road_m,
                 )
             )  # fmt: skip

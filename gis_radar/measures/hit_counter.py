@@ -29,12 +29,12 @@ from gis_radar.measures.counting_loop import (
     end_frame,
 )
 from gis_radar.measures.placing import Places, PoseNumbers
-from gis_radar.measures.settings import DEFAULTS, Filters, HitSettings
+from gis_radar.measures.settings import HIT_DEFAULTS, Filters, HitSettings
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections, RangeCounts
 from gis_radar.sight import SightTiles
 from gis_radar.sight.recorded import REFLECTION_M
-from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
+from gis_radar.sight.settings import SIGHT_DEFAULTS
 from gis_radar.tiles.lookup import Numbers, TileGrid
 
 ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # filled in at once; 224 KiB, 1 MiB
@@ -80,7 +80,7 @@ class HitCounter:
         grid: TileGrid,
         *,
         filters: Filters | None = None,
-        settings: HitSettings = DEFAULTS,
+        settings: HitSettings = HIT_DEFAULTS,
         ranges: RangeCounts | None = None,
     ) -> None:
         count = len(tiles.tile_id)
@@ -194,7 +194,7 @@ class FrameCounter:
         *,
         grid: TileGrid | None = None,
         filters: Filters | None = None,
-        settings: HitSettings = DEFAULTS,
+        settings: HitSettings = HIT_DEFAULTS,
     ) -> None:
         grid = TileGrid(tiles.quads) if grid is None else grid
         self._counter = HitCounter(tiles, grid, filters=filters, settings=settings)

@@ -23,7 +23,7 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.calibration import SensorClock
 from gis_radar.crs import require_same
 from gis_radar.errors import NoAnswerError
-from gis_radar.measures.settings import DEFAULTS, HitSettings
+from gis_radar.measures.settings import HIT_DEFAULTS, HitSettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
@@ -77,7 +77,7 @@ class PoseSight:
 
     @classmethod
     def of(
-        cls, sight: Sight, road: SightTiles, *, name: str, settings: HitSettings = DEFAULTS
+        cls, sight: Sight, road: SightTiles, *, name: str, settings: HitSettings = HIT_DEFAULTS
     ) -> Self:
         """Keep of a sight what frames are counted by."""
         return cls(
@@ -137,7 +137,7 @@ class SightBook:
 
     road: SightTiles
     scan: SightSource | None = None
-    settings: HitSettings = DEFAULTS
+    settings: HitSettings = HIT_DEFAULTS
     sights: dict[str, Sight] = field(default_factory=dict)
 
     def place(
@@ -225,7 +225,7 @@ class SightBook:
             )  # fmt: skip
 
 
-def road_near(sight: Sight, road: SightTiles, settings: HitSettings = DEFAULTS) -> float:
+def road_near(sight: Sight, road: SightTiles, settings: HitSettings = HIT_DEFAULTS) -> float:
     """Return the height of the road near a sensor, metres; NaN where it is not known.
 
     Parameters
@@ -244,7 +244,7 @@ def road_near(sight: Sight, road: SightTiles, settings: HitSettings = DEFAULTS) 
     return float(np.median(centres[near[: settings.road_tiles], 2]))
 
 
-def standing_for(poses: Sequence[Pose], settings: HitSettings = DEFAULTS) -> Integers:
+def standing_for(poses: Sequence[Pose], settings: HitSettings = HIT_DEFAULTS) -> Integers:
     """Return for each pose of a track the one whose sight it shares: an earlier one, or itself.
 
     Parameters

@@ -60,7 +60,7 @@ class HitSettings:
     clock_set_s: float = CLOCK_SET_S
 
 
-DEFAULTS = HitSettings()
+HIT_DEFAULTS = HitSettings()
 
 
 @dataclass(frozen=True, kw_only=True)

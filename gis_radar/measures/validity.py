@@ -13,7 +13,7 @@ import numpy as np
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import UsageError
-from gis_radar.measures.settings import DEFAULTS, HitSettings
+from gis_radar.measures.settings import HIT_DEFAULTS, HitSettings
 from gis_radar.steps import CYCLE_HINT, LONGEST_CYCLE_S, SHORTEST_CYCLE_S, STEP_US
 
 GAP_US = 100  # resolution of measured cycles: jitter is larger
@@ -23,7 +23,7 @@ MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
 def validity_of(
     cycles: Mapping[str, float] | None,
     sensors: Sequence[str],
-    settings: HitSettings = DEFAULTS,
+    settings: HitSettings = HIT_DEFAULTS,
 ) -> dict[str, float]:
     """Return the validity of the frames of each sensor, seconds.
 

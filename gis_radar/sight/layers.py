@@ -26,7 +26,7 @@ from gis_radar.poses.pose import Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight.kept import KeptSight
 from gis_radar.sight.recorded import MOVEMENT, NO_MOVEMENT, Contradiction
-from gis_radar.sight.settings import DEFAULTS, SightSettings
+from gis_radar.sight.settings import SIGHT_DEFAULTS, SightSettings
 from gis_radar.sight.sight import (
     HIDERS,
     OUT_OF_VIEW,
@@ -163,7 +163,7 @@ class SightFile:
     """
 
     def __init__(
-        self, path: str | Path, tiles: SightTiles, *, settings: SightSettings = DEFAULTS
+        self, path: str | Path, tiles: SightTiles, *, settings: SightSettings = SIGHT_DEFAULTS
     ) -> None:
         self.path, self.tiles, self.settings = Path(path), tiles, settings
         rows, about = _read(self.path)

@@ -11,7 +11,7 @@ import scipy
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.grid import Grid
 from gis_radar.scans.columns import Columns, Heights, ground_under, nearest_known
-from gis_radar.sight.settings import DEFAULTS, SightSettings
+from gis_radar.sight.settings import SIGHT_DEFAULTS, SightSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
 
 
 def find_obstacles(
-    columns: Columns, roads: RoadHeights, *, classified: bool, settings: SightSettings = DEFAULTS
+    columns: Columns, roads: RoadHeights, *, classified: bool, settings: SightSettings = SIGHT_DEFAULTS
 ) -> Obstacles:
     """Find what hides over the cells of a window.
 

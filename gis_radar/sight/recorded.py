@@ -21,7 +21,7 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections
-from gis_radar.sight.settings import DEFAULTS, SightSettings
+from gis_radar.sight.settings import SIGHT_DEFAULTS, SightSettings
 from gis_radar.sight.sight import (
     HIDDEN,
     IN_SIGHT,
@@ -85,7 +85,7 @@ class MovementCounter:
 
     tiles: SightTiles
     engine: TileEngine
-    settings: SightSettings = DEFAULTS
+    settings: SightSettings = SIGHT_DEFAULTS
     count: Integers = field(init=False, repr=False)
     frames: int = 0
 
@@ -146,7 +146,7 @@ class Contradiction:
 
 
 def find_contradictions(
-    hits: Sequence[MovingHits], tiles: SightTiles, *, settings: SightSettings = DEFAULTS
+    hits: Sequence[MovingHits], tiles: SightTiles, *, settings: SightSettings = SIGHT_DEFAULTS
 ) -> list[Contradiction]:
     """Find where recordings contradict sight.
 

@@ -154,5 +154,5 @@ class GapSettings:
     shared: float = 0.05
 
 
-DEFAULTS = SightSettings()
+SIGHT_DEFAULTS = SightSettings()
 GAPS = GapSettings()

@@ -36,7 +36,7 @@ from gis_radar.sight.obstacles import (
     find_obstacles,
     road_heights,
 )
-from gis_radar.sight.settings import DEFAULTS, SightSettings
+from gis_radar.sight.settings import SIGHT_DEFAULTS, SightSettings
 from gis_radar.texts import Text
 from gis_radar.tiles.tiles import fingerprint, quads
 
@@ -198,7 +198,7 @@ class SightScan:
         tiles: SightTiles,
         *,
         scan_crs: Any = None,
-        settings: SightSettings = DEFAULTS,
+        settings: SightSettings = SIGHT_DEFAULTS,
         reporter: Reporter = QUIET,
     ) -> None:
         self.tiles, self.settings = tiles, settings
@@ -352,7 +352,7 @@ def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None)
         If no scan has a point near the sensor, or the file is of another pose.
     """
     if source is None:
-        return _find(pose, tiles, None, VIEW_ONLY, DEFAULTS)
+        return _find(pose, tiles, None, VIEW_ONLY, SIGHT_DEFAULTS)
     return source.find(pose)
 
 
@@ -389,7 +389,7 @@ def _find(
 
 
 def report_uncovered(
-    sights: Iterable[Sight], reporter: Reporter, settings: SightSettings = DEFAULTS
+    sights: Iterable[Sight], reporter: Reporter, settings: SightSettings = SIGHT_DEFAULTS
 ) -> None:
     """Report what a scan does not cover of each sensor's views; as a warning where it is much."""
     worst: dict[str, float] = {}

@@ -240,7 +240,7 @@ def _moving_hits(
     from gis_radar.measures.pose_sights import places_of, road_near, standing_for
     from gis_radar.recordings.formats import open_recording
     from gis_radar.sight import MovementCounter, MovingHits
-    from gis_radar.sight.settings import DEFAULTS
+    from gis_radar.sight.settings import SIGHT_DEFAULTS
     from gis_radar.tiles import TileGrid
 
     engine = TileGrid(road.quads)
@@ -260,14 +260,14 @@ def _moving_hits(
             reporter.progress("comparing with the recording", done, opened.rows)
     hits = [MovingHits.of(sights[id(track.poses[k])], [each]) for k, each in counters.items()]
     for each in hits:
-        if each.frames < DEFAULTS.judged_frames:
+        if each.frames < SIGHT_DEFAULTS.judged_frames:
             reporter.warn(
                 "{}: {} frames from one place are too few to correct its sight by, {} are needed",
                 track.sensor,
                 each.frames,
-                DEFAULTS.judged_frames,
+                SIGHT_DEFAULTS.judged_frames,
             )
-    return [each for each in hits if each.frames >= DEFAULTS.judged_frames]
+    return [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
 
 
 def _clocks(

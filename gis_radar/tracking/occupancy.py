@@ -17,7 +17,7 @@ from gis_radar.tracking.footprints import (
     footprints_of,
     occupied_runs,
 )
-from gis_radar.tracking.occupancy_settings import DEFAULTS, OccupancySettings
+from gis_radar.tracking.occupancy_settings import OCCUPANCY_DEFAULTS, OccupancySettings
 from gis_radar.tracking.passages import HEAVY, LaneletPlaces, PassageBook, levels_of
 from gis_radar.tracking.tables import OCCUPIED, VISIBLE
 from gis_radar.tracking.visibility import Visibility
@@ -40,7 +40,7 @@ class OccupancyEngine:
         self,
         tiles: gpd.GeoDataFrame,
         sights: Mapping[str, PoseSight],
-        settings: OccupancySettings = DEFAULTS,
+        settings: OccupancySettings = OCCUPANCY_DEFAULTS,
     ) -> None:
         tiles = tiles.sort_values("tile_id", ignore_index=True)
         self._settings = settings

@@ -60,4 +60,4 @@ class OccupancySettings:
     sensor_over_road_m: float = 5.0
 
 
-DEFAULTS = OccupancySettings()
+OCCUPANCY_DEFAULTS = OccupancySettings()

@@ -343,4 +343,4 @@ class VehicleSettings:
     batches: BatchSettings = field(default_factory=BatchSettings)
 
 
-DEFAULTS = VehicleSettings()
+VEHICLE_DEFAULTS = VehicleSettings()
