@@ -34,7 +34,7 @@ from figures import ROOT, SHARES, TARGET, Figure, report, table
 from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from gis_radar.calibration import MONITOR
 from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
 from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places

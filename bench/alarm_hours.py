@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import genpareto
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.base import Booleans, Floats
+from gis_radar.calibration import MONITOR
 from gis_radar.calibration.alarm import ChangeDetector
 from gis_radar.calibration.lane_places import WITHIN_M, LanePlaces
-from gis_radar.calibration.settings import HOUR_S, MONITOR
+from gis_radar.calibration.settings import HOUR_S
 from gis_radar.calibration.stationary_targets import GATE_M, GATE_RAD, WANDER_M, WANDER_RAD, by_move
 
 ALARM, STILL = MONITOR.alarm, MONITOR.stationary

@@ -25,10 +25,9 @@ from plain_grid import TileGridNumpy
 from simulated import DATA, true_pose
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
+from gis_radar.hdmap import TileEngine, polygons
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
-from gis_radar.tiles.lookup import TileEngine
-from gis_radar.tiles.tiles import polygons
 
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}
 ROUNDS = 3

@@ -17,7 +17,7 @@ from figures import Figure, report
 from simulated import sites, true_pose
 
 import gis_radar as gr
-from gis_radar.recordings.recording import Recording
+from gis_radar.recordings import Recording
 
 AHEAD_S = (0.0, 0.35, -3600.4, -1.7e9)
 MOST_SIGMAS = 4.0

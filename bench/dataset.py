@@ -35,9 +35,9 @@ from figures import ROOT, SAME, SHARES, TARGET, TIMES, Figure, report, run_alone
 from simulated import sites, true_pose
 
 import gis_radar as gr
+from gis_radar.base import QUIET
 from gis_radar.dataset.tables import HITS, TRACKS
-from gis_radar.heatmap.layers import write_package
-from gis_radar.progress import QUIET
+from gis_radar.products.heatmap.layers import write_package
 from gis_radar.recordings.recording_file import parquet_options
 
 PER_SECOND = 10_000  # detections: 500 at 20 Hz

@@ -10,21 +10,25 @@ import numpy as np
 import shapely
 
 import gis_radar as gr
-from gis_radar.arrays import Integers
+from gis_radar.base import Integers
 from gis_radar.dataset import (
+    FRAMES,
     STEPS_PER_HOUR,
     STEPS_PER_QUARTER,
+    TILE_COUNTS,
     HourWriter,
     Manifest,
     Origin,
     create_dataset,
     hour_text,
     part_path,
+    rename_whole,
+    unfinished,
     write_whole,
 )
-from gis_radar.dataset.parts import rename_whole, unfinished, whole_metadata, write_part
-from gis_radar.dataset.tables import FRAMES, HOUR_TABLES, SIGHTS, TILE_COUNTS
-from gis_radar.tiles.tiles import fingerprint
+from gis_radar.dataset.parts import whole_metadata, write_part
+from gis_radar.dataset.tables import HOUR_TABLES, SIGHTS
+from gis_radar.hdmap import fingerprint
 
 FIRST_HOUR = 489_696 // 24 * 24  # of a day in November 2025
 HOURS, QUARTERS = 24, 96

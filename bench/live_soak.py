@@ -30,22 +30,27 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import gis_radar as gr
-from gis_radar.arrays import Integers
-from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
-from gis_radar.live.broker_files import write_broker_files
-from gis_radar.live.buffer import DiskBuffer, Waiting
-from gis_radar.live.detections import DetectionSelector, pack_detections
-from gis_radar.live.fusion import Fusion
+from gis_radar.base import STEP_S, STEP_US, Integers, Reporter, stopped_by_signals
+from gis_radar.live import (
+    BrokerAddress,
+    DetectionSelector,
+    DiskBuffer,
+    Fusion,
+    Link,
+    Outbox,
+    PoseContent,
+    SensorTopics,
+    frames_of_recording,
+    key_of_pose,
+    pack_detections,
+    read_live_site,
+    write_broker_files,
+)
+from gis_radar.live.buffer import Waiting
 from gis_radar.live.map_of_now import Seen
-from gis_radar.live.outbox import Outbox
-from gis_radar.live.payload import POSE_BYTES, PoseContent, key_of_pose, varint
-from gis_radar.live.settings import read_live_site
-from gis_radar.live.sources import frames_of_recording
-from gis_radar.measures.pose_sights import road_near
-from gis_radar.processes import stopped_by_signals
-from gis_radar.progress import Reporter
-from gis_radar.sight import SightTiles, find_sight
-from gis_radar.steps import STEP_S, STEP_US
+from gis_radar.live.payload import POSE_BYTES, varint
+from gis_radar.measures import road_near
+from gis_radar.scans import SightTiles, find_sight
 
 SAMPLE, OUT = gr.sample_folder(), Path("out/bench-live-soak.json")
 SITE = "soak"

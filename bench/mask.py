@@ -21,9 +21,9 @@ from figures import TIMES, Figure, report, run_alone
 from pyproj import CRS
 
 import gis_radar as gr
+from gis_radar.scans import Roads, find_pdal
 from gis_radar.scans.engines import write_layer
-from gis_radar.scans.pdal import find_pdal
-from gis_radar.scans.roads import RoadLevel, Roads
+from gis_radar.scans.roads import RoadLevel
 
 TARGET_READS = 5.0
 TARGET_GROWTH = 1.5

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.tiles.lookup import TileGrid, inside_quads
+from gis_radar.base import Floats, Integers
+from gis_radar.hdmap import TileGrid
+from gis_radar.hdmap.tile_lookup import inside_quads
 
 
 class TileGridNumpy(TileGrid):

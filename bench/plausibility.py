@@ -32,12 +32,12 @@ from scipy.spatial import cKDTree
 from simulated import sites, true_pose
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
-from gis_radar.calibration import Finding, LaneMap
+from gis_radar.base import Floats
+from gis_radar.calibration import UNKNOWN, Finding, LaneMap
 from gis_radar.calibration.excerpt import read_excerpt
-from gis_radar.calibration.findings import FITS, UNKNOWN
+from gis_radar.calibration.findings import FITS
 from gis_radar.calibration.plausibility import BESIDE_LANES, UNKNOWN_CAUSE, judge
-from gis_radar.poses.files import as_track
+from gis_radar.poses import as_track
 
 sys.path.insert(0, str(ROOT / "bench" / "localization"))
 

@@ -20,8 +20,8 @@ import numpy as np
 from figures import ROOT, SAME, SHARES, TARGET, TIMES, Figure, report
 
 import gis_radar as gr
-from gis_radar.arrays import Booleans
-from gis_radar.sight import IN_SIGHT, OUT_OF_VIEW
+from gis_radar.base import Booleans
+from gis_radar.scans import IN_SIGHT, OUT_OF_VIEW
 from simulation.lanelet_writer import write_lanelets
 from simulation.network import build_network, read_network
 from simulation.roadside import Roadside, furnish

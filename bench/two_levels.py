@@ -17,8 +17,8 @@ import numpy as np
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.arrays import Booleans, Floats
-from gis_radar.tiles.tiles import polygons
+from gis_radar.base import Booleans, Floats
+from gis_radar.hdmap import polygons
 
 UTM = CRS.from_epsg(25832)
 ORIGIN = np.array([678_000.0, 5_403_600.0])

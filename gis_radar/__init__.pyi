@@ -1,3 +1,12 @@
+from .base import (
+    CrsError,
+    GisRadarError,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    UsageError,
+    yaw_from_compass,
+)
 from .calibration import (
     Clocks,
     JointCalibration,
@@ -16,61 +25,67 @@ from .calibration import (
     read_clocks,
     track,
 )
-from .crs import yaw_from_compass
-from .dataset import Dataset, open_dataset
-from .dataset.hour_job import MeasureSettings
-from .dataset.measure import measure
-from .dataset.upkeep import relink, withdraw
+from .dataset import Dataset, MeasureSettings, measure, open_dataset, relink, withdraw
 from .demo import run_demo
-from .errors import (
-    CrsError,
-    GisRadarError,
-    InputError,
-    NoAnswerError,
-    OutputError,
-    UsageError,
+from .hdmap import (
+    LaneletMap,
+    TileGrid,
+    TileTree,
+    fingerprint,
+    lanes,
+    make_tiles,
+    quads,
+    read_map,
+    read_tiles,
+    stop_lines,
+    with_road_heights,
+    write_tiles,
 )
-from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap
-from .lanelets import LaneletMap, lanes, read_map, stop_lines
-from .live.edge import Edge, run_edge
-from .live.fusion import Fusion, run_fusion
-from .measures import (
-    Filters,
+from .live import Edge, Fusion, run_edge, run_fusion
+from .measures import Filters
+from .poses import (
+    Pose,
+    PoseTrack,
+    View,
+    read_pose,
+    read_track,
+    write_pose,
+    write_sensors,
+    write_track,
 )
-from .poses import Pose, PoseTrack, View, read_pose, read_track, write_pose, write_track
-from .poses.layers import write_sensors
-from .products.footprints import write_footprints
-from .products.trajectories import to_trajectories, track_points, write_trajectories
-from .projection import project, write_projection
-from .qgis import write_qgis_project, write_site_project
-from .quality import Quality, measure_quality
-from .recordings import Conversion, convert
-from .recordings.formats import open_recording
-from .report import Report, write_report
+from .products import (
+    HeatMap,
+    MapLabels,
+    Quality,
+    Report,
+    make_heatmap,
+    measure_quality,
+    project,
+    read_heatmap,
+    to_trajectories,
+    track_points,
+    write_footprints,
+    write_projection,
+    write_qgis_project,
+    write_report,
+    write_site_project,
+    write_trajectories,
+)
+from .recordings import Conversion, convert, open_recording
 from .sample import sample_folder
-from .scans.mask import RoadMask, mask_road
-from .scans.roads import Roads, read_roads
-from .scans.scan import read_road
-from .sight import (
+from .scans import (
+    RoadMask,
+    Roads,
     Sight,
     SightScan,
     SightTiles,
     find_sight,
+    mask_road,
+    read_road,
+    read_roads,
     write_sights,
 )
-from .site.check import SiteCheck, check_site
-from .site.run import SiteRun, run_site
-from .site.settings import Site, read_site, site_template
-from .tiles import (
-    TileGrid,
-    TileTree,
-    fingerprint,
-    make_tiles,
-    quads,
-    read_tiles,
-    with_road_heights,
-    write_tiles,
-)
+from .site import Site, SiteCheck, SiteRun, check_site, read_site, run_site, site_template
 
 __all__ = [
     "Clocks",

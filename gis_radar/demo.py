@@ -7,10 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from gis_radar.files import atomic_write
-from gis_radar.poses.files import read_pose
-from gis_radar.poses.pose import ANGLES, Pose
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import QUIET, Reporter, atomic_write
+from gis_radar.poses import ANGLES, Pose, read_pose
 from gis_radar.sample import sample_folder
 
 ERRORS = "pose_errors.csv"
@@ -36,7 +34,7 @@ def run_demo(
     figures : dict
         Figures worth a look, among them the errors of the poses.
     """
-    from gis_radar.site.run import run_site  # noqa: PLC0415 - a sample file is read without all of it
+    from gis_radar.site import run_site  # noqa: PLC0415 - a sample file is read without all of it
 
     sample, folder = sample_folder(), Path(folder)
     done = run_site(sample / "SITE.toml", folder, reporter=reporter)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 
 
 def sample_folder() -> Path:

@@ -15,8 +15,7 @@ import numpy as np
 import street_plan
 from pyproj import CRS
 
-from gis_radar.poses.files import write_pose
-from gis_radar.poses.pose import Pose, View
+from gis_radar.poses import Pose, View, write_pose
 from simulation.curves import arc_length, points_at
 from simulation.demand import KINDS, LONG_KINDS, Flow
 from simulation.lanelet_writer import Crosswalk, write_lanelets

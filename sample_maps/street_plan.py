@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation.curves import offset
 
 LANE_WIDTH_M = 3.25

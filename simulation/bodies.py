@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation.movement import Vehicles
 from simulation.scatterers import Scatterers
 from simulation.scene import Scene

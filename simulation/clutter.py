@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers
 from simulation.curves import arc_length, points_at
 from simulation.movement import Vehicles
 from simulation.scatterers import vehicle_scatterers

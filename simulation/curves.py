@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 
 _STRAIGHT_RAD = np.radians(12.0)
 _BACK_RAD = np.radians(150.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation.network import Band, Lane, RoadNetwork, Turn
 
 EASED_M = 12.0

@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from gis_radar.arrays import Floats
-from gis_radar.crs import transformer
-from gis_radar.files import atomic_write
+from gis_radar.base import Floats, atomic_write, transformer
 from simulation.network import Lane, RoadNetwork, Turn
 from simulation.terrain import Terrain
 

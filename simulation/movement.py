@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S, Booleans, Floats, Integers
 from simulation.terrain import Terrain
 
 Names: TypeAlias = NDArray[np.str_]

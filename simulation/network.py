@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation import sumo
 from simulation.curves import arc_length, offset, points_at, tangents, turn
 

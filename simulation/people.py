@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S, Booleans, Floats, Integers
 from simulation.curves import arc_length, offset, points_at
 from simulation.movement import Traffic
 from simulation.network import Band, RoadNetwork

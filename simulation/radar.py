@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from gis_radar.arrays import Floats
-from gis_radar.poses.pose import Pose, View
+from gis_radar.base import Floats
+from gis_radar.poses import Pose, View
 from simulation.bodies import walker_scatterers
 from simulation.clutter import draw_clutter
 from simulation.movement import Vehicles

@@ -10,8 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Floats
-from gis_radar.files import atomic_write
+from gis_radar.base import Floats, atomic_write
 from simulation.movement import Traffic
 from simulation.radar import Radar
 

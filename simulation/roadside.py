@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation.network import RoadNetwork
 from simulation.scene import Building, ParkedCar, Post, Rail, Scene, Tree, road_surface
 from simulation.terrain import Terrain

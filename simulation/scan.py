@@ -12,8 +12,7 @@ import shapely
 from pyproj import CRS
 from scipy.spatial import cKDTree
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.files import atomic_write
+from gis_radar.base import Floats, Integers, atomic_write
 from simulation.scene import Building, ParkedCar, Scene, Tree
 from simulation.terrain import Terrain
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers
 from simulation.movement import Vehicles
 from simulation.scene import Scene
 from simulation.sight import Walls

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation.network import RoadNetwork
 from simulation.terrain import Terrain
 

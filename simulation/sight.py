@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, compiled
 from simulation.movement import Vehicles
 from simulation.scene import Scene
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import Floats, Integers
 from simulation.clutter import Clutter
 from simulation.movement import Vehicles
 from simulation.scatterers import (

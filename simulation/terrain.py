@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 
 
 @dataclass(frozen=True, kw_only=True)

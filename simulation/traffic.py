@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S, Floats, Integers
 from simulation.curves import arc_length
 from simulation.demand import Flow, VehicleKind, run_demand
 from simulation.driving import DrivenRoads, Driver, LaneKeeping

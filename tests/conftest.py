@@ -19,9 +19,9 @@ from filelock import FileLock
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.cli.console import run_group
+from gis_radar.hdmap import fingerprint
 from gis_radar.scans import find_pdal
 from gis_radar.scans.pdal import VARIABLE
-from gis_radar.tiles import fingerprint
 
 FETCHED = Path(__file__).parents[1] / ".pdal" / "bin" / "pdal"
 NONE = "none was found, and `make pdal` fetched none"
@@ -209,7 +209,9 @@ def port():
 @pytest.fixture
 def without_pdf(monkeypatch):
     """Leave the PDF of reports empty where a test looks at other files: it takes the most time."""
-    writing = importlib.import_module("gis_radar.report.report")  # there is a function, too
+    writing = importlib.import_module(
+        "gis_radar.products.report.report"
+    )  # there is a function, too
     monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
 
 

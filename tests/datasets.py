@@ -16,14 +16,14 @@ from gis_radar.dataset import (
     Origin,
     create_dataset,
     hour_of_step,
+    measure,
     open_dataset,
     update_counts,
     write_whole,
 )
-from gis_radar.dataset.measure import measure
 from gis_radar.dataset.tables import HIT_TABLES, HOUR_TABLES, POSES, RECORDINGS, SIGHTS
-from gis_radar.sight import VIEW_ONLY
-from gis_radar.tiles import fingerprint
+from gis_radar.hdmap import fingerprint
+from gis_radar.scans import VIEW_ONLY
 
 HOUR = 472_222  # 2023-11-14, 22 h
 BEGIN = HOUR * STEPS_PER_HOUR

@@ -9,9 +9,8 @@ from datasets import recordings_of, run_rows, write_dataset
 from maps import EAST, NORTH
 from sites import pose
 
-from gis_radar.dataset import STEPS_PER_HOUR
-from gis_radar.dataset.tables import EVERY, FRAMES
-from gis_radar.tiles import polygons
+from gis_radar.dataset import EVERY, FRAMES, STEPS_PER_HOUR
+from gis_radar.hdmap import polygons
 
 FIRST = 34_000_000_000
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import fake_work
 
-from gis_radar.files import only_writer
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import QUIET, Reporter, only_writer
 from gis_radar.site import Pool, RunState, Stage, process_pool
 from gis_radar.site.execution import Execution
 

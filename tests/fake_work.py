@@ -6,8 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from gis_radar.errors import InputError, NoAnswerError, OutputError
-from gis_radar.files import atomic_write
+from gis_radar.base import InputError, NoAnswerError, OutputError, atomic_write
 
 
 def join(*, outputs, reporter, text="", wait_s=0.0, **inputs):

@@ -17,7 +17,7 @@ from gis_radar.live import (
 )
 from gis_radar.live.hour_work import MeasuredSite
 from gis_radar.measures import road_near
-from gis_radar.sight import SightTiles, find_sight
+from gis_radar.scans import SightTiles, find_sight
 
 SAMPLE = gr.sample_folder()
 

@@ -23,7 +23,7 @@ from gis_radar.live import (
     spool_files,
 )
 from gis_radar.measures import FrameCounter
-from gis_radar.sight import SightTiles
+from gis_radar.scans import SightTiles
 
 STREAM = b"abcd"
 ROAD = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))

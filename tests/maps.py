@@ -9,9 +9,8 @@ import pytest
 import shapely
 from pyproj import CRS, Transformer
 
-from gis_radar.errors import InputError
-from gis_radar.lanelets import read_map
-from gis_radar.progress import Reporter
+from gis_radar.base import InputError, Reporter
+from gis_radar.hdmap import read_map
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SHARED_MAPS = tuple(sorted([*SHARED.glob("maps/*.osm"), *SHARED.glob("town0*/map.osm")]))

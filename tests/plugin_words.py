@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 from xml.etree.ElementTree import parse
 
-from gis_radar.heatmap import style
+from gis_radar.products.heatmap import style
 
 FOLDER = Path(__file__).parents[1] / "qgis_plugin" / "gis_radar_plugin"
 PACKAGE = Path(__file__).parents[1] / "gis_radar"

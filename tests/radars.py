@@ -12,7 +12,7 @@ import pcapng
 import pyarrow.parquet as pq
 from pcapng import blocks
 
-from gis_radar.progress import Reporter
+from gis_radar.base import Reporter
 
 SENSOR, OTHER_SENSOR = "10.13.1.113", "10.13.1.114"
 START = 1_700_000_000.0

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from sites import EAST, NORTH, lane_quads, pose, recording, tiles_of
 
-from gis_radar.dataset.measure import measure
-from gis_radar.heatmap import make_heatmap
+from gis_radar.dataset import measure
 from gis_radar.poses import View
+from gis_radar.products import make_heatmap
 
 FILES = [
     "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",

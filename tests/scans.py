@@ -7,7 +7,8 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from gis_radar.scans.roads import RoadLevel, Roads
+from gis_radar.scans import Roads
+from gis_radar.scans.roads import RoadLevel
 
 UTM = CRS.from_epsg(25832)
 EAST, NORTH = 678_000.0, 5_403_600.0

@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pyproj import CRS
 
+from gis_radar.hdmap import polygons
 from gis_radar.poses import Pose, View
-from gis_radar.tiles import polygons
 
 UTM = CRS.from_epsg(25832)
 EAST, NORTH = 678_000.0, 5_403_600.0

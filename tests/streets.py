@@ -10,7 +10,7 @@ from pyproj import CRS
 from shapely import LineString, Polygon
 from sites import EAST, NORTH, START, UTM, recording
 
-from gis_radar.lanelets import LaneletMap
+from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import Pose, View
 
 WIDTH_M = 3.5

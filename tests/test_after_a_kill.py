@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 from filelock import lock_descriptor
 
-from gis_radar import files, leftovers
-from gis_radar.errors import OutputError
-from gis_radar.files import (
+from gis_radar.base import (
+    OutputError,
     atomic_folder,
     atomic_write,
     atomic_writes,
+    files,
+    leftovers,
     scratch_folder,
     writing_errors,
 )

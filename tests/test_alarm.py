@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from sites import START
 from streets import Street
 
+from gis_radar.base import seconds_from_iso
 from gis_radar.calibration import MONITOR, MOVED, track
 from gis_radar.calibration.alarm import (
     STRETCH_HABIT_M,
@@ -28,7 +29,6 @@ from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowTraffic
-from gis_radar.steps import seconds_from_iso
 
 STREET = Street()
 POSE = STREET.pose()

@@ -10,8 +10,8 @@ import pytest
 import shapely
 from pyproj import CRS
 
+from gis_radar.base import STEP_S
 from gis_radar.poses import Pose, View
-from gis_radar.steps import STEP_S
 from simulation.clutter import Clutter
 from simulation.movement import Traffic
 from simulation.presets import RADARS

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from sites import EAST, NORTH, lane_quads
 
 from bench.plain_grid import TileGridNumpy
-from gis_radar.tiles import TileGrid, TileTree, polygons
+from gis_radar.hdmap import TileGrid, TileTree, polygons
 
 ENGINES = [TileGrid, TileGridNumpy, TileTree]
 

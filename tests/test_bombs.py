@@ -18,7 +18,7 @@ from test_formats_bags import ars548_rows, clouds, write_bag
 from test_formats_pcd import rows_of, write_pcd
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings import open_recording, settings, unpacking
 from gis_radar.recordings.readers.pcd import decompress, read_pcd
 from gis_radar.scans.cells import squares_with_cells
@@ -219,7 +219,7 @@ def test_elements_in_elements(tmp_path):
 
 
 def test_more_tiles_than_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("gis_radar.tiles.tiles.MOST_TILES", 100)
+    monkeypatch.setattr("gis_radar.hdmap.tiles.MOST_TILES", 100)
     roads = gr.read_map(write_road(tmp_path / "m.osm"))
     assert len(gr.make_tiles(roads)) <= 100
     with pytest.raises(InputError, match=r"over 100 tiles of 0\.05 m"):
@@ -255,7 +255,7 @@ def test_roads_that_fill_a_country(tmp_path):
 
 
 def test_cells_are_counted_by_square():
-    from gis_radar.grid import Grid
+    from gis_radar.base import Grid
 
     grid = Grid(cell_m=0.5, west=-4, south=-4, columns=40, rows=40)
     cells = np.random.default_rng(3).random((40, 40)) < 0.5

@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Polygon
 
-from gis_radar.lanelets import (
+from gis_radar.hdmap import (
     CannotMendError,
     at_fractions,
     length,
@@ -17,8 +17,8 @@ from gis_radar.lanelets import (
     sound,
     sound_rungs,
 )
-from gis_radar.lanelets.bounds import drawn_direction, matched
-from gis_radar.lanelets.mending import is_sound, mend, without_first_loop, without_loops
+from gis_radar.hdmap.bounds import drawn_direction, matched
+from gis_radar.hdmap.mending import is_sound, mend, without_first_loop, without_loops
 
 SHIFT = np.array([678_123.25, 5_403_456.5])
 

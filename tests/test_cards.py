@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 import gis_radar as gr
-from gis_radar.dataset.measure import measure
-from gis_radar.notebooks import MOST_ROWS, card, table_card
+from gis_radar.base import card, table_card
+from gis_radar.base.notebooks import MOST_ROWS
+from gis_radar.dataset import measure
 
 SAMPLE = gr.sample_folder()
 SIGMA = dict.fromkeys(("easting", "northing", "height", "roll", "pitch", "yaw"), 0.25)

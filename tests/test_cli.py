@@ -16,9 +16,9 @@ from click.testing import CliRunner
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, tiles_of
 
 import gis_radar as gr
+from gis_radar.base import Text
 from gis_radar.cli import group
 from gis_radar.cli.console import JsonConsole, Result, TerminalConsole
-from gis_radar.texts import Text
 
 COMMANDS = sorted(group.commands)
 
@@ -250,8 +250,8 @@ def test_tiles_options_reach_their_arguments(tmp_path, run, monkeypatch):
         raise gr.NoAnswerError("enough")
 
     roads = object()
-    monkeypatch.setattr("gis_radar.lanelets.read_map", read)
-    monkeypatch.setattr("gis_radar.tiles.make_tiles", make)
+    monkeypatch.setattr("gis_radar.hdmap.read_map", read)
+    monkeypatch.setattr("gis_radar.hdmap.make_tiles", make)
     run(
         "tiles", "m.osm", "-o", tmp_path / "t.gpkg", "--crs", "EPSG:25832", "--length", "2",
         "--origin", "3.5,4.5", "--subtype", "road,walkway",

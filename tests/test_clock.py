@@ -5,8 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gis_radar.errors import InputError, UsageError
-from gis_radar.steps import gps_seconds, interval_steps, iso_from_step, seconds_from_iso, step_of
+from gis_radar.base import (
+    InputError,
+    UsageError,
+    gps_seconds,
+    interval_steps,
+    iso_from_step,
+    seconds_from_iso,
+    step_of,
+)
 
 
 @given(start=st.integers(1_000_000_000, 2_000_000_000))

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
-from gis_radar.calibration import ClockSettings, SensorClock, measure_clocks
+from gis_radar.base import InputError, NoAnswerError, UsageError
+from gis_radar.calibration import ClockSettings, SensorClock, lanelets_of, measure_clocks
 from gis_radar.calibration.clock_offsets import (
     ClockOffset,
     NoCommonTrafficError,
@@ -20,8 +21,7 @@ from gis_radar.calibration.clock_offsets import (
     validate_offset,
 )
 from gis_radar.calibration.clocks import adjust_network, best_linked, why_not_compared
-from gis_radar.calibration.lane_detections import LaneDetections, lanelets_of
-from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.calibration.lane_detections import LaneDetections
 
 LENGTH_M = 4.4
 SECONDS = 60

@@ -5,7 +5,7 @@ import numba
 import numpy as np
 import pytest
 
-from gis_radar.arrays import compiled
+from gis_radar.base import compiled
 
 
 def total(values):
@@ -59,7 +59,7 @@ def test_nowhere_to_keep_the_code_is_no_failure(monkeypatch):
     assert [bool(options.get("cache")) for options in asked] == [True, False]
 
 
-HEAD = "from gis_radar.arrays import compiled\n"
+HEAD = "from gis_radar.base.arrays import compiled\n"
 OWN = "from called import plus, FACTOR\n@compiled\ndef own(x):\n    return plus(x) * FACTOR\n"
 CALLED = "FACTOR = {}\n@compiled\ndef plus(x):\n    return x + {}\n"
 ASK = (

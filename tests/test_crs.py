@@ -1,8 +1,8 @@
 import pytest
 from pyproj import CRS
 
-from gis_radar.crs import (
-    horizontal,
+from gis_radar.base import (
+    CrsError,
     metric_crs,
     name_of,
     require_same,
@@ -10,7 +10,7 @@ from gis_radar.crs import (
     transformer,
     utm_zone,
 )
-from gis_radar.errors import CrsError
+from gis_radar.base.crs import horizontal
 
 
 @pytest.mark.parametrize(

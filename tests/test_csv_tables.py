@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings import open_recording
 
 HEADER = "time,x,y,z,range_rate,rcs,note"

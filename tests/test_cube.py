@@ -15,9 +15,9 @@ from datasets import recordings_of, write_dataset
 from test_heatmap import T0, lane_tiles, two_sensors
 
 import gis_radar as gr
-from gis_radar.dataset import STEPS_PER_HOUR
-from gis_radar.dataset.tables import FRAMES, OBSERVED
-from gis_radar.heatmap.heatmap import require_room
+from gis_radar.dataset import FRAMES, STEPS_PER_HOUR
+from gis_radar.dataset.tables import OBSERVED
+from gis_radar.products.heatmap.heatmap import require_room
 
 xr = pytest.importorskip("xarray")
 

@@ -5,7 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 from sites import START, recording, table
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings import as_recording, open_recording
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 

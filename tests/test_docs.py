@@ -24,11 +24,11 @@ from sites import START, crossing, pose, recording
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.dataset.tables import TILE_COUNTS
+from gis_radar.dataset import TILE_COUNTS
+from gis_radar.hdmap import COLUMNS as TILES
 from gis_radar.poses.files import TRACK_FIELDS
-from gis_radar.quality.counting import Count
-from gis_radar.quality.quality import faults_of
-from gis_radar.tiles.tiles import COLUMNS as TILES
+from gis_radar.products.quality.counting import Count
+from gis_radar.products.quality.quality import faults_of
 
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src"}
 HEAVY = {"localize", "track"}  # run elsewhere in the tests, and slow

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_formats_bags import header, write_bag
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings.ars430 import DETECTION, PACKET
 
 # As the package for ROS 1 defines them.

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import gis_radar as gr
-from gis_radar.errors import InputError, UsageError
+from gis_radar.base import InputError, UsageError
 from gis_radar.recordings.columns import find_layout, message_rows, values_of
 from gis_radar.recordings.readers.bags import DEFINITIONS, typestore
 

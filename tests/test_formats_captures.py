@@ -25,7 +25,7 @@ from radars import (
 )
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings import DamagedError
 from gis_radar.recordings.readers.pcap import Datagrams, Packet, read_packets
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from radars import START, Notes, frame_times
 from test_formats_order import LATER, capture, convert
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings import Frame
 from gis_radar.recordings.frame_clock import FrameClock
 

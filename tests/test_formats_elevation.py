@@ -16,15 +16,16 @@ from streets import Street
 from test_formats_bags import clouds, write_bag
 
 import gis_radar as gr
-from gis_radar.calibration.lane_detections import lanelets_of, read_lane_detections
+from gis_radar.base import InputError, NoAnswerError
+from gis_radar.calibration import lanelets_of
+from gis_radar.calibration.lane_detections import read_lane_detections
 from gis_radar.calibration.surroundings import read_slow
 from gis_radar.cli import group
-from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.hdmap import write_tiles
 from gis_radar.measures import Filters
 from gis_radar.poses import as_track, write_pose
-from gis_radar.projection import project
+from gis_radar.products import project
 from gis_radar.recordings import RangeCounts, open_recording
-from gis_radar.tiles import write_tiles
 
 ROAD_M = 370.0  # of the crossing; the sensor is 5 m over it
 

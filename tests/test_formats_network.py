@@ -17,8 +17,8 @@ from click.testing import CliRunner
 from radars import Notes, detection, detection_list, frames_of, times, write_pcap
 
 import gis_radar as gr
+from gis_radar.base import InputError, UsageError
 from gis_radar.cli import group
-from gis_radar.errors import InputError, UsageError
 
 GISRADAR = [sys.executable, "-m", "gis_radar"]
 

@@ -22,7 +22,7 @@ from radars import (
 )
 
 import gis_radar as gr
-from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.base import InputError, OutputError, UsageError
 from gis_radar.recordings import open_recording
 
 LATER = 0.06

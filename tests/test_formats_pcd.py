@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from radars import START, Notes, times
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings import DamagedError
 from gis_radar.recordings.readers.pcd import decompress, read_pcd, time_in_name
 

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from test_formats_pcd import write_pcd
 
 import gis_radar as gr
+from gis_radar.base import InputError, UsageError
 from gis_radar.cli import group
-from gis_radar.errors import InputError, UsageError
 
 # Eight float32 a point; the names are those of the annotation, without its index.
 FIELDS = [

@@ -11,7 +11,7 @@ from radars import START, Notes, frame_times
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.errors import InputError, UsageError
+from gis_radar.base import InputError, UsageError
 
 
 def convert(path, **options):

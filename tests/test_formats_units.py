@@ -12,8 +12,8 @@ from sites import EAST, NORTH, recording
 from streets import Street
 
 import gis_radar as gr
+from gis_radar.base import InputError
 from gis_radar.cli import main
-from gis_radar.errors import InputError
 from gis_radar.recordings import compare_speeds, open_recording
 from gis_radar.recordings.units import refuse_degrees, refuse_positions_in_other_units
 

@@ -8,7 +8,7 @@ from sites import EAST, NORTH, lane_quads, tiles_of
 from test_sight import ROAD_M, SENSOR
 from test_sight_recorded import traffic
 
-from gis_radar.sight import MovingHits, SightTiles, find_gaps, find_sight
+from gis_radar.scans import MovingHits, SightTiles, find_gaps, find_sight
 
 FRAMES = 4000
 

@@ -14,8 +14,8 @@ import shapely
 from test_qgis_project import a_pose
 
 import gis_radar as gr
-from gis_radar.dataset.measure import measure
-from gis_radar.geopackage import content_digest
+from gis_radar.base import content_digest
+from gis_radar.dataset import measure
 from gis_radar.site import RunState
 
 MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.40\"/>"
@@ -135,7 +135,7 @@ writer.execute("COMMIT")
 @pytest.mark.parametrize("kind", ["EXCLUSIVE", "IMMEDIATE"])
 def test_a_file_that_another_program_writes_is_not_replaced(path, monkeypatch, kind):
     """Its styles could not be read, and what it has not saved would be gone: all stays."""
-    monkeypatch.setattr("gis_radar.geopackage.PATIENCE_S", 0.05)
+    monkeypatch.setattr("gis_radar.base.geopackage.PATIENCE_S", 0.05)
     saved(path)
     words = [sys.executable, "-c", WRITER, path, kind]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:

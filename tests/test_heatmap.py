@@ -16,9 +16,8 @@ from datasets import stepwise_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gis_radar.errors import InputError
-from gis_radar.heatmap import HeatMap, make_heatmap
-from gis_radar.progress import Reporter
+from gis_radar.base import InputError, Reporter
+from gis_radar.products import HeatMap, make_heatmap
 
 T0 = 1_700_000_000 * 20  # a step of today's size, the begin of an aligned 20 s
 EAST, NORTH = 677_885.3, 5_403_673.1

@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sites import START, crossing, pose, recording
 
-from gis_radar.errors import UsageError
-from gis_radar.heatmap import make_heatmap
-from gis_radar.heatmap.intervals import local_intervals
-from gis_radar.steps import interval_steps, step_begin
+from gis_radar.base import UsageError, interval_steps, step_begin
+from gis_radar.products import make_heatmap
+from gis_radar.products.heatmap.intervals import local_intervals
 
 BERLIN = ZoneInfo("Europe/Berlin")
 

@@ -20,9 +20,8 @@ from matplotlib import image
 from matplotlib.figure import Figure
 from test_heatmap import EAST, NORTH, T0, lane_tiles, make_site, two_sensors
 
-from gis_radar.errors import InputError, OutputError
-from gis_radar.heatmap import make_heatmap, read_heatmap
-from gis_radar.progress import Reporter
+from gis_radar.base import InputError, OutputError, Reporter
+from gis_radar.products import make_heatmap, read_heatmap
 
 FILES = ["heatmap.gpkg", "heatmap.parquet", "heatmap.png", "heatmap.qml", "hits.qml", "hits.tif"]
 
@@ -63,7 +62,7 @@ def test_a_failure_leaves_nothing(heatmap, tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gis_radar.heatmap.heatmap.write_raster", fail)
+    monkeypatch.setattr("gis_radar.products.heatmap.heatmap.write_raster", fail)
     with pytest.raises(OutputError, match=r"hits\.tif: cannot be written: the disk is full"):
         heatmap.write(tmp_path / "map")
     assert list(tmp_path.iterdir()) == []

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from test_heatmap import T0, Remarks, assert_like_oracle, lane_tiles, make_site, two_sensors
 
-from gis_radar.heatmap import make_heatmap
-from gis_radar.heatmap.heatmap import NO_OCCUPANCY
+from gis_radar.products import make_heatmap
+from gis_radar.products.heatmap.heatmap import NO_OCCUPANCY
 
 
 def test_intervals_are_aligned_to_utc_and_contiguous():

@@ -14,8 +14,8 @@ from test_heatmap import lane_tiles
 from test_heatmap_occupancy import both_of
 
 import gis_radar as gr
-from gis_radar.heatmap.intervals import intervals_at, local_intervals
-from gis_radar.steps import moment_in, zone_of
+from gis_radar.base import moment_in, zone_of
+from gis_radar.products.heatmap.intervals import intervals_at, local_intervals
 
 BERLIN = zone_of("Europe/Berlin")
 

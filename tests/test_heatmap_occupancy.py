@@ -28,9 +28,9 @@ from test_heatmap import FOLDERS, T0, lane_tiles
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.dataset import STEPS_PER_QUARTER
-from gis_radar.heatmap import MapLabels, make_heatmap, read_heatmap
-from gis_radar.heatmap.occupancy import ERRORS, OccupancyShares, mean_occupancy
-from gis_radar.tiles import lanes_of
+from gis_radar.hdmap import lanes_of
+from gis_radar.products import MapLabels, make_heatmap, read_heatmap
+from gis_radar.products.heatmap.occupancy import ERRORS, OccupancyShares, mean_occupancy
 
 BEGIN = T0 // STEPS_PER_QUARTER * STEPS_PER_QUARTER + STEPS_PER_QUARTER - 60  # 3 s before its end
 VIEW = ("R1", "a")

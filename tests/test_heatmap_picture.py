@@ -10,10 +10,12 @@ from matplotlib.patches import Polygon, Rectangle
 from test_heatmap import lane_tiles, make_site
 from test_heatmap_occupancy import both_of
 
-from gis_radar.heatmap import MapLabels, make_heatmap
-from gis_radar.heatmap.figure import busiest_window, free_corner, heatmap_figure
-from gis_radar.heatmap.intervals import HOUR
-from gis_radar.heatmap.picture import (
+from gis_radar.base import step_of
+from gis_radar.poses import Pose
+from gis_radar.products import MapLabels, make_heatmap
+from gis_radar.products.heatmap.figure import busiest_window, free_corner, heatmap_figure
+from gis_radar.products.heatmap.intervals import HOUR
+from gis_radar.products.heatmap.picture import (
     NARROW_IN,
     OVERLAY_IN,
     add_corner_scale,
@@ -21,8 +23,6 @@ from gis_radar.heatmap.picture import (
     map_picture,
     round_length,
 )
-from gis_radar.poses import Pose
-from gis_radar.steps import step_of
 
 SITE = np.array([677_000.0, 5_403_000.0])
 EXTENT = (SITE, SITE + [400.0, 300.0])

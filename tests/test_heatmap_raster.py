@@ -12,9 +12,9 @@ import rasterio.features
 import shapely
 from test_heatmap import T0, Remarks, lane_tiles, make_site, two_sensors
 
-from gis_radar.dataset.tables import TILE_COUNTS
-from gis_radar.errors import UsageError
-from gis_radar.heatmap import make_heatmap
+from gis_radar.base import UsageError
+from gis_radar.dataset import TILE_COUNTS
+from gis_radar.products import make_heatmap
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ sys.path.append(str(Path(__file__).parents[1] / "bench"))
 from dataset_days import tiles_of_lanes, write_days
 
 import gis_radar as gr
-from gis_radar.heatmap import HeatMap
-from gis_radar.heatmap.intervals import Timeline
-from gis_radar.heatmap.layers import write_package
-from gis_radar.heatmap.occupancy import Occupancy
-from gis_radar.progress import QUIET
-from gis_radar.tiles import fingerprint
+from gis_radar.base import QUIET
+from gis_radar.hdmap import fingerprint
+from gis_radar.products import HeatMap
+from gis_radar.products.heatmap.intervals import Timeline
+from gis_radar.products.heatmap.layers import write_package
+from gis_radar.products.heatmap.occupancy import Occupancy
 
 MOST_BYTES = 40e6 / (12_000 * 96)  # of a tile in an interval, its share of all else too
 QUARTER = 18_000  # steps

@@ -12,10 +12,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from gis_radar.heatmap import style
-from gis_radar.heatmap.layers import BEGIN, END
-from gis_radar.heatmap.picture import STRIPE
 from gis_radar.products.footprints import footprint_style
+from gis_radar.products.heatmap import style
+from gis_radar.products.heatmap.layers import BEGIN, END
+from gis_radar.products.heatmap.picture import STRIPE
 
 
 def lightness(colour: str) -> float:

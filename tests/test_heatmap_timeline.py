@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gis_radar.heatmap.intervals import aligned, aligned_with, intervals_with
 from gis_radar.measures import Runs, union
+from gis_radar.products.heatmap.intervals import aligned, aligned_with, intervals_with
 
 pieces = st.lists(st.tuples(st.integers(-50, 50), st.integers(0, 12)), max_size=12)
 

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.measures import FrameCounter, PoseNumbers
 from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT, count_rows
 from gis_radar.measures.hit_counter import HitCounter, rows_of_columns
 from gis_radar.measures.placing import PLACED_AT_ONCE
 from gis_radar.recordings import RangeCounts
-from gis_radar.sight import SightTiles
+from gis_radar.scans import SightTiles
 
 SAMPLE = gr.sample_folder()
 BEGIN = 1749713400.0  # of its recordings

@@ -9,11 +9,11 @@ from maps import Listener
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, tiles_of
 
 import gis_radar as gr
-from gis_radar.errors import CrsError, InputError, NoAnswerError, UsageError
+from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
+from gis_radar.hdmap import fingerprint
 from gis_radar.measures import Filters, HitSettings, standing_for
 from gis_radar.poses import PoseTrack, View
-from gis_radar.sight import SightTiles, find_sight
-from gis_radar.tiles import fingerprint
+from gis_radar.scans import SightTiles, find_sight
 
 FIRST_STEP = int(START * 20)
 

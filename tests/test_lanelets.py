@@ -17,7 +17,7 @@ from maps import (
     write_road,
 )
 
-from gis_radar.lanelets import read_map
+from gis_radar.hdmap import read_map
 
 
 def test_a_road_is_read_in_the_zone_of_its_place(tmp_path):

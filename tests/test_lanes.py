@@ -9,10 +9,9 @@ import shapely
 from maps import SHARED, Listener, needs_shared_maps, write_osm
 
 import gis_radar as gr
-from gis_radar.lanelets import chain_lanelets
-from gis_radar.lanelets.streets import name_streets
-from gis_radar.progress import QUIET
-from gis_radar.tiles import lanes_of
+from gis_radar.base import QUIET
+from gis_radar.hdmap import chain_lanelets, lanes_of
+from gis_radar.hdmap.streets import name_streets
 
 
 @pytest.fixture(scope="module")

@@ -14,19 +14,22 @@ import pytest
 from report_site import Page, write_results, write_run
 
 import gis_radar as gr
-from gis_radar.heatmap import MapLabels
-from gis_radar.languages import catalogue, users_language
-from gis_radar.texts import Text, restored, with_texts
-from gis_radar.words import (
+from gis_radar.base import (
+    Text,
     figure_text,
     listed,
-    long_day,
     percent,
     plural,
+    restored,
     seconds_text,
     speaking,
     tr,
+    users_language,
+    with_texts,
 )
+from gis_radar.base.languages import catalogue
+from gis_radar.base.words import long_day
+from gis_radar.products import MapLabels
 from tools import catalogue as tool
 
 HOLE = re.compile(r"\{(\w*)((?::[^}]*)?)\}")

@@ -12,19 +12,17 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # "gis_radar" is the package's own front,
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
-    texts errors arrays languages progress processes words
-    crs grid sample steps spreadsheets leftovers files json_documents geopackage vector_files
-    notebooks
+    base
+    sample
     poses
-    lanelets recordings scans
-    tiles
-    sight
+    hdmap
+    recordings
+    scans
     calibration
-    projection measures
+    measures
     tracking
     dataset
-    quality heatmap products
-    qgis report
+    products
     site
     live
     demo
@@ -119,32 +117,82 @@ def offered_by(room):
     return {name for each in lists if isinstance(each, ast.List) for name in ast.literal_eval(each)}
 
 
-def past_the_front(text, offered):
-    """Yield the lines that import from a room's inner module what the room itself offers."""
+def past_the_front(text, offered=None, *, room=""):
+    """Yield the lines that import from an inner module of another room.
+
+    With `offered`, only those that take what that room offers.
+    """
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gis_radar."):
-            _, room, *inner = node.module.split(".")
-            known = {alias.name for alias in node.names} & offered.get(room, set())
-            if inner and known:
-                yield f"{node.lineno}: {sorted(known)} of {room}"
+            _, other, *inner = node.module.split(".")
+            names = {alias.name for alias in node.names}
+            known = names if offered is None else names & offered.get(other, set())
+            if inner and known and other != room:
+                yield f"{node.lineno}: {sorted(known)} of {other}"
 
 
-def test_tests_take_from_a_room_what_it_offers():
+def test_rooms_take_from_each_other_what_they_offer():
+    found = [
+        f"{path.relative_to(PACKAGE)}:{line}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for line in past_the_front(
+            path.read_text(encoding="utf-8"), room=path.relative_to(PACKAGE).parts[0]
+        )
+    ]
+    assert found == []
+
+
+def test_others_take_from_a_room_what_it_offers():
     rooms = [path.parent.name for path in PACKAGE.glob("*/__init__.py")]
     offered = {room: offered_by(room) for room in rooms}
     assert len(offered["live"]) > 20  # names of a stub
-    assert len(offered["lanelets"]) > 10  # of a front
+    root = PACKAGE.parent
     found = [
-        f"{path.name}:{line}"
-        for path in sorted(Path(__file__).parent.rglob("*.py"))
+        f"{path.relative_to(root)}:{line}"
+        for folder in ("tests", "bench", "simulation", "tools", "qgis_plugin")
+        for path in sorted((root / folder).rglob("*.py"))
         for line in past_the_front(path.read_text(encoding="utf-8"), offered)
     ]
     assert found == []
 
 
+def test_what_a_room_offers_is_used_by_another():
+    """A name that only its own room uses is no part of its front; users' names are."""
+    texts = [
+        (path.relative_to(PACKAGE.parent).parts[:2], path.read_text(encoding="utf-8"))
+        for folder in ("gis_radar", "tests", "bench", "simulation", "tools")
+        for path in sorted((PACKAGE.parent / folder).rglob("*.py"))
+    ]
+    texts.append((("gis_radar", ""), (PACKAGE / "__init__.pyi").read_text(encoding="utf-8")))
+    taken = {
+        (room, name)
+        for place, text in texts
+        for room, name in taken_from_rooms(text)
+        if place != ("gis_radar", room)
+    }
+    rooms = [path.parent.name for path in PACKAGE.glob("*/__init__.pyi")]
+    assert [
+        f"{room}: {name}"
+        for room in rooms
+        for name in sorted(offered_by(room))
+        if (room, name) not in taken
+    ] == []
+
+
+def taken_from_rooms(text):
+    """Yield the rooms and names that a file imports from their fronts."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom):
+            room = (node.module or "").removeprefix("gis_radar.")
+            yield from ((room, alias.name) for alias in node.names)
+
+
 def test_an_import_past_the_front_is_found():
     text = "from gis_radar.poses.pose import Pose\nfrom gis_radar.poses import Pose as Other\n"
     assert list(past_the_front(text, {"poses": {"Pose"}})) == ["1: ['Pose'] of poses"]
+    assert list(past_the_front(text, {"poses": {"View"}})) == []
+    assert list(past_the_front(text, room="scans")) == ["1: ['Pose'] of poses"]
+    assert list(past_the_front(text, room="poses")) == []
 
 
 def test_the_reader_sees_every_kind_of_import(tmp_path):

@@ -3,10 +3,9 @@
 import pytest
 
 import gis_radar as gr
+from gis_radar.base import InputError, OutputError, scratch_folder
 from gis_radar.cli import console
 from gis_radar.cli.console import NO_MEMORY
-from gis_radar.errors import InputError, OutputError
-from gis_radar.files import scratch_folder
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ from live_programs import Lines
 from live_replay import Replay
 from live_site import LONGEST_S, free_port
 
+from gis_radar.base import InputError, Reporter
 from gis_radar.cli.console import JsonConsole, TerminalConsole
-from gis_radar.errors import InputError
 from gis_radar.live import (
     Intake,
     PoseContent,
@@ -32,8 +32,7 @@ from gis_radar.live.page import MOST_READERS
 from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S
 from gis_radar.measures import FrameCounter
 from gis_radar.poses import pose_from_dict
-from gis_radar.progress import Reporter
-from gis_radar.sight import SightTiles
+from gis_radar.scans import SightTiles
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from live_site import LiveSite, needs_mosquitto
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.live import read_edge_file, read_live_site
 
 

@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.live import DiskBuffer
 
 PRINT = "00112233445566778899aabbccddeeff"

@@ -13,7 +13,7 @@ from live_programs import Lines
 from live_site import LONGEST_S, SAMPLE, wait_for
 
 import gis_radar as gr
-from gis_radar.errors import NoAnswerError
+from gis_radar.base import NoAnswerError
 from gis_radar.live import (
     Acknowledgement,
     DiskBuffer,

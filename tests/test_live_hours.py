@@ -12,8 +12,8 @@ from live_programs import Lines, pose_beside
 from live_site import wait_for
 
 import gis_radar as gr
+from gis_radar.base import InputError
 from gis_radar.dataset import hour_text, read_hours
-from gis_radar.errors import InputError
 from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
 from gis_radar.live import jobs as jobs_module
 from gis_radar.live.hour_work import (

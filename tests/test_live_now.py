@@ -12,8 +12,9 @@ from live_programs import Lines
 from live_site import Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
+from gis_radar.base import STEPS_PER_SECOND
 from gis_radar.dataset.tables import TRACKS
-from gis_radar.lanelets import lane_graph
+from gis_radar.hdmap import lane_graph
 from gis_radar.live import (
     Edge,
     Fusion,
@@ -23,7 +24,6 @@ from gis_radar.live import (
     vehicles_now,
 )
 from gis_radar.live.vehicles_now import LiveVehicles, VehicleFollower
-from gis_radar.steps import STEPS_PER_SECOND
 
 NAMES, KEY, EVERY = ("R1", "R2"), b"pose", 4
 SECONDS = 60.0  # of the sample's hundred

@@ -35,8 +35,7 @@ from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
-from gis_radar.errors import OutputError
-from gis_radar.heatmap import style
+from gis_radar.base import OutputError, Text, step_begin
 from gis_radar.live import (
     Edge,
     Fusion,
@@ -49,9 +48,8 @@ from gis_radar.live import (
 from gis_radar.live.page import HIT, VEHICLE, difference, whole_event
 from gis_radar.live.server import Page
 from gis_radar.live.snapshot import NOT_OBSERVED
+from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
-from gis_radar.steps import step_begin
-from gis_radar.texts import Text
 
 VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
 

@@ -15,8 +15,8 @@ from live_site import SAMPLE
 from pydantic import ValidationError
 
 import gis_radar as gr
-from gis_radar.errors import GisRadarError, InputError
-from gis_radar.languages import catalogue
+from gis_radar.base import GisRadarError, InputError, Reporter
+from gis_radar.base.languages import catalogue
 from gis_radar.live import (
     Acknowledgement,
     BrokerAddress,
@@ -46,9 +46,8 @@ from gis_radar.live.server import read_token
 from gis_radar.live.settings import BufferTable
 from gis_radar.live.sources import Replay
 from gis_radar.measures import NO_FURTHER
-from gis_radar.progress import Reporter
 from gis_radar.recordings import Detections
-from gis_radar.sight import SightTiles
+from gis_radar.scans import SightTiles
 from gis_radar.site import PageTable
 
 PRINT = "00112233445566778899aabbccddeeff"

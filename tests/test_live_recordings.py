@@ -12,7 +12,7 @@ from live_intake import NOW_US, FedIntake, frame, pose_message
 from live_programs import Lines, pose_beside
 
 import gis_radar as gr
-from gis_radar.errors import OutputError
+from gis_radar.base import STEP_US, OutputError
 from gis_radar.live import (
     CUT_US,
     HOUR_US,
@@ -27,7 +27,6 @@ from gis_radar.live import (
 )
 from gis_radar.live.recordings import remove_old
 from gis_radar.live.spool import FRAMES, POSE
-from gis_radar.steps import STEP_US
 
 HOUR = 486_111  # since 1970: 2025-06
 BEGIN_US = HOUR * HOUR_US + CUT_US

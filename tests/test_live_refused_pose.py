@@ -10,8 +10,8 @@ from live_programs import Lines
 from live_site import SAMPLE, LiveSite
 
 import gis_radar as gr
+from gis_radar.base import NoAnswerError
 from gis_radar.calibration import LOCALIZATION
-from gis_radar.errors import NoAnswerError
 from gis_radar.live import Edge, PoseContent, frames_of_recording, read_edge_file
 from gis_radar.live import edge as edge_module
 from gis_radar.live.own_pose import Followed

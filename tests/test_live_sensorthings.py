@@ -17,7 +17,7 @@ from live_programs import Lines
 from live_site import LONGEST_S, SAMPLE, LiveSite, wait_for
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.live import Fusion, Place, lane_push, read_live_site
 from gis_radar.live.fusion import counted_since
 from gis_radar.live.lane_push import LanePush

@@ -7,7 +7,7 @@ import pytest
 from live_programs import Lines, assert_all_recorded
 from live_site import Background, LiveSite, needs_mosquitto, wait_for
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.live import BrokerAddress, Edge, Fusion, Link, read_edge_file, read_live_site
 
 pytestmark = [

@@ -9,12 +9,12 @@ from maps import Listener
 from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
+from gis_radar.base import InputError, NoAnswerError, UsageError
 from gis_radar.calibration import LOCALIZATION, draw_localization, lane_method, localize
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.calibration.icp import pose_information, voxels
 from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.state import State
-from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.poses import read_pose, write_pose
 
 CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])

@@ -13,11 +13,11 @@ from sites import UTM
 from streets import Street, errors
 
 import gis_radar as gr
+from gis_radar.base import yaw_from_compass
 from gis_radar.calibration import LOCALIZATION
 from gis_radar.calibration import localization as localizing
 from gis_radar.calibration.localization import METHODS
 from gis_radar.cli import group
-from gis_radar.crs import yaw_from_compass
 from gis_radar.poses import read_pose
 from gis_radar.scans import road_crs
 

@@ -19,7 +19,7 @@ from scans import (
 )
 
 import gis_radar as gr
-from gis_radar.errors import InputError, NoAnswerError, OutputError
+from gis_radar.base import InputError, NoAnswerError, OutputError
 from gis_radar.scans.settings import MaskSettings
 
 ROAD = (0.0, 0.0, 120.0, 8.0)

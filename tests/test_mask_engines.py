@@ -12,8 +12,7 @@ from scans import EAST, NORTH, UTM, box_roads, ground, hidden, write_points
 from scipy.spatial import cKDTree
 
 import gis_radar as gr
-from gis_radar.crs import transformer
-from gis_radar.errors import InputError
+from gis_radar.base import InputError, transformer
 from gis_radar.scans import engines as pipeline
 from gis_radar.scans.mask import relative_name
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES

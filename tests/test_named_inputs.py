@@ -6,8 +6,7 @@ import traceback
 import pytest
 
 import gis_radar as gr
-from gis_radar.errors import CrsError, InputError, placed
-from gis_radar.steps import seconds_from_iso
+from gis_radar.base import CrsError, InputError, placed, seconds_from_iso
 
 POSE = json.loads((gr.sample_folder() / "R1.json").read_text())
 WRONG = {
@@ -59,7 +58,7 @@ def test_a_traceback_ends_with_what_to_do():
         return traceback.format_exception(error)[-2:]
 
     wrong = InputError("a.json: wrong", hint="mend it")
-    assert last_lines(wrong) == ["gis_radar.errors.InputError: a.json: wrong\n", "mend it\n"]
+    assert last_lines(wrong) == ["gis_radar.base.errors.InputError: a.json: wrong\n", "mend it\n"]
     wrong.hint = "mend a.json"  # in the words of who calls
     assert last_lines(wrong)[1] == "mend a.json\n"
-    assert last_lines(InputError("wrong")) == ["gis_radar.errors.InputError: wrong\n"]
+    assert last_lines(InputError("wrong")) == ["gis_radar.base.errors.InputError: wrong\n"]

@@ -18,12 +18,9 @@ from scans import EAST, NORTH, UTM
 
 import gis_radar as gr
 from gis_radar import cli
-from gis_radar.errors import CrsError, InputError
-from gis_radar.geopackage import opened_package
-from gis_radar.heatmap.layers import read_package
-from gis_radar.processes import OFFLINE, go_offline
-from gis_radar.sight import SightFile
-from gis_radar.vector_files import read_vector
+from gis_radar.base import OFFLINE, CrsError, InputError, go_offline, opened_package, read_vector
+from gis_radar.products.heatmap.layers import read_package
+from gis_radar.scans import SightFile
 
 BOX = shapely.box(EAST, NORTH, EAST + 60, NORTH + 8)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from maps import write_osm, write_road
 
-from gis_radar.errors import InputError
-from gis_radar.lanelets import read_osm
-from gis_radar.lanelets.osm import Member
+from gis_radar.base import InputError
+from gis_radar.hdmap import read_osm
+from gis_radar.hdmap.osm import Member
 
 
 def written(path, text):

@@ -9,10 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gis_radar.errors import OutputError
-from gis_radar.files import atomic_folder, atomic_write, only_writer, refuse_inputs
-from gis_radar.json_documents import json_text
-from gis_radar.progress import Reporter
+from gis_radar.base import (
+    OutputError,
+    Reporter,
+    atomic_folder,
+    atomic_write,
+    json_text,
+    only_writer,
+    refuse_inputs,
+)
 
 
 def contents(folder):
@@ -183,7 +188,7 @@ def test_a_lock_that_a_killed_run_left_does_not_count(tmp_path):
 
 def test_another_process_holds_the_lock(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from gis_radar.files import atomic_folder\n"
+        "import sys; from pathlib import Path; from gis_radar.base.files import atomic_folder\n"
         "with atomic_folder(Path(sys.argv[1]), owned=()): print('in', flush=True); input()"
     )
     other = subprocess.Popen(
@@ -205,7 +210,8 @@ def test_another_process_holds_the_lock(tmp_path):
 def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
     """A worker whose parent dies is stopped twice: by the broken pipe and by the watchdog."""
     code = (
-        "import shutil, sys; from pathlib import Path; from gis_radar.files import atomic_folder\n"
+        "import shutil, sys; from pathlib import Path\n"
+        "from gis_radar.base import atomic_folder\n"
         "remove, told = shutil.rmtree, []\n"
         "def rmtree(*words, **options):\n"
         "    if not told:\n"

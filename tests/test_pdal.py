@@ -14,8 +14,7 @@ from maps import Listener
 from pyproj import CRS
 from waiting import wait_for
 
-from gis_radar.crs import transformer
-from gis_radar.errors import GisRadarError, InputError, OutputError
+from gis_radar.base import GisRadarError, InputError, OutputError, transformer
 from gis_radar.scans import find_pdal
 from gis_radar.scans.pdal import INSTALL_HINT, VARIABLE
 

@@ -10,7 +10,7 @@ import shapely
 from test_as_recorded import LEVEL, MODEL, MOVES_MPS, driven, pose, record
 from test_drivers import PACE_M, streets
 
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S
 from simulation.movement import Traffic
 from simulation.people import People, simulate_people
 from simulation.scene import Scene, road_surface

@@ -9,8 +9,8 @@ import pytest
 from maps import Listener
 
 import gis_radar as gr
+from gis_radar.base import UsageError
 from gis_radar.calibration import ImplausibleError
-from gis_radar.errors import UsageError
 from gis_radar.poses import PoseTrack, write_pose
 
 SAMPLE = gr.sample_folder()

@@ -11,7 +11,7 @@ from maps import EAST, NORTH, Listener, one, write_osm, write_road
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.errors import CrsError, InputError
+from gis_radar.base import CrsError, InputError
 
 POSE = gr.Pose(
     sensor="R1", crs=gr.read_pose(gr.sample_folder() / "R1.json").crs, easting=EAST - 5.0,
@@ -187,7 +187,7 @@ def test_heights_that_are_no_numbers_are_named(tmp_path):
 
 def test_a_map_outside_its_zone_names_its_file_and_no_option(tmp_path, monkeypatch):
     path = write_road(tmp_path / "m.osm")
-    monkeypatch.setattr("gis_radar.lanelets.positions.utm_zone", lambda *_: CRS.from_epsg(32755))
+    monkeypatch.setattr("gis_radar.hdmap.positions.utm_zone", lambda *_: CRS.from_epsg(32755))
     with pytest.raises(CrsError, match=r"m\.osm: the site lies far outside") as caught:
         gr.read_map(path)
     assert "--crs" not in caught.value.message

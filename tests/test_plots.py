@@ -16,8 +16,8 @@ from test_cards import a_localization, a_pose, a_track
 from test_heatmap import T0, lane_tiles, make_site
 
 import gis_radar as gr
-from gis_radar.heatmap import style
-from gis_radar.heatmap.picture import STRIPE
+from gis_radar.products.heatmap import style
+from gis_radar.products.heatmap.picture import STRIPE
 
 
 @pytest.fixture(autouse=True)

@@ -22,8 +22,8 @@ from plugin_words import (
     texts,
 )
 
+from gis_radar.base.languages import catalogue
 from gis_radar.cli import group
-from gis_radar.languages import catalogue
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="the stand-in for a worker is a script")

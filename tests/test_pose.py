@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sites import EAST, NORTH, UTM, pose
 
-from gis_radar.errors import CrsError, InputError
+from gis_radar.base import CrsError, InputError
 from gis_radar.poses import (
     PoseTrack,
     View,

@@ -21,9 +21,8 @@ from maps import (
     write_road,
 )
 
-from gis_radar.errors import CrsError, UsageError
-from gis_radar.lanelets import read_map
-from gis_radar.tiles import make_tiles
+from gis_radar.base import CrsError, UsageError
+from gis_radar.hdmap import make_tiles, read_map
 
 
 def test_a_map_across_zones_gets_one_zone(tmp_path):

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from waiting import is_gone, wait_for
 
-from gis_radar.errors import GisRadarError
-from gis_radar.processes import GONE_S, WATCHDOG_VARIABLE, run_child, watch_parent
+from gis_radar.base import GisRadarError, run_child, watch_parent
+from gis_radar.base.processes import GONE_S, WATCHDOG_VARIABLE
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="process groups")

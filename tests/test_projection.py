@@ -9,10 +9,9 @@ import shapely
 from sites import EAST, NORTH, START, UTM, pose, recording
 
 import gis_radar as gr
-from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.base import InputError, OutputError, Reporter, UsageError
 from gis_radar.poses import PoseTrack
-from gis_radar.progress import Reporter
-from gis_radar.projection import project, write_projection
+from gis_radar.products import project, write_projection
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 
 

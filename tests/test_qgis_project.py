@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr
-from gis_radar.dataset.measure import measure
-from gis_radar.heatmap import style
-from gis_radar.languages import LANGUAGES, translated
+from gis_radar.base import LANGUAGES, translated
+from gis_radar.dataset import measure
 from gis_radar.poses import ellipse
-from gis_radar.qgis.project_xml import TimeRange, fit_box, map_clock
+from gis_radar.products.heatmap import style
+from gis_radar.products.qgis.project_xml import TimeRange, fit_box, map_clock
 
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
 
@@ -318,7 +318,7 @@ def test_a_guess_in_degrees_is_refused():
 @pytest.mark.parametrize("language", LANGUAGES)
 @pytest.mark.parametrize("measure", style.WORDS)
 def test_the_words_of_a_sheet_name_hatched_grey_as_its_legend_does(measure, language):
-    with files("gis_radar.qgis").joinpath("sheet.qpt").open("rb") as template:
+    with files("gis_radar.products.qgis").joinpath("sheet.qpt").open("rb") as template:
         sheet = ET.parse(template)  # noqa: S314 - our own text
     (meaning,) = sheet.iterfind(f".//LayoutItem[@id='meaning {measure}']")
     (ground,) = sheet.iterfind(".//layer-tree-layer[@id='gis_radar_ground']")

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sites import START, crossing, pose, recording
 
-from gis_radar.dataset.measure import measure
-from gis_radar.errors import InputError, UsageError
-from gis_radar.quality import QualitySettings, measure_quality
-from gis_radar.quality.counting import hour_begins
+from gis_radar.base import InputError, UsageError
+from gis_radar.dataset import measure
+from gis_radar.products import QualitySettings, measure_quality
+from gis_radar.products.quality.counting import hour_begins
 
 BERLIN = ZoneInfo("Europe/Berlin")
 ON_TILE = np.array([12.25, 0.0, -5.0])

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gis_radar.base import NoAnswerError
 from gis_radar.calibration import RangeScale, measure_range_scale
 from gis_radar.calibration.traces import Moving
-from gis_radar.errors import NoAnswerError
 
 YARDS = 1.0 / 0.9144
 

@@ -9,8 +9,7 @@ import shapely
 from maps import SHARED_MAPS, Listener, map_name, needs_shared_maps
 from pyproj import Transformer
 
-from gis_radar.lanelets import read_map, read_osm, rungs, slices, sound
-from gis_radar.tiles import make_tiles, quads
+from gis_radar.hdmap import make_tiles, quads, read_map, read_osm, rungs, slices, sound
 
 # reading a map takes longer than most of what is checked of it
 map_at, osm_at = cache(read_map), cache(read_osm)

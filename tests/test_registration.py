@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
+from gis_radar.base import NoAnswerError
 from gis_radar.calibration import LOCALIZATION
 from gis_radar.calibration.adaptation import adapted, heights
 from gis_radar.calibration.certainty import (
@@ -42,7 +43,6 @@ from gis_radar.calibration.settings import Schedule
 from gis_radar.calibration.solver import at_least, solve
 from gis_radar.calibration.state import POSE, SIZE, TURN, State, angles_from_turn
 from gis_radar.calibration.traces import SPELL_S, Moving, Samples, link_tracks, thin
-from gis_radar.errors import NoAnswerError
 from gis_radar.poses import Pose
 
 

@@ -15,7 +15,7 @@ import pytest
 from report_site import FILES, SIGMA, Page, write_whole_run
 
 import gis_radar as gr
-from gis_radar.spreadsheets import csv_for, write_csv
+from gis_radar.base import csv_for, write_csv
 
 
 @pytest.fixture(scope="module")

@@ -26,11 +26,10 @@ from report_site import (
 from sites import pose
 
 import gis_radar as gr
+from gis_radar.base.spreadsheets import safe
 from gis_radar.cli import group
-from gis_radar.heatmap import make_heatmap
-from gis_radar.heatmap.heatmap import OWNED
-from gis_radar.report.names import REPORT_FILES
-from gis_radar.spreadsheets import safe
+from gis_radar.products import REPORT_FILES, make_heatmap
+from gis_radar.products.heatmap.heatmap import OWNED
 
 
 @pytest.fixture(scope="module")

@@ -17,13 +17,13 @@ from test_heatmap_occupancy import both_of
 from test_report_pages import content_of, letters_of, pages_of
 
 import gis_radar as gr
-from gis_radar.heatmap import make_heatmap
-from gis_radar.heatmap.occupancy import surest
-from gis_radar.report import chart
-from gis_radar.report.lanes import lane_table, sum_by_lane, write_lanes
-from gis_radar.report.plan import place_numbers
-from gis_radar.steps import Clock
-from gis_radar.tiles import lanes_of
+from gis_radar.base import Clock
+from gis_radar.hdmap import lanes_of
+from gis_radar.products import make_heatmap
+from gis_radar.products.heatmap.occupancy import surest
+from gis_radar.products.report import chart
+from gis_radar.products.report.lanes import lane_table, sum_by_lane, write_lanes
+from gis_radar.products.report.plan import place_numbers
 
 
 def chains_of(lanes):

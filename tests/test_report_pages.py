@@ -13,14 +13,11 @@ from PIL import Image
 from report_site import write_results
 
 import gis_radar as gr
-from gis_radar.errors import OutputError
-from gis_radar.progress import Reporter
-from gis_radar.report.content import Chapter, Content, Fact, Figure, MapSeries, Table
-from gis_radar.report.pages import bound
-from gis_radar.report.paper import write_pdf
-from gis_radar.report.report import lane_columns
-from gis_radar.steps import Clock
-from gis_radar.words import speaking
+from gis_radar.base import Clock, OutputError, Reporter, speaking
+from gis_radar.products.report.content import Chapter, Content, Fact, Figure, MapSeries, Table
+from gis_radar.products.report.pages import bound
+from gis_radar.products.report.paper import write_pdf
+from gis_radar.products.report.report import lane_columns
 
 MOMENT = datetime(2025, 6, 12, tzinfo=UTC)
 A4_PT, EDGE_PT = 595.3, 42.5  # width, and of a margin

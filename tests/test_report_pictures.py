@@ -17,12 +17,11 @@ from PIL.PngImagePlugin import PngInfo
 from report_site import write_results, write_run
 
 import gis_radar as gr
-from gis_radar.heatmap import picture
-from gis_radar.languages import catalogue
-from gis_radar.notebooks import label_map, legend_below, picture_file
-from gis_radar.report import chart, maps, plan
-from gis_radar.report.results import flat_picture, panels_of
-from gis_radar.steps import Clock
+from gis_radar.base import Clock, label_map, legend_below, picture_file
+from gis_radar.base.languages import catalogue
+from gis_radar.products.heatmap import picture
+from gis_radar.products.report import chart, maps, plan
+from gis_radar.products.report.results import flat_picture, panels_of
 
 PHONE_PX, LEAST_PX = 350, 10  # of a page 390 pixels wide, between its edges
 LONELY = np.array([0.2, np.nan, 0.4]), np.array([0.1, np.nan, 0.1])

@@ -11,12 +11,20 @@ import numpy as np
 import pytest
 from test_heatmap_occupancy import BEGIN
 
-from gis_radar.crs import bearing_of
-from gis_radar.heatmap.intervals import HOUR
+from gis_radar.base import (
+    WINDS,
+    Clock,
+    bearing_of,
+    direction,
+    figure_text,
+    listed,
+    percent,
+    utc_offsets,
+    wind_of,
+)
 from gis_radar.measures import Runs
-from gis_radar.report.basis import recorded_row
-from gis_radar.steps import Clock, utc_offsets
-from gis_radar.words import WINDS, direction, figure_text, listed, percent, wind_of
+from gis_radar.products.heatmap.intervals import HOUR
+from gis_radar.products.report.basis import recorded_row
 
 
 def at(*fields):

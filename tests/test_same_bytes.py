@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import gis_radar as gr
-from gis_radar.files import WRITTEN
+from gis_radar.base import WRITTEN
 
 COMMANDS = [
     "tiles map.osm --road road.laz --streets streets.gpkg -o {}.gpkg",

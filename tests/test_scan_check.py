@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
+from gis_radar.base import CELL_M
 from gis_radar.calibration import (
     AmbiguousError,
     Localization,
@@ -31,7 +32,6 @@ from gis_radar.calibration import localization as localizing
 from gis_radar.calibration.scan_check import Alignment, align
 from gis_radar.calibration.surroundings import SCAN_CHECK, LevelFrame, read_slow, read_structure
 from gis_radar.cli import group
-from gis_radar.grid import CELL_M
 from gis_radar.scans import scan as scan_files
 from simulation.movement import Traffic
 from simulation.radar import RadarModel, place_radar

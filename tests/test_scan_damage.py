@@ -10,7 +10,7 @@ from maps import Listener
 from scans import box_roads, ground, write_points
 
 import gis_radar as gr
-from gis_radar.errors import CrsError, InputError, NoAnswerError
+from gis_radar.base import CrsError, InputError, NoAnswerError
 from gis_radar.scans.header import read_header
 
 ROAD = (0.0, 0.0, 60.0, 8.0)

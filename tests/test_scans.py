@@ -14,8 +14,7 @@ from pyproj import CRS
 from scans import EAST, NORTH, UTM, box_roads, ground, write_points
 
 import gis_radar as gr
-from gis_radar.crs import transformer
-from gis_radar.errors import CrsError, GisRadarError, InputError, UsageError
+from gis_radar.base import CrsError, GisRadarError, InputError, UsageError, transformer
 from gis_radar.scans import open_scan
 from gis_radar.scans.scan import days_flown
 

@@ -12,21 +12,21 @@ from matplotlib.figure import Figure
 from scans import ground, hidden, strewn, write_points
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.measures import sight_of_tiles
 from gis_radar.poses import View
-from gis_radar.sight import (
+from gis_radar.scans import (
     HIDDEN,
     IN_SIGHT,
     OUT_OF_VIEW,
     SightScan,
     SightTiles,
+    draw_sight,
     find_sight,
     report_uncovered,
     write_sights,
 )
-from gis_radar.sight.kept import KeptSight
-from gis_radar.sight.picture import draw_sight
+from gis_radar.scans.sight.kept import KeptSight
 
 ROAD_M = 372.0
 AREA = (-20.0, -80.0, 160.0, 80.0)

@@ -13,12 +13,12 @@ from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 from test_sight import HOUSE, ROAD_M, ROOF_M, SENSOR, across, flat, left_m, sight_over
 
 import gis_radar as gr
-from gis_radar.errors import InputError, UsageError
+from gis_radar.base import QUIET, InputError, UsageError
+from gis_radar.hdmap import TileGrid
 from gis_radar.measures import HitSettings, SightBook
 from gis_radar.poses import View, as_track
-from gis_radar.progress import QUIET
 from gis_radar.recordings import Detections, open_recording
-from gis_radar.sight import (
+from gis_radar.scans import (
     HIDDEN,
     IN_SIGHT,
     MovementCounter,
@@ -31,8 +31,7 @@ from gis_radar.sight import (
     report_contradictions,
     write_sights,
 )
-from gis_radar.sight.sight import HIDERS
-from gis_radar.tiles import TileGrid
+from gis_radar.scans.sight.sight import HIDERS
 
 
 def traffic(path, *, unseen=(), seconds=200, seed=3):

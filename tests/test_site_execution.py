@@ -18,10 +18,15 @@ from fake_stages import diamond, execute, stage, threads
 from maps import Listener
 from waiting import is_gone, wait_for
 
-from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
-from gis_radar.files import only_writer
-from gis_radar.geopackage import content_digest
-from gis_radar.processes import workers_here
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    content_digest,
+    only_writer,
+    workers_here,
+)
 from gis_radar.site import Pool, RunState, execution, process_pool
 
 HERE = Path(__file__).parent
@@ -373,7 +378,7 @@ def test_tables_of_a_geopackage_are_read_when_its_bytes_have_changed_only(tmp_pa
         asked.append(path)
         return content_digest(path)
 
-    monkeypatch.setattr("gis_radar.geopackage.content_digest", counted)
+    monkeypatch.setattr("gis_radar.base.geopackage.content_digest", counted)
     file, memory = tmp_path / "a.gpkg", tmp_path / "memory.json"
     with closing(sqlite3.connect(file)) as database, database:
         database.execute("CREATE TABLE tiles (id INTEGER)")
@@ -409,7 +414,7 @@ def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
 
 
 def test_there_is_at_least_one_worker(monkeypatch):
-    monkeypatch.setattr("gis_radar.processes.free_memory", lambda: 1)
+    monkeypatch.setattr("gis_radar.base.processes.free_memory", lambda: 1)
     assert workers_here() == 1
-    monkeypatch.setattr("gis_radar.processes.free_memory", lambda: None)
+    monkeypatch.setattr("gis_radar.base.processes.free_memory", lambda: None)
     assert workers_here() >= 1

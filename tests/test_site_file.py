@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.site import Site
 from gis_radar.site.settings import site_reference
 from gis_radar.site.values import Name, lines_of, table_of

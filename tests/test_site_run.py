@@ -36,15 +36,15 @@ from streets import errors
 from waiting import is_gone, wait_for
 
 import gis_radar as gr
+from gis_radar.base import only_writer, refuse_foreign
 from gis_radar.cli import group
 from gis_radar.demo import pose_errors
-from gis_radar.files import only_writer, refuse_foreign
 from gis_radar.site import RunState, stages_of
 from gis_radar.site import run as product
 from gis_radar.site.execution import discard
 from gis_radar.site.plan import OWNED
 
-writing = import_module("gis_radar.report.report")  # of this name there is also a function
+writing = import_module("gis_radar.products.report.report")  # of this name there is also a function
 
 PAPER = (".png", ".pdf", "report.html")  # which holds pictures
 

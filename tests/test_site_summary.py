@@ -8,10 +8,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.site import Site, Stage, stages
 from gis_radar.site.plan import Outcome
-from gis_radar.site.run import markdown_escaped, summary_page
+from gis_radar.site.summary import markdown_escaped, summary_page
 
 HOSTILE = "<script>alert(1)</script> [a](javascript:x) `b` **c** __d__ | e &lt; \\ ~~f~~\n# g"
 

@@ -19,10 +19,10 @@ from test_joint import LONG, TRAFFIC, stated
 import gis_radar as gr
 from gis_radar.calibration import AmbiguousError
 from gis_radar.poses import View
-from gis_radar.report.content import how_found
+from gis_radar.products.report.content import how_found
+from gis_radar.site import SiteRun, stages_of
 from gis_radar.site import stages as work
-from gis_radar.site import stages_of
-from gis_radar.site.run import SiteRun, summary_page
+from gis_radar.site.summary import summary_page
 
 POSES = (
     work.road_stage, work.localize_stage, work.together_stage, work.pose_stage,

@@ -11,11 +11,11 @@ import shapely
 from maps import Listener
 from sites import EAST, NORTH, UTM, crossing, lane_quads, tiles_of
 
-from gis_radar.errors import CrsError, InputError, OutputError, UsageError
-from gis_radar.lanelets import LaneletMap
-from gis_radar.scans import read_road
-from gis_radar.tiles import (
+from gis_radar.base import CrsError, InputError, OutputError, UsageError
+from gis_radar.hdmap import (
+    COLUMNS,
     LANE,
+    LaneletMap,
     fingerprint,
     make_tiles,
     quads,
@@ -23,7 +23,7 @@ from gis_radar.tiles import (
     with_road_heights,
     write_tiles,
 )
-from gis_radar.tiles.tiles import COLUMNS
+from gis_radar.scans import read_road
 
 NO_PROBLEMS = gpd.GeoDataFrame(
     {"lanelet_id": np.empty(0, np.int64), "action": [], "reason": []}, geometry=[], crs=UTM

@@ -17,6 +17,7 @@ from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
+from gis_radar.base import CrsError, InputError, NoAnswerError, seconds_from_iso
 from gis_radar.calibration import (
     MONITOR,
     Follower,
@@ -31,9 +32,7 @@ from gis_radar.calibration.moves import agreement
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.cli import group
-from gis_radar.errors import CrsError, InputError, NoAnswerError
 from gis_radar.poses import read_track, write_track
-from gis_radar.steps import seconds_from_iso
 
 STREET = Street()
 FRAMES, VEHICLES = 2000, 140  # 100 s

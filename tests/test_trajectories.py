@@ -18,9 +18,9 @@ from pyproj import Transformer
 from test_vehicles_layer import CARS
 
 import gis_radar as gr
+from gis_radar.base import step_begin
 from gis_radar.cli import group
 from gis_radar.dataset import STEPS_PER_HOUR
-from gis_radar.steps import step_begin
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from maps import Listener
 from sites import START, crossing, pose, recording
 
-from gis_radar.errors import UsageError
-from gis_radar.heatmap import make_heatmap
+from gis_radar.base import UsageError
 from gis_radar.measures import valid_steps, validity_of
 from gis_radar.measures.hour_hits import valid_until
+from gis_radar.products import make_heatmap
 
 ON_TILE_4 = [12.25, 0.0, -5.0]
 FIRST_STEP = int(START * 20)

@@ -7,10 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gis_radar.lanelets import LaneGraph
+from gis_radar.hdmap import LaneGraph
+from gis_radar.tracking import (
+    DetectionSettings,
+    ForwardFilter,
+    MapDetections,
+    VehicleSettings,
+    still_rate,
+)
 from gis_radar.tracking.detectability import Detectability, Occluders
-from gis_radar.tracking.detections import MapDetections, still_rate
-from gis_radar.tracking.forward import ForwardFilter
 from gis_radar.tracking.links import Part, chains
 from gis_radar.tracking.management_settings import (
     DetectabilitySettings,
@@ -21,12 +26,7 @@ from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.resting import rate_without, unbroken, with_rest
-from gis_radar.tracking.settings import (
-    DetectionSettings,
-    ForwardSettings,
-    MotionSettings,
-    VehicleSettings,
-)
+from gis_radar.tracking.settings import ForwardSettings, MotionSettings
 from gis_radar.tracking.size import size_of
 from gis_radar.tracking.stationary import StationaryTarget, not_built
 from gis_radar.tracking.strips import Strips

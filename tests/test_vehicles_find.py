@@ -9,9 +9,10 @@ from maps import Listener
 from pyproj import CRS
 
 import gis_radar as gr
+from gis_radar.tracking import VehicleSettings
 from gis_radar.tracking.batches import joined_rows
 from gis_radar.tracking.map_check import describe_map
-from gis_radar.tracking.settings import BlockSettings, VehicleSettings
+from gis_radar.tracking.settings import BlockSettings
 
 SAMPLE = gr.sample_folder()
 

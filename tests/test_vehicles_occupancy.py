@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from shapely.affinity import rotate, translate
 from sites import pose
 
+from gis_radar.hdmap import quads
 from gis_radar.measures import PoseSight
-from gis_radar.tiles import quads
-from gis_radar.tracking.footprints import MOST_PARTS, PathBook, overlapped_m
+from gis_radar.tracking import OCCUPANCY_DEFAULTS, PathBook
+from gis_radar.tracking.footprints import MOST_PARTS, overlapped_m
 from gis_radar.tracking.occupancy import OccupancyEngine
-from gis_radar.tracking.occupancy_settings import OCCUPANCY_DEFAULTS
 from gis_radar.tracking.passages import LaneletPlaces, PassageBook, levels_of
 
 EVERY_STEP = replace(OCCUPANCY_DEFAULTS, look_steps=1)

@@ -9,8 +9,8 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gis_radar.lanelets import lane_graph
-from gis_radar.tracking.detections import MapDetections
+from gis_radar.hdmap import lane_graph
+from gis_radar.tracking import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve

@@ -8,15 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
-from gis_radar.lanelets import lane_graph
+from gis_radar.hdmap import lane_graph
+from gis_radar.tracking import ForwardFilter, MapDetections, VehicleSettings
 from gis_radar.tracking.bodies import join_directions
 from gis_radar.tracking.columns import NONE
-from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.forward import ForwardFilter
 from gis_radar.tracking.management_settings import StationarySettings
 from gis_radar.tracking.motion import fit_motion, without_way_back
 from gis_radar.tracking.paths import Path, path_through
-from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.stationary import pack
 from gis_radar.tracking.strips import Strips
 from gis_radar.tracking.tracker import vehicles_in

@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from gis_radar.dataset.tables import TABLES, TableColumn, TableSchema
+from gis_radar.dataset import TableSchema
+from gis_radar.dataset.tables import TABLES, TableColumn
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
 import pages

@@ -20,8 +20,8 @@ from http.client import HTTPException
 from pathlib import Path
 
 import gis_radar as gr
-from gis_radar.live.broker_files import write_broker_files
-from gis_radar.processes import stopped_by_signals
+from gis_radar.base import stopped_by_signals
+from gis_radar.live import write_broker_files
 
 PATIENCE_S = 180.0  # for an hour that is over
 STATUS_S = 10.0

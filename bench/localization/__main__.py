@@ -37,7 +37,7 @@ from figures import keep
 from simulated import sites, true_pose
 
 import gis_radar as gr
-from gis_radar.poses.files import write_pose
+from gis_radar.poses import write_pose
 
 PARTS = ("table", "sites", "random")
 SITE_STARTS, QUICK_STARTS = 10, 2

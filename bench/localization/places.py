@@ -16,7 +16,7 @@ from pyproj import CRS
 from street_plans import NO_TURNS, StreetPlan
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation.demand import KINDS, VehicleKind, random_flows
 from simulation.driving import LaneKeeping
 from simulation.lanelet_writer import write_lanelets

@@ -28,7 +28,7 @@ from street_plans import PLANS
 from trials import NEAR_M, Trial, in_workers
 
 import gis_radar as gr
-from gis_radar.poses.files import write_pose
+from gis_radar.poses import write_pose
 from simulation.demand import KINDS
 from simulation.driving import LaneKeeping
 from simulation.roadside import Roadside

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from simulation.curves import offset
 
 LIMITS_MPS = (8.33, 13.89, 13.89, 16.67)

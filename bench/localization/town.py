@@ -20,8 +20,8 @@ from scipy.interpolate import CubicSpline
 from street_plans import StreetPlan
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
-from gis_radar.poses.files import write_pose
+from gis_radar.base import Floats
+from gis_radar.poses import write_pose
 from simulation.scene import Scene
 from simulation.terrain import Terrain
 

@@ -26,8 +26,9 @@ from scenes import SceneFiles
 from score import OccupancyScore, score_occupancy, with_occupancy
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
-from gis_radar.heatmap.style import BREAKS, NEVER_HIT, NOT_OBSERVED, RAMP, legend
+from gis_radar.base import Floats
+from gis_radar.products import BREAKS, NEVER_HIT, NOT_OBSERVED
+from gis_radar.products.heatmap.style import RAMP, legend
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages

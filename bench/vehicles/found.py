@@ -18,9 +18,9 @@ from true_occupancy import TrueOccupancy, occupied_steps
 from true_traffic import TrueTraffic
 
 import gis_radar as gr
-from gis_radar.arrays import Booleans
-from gis_radar.dataset.states import states_of
-from gis_radar.dataset.tables import CONTINUED, PASSAGES
+from gis_radar.base import Booleans
+from gis_radar.dataset import PASSAGES, states_of
+from gis_radar.dataset.tables import CONTINUED
 
 ESTIMATES = ["tile_id", "occupied_s", "visible_s", "occupancy", "occupancy_se"]
 

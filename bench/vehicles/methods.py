@@ -20,7 +20,7 @@ from score import score_by_tiles, score_occupancy
 from tracks import compared, score_tracks
 
 import gis_radar as gr
-from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking import VehicleSettings
 
 Figures = dict[str, Any]
 

@@ -12,7 +12,7 @@ import pandas as pd
 from scenes import SceneFiles
 
 import gis_radar as gr
-from gis_radar.poses.files import write_pose
+from gis_radar.poses import write_pose
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 from figures import Ran, run_alone

@@ -16,7 +16,7 @@ from true_occupancy import TrueOccupancy, middle_lines
 from true_traffic import HEAVY_M, TrueTraffic
 
 import gis_radar as gr
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import Floats, Integers
 
 MOVE_M = 1.0  # the way is looked at so often
 ACROSS_M, HEADING = 0.8, 0.35  # standard deviations from the middle of a lanelet, and rad

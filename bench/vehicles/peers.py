@@ -8,8 +8,7 @@ from scenes import SceneFiles
 from true_occupancy import HIDDEN_STEPS, occupied_pairs
 
 import gis_radar as gr
-from gis_radar.arrays import Booleans, Floats
-from gis_radar.steps import STEP_S, step_of
+from gis_radar.base import STEP_S, Booleans, Floats, step_of
 
 BESIDE_M = 0.5  # a detection may lie so far beside its vehicle
 

@@ -43,8 +43,8 @@ from true_traffic import TrueTraffic, read_traffic  # noqa: E402
 from wide_map import widen  # noqa: E402
 
 import gis_radar as gr  # noqa: E402
-from gis_radar.arrays import Integers  # noqa: E402
-from gis_radar.poses.files import write_pose  # noqa: E402
+from gis_radar.base import Integers  # noqa: E402
+from gis_radar.poses import write_pose  # noqa: E402
 from simulation.lanelet_writer import write_lanelets  # noqa: E402
 from simulation.presets import TEXTBOOK  # noqa: E402
 from simulation.radar import RadarModel  # noqa: E402

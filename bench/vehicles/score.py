@@ -13,8 +13,7 @@ from scipy.stats import spearmanr
 from true_occupancy import TrueOccupancy, middle_lines
 
 import gis_radar as gr
-from gis_radar.arrays import Booleans, Floats
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S, Booleans, Floats
 
 RANGES_M = (0.0, 50.0, 100.0, 200.0)
 HIDDEN = 0.1  # share of the visible time in which other vehicles hide a tile

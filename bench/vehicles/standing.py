@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from true_occupancy import sight_points
 
 import gis_radar as gr
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.base import Booleans, Floats
 from simulation.scene import Scene
 from simulation.sight import Boxes, Walls, building_walls, parked_boxes
 

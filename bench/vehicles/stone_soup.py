@@ -35,8 +35,7 @@ from stonesoup.types.update import Update
 from stonesoup.updater.kalman import KalmanUpdater
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
-from gis_radar.steps import STEP_S, step_of
+from gis_radar.base import STEP_S, Floats, step_of
 
 WINDOW_STEPS = 2
 MOVING_MPS = 0.5

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from true_occupancy import TrueOccupancy, middle_lines
 from true_traffic import HEAVY_M, TrueTraffic
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers
 
 CUT_M = 4.0  # states farther apart are not of one vehicle
 DOUBLE_M = 8.0  # a second one so near to a true vehicle is of that

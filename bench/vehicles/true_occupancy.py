@@ -15,8 +15,7 @@ import shapely
 from true_traffic import LONG_M, TrueTraffic, rectangles, runs_at_rest, strip
 
 import gis_radar as gr
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.steps import STEP_S, step_of
+from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_of
 
 OVERLAP_M, LEVEL_M = 0.5, 2.0
 HIDDEN_STEPS = 200  # 10 s

@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.steps import step_of
+from gis_radar.base import Floats, Integers, step_of
 
 # the shared towns' files; ours have the long names
 SHORT = {"L": "length", "W": "width", "H": "vehicle_height"}

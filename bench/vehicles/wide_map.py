@@ -10,8 +10,7 @@ import shapely
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.arrays import Floats
-from gis_radar.crs import transformer
+from gis_radar.base import Floats, transformer
 
 WIDER_M = 0.6  # to each side
 ROAD = {"type": "lanelet", "subtype": "road", "location": "urban", "one_way": "yes"}

@@ -1,6 +1,6 @@
 """References to a thing by any of its names lead to where the pages document it.
 
-`gis_radar.tiles.tiles.read_tiles` leads to `gis_radar.read_tiles`.
+`gis_radar.hdmap.tiles.read_tiles` leads to `gis_radar.read_tiles`.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
 from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
-from .findings import Finding, ImplausibleError, refuse_implausible
+from .findings import UNKNOWN, Finding, ImplausibleError, refuse_implausible
 from .joint import JointCalibration, adjust_poses, gain_line, localize_together
-from .lane_detections import ClockSettings
+from .lane_detections import ClockSettings, lanelets_of
 from .localization import localize, localize_files
 from .monitor import Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
 from .plausibility import RecordedSensor, check_plausibility
-from .pose_track import MOVED, Event, Track, draw_track, track_of
+from .pose_track import MOVED, Track, draw_track, track_of
 from .range_scale import RangeScale, measure_range_scale
 from .result import AmbiguousError, Localization, Problem, draw_localization
 from .rivals import LaneMap
 from .scan_check import ScanCheck, check_against_scan, require_scans_near
 from .scan_check_picture import draw_scan_check
-from .settings import LOCALIZATION, MONITOR, LocalizationSettings, MonitorSettings
+from .settings import LOCALIZATION, MONITOR
 from .surroundings import ScanCheckSettings
 from .windows import WindowFitter
 
@@ -21,18 +21,16 @@ __all__ = [
     "LOCALIZATION",
     "MONITOR",
     "MOVED",
+    "UNKNOWN",
     "AmbiguousError",
     "ClockSettings",
     "Clocks",
-    "Event",
     "Finding",
     "Follower",
     "ImplausibleError",
     "JointCalibration",
     "LaneMap",
     "Localization",
-    "LocalizationSettings",
-    "MonitorSettings",
     "Problem",
     "RangeScale",
     "RecordedSensor",
@@ -49,6 +47,7 @@ __all__ = [
     "draw_scan_check",
     "draw_track",
     "gain_line",
+    "lanelets_of",
     "localize",
     "localize_files",
     "localize_together",

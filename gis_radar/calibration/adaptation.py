@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 from scipy.special import gammaincinv, ndtr
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import Floats, Integers
 from gis_radar.calibration.lanes import Placed, Scene, place
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.residuals import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import Floats, Integers
 from gis_radar.calibration.certainty import cluster_robust
 from gis_radar.calibration.correspondences import (
     FACES,

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.lane_places import WITHIN_M, Cells, LanePlaces
 from gis_radar.calibration.settings import HOUR_S, MONITOR, MonitorSettings
 

@@ -9,16 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats, NoAnswerError, Text
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, AnswerSettings, Schedule
 from gis_radar.calibration.solver import Fit, Prior, Rest, limited, settle, solve
 from gis_radar.calibration.state import POSE, SIZE, State
 from gis_radar.calibration.traces import Samples
-from gis_radar.errors import NoAnswerError
-from gis_radar.poses.pose import COMPONENTS, Pose
-from gis_radar.texts import Text
+from gis_radar.poses import COMPONENTS, Pose
 
 VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
 # Rise of the cost: of one standard deviation, and of ten, where a place is excluded.

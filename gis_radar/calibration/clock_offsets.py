@@ -18,10 +18,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers, NoAnswerError
 from gis_radar.calibration.lane_detections import CLOCKS, ClockSettings, LaneDetections
 from gis_radar.calibration.lanes import UNLIMITED_MPS
-from gis_radar.errors import NoAnswerError
 
 # Cells in which agreement is counted: in a bin a vehicle moves by about a cell.
 CELL_M = 4.0

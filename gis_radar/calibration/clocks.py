@@ -15,12 +15,22 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.arrays import Floats
-from gis_radar.calibration.clock_offsets import (
-    ClockOffset,
-    NoCommonTrafficError,
-    measured_offset,
+from gis_radar.base import (
+    QUIET,
+    Floats,
+    InputError,
+    NoAnswerError,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_write,
+    card,
+    metric_crs,
+    read_json,
+    require_same,
+    seconds_from_iso,
 )
+from gis_radar.calibration.clock_offsets import ClockOffset, NoCommonTrafficError, measured_offset
 from gis_radar.calibration.lane_detections import (
     CLOCKS,
     ClockSettings,
@@ -28,18 +38,8 @@ from gis_radar.calibration.lane_detections import (
     lanelets_of,
     read_lane_detections,
 )
-from gis_radar.crs import metric_crs, require_same
-from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import atomic_write
-from gis_radar.json_documents import read_json
-from gis_radar.notebooks import card
-from gis_radar.poses.files import PoseTrack, as_track
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import as_recording
-from gis_radar.recordings.recording import Recording
-from gis_radar.steps import seconds_from_iso
-from gis_radar.texts import Text
+from gis_radar.poses import Pose, PoseTrack, as_track
+from gis_radar.recordings import Recording, as_recording
 
 # A drift below so many of its sigmas counts as none: over hours it would only carry noise.
 DRIFT_SIGMAS = 3.0
@@ -232,7 +232,7 @@ def measure_clocks(
     poses : sequence of Pose or PoseTrack
         As many as recordings, in order.
     tiles : GeoDataFrame
-        As from :func:`gis_radar.tiles.tiles.read_tiles`.
+        As from :func:`gis_radar.hdmap.tiles.read_tiles`.
     reference : str, optional
         The sensor whose clock counts as right; by default the first by name of those that can be
         compared with the most others.

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.lanes import Lanes, match, place
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.state import State

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.settings import LOCALIZATION
 from gis_radar.calibration.traces import (
@@ -18,10 +18,8 @@ from gis_radar.calibration.traces import (
     top_speeds,
     vehicles_of,
 )
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import Pose
-from gis_radar.recordings.recording import Detections, Recording
-from gis_radar.steps import iso_from_step, step_of
+from gis_radar.poses import Pose, PoseTrack
+from gis_radar.recordings import Detections, Recording
 
 PIECE_S = 20.0  # in which a vehicle crosses the view
 PIECES = 5  # together as long as the window of a localization

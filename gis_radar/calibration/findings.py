@@ -6,9 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gis_radar.errors import NoAnswerError
-from gis_radar.progress import Reporter
-from gis_radar.texts import Text
+from gis_radar.base import NoAnswerError, Reporter, Text
 
 FITS, WRONG = Text("fits"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")

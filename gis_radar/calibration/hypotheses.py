@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Booleans, Floats, compiled
+from gis_radar.base import Booleans, Floats, compiled
 from gis_radar.calibration.adaptation import adapted
 from gis_radar.calibration.certainty import LOOK_GAIN, PLANE, advantage, along_valley
 from gis_radar.calibration.lanes import LANE_CELL_M, Lanes, Scene, match, place

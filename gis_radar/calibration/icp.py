@@ -10,15 +10,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import LOCALIZE, Floats, InputError, Integers, NoAnswerError, Reporter
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.calibration.result import STAGE, Localization, Problem, common
 from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, IcpSettings, LocalizationSettings
 from gis_radar.calibration.solver import FLOOR, at_least
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import CROWD_M, Moving
-from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
-from gis_radar.progress import Reporter
 
 # How far the pose is moved to measure how well the road fixes it: farther than the slack between
 # traces and kerb, in which the cost is flat.

@@ -12,7 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import (
+    QUIET,
+    Floats,
+    InputError,
+    Level,
+    NoAnswerError,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_writes,
+    card,
+    output_errors,
+)
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
 from gis_radar.calibration.localization import (
@@ -22,14 +34,7 @@ from gis_radar.calibration.localization import (
     refuse_both,
     start_in_map,
 )
-from gis_radar.calibration.moving import (
-    RIGHT,
-    Span,
-    best_end,
-    common_time,
-    read_span,
-    read_until,
-)
+from gis_radar.calibration.moving import RIGHT, Span, best_end, common_time, read_span, read_until
 from gis_radar.calibration.network import CLASH_HINT, Solved, solve_network
 from gis_radar.calibration.placing import Station
 from gis_radar.calibration.result import AmbiguousError, Localization
@@ -41,14 +46,8 @@ from gis_radar.calibration.scan_check import (
 )
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving
-from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import atomic_writes, output_errors
-from gis_radar.lanelets import LaneletMap
-from gis_radar.notebooks import card
-from gis_radar.poses.files import write_pose
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Level, Reporter
-from gis_radar.texts import Text
+from gis_radar.hdmap import LaneletMap
+from gis_radar.poses import Pose, write_pose
 
 # Of the recordings of several days, the seconds in which most sensors recorded: 2000 frames.
 COMMON_S = 100.0

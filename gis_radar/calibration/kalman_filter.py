@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from gis_radar.calibration.settings import HOUR_S, LEVER_M, MONITOR
 from gis_radar.calibration.state import State, angles_from_turn
 

@@ -8,14 +8,11 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
 from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, match_along, sample_lanes
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import Detections, Recording
-from gis_radar.texts import Text
-from gis_radar.tiles.tiles import quads
+from gis_radar.hdmap import quads
+from gis_radar.poses import Pose, PoseTrack
+from gis_radar.recordings import Detections, Recording
 
 STAGE = "reading traffic"
 REACH_M = 300.0  # lanes around a sensor are looked at that far: the longest range of the sensors
@@ -182,7 +179,7 @@ def lanelets_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     Parameters
     ----------
     tiles : GeoDataFrame
-        As from :func:`gis_radar.tiles.tiles.read_tiles`.
+        As from :func:`gis_radar.hdmap.tiles.read_tiles`.
     """
     corners = quads(tiles)
     ends = [(corners[:, i] + corners[:, j]) / 2.0 for i, j in ((0, 3), (1, 2))]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gis_radar.base import InputError, NoAnswerError, Reporter, Text
 from gis_radar.calibration.certainty import advantage, certainty, stated
 from gis_radar.calibration.hypotheses import (
     Hypothesis,
@@ -19,14 +20,8 @@ from gis_radar.calibration.hypotheses import (
 )
 from gis_radar.calibration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
 from gis_radar.calibration.result import STAGE, AmbiguousError, Localization, Problem, common
-from gis_radar.calibration.settings import (
-    LOCALIZATION,
-    LocalizationSettings,
-)
+from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
-from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.progress import Reporter
-from gis_radar.texts import Text
 
 # Squared standard deviations within which two answers are one (99.9 %, 3 components).
 SAME_CHI2 = 16.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.calibration.lanes import Lanes, match_along
 from gis_radar.calibration.settings import TraceSettings
 from gis_radar.calibration.state import State

@@ -11,11 +11,10 @@ import scipy
 import shapely
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Samples
-from gis_radar.errors import NoAnswerError
 
 # Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius lose 1 cm.
 LANE_STEP_M = 1.0
@@ -116,7 +115,7 @@ def sample_lanes(
     Parameters
     ----------
     lanelets : GeoDataFrame
-        As in :class:`gis_radar.lanelets.LaneletMap`.
+        As in :class:`gis_radar.hdmap.LaneletMap`.
     road : (n, 3) array
         Points of the road's surface in the lanelets' CRS, metres; it gives the heights.
     place : (2,) array

@@ -11,17 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import (
+    QUIET,
+    SILENT,
+    Floats,
+    InputError,
+    NoAnswerError,
+    Reporter,
+    Text,
+    UsageError,
+    looks_like_degrees,
+    moved_position,
+    yaw_from_compass,
+)
 from gis_radar.calibration.icp import by_icp
 from gis_radar.calibration.lane_method import by_lanes
 from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.range_scale import NOT_FITTED, measure_range_scale
-from gis_radar.calibration.result import (
-    AmbiguousError,
-    Localization,
-    Problem,
-    draw_localization,
-)
+from gis_radar.calibration.result import AmbiguousError, Localization, Problem, draw_localization
 from gis_radar.calibration.scan_check import (
     CONFIRMS,
     DOUBTS,
@@ -32,17 +39,10 @@ from gis_radar.calibration.scan_check import (
 )
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving
-from gis_radar.crs import looks_like_degrees, moved_position, yaw_from_compass
-from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.lanelets import LaneletMap, read_map
-from gis_radar.poses.pose import Pose, View
-from gis_radar.progress import QUIET, SILENT, Reporter
-from gis_radar.recordings.formats import open_recording
-from gis_radar.scans.scan import read_road, road_crs
-from gis_radar.sight import Sight, SightScan, SightTiles, find_sight
-from gis_radar.texts import Text
-from gis_radar.tiles.lookup import with_road_heights
-from gis_radar.tiles.tiles import make_tiles
+from gis_radar.hdmap import LaneletMap, make_tiles, read_map, with_road_heights
+from gis_radar.poses import Pose, View
+from gis_radar.recordings import open_recording
+from gis_radar.scans import Sight, SightScan, SightTiles, find_sight, read_road, road_crs
 
 FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
 MOST_TRIES = 5  # recordings tried for a pose, in turn: a quiet day or two in between

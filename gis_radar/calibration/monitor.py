@@ -12,7 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import (
+    QUIET,
+    STEP_S,
+    Floats,
+    NoAnswerError,
+    Reporter,
+    Text,
+    iso_from_step,
+    require_same,
+    seconds_from_iso,
+    step_of,
+)
 from gis_radar.calibration.alarm import Displacement
 from gis_radar.calibration.hypotheses import REFLECTION_M
 from gis_radar.calibration.kalman_filter import (
@@ -34,16 +45,9 @@ from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
-from gis_radar.crs import require_same
-from gis_radar.errors import NoAnswerError
-from gis_radar.lanelets import LaneletMap
-from gis_radar.poses.files import PoseTrack, as_track
-from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import as_recording
-from gis_radar.recordings.recording import Detections, Recording
-from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso, step_of
-from gis_radar.texts import Text
+from gis_radar.hdmap import LaneletMap
+from gis_radar.poses import COMPONENTS, Evidence, Pose, PoseTrack, as_track
+from gis_radar.recordings import Detections, Recording, as_recording
 
 LEAST_CYCLE = 0.5  # a last cycle shorter than that share of one gives no pose
 # Least sigma of a start pose; keeps the covariance regular.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.kalman_filter import Estimate, Innovation, innovation, likeliest_move
 from gis_radar.calibration.settings import MonitorSettings

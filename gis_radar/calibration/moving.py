@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from gis_radar.base import QUIET, InputError, Reporter
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings, TraceSettings
 from gis_radar.calibration.traces import Moving
-from gis_radar.errors import InputError
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import open_recording
-from gis_radar.recordings.window import RollingWindow
+from gis_radar.recordings import RollingWindow, open_recording
 
 STAGE = "reading traces"
 RIGHT = SensorClock(offset_s=0.0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import Floats, Integers, NoAnswerError, Text
 from gis_radar.calibration.adjustment import (
     CLOCK_S,
     FREE_CLOCK_S,
@@ -51,9 +51,7 @@ from gis_radar.calibration.placing import (
 from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, link_tracks
-from gis_radar.errors import NoAnswerError
-from gis_radar.poses.pose import Pose
-from gis_radar.texts import Text
+from gis_radar.poses import Pose
 
 # Offsets of clocks that are looked for: beyond, radars have no common time at all; smaller ones
 # are left to the adjustment of the poses.

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 
+from gis_radar.base import NoAnswerError, Text
 from gis_radar.calibration.clock_offsets import measured_offset
 from gis_radar.calibration.findings import Finding, wrong
 from gis_radar.calibration.lane_detections import LaneDetections
-from gis_radar.errors import NoAnswerError
-from gis_radar.texts import Text
 
 CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0  # between sensors with a common view: a car's length and more
 

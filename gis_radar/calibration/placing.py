@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers, Text
 from gis_radar.calibration.certainty import Names, z_score
 from gis_radar.calibration.correspondences import (
     FARTHEST_M,
@@ -23,8 +23,7 @@ from gis_radar.calibration.correspondences import (
 )
 from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.traces import Moving
-from gis_radar.poses.pose import Pose
-from gis_radar.texts import Text
+from gis_radar.poses import Pose
 
 GATE_CHI2 = 13.8  # two degrees of freedom: 1 in 1000 true pairs is lost
 # Grid on which the shift between two sensors is looked for, and how far at least.

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gis_radar.base import QUIET, Reporter, Text
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.excerpt import LEAST_VEHICLES, WILD_MPS, Excerpt, iso, read_excerpt
 from gis_radar.calibration.findings import FITS, UNKNOWN, WRONG, Finding, wrong
@@ -43,11 +44,8 @@ from gis_radar.calibration.solver import Fit, Prior, solve
 from gis_radar.calibration.state import POSE, State
 from gis_radar.calibration.traces import thin
 from gis_radar.calibration.windows import NEAR, WINDOW, data_alone
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Recording
-from gis_radar.texts import Text
+from gis_radar.poses import Pose, PoseTrack
+from gis_radar.recordings import Recording
 
 STAGE = "checking poses and recordings"
 

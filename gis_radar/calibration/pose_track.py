@@ -10,17 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.base import (
+    STEP_US,
+    Booleans,
+    Floats,
+    UsageError,
+    axes_or_new,
+    card,
+    iso_from_step,
+    label_times,
+    picture_file,
+    step_of,
+)
 from gis_radar.calibration.certainty import stated
 from gis_radar.calibration.kalman_filter import Estimate
 from gis_radar.calibration.result import Problem
 from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
-from gis_radar.errors import UsageError
-from gis_radar.notebooks import axes_or_new, card, label_times, picture_file
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import COMPONENTS, Pose
-from gis_radar.steps import STEP_US, iso_from_step, step_of
+from gis_radar.poses import COMPONENTS, Pose, PoseTrack
 
 LINE, NEAR, FAR, MOVE, REJECT, QUIET = (
     "#1d4ed8", "#93b4f5", "#dbe6fd", "#c2410c", "#fcd9a0", "#e5e7eb",

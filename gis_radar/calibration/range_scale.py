@@ -14,10 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, Text
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
-from gis_radar.errors import NoAnswerError
-from gis_radar.texts import Text
 
 # The search pairs detections so long apart: a vehicle moves farther than the length of a car.
 LAPSE_S = 0.5

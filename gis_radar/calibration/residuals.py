@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.calibration.lanes import Lanes, Matches, Placed
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.state import SIZE

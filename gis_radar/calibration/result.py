@@ -11,24 +11,27 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import (
+    Floats,
+    NoAnswerError,
+    axes_or_new,
+    card,
+    figure_text,
+    iso_from_step,
+    label_map,
+    legend_below,
+    percent,
+    picture_file,
+    small_picture,
+    step_of,
+    tr,
+)
 from gis_radar.calibration.scan_check import ScanCheck
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Moving
-from gis_radar.errors import NoAnswerError
-from gis_radar.lanelets import LaneletMap
-from gis_radar.notebooks import (
-    axes_or_new,
-    card,
-    label_map,
-    legend_below,
-    picture_file,
-    small_picture,
-)
-from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
-from gis_radar.sight import Sight, SightTiles
-from gis_radar.steps import iso_from_step, step_of
-from gis_radar.words import figure_text, percent, tr
+from gis_radar.hdmap import LaneletMap
+from gis_radar.poses import COMPONENTS, Pose, View, draw_sensor, ellipse
+from gis_radar.scans import Sight, SightTiles
 
 STAGE = "finding the pose"
 
@@ -254,7 +257,7 @@ def draw_localization(
     from matplotlib.text import Text  # noqa: PLC0415
 
     from gis_radar.calibration.scan_check_picture import draw_surroundings  # noqa: PLC0415
-    from gis_radar.sight.picture import draw_sight  # noqa: PLC0415
+    from gis_radar.scans import draw_sight  # noqa: PLC0415
 
     beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
     size_in = WITH_ONE_IN if len(beside) == 1 else WITH_TWO_IN if beside else SIZE_IN

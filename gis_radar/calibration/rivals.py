@@ -10,7 +10,7 @@ import geopandas as gpd
 import numpy as np
 import scipy
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.base import Booleans, Floats, NoAnswerError, Text, yaw_from_compass
 from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.hypotheses import find_hypotheses, mirrored
@@ -25,10 +25,7 @@ from gis_radar.calibration.lanes import (
 )
 from gis_radar.calibration.range_scale import ABSOLUTE
 from gis_radar.calibration.traces import thin
-from gis_radar.crs import yaw_from_compass
-from gis_radar.errors import NoAnswerError
-from gis_radar.poses.pose import Pose
-from gis_radar.texts import Text
+from gis_radar.poses import Pose
 
 # A detection is of a vehicle on a lane, anywhere on its width, with edges as soft as poses, maps
 # and bearings (1 sigma: metres, and as a share of the range) are; or of anything else, anywhere.
@@ -186,7 +183,7 @@ class LaneMap:
     Parameters
     ----------
     lanelets : GeoDataFrame
-        As in :class:`gis_radar.lanelets.LaneletMap`.
+        As in :class:`gis_radar.hdmap.LaneletMap`.
     road : (n, 3) array
         Points of the road's surface, which give heights.
     """

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from pyproj import CRS
 
-from gis_radar.arrays import Floats
+from gis_radar.base import CELL_M, QUIET, Floats, InputError, Reporter, Text
 from gis_radar.calibration.surroundings import (
     SCAN_CHECK,
     LevelFrame,
@@ -28,13 +28,9 @@ from gis_radar.calibration.surroundings import (
     read_structure,
     standing,
 )
-from gis_radar.errors import InputError
-from gis_radar.grid import CELL_M
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Recording
-from gis_radar.scans.scan import box_with_margin, open_scan
-from gis_radar.texts import Text
+from gis_radar.poses import Pose
+from gis_radar.recordings import Recording
+from gis_radar.scans import box_with_margin, open_scan
 
 COARSE_CELLS = 2  # the search over all headings has cells so many times wider
 # Its step of heading, degrees, and its reach ahead and aside, metres.

@@ -12,12 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.transforms import Affine2D
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.base import CELL_M, Booleans, Floats, label_map, legend_below, picture_file, tr
 from gis_radar.calibration.scan_check import SHIFT_M, ScanCheck
 from gis_radar.calibration.surroundings import Structure
-from gis_radar.grid import CELL_M
-from gis_radar.notebooks import label_map, legend_below, picture_file
-from gis_radar.words import tr
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)

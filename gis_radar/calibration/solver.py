@@ -8,7 +8,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.lanes import (
     LANE_BINS,
     Lanes,

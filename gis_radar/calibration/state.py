@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 
 # The order of a step: metres, radians about the map's axes, then how high vehicles reflect.
 NAMES = ("easting", "northing", "height", "turn_x", "turn_y", "turn_z", "reflection")

@@ -20,13 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter, uniform_filter
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.alarm import Displacement
-from gis_radar.calibration.settings import (
-    HOUR_S,
-    MONITOR,
-    MonitorSettings,
-)
+from gis_radar.calibration.settings import HOUR_S, MONITOR, MonitorSettings
 
 # Hits are mapped by range and azimuth up to there, in such cells: finer than a target's wander.
 REACH_M = 300.0

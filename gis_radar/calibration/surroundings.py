@@ -14,15 +14,17 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.grid import CELL_M, Grid
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import as_recording
-from gis_radar.recordings.recording import RangeCounts, Recording
-from gis_radar.recordings.window import RollingWindow
-from gis_radar.scans.columns import Columns, ground_under, nearest_known, read_columns
-from gis_radar.scans.scan import box_with_margin, open_scan
+from gis_radar.base import CELL_M, QUIET, Booleans, Floats, Grid, Integers, Reporter
+from gis_radar.poses import Pose
+from gis_radar.recordings import RangeCounts, Recording, RollingWindow, as_recording
+from gis_radar.scans import (
+    Columns,
+    box_with_margin,
+    ground_under,
+    nearest_known,
+    open_scan,
+    read_columns,
+)
 
 SPANS = 20  # equal parts of the window, in which hits of a cell are looked for
 PATCH_M = 8.0  # side of the squares that vote as one: a tree, or a piece of wall

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.calibration.settings import LOCALIZATION, TraceSettings
 
 LINK_S = 0.35  # longest gap in a track: a far vehicle is hit in every fourth frame or so

@@ -13,7 +13,7 @@ from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.stationary_targets import StationaryTargets, Verdict
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
-from gis_radar.recordings.recording import Detections
+from gis_radar.recordings import Detections
 
 # Newest blocks that exclude a blow; and those that show how far a move went.
 BLOW_BLOCKS = 1

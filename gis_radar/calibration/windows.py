@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import QUIET, Floats, Integers, NoAnswerError, Reporter
 from gis_radar.calibration.adaptation import adapted
 from gis_radar.calibration.certainty import advantage, certainty
 from gis_radar.calibration.hypotheses import find_hypotheses, prior_at, rough
@@ -23,8 +23,6 @@ from gis_radar.calibration.settings import MONITOR, MonitorSettings, Schedule, T
 from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
-from gis_radar.errors import NoAnswerError
-from gis_radar.progress import QUIET, Reporter
 
 # 1 sigma of the prior under which a window is fitted: around the expected pose, wide.
 NEAR = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))

@@ -6,9 +6,9 @@ from typing import NoReturn
 
 import click
 
+from gis_radar.base import go_offline
 from gis_radar.cli import datasets, live, maps, poses, recordings, sites
 from gis_radar.cli.console import run_group
-from gis_radar.processes import go_offline
 
 LONGEST_SENTENCE = 200  # characters of a command's first sentence, more is cut with dots
 

@@ -23,14 +23,33 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text as Cell
 
+from gis_radar.base import (
+    LETTERS_OF_AN_ERROR,
+    GisRadarError,
+    Level,
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+    first_line,
+    free_address_space,
+    interrupt_main_thread,
+    json_text,
+    one_line,
+    speaking,
+    tr,
+    users_language,
+    watch_input,
+)
+from gis_radar.cli.result_tables import (
+    as_lines,
+    as_title,
+    is_table,
+    table_of_answer,
+    table_of_entries,
+    table_of_rows,
+)
 from gis_radar.cli.usage import told
-from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
-from gis_radar.json_documents import json_text
-from gis_radar.languages import users_language
-from gis_radar.processes import free_address_space, interrupt_main_thread, watch_input
-from gis_radar.progress import LETTERS_OF_AN_ERROR, Level, Reporter, one_line
-from gis_radar.texts import Text
-from gis_radar.words import decimal, speaking, tr
 
 WIDE = 160
 FOR_PROGRAMS = {"settings", "found"}  # constants in effect, what `remarks` repeats: for --json
@@ -200,16 +219,18 @@ class TerminalConsole(Console):
                 continue
             if isinstance(value, list) and value and isinstance(value[0], list):
                 tables.append((name, value))
-            elif _is_table(value):
+            elif is_table(value):
                 # A number that is cut short is a wrong number: rather a line too long.
-                rich.console.Console(width=max(out.width, WIDE)).print(_grid(name, value))
+                rich.console.Console(width=max(out.width, WIDE)).print(
+                    table_of_entries(name, value)
+                )
             else:
-                table.add_row(_title(name), Cell(_lines(name, value)))
+                table.add_row(as_title(name), Cell(as_lines(name, value)))
         out.print(table)
         for name, rows in tables:
-            out.print(_rows(name, rows))
+            out.print(table_of_rows(name, rows))
         if result.rows:
-            rich.console.Console(width=max(out.width, WIDE)).print(_answer(result.rows))
+            rich.console.Console(width=max(out.width, WIDE)).print(table_of_answer(result.rows))
         for path in result.outputs:
             out.print(tr("wrote {path}", path=path), markup=False, highlight=False, soft_wrap=True)
         if result.advice:
@@ -231,7 +252,7 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
     summary = dict(result.summary)
     if result.timezone == "UTC":
         return summary
-    from gis_radar.steps import Clock, zone_of  # noqa: PLC0415 - NumPy
+    from gis_radar.base import Clock, zone_of  # noqa: PLC0415 - NumPy
 
     moment = datetime(1970, 1, 1, tzinfo=UTC)  # each time in a text tells its own offset
     clock = Clock(zone=zone_of(result.timezone), first=moment, last=moment)
@@ -245,86 +266,6 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
 
     shown = {name: local(value) for name, value in summary.items()}
     return {**shown, "timezone": result.timezone} if shown != summary else summary
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, Mapping) and all(isinstance(row, Mapping) for row in value.values())
-
-
-def _lines(name: str, value: Any) -> str:
-    """Return a value as text: sentences a line each; a lane's number is no amount."""
-    if name.endswith("lane"):
-        return str(value)
-    if isinstance(value, Mapping):
-        worded = all(isinstance(each, str) for each in value.values())
-        return "\n".join(f"{k}: {v}" for k, v in value.items()) if worded else json_text(value)
-    if isinstance(value, list) and any(" " in str(each) for each in value):
-        return "\n".join(map(_readable, value))
-    return _readable(value)
-
-
-def _title(name: str) -> str:
-    return tr(name.replace("_", " "))
-
-
-def _rows(name: str, rows: list[list[Any]]) -> Table:
-    """Return rows below their head as a table that wraps."""
-    head, *rest = rows
-    table = Table(box=None, pad_edge=False, title=_title(name), title_justify="left")
-    for title in head:
-        table.add_column(Cell(str(title)), overflow="fold")  # nothing is cut
-    for row in rest:
-        table.add_row(*(Cell(_readable(each)) for each in row))
-    return table
-
-
-def _answer(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the rows of an answer as a table, whole numbers as they are."""
-    table = Table(box=None, pad_edge=False)
-    for name in rows[0] if rows else ():
-        table.add_column(Cell(name), overflow="fold")
-    for row in rows:
-        texts = (_number(each) if isinstance(each, float) else each for each in row.values())
-        table.add_row(
-            *(Cell("" if each is None else one_line(str(each), sys.maxsize)) for each in texts)
-        )
-    return table
-
-
-def _number(value: float) -> str:
-    """Return a number with six digits, a coordinate with its millimetres."""
-    return f"{value:.3f}" if 1e3 <= abs(value) < 1e12 else f"{value:.6g}"
-
-
-def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Return a table with a row for each entry, and a column for each name that any has."""
-    fullest_first = sorted(rows.values(), key=len, reverse=True)
-    columns = list(dict.fromkeys(column for row in fullest_first for column in row))
-    table = Table(box=None, pad_edge=False)
-    for title in (name, *columns):
-        table.add_column(Cell(_title(title)), justify="left" if title == name else "right")
-    for key, row in rows.items():
-        cells = [row.get(column, "") for column in columns]
-        texts = [decimal(f"{c:.3f}") if isinstance(c, float) else _cell(c) for c in cells]
-        table.add_row(Cell(key), *map(Cell, texts))
-    return table
-
-
-def _cell(value: Any) -> str:
-    """Return a value of a table: a single word is a state, not a name."""
-    return tr(value) if isinstance(value, str) else _readable(value)
-
-
-def _readable(value: Any) -> str:
-    if value is None:
-        return tr("not known")
-    if isinstance(value, float):
-        return decimal(f"{value:.4g}") if abs(value) < 1000 else f"{value:,.2f}"
-    if isinstance(value, list | tuple):
-        return ", ".join(_readable(item) for item in value)
-    if isinstance(value, int) and not isinstance(value, bool):
-        return f"{value:,}"
-    return tr(value) if isinstance(value, Text) or " " in str(value) else str(value)
 
 
 TRACEBACK = "GIS_RADAR_TRACEBACK"

@@ -8,10 +8,9 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar.base import Reporter, refuse_inputs
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import DURATION, FILE
-from gis_radar.files import refuse_inputs
-from gis_radar.progress import Reporter
 
 
 @command(

@@ -7,16 +7,14 @@ from pathlib import Path
 import click
 
 import gis_radar as gr
+from gis_radar.base import Reporter, refuse_inputs, stopped_by_signals
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE
-from gis_radar.files import refuse_inputs
-from gis_radar.processes import stopped_by_signals
-from gis_radar.progress import Reporter
 
 
 def _print_template(context: click.Context, _option: click.Parameter, wanted: object) -> None:
     if wanted:
-        from gis_radar.live.settings import edge_template  # noqa: PLC0415 - --help needs no NumPy
+        from gis_radar.live import edge_template  # noqa: PLC0415 - --help needs no NumPy
 
         click.echo(edge_template(), nl=False)
         context.exit()
@@ -50,7 +48,7 @@ def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result
     It ends with Ctrl-C; hours that are over are then measured.
     """
     if broker_files is not None:
-        from gis_radar.live.broker_files import write_broker_files  # noqa: PLC0415 - a command's
+        from gis_radar.live import write_broker_files  # noqa: PLC0415 - a command's
 
         refuse_inputs(broker_files, site)
         return Result(outputs=write_broker_files(site, broker_files))

@@ -8,10 +8,9 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar.base import Reporter, refuse_inputs
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, WORDS, dataset, origin, output, scan_crs
-from gis_radar.files import refuse_inputs
-from gis_radar.progress import Reporter
 
 MASK_ENGINES = ("auto", "pdal", "laspy")
 
@@ -35,7 +34,7 @@ def tiles(
     **options: Any,
 ) -> Result:  # fmt: skip
     """Split the lanelets of a Lanelet2 map into tiles (GeoPackage), and list its lanes."""
-    from gis_radar.site.recipes import split_map  # noqa: PLC0415 - --help needs no NumPy
+    from gis_radar.site import split_map  # noqa: PLC0415 - --help needs no NumPy
 
     refuse_inputs(output, *[path for path in (map_path, road, streets) if path])
     summary = split_map(map_path, output, road=road, streets=streets, reporter=reporter, **options)
@@ -62,7 +61,7 @@ def mask(
     *, scans: tuple[Path, ...], map_path: Path, output: Path, reporter: Reporter, **options: Any
 ) -> Result:
     """Mask the road out of airborne laser scans: one point each 0.5 m (LAZ)."""
-    from gis_radar.site.recipes import mask_scans  # noqa: PLC0415 - --help needs no NumPy
+    from gis_radar.site import mask_scans  # noqa: PLC0415 - --help needs no NumPy
 
     refuse_inputs(output, *scans, map_path)
     outputs, summary = mask_scans(scans, map_path, output, reporter=reporter, **options)

@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 
 import click
 
-from gis_radar.errors import UsageError
-from gis_radar.texts import Text
+from gis_radar.base import Text, UsageError
 
 FILE = click.Path(path_type=Path)
 Verb = TypeVar("Verb", bound=Callable[..., Any])
@@ -58,7 +57,7 @@ def _numbers(names: str, text: str) -> tuple[float, ...]:
 
 
 def _position(text: str) -> tuple[float, ...]:
-    from gis_radar.crs import looks_like_degrees  # noqa: PLC0415 - NumPy
+    from gis_radar.base import looks_like_degrees  # noqa: PLC0415 - NumPy
 
     numbers = _numbers("E,N,H" if text.count(",") == 2 else "E,N", text)
     if looks_like_degrees(*numbers[:2]):
@@ -67,8 +66,7 @@ def _position(text: str) -> tuple[float, ...]:
 
 
 def _bearing(text: str) -> float:
-    from gis_radar.crs import bearing_of  # noqa: PLC0415 - NumPy
-    from gis_radar.words import WINDS  # noqa: PLC0415 - only what is used
+    from gis_radar.base import WINDS, bearing_of  # noqa: PLC0415 - pyproj comes late
 
     try:
         return bearing_of(text)
@@ -92,7 +90,7 @@ def _pairs(text: str) -> dict[str, str]:
 
 
 def _duration(text: str) -> float:
-    from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
+    from gis_radar.base import duration_s  # noqa: PLC0415 - NumPy
 
     try:
         return float(text)
@@ -101,7 +99,7 @@ def _duration(text: str) -> float:
 
 
 def _cycles(text: str) -> dict[str, float]:
-    from gis_radar.steps import CYCLE_HINT, duration_s  # noqa: PLC0415 - NumPy
+    from gis_radar.base import CYCLE_HINT, duration_s  # noqa: PLC0415 - NumPy
 
     if text == "auto":
         raise ValueError(Text("'auto' is none: {}", CYCLE_HINT))

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar.base import OutputError, Reporter, Text, UsageError, refuse_inputs, require_folder
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
     BEARING,
@@ -22,10 +23,6 @@ from gis_radar.cli.options import (
     sight_scans,
     tile_file,
 )
-from gis_radar.errors import OutputError, UsageError
-from gis_radar.files import refuse_inputs, require_folder
-from gis_radar.progress import Reporter
-from gis_radar.texts import Text
 
 
 @command(
@@ -145,7 +142,7 @@ def track(
     if output.suffix.lower() != ".csv":
         raise UsageError("{}: a pose track is a CSV file", output, hint="name it track.csv")
     _check_outputs(output, figure, recording, map_path, road, pose)
-    from gis_radar.scans.scan import road_crs  # noqa: PLC0415 - --help needs no NumPy
+    from gis_radar.scans import road_crs  # noqa: PLC0415 - --help needs no NumPy
 
     start = gr.read_track(pose)
     roads = gr.read_map(map_path, crs=road_crs(road), origin=origin, reporter=reporter)
@@ -195,7 +192,7 @@ def sight(
     **options: Any,
 ) -> Result:
     """Find which tiles sensors see from their poses, and which something hides (GeoPackage)."""
-    from gis_radar.site.recipes import see_tiles  # noqa: PLC0415 - --help needs no NumPy
+    from gis_radar.site import see_tiles  # noqa: PLC0415 - --help needs no NumPy
 
     refuse_inputs(output, *poses, tiles_path, *scans, *recordings)
     if not scans:

@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar.base import Reporter, refuse_inputs
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import (
+from gis_radar.cli.options import (  # fmt: skip
     DURATION,
     FILE,
     PAIRS,
@@ -24,9 +25,7 @@ from gis_radar.cli.options import (
     sight,
     tile_file,
     view,
-)  # fmt: skip
-from gis_radar.files import refuse_inputs
-from gis_radar.progress import Reporter
+)
 
 
 @command(example="gis-radar convert capture.pcap -o R1.parquet")
@@ -93,7 +92,7 @@ def measure(
 
     A dataset that is there is added to; what did not change is not made again.
     """
-    from gis_radar.site.recipes import measure_recordings  # noqa: PLC0415 - --help needs no NumPy
+    from gis_radar.site import measure_recordings  # noqa: PLC0415 - --help needs no NumPy
 
     files = [*_files(clocks, sight), *([] if map_path is None else [map_path])]
     refuse_inputs(output, *recordings, *poses, tiles_path, *scans, *files)
@@ -180,7 +179,7 @@ def quality(
 ) -> Result:
     """Show what a dataset rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
-        from gis_radar.quality.quality import require_table_name  # noqa: PLC0415 - late as above
+        from gis_radar.products import require_table_name  # noqa: PLC0415 - late as above
 
         require_table_name(output)
         refuse_inputs(output, folder, *folder.rglob("*"))

@@ -9,11 +9,9 @@ from typing import Any
 import click
 
 import gis_radar as gr
+from gis_radar.base import Reporter, Text, atomic_folder, refuse_inputs
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, csv_locale, output
-from gis_radar.files import atomic_folder, refuse_inputs
-from gis_radar.progress import Reporter
-from gis_radar.texts import Text
 
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from gis_radar.texts import Text
+from gis_radar.base import Text
 
 CLICK_TEXTS = (
     "Missing argument {}.",

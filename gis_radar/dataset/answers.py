@@ -13,8 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from gis_radar.errors import UsageError
-from gis_radar.files import atomic_write
+from gis_radar.base import UsageError, atomic_write
 
 
 def plain_schema(schema: pa.Schema) -> pa.Schema:

@@ -16,15 +16,19 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyogrio
 
-from gis_radar.arrays import Integers
-from gis_radar.dataset.manifest import TILES, Manifest
-from gis_radar.dataset.parts import (
-    MEASURE_AGAIN,
-    hour_begin,
-    hour_of_step,
-    hour_text,
-    whole_table,
+from gis_radar.base import (
+    QUIET,
+    InputError,
+    Integers,
+    Reporter,
+    UsageError,
+    card,
+    opened_package,
+    step_at,
+    zone_of,
 )
+from gis_radar.dataset.manifest import TILES, Manifest
+from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
 from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, read_hours
 from gis_radar.dataset.tables import (
@@ -47,15 +51,8 @@ from gis_radar.dataset.tables import (
 )
 from gis_radar.dataset.tile_counts import check_counts, read_counts
 from gis_radar.dataset.units import for_people
-from gis_radar.errors import InputError, UsageError
-from gis_radar.geopackage import opened_package
-from gis_radar.lanelets.lanes import LANES, STOP_LINES
-from gis_radar.measures.hour import LONGEST_VALID_STEPS
-from gis_radar.measures.validity import Runs, union
-from gis_radar.notebooks import card
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import step_at, zone_of
-from gis_radar.tiles.tiles import LAYER, fingerprint, read_tiles
+from gis_radar.hdmap import LANES, LAYER, STOP_LINES, fingerprint, read_tiles
+from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union
 
 Moment: TypeAlias = str | datetime | int | None
 """A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""

@@ -19,7 +19,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Integers
+from gis_radar.base import InputError, Integers
 from gis_radar.dataset.parts import Origin
 from gis_radar.dataset.records import HourWriter
 from gis_radar.dataset.tables import (
@@ -33,29 +33,36 @@ from gis_radar.dataset.tables import (
     VEHICLES,
     VISIBLE,
 )
-from gis_radar.errors import InputError
-from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.measures.frame_hash import HashedFrames
-from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
-from gis_radar.measures.hour_hits import (
+from gis_radar.hdmap import LaneGraph, TileGrid
+from gis_radar.measures import (
+    HIT_DEFAULTS,
+    LONGEST_VALID_STEPS,
+    Filters,
+    HashedFrames,
+    HitSettings,
+    HitTarget,
+    HourWindow,
+    PlacedRecording,
+    PoseSight,
+    RecordingCounts,
+    SensorHour,
     ValidFrames,
     frame_columns,
     observed_runs,
+    read_sensor,
     sorted_hits,
     valid_runs,
+    valid_steps,
 )
-from gis_radar.measures.pose_sights import PlacedRecording, PoseSight
-from gis_radar.measures.sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
-from gis_radar.measures.settings import HIT_DEFAULTS
-from gis_radar.measures.settings import Filters, HitSettings
-from gis_radar.measures.validity import valid_steps
-from gis_radar.sight import SightTiles
-from gis_radar.tiles.lookup import TileGrid
-from gis_radar.tracking.hour_vehicles import HourVehicles, vehicles_of_hour
-from gis_radar.tracking.occupancy_settings import OCCUPANCY_DEFAULTS
-from gis_radar.tracking.occupancy_settings import OccupancySettings
-from gis_radar.tracking.settings import VEHICLE_DEFAULTS
-from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.scans import SightTiles
+from gis_radar.tracking import (
+    OCCUPANCY_DEFAULTS,
+    VEHICLE_DEFAULTS,
+    HourVehicles,
+    OccupancySettings,
+    VehicleSettings,
+    vehicles_of_hour,
+)
 
 METHOD = 6
 """Raised whenever the same inputs would give other parts."""

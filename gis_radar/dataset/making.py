@@ -12,6 +12,18 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    Reporter,
+    Text,
+    only_writer,
+    output_errors,
+    refuse_foreign,
+    require_folder,
+    stop_pool,
+    watch_parent,
+)
 from gis_radar.dataset.hour_job import HourSite, MadeHour, make_hour, read_sensors
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import clear_unfinished, days_of, hour_text, part_path
@@ -26,12 +38,7 @@ from gis_radar.dataset.registry import (
 )
 from gis_radar.dataset.tables import HOUR_TABLES, TABLES
 from gis_radar.dataset.tile_counts import update_counts
-from gis_radar.errors import GisRadarError, InputError
-from gis_radar.files import only_writer, output_errors, refuse_foreign, require_folder
-from gis_radar.measures.hour import HourWindow
-from gis_radar.processes import stop_pool, watch_parent
-from gis_radar.progress import Reporter
-from gis_radar.texts import Text
+from gis_radar.measures import HourWindow
 
 OWNED = (  # how the names of files begin that a making which was killed may have left
     "map.osm", "tiles.gpkg", "recordings.parquet", "poses.parquet", "sights.parquet", ".",

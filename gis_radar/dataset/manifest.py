@@ -11,13 +11,18 @@ from typing import Any, Self
 
 import geopandas as gpd
 
+from gis_radar.base import (
+    InputError,
+    Text,
+    output_errors,
+    read_json,
+    restored,
+    with_texts,
+    writing_errors,
+)
 from gis_radar.dataset.parts import rename_whole, unfinished, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
-from gis_radar.errors import InputError
-from gis_radar.files import output_errors, writing_errors
-from gis_radar.json_documents import read_json
-from gis_radar.texts import Text, restored, with_texts
-from gis_radar.tiles.tiles import write_tiles
+from gis_radar.hdmap import write_tiles
 
 MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
 MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")

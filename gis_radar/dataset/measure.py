@@ -11,16 +11,27 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 
+from gis_radar.base import (
+    QUIET,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+    name_of,
+    output_errors,
+    zone_of,
+)
 from gis_radar.calibration import (
     Finding,
     LaneMap,
     RecordedSensor,
     SensorClock,
     check_plausibility,
+    lanelets_of,
     refuse_implausible,
 )
-from gis_radar.calibration.lane_detections import lanelets_of
-from gis_radar.crs import name_of
 from gis_radar.dataset.dataset import Dataset, open_dataset
 from gis_radar.dataset.hour_job import HourSite, MadeHour, MeasureSettings
 from gis_radar.dataset.making import change, writing
@@ -41,25 +52,12 @@ from gis_radar.dataset.registry import (
     validity_by_sensor,
 )
 from gis_radar.dataset.remarks import Examined, remark_on_recordings, remark_on_vehicles
-from gis_radar.errors import InputError, NoAnswerError, OutputError, UsageError
-from gis_radar.files import output_errors
-from gis_radar.lanelets import LaneletMap
-from gis_radar.lanelets.graph import LaneGraph, lane_graph
-from gis_radar.lanelets.lanes import lanes, stop_lines
-from gis_radar.measures.pose_sights import PlacedRecording, SightBook
-from gis_radar.measures.sensor_reading import RecordingCounts
-from gis_radar.measures.settings import Filters
-from gis_radar.measures.validity import validity_of
-from gis_radar.poses.files import PoseTrack, as_track
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import as_recording
-from gis_radar.recordings.recording import Recording
-from gis_radar.sight import SightSource, SightTiles, describe_sight, open_sight
-from gis_radar.steps import zone_of
-from gis_radar.texts import Text
-from gis_radar.tiles.tiles import fingerprint
-from gis_radar.tracking.map_check import map_of_tiles
+from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph, lanes, stop_lines
+from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
+from gis_radar.poses import Pose, PoseTrack, as_track
+from gis_radar.recordings import Recording, as_recording
+from gis_radar.scans import SightSource, SightTiles, describe_sight, open_sight
+from gis_radar.tracking import map_of_tiles
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,11 +15,15 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from gis_radar.base import (
+    STEPS_PER_SECOND,
+    InputError,
+    Text,
+    first_line,
+    output_errors,
+    writing_errors,
+)
 from gis_radar.dataset.tables import SCHEMA, TableSchema
-from gis_radar.errors import InputError, first_line
-from gis_radar.files import output_errors, writing_errors
-from gis_radar.steps import STEPS_PER_SECOND
-from gis_radar.texts import Text
 
 STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
 HOURS_PER_DAY = 24

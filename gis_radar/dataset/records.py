@@ -14,6 +14,7 @@ from typing import Any, Self
 
 import pyarrow.parquet as pq
 
+from gis_radar.base import InputError, output_errors, read_json, writing_errors
 from gis_radar.dataset.parts import (
     MEASURE_AGAIN,
     Origin,
@@ -30,9 +31,6 @@ from gis_radar.dataset.parts import (
     write_part,
 )
 from gis_radar.dataset.tables import HOUR_TABLES, SCHEMA, TABLES, TableSchema
-from gis_radar.errors import InputError
-from gis_radar.files import output_errors, writing_errors
-from gis_radar.json_documents import read_json
 
 HOURS = "hours"
 

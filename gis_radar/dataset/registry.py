@@ -20,17 +20,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import pyarrow as pa
 
+from gis_radar.base import STEP_US, InputError, Text, iso_from_step, step_of
 from gis_radar.calibration import SensorClock
 from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_of_step, whole_table, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
-from gis_radar.errors import InputError
-from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, pose_names
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import pose_from_dict
-from gis_radar.recordings.formats import open_recording
-from gis_radar.recordings.recording import Recording, has_height
-from gis_radar.steps import STEP_US, iso_from_step, step_of
-from gis_radar.texts import Text
+from gis_radar.measures import PlacedRecording, PoseSight, pose_names
+from gis_radar.poses import PoseTrack, pose_from_dict
+from gis_radar.recordings import Recording, has_height, open_recording
 
 LONGEST_GAP_S = 24 * 3600.0
 """A longer time without frames within a recording is that of a clock that was set."""

@@ -10,16 +10,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from gis_radar.base import STEP_US, Reporter, Text, iso_from_step
 from gis_radar.dataset.registry import RecordingEntry
-from gis_radar.measures.pose_sights import PlacedRecording, SightBook
-from gis_radar.measures.sensor_reading import RecordingCounts
-from gis_radar.measures.settings import HitSettings
-from gis_radar.measures.validity import valid_steps
-from gis_radar.poses.pose import View
-from gis_radar.progress import Reporter
-from gis_radar.recordings.overlaps import overlap_warnings
-from gis_radar.recordings.recording import RangeCounts
-from gis_radar.sight import (
+from gis_radar.measures import HitSettings, PlacedRecording, RecordingCounts, SightBook, valid_steps
+from gis_radar.poses import View
+from gis_radar.recordings import RangeCounts, overlap_warnings
+from gis_radar.scans import (
+    SIGHT_DEFAULTS,
     MovingHits,
     Sight,
     find_contradictions,
@@ -27,11 +24,7 @@ from gis_radar.sight import (
     gap_warning,
     report_contradictions,
 )
-from gis_radar.sight.settings import SIGHT_DEFAULTS
-from gis_radar.steps import STEP_US, iso_from_step
-from gis_radar.texts import Text
-from gis_radar.tracking.batches import warn_of_poses
-from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking import VehicleSettings, warn_of_poses
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,8 @@ from typing import Any
 
 import duckdb
 
+from gis_radar.base import Text, UsageError, first_line
 from gis_radar.dataset.tables import TABLES
-from gis_radar.errors import UsageError, first_line
-from gis_radar.texts import Text
 
 LAYERS = ("tiles", "lanes", "stop_lines")
 ASKABLE = (*TABLES, *LAYERS)

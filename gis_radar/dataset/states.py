@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.arrays import Floats, Integers, ranges
+from gis_radar.base import Floats, Integers, ranges
 from gis_radar.dataset.dataset import Dataset
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.tables import EVERY, TRACKS, VEHICLES

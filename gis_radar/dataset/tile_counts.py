@@ -13,7 +13,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled, ranges
+from gis_radar.base import (
+    STEPS_PER_SECOND,
+    Booleans,
+    Floats,
+    InputError,
+    Integers,
+    compiled,
+    ranges,
+)
 from gis_radar.dataset.parts import (
     HOURS_PER_DAY,
     STEPS_PER_HOUR,
@@ -29,8 +37,6 @@ from gis_radar.dataset.parts import (
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord, read_hours
 from gis_radar.dataset.tables import HITS, OBSERVED, OCCUPIED, TILE_COUNTS, VISIBLE, TableSchema
-from gis_radar.errors import InputError
-from gis_radar.steps import STEPS_PER_SECOND
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS

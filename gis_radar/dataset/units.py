@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.steps import STEP_US
+from gis_radar.base import STEP_US
 
 
 @dataclass(frozen=True)

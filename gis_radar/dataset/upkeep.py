@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from gis_radar.base import QUIET, InputError, Reporter, Text
 from gis_radar.dataset.dataset import open_dataset
 from gis_radar.dataset.hour_job import HourSite, MeasureSettings
 from gis_radar.dataset.making import change, writing
@@ -17,12 +18,9 @@ from gis_radar.dataset.registry import (
     touched_hours,
     validity_by_sensor,
 )
-from gis_radar.errors import InputError
-from gis_radar.lanelets.graph import lane_graph
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import is_recording
-from gis_radar.texts import Text
-from gis_radar.tracking.map_check import map_of_tiles
+from gis_radar.hdmap import lane_graph
+from gis_radar.recordings import is_recording
+from gis_radar.tracking import map_of_tiles
 
 
 def withdraw(

@@ -10,6 +10,7 @@ import duckdb
 import geopandas as gpd
 import pyarrow as pa
 
+from gis_radar.base import STEPS_PER_SECOND
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import HOURS_PER_DAY, days_of, part_path
 from gis_radar.dataset.records import HourRecord
@@ -24,7 +25,6 @@ from gis_radar.dataset.tables import (
 )
 from gis_radar.dataset.tile_counts import STEPS_PER_QUARTER, counted_hours, read_counts
 from gis_radar.dataset.units import UNITS
-from gis_radar.steps import STEPS_PER_SECOND
 
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
 

@@ -1,4 +1,7 @@
-"""Live: sensors that send detections over a network, the map of now, and the hours' dataset."""
+"""Live: sensors that send detections over a network, the map of now, and the dataset of hours.
+
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
+"""
 
 import lazy_loader
 

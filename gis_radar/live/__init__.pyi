@@ -2,8 +2,8 @@ from .broker import BrokerAddress, Link, Received, SensorTopics
 from .broker_files import write_broker_files
 from .buffer import DiskBuffer
 from .detections import DetectionSelector, FrameDetections, pack_detections, unpack_detections
-from .edge import Edge
-from .fusion import Fusion
+from .edge import Edge, run_edge
+from .fusion import Fusion, run_fusion
 from .health import SensorHealth, prometheus_text
 from .intake import Intake
 from .map_of_now import MapOfNow, Windows
@@ -21,7 +21,7 @@ from .payload import (
 from .quarters import Lately, TileOccupancy
 from .recent import RecentCounts
 from .recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
-from .settings import read_edge_file, read_live_site
+from .settings import edge_template, read_edge_file, read_live_site
 from .snapshot import Place, Snapshot
 from .sources import Radar, frames_of_recording
 from .spool import Spool, SpooledFrames, SpoolFile, spool_files
@@ -58,6 +58,7 @@ __all__ = [
     "WebServer",
     "Windows",
     "check_of",
+    "edge_template",
     "frames_of_recording",
     "join_parts",
     "key_of_pose",
@@ -69,6 +70,8 @@ __all__ = [
     "read_edge_file",
     "read_live_site",
     "recording_path",
+    "run_edge",
+    "run_fusion",
     "spool_files",
     "unpack_detections",
     "unpack_message",

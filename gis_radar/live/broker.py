@@ -16,10 +16,8 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from gis_radar.errors import GisRadarError, InputError, UsageError
+from gis_radar.base import QUIET, GisRadarError, InputError, Reporter, Text, UsageError
 from gis_radar.live.payload import MOST_BYTES
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.texts import Text
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gis_radar.files import atomic_folder
+from gis_radar.base import atomic_folder
 from gis_radar.live.broker import FUSION, IN_FLIGHT, TOPICS, BrokerAddress
 from gis_radar.live.payload import MOST_BYTES
 from gis_radar.live.settings import DEFAULTS, LiveSite, read_live_site

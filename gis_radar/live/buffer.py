@@ -13,9 +13,8 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from gis_radar.errors import GisRadarError, InputError, OutputError
+from gis_radar.base import GisRadarError, InputError, OutputError, Text
 from gis_radar.live.payload import STREAM_BYTES, VERSION
-from gis_radar.texts import Text
 
 LOCK_S = 1.0  # for another program to let go of the file
 ROW_BYTES = 24  # that SQLite takes beside the content of a message; measured

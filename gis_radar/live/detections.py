@@ -17,17 +17,14 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Floats, Integers, compiled
-from gis_radar.errors import InputError
-from gis_radar.lanelets.graph import MARGIN_M
+from gis_radar.base import Floats, InputError, Integers, compiled
+from gis_radar.hdmap import MARGIN_M, TileGrid
 from gis_radar.live.payload import MOST_FRAMES, POSE_BYTES, Numbers, varint
-from gis_radar.measures.frames import NO_FURTHER
-from gis_radar.poses.pose import Pose
-from gis_radar.recordings.recording import Detections
-from gis_radar.sight import SightTiles
-from gis_radar.tiles import TileGrid
-from gis_radar.tracking.detections import still_rate
-from gis_radar.tracking.settings import VEHICLE_DEFAULTS, DetectionSettings
+from gis_radar.measures import NO_FURTHER
+from gis_radar.poses import Pose
+from gis_radar.recordings import Detections
+from gis_radar.scans import SightTiles
+from gis_radar.tracking import VEHICLE_DEFAULTS, DetectionSettings, still_rate
 
 UNITS, RATES = 250, 500  # in a metre, and in a metre a second
 UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
@@ -100,7 +97,9 @@ class DetectionSelector:
         Which heights over the road count, and how noise is told.
     """
 
-    def __init__(self, road: SightTiles, settings: DetectionSettings = VEHICLE_DEFAULTS.detections) -> None:
+    def __init__(
+        self, road: SightTiles, settings: DetectionSettings = VEHICLE_DEFAULTS.detections
+    ) -> None:
         self._height, self._settings = road.height, settings
         self._grid = TileGrid(_widened(road.quads, MARGIN_M))
         self._rates: list[Floats] = []

@@ -13,9 +13,9 @@ from time import sleep
 import geopandas as gpd
 import numpy as np
 
+from gis_radar.base import QUIET, STEP_US, NoAnswerError, Reporter, Text, require_same
 from gis_radar.calibration import LOCALIZATION
-from gis_radar.crs import require_same
-from gis_radar.errors import NoAnswerError
+from gis_radar.hdmap import read_tiles
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.detections import DetectionSelector, FrameDetections, pack_detections
@@ -32,15 +32,10 @@ from gis_radar.live.own_pose import (
 from gis_radar.live.payload import PoseContent, in_parts, key_of_pose
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
-from gis_radar.measures.pose_sights import road_near
-from gis_radar.poses.files import read_track
-from gis_radar.poses.pose import ANGLES, POSITION, Pose
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Detections
-from gis_radar.sight import SightTiles, find_sight
-from gis_radar.steps import STEP_US
-from gis_radar.texts import Text
-from gis_radar.tiles import read_tiles
+from gis_radar.measures import road_near
+from gis_radar.poses import ANGLES, POSITION, Pose, read_track
+from gis_radar.recordings import Detections
+from gis_radar.scans import SightTiles, find_sight
 
 
 class Edge:

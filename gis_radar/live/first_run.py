@@ -1,7 +1,7 @@
 """What runs often is compiled before a program begins: it runs once, on the sample's first frames.
 
 Later, compiling would hold up the frames that come meanwhile. Where the machine code is kept (see
-:func:`gis_radar.arrays.compiled`), later starts only load it.
+:func:`gis_radar.base.arrays.compiled`), later starts only load it.
 """
 
 from __future__ import annotations
@@ -14,20 +14,16 @@ from threading import Event
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.errors import GisRadarError
-from gis_radar.lanelets import read_map
+from gis_radar.base import GisRadarError, Reporter, run_unless_stopped
+from gis_radar.hdmap import make_tiles, read_map
 from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
 from gis_radar.live.payload import POSE_BYTES
 from gis_radar.live.sources import frames_of_recording
-from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.poses.files import read_pose
-from gis_radar.poses.pose import Pose
-from gis_radar.processes import run_unless_stopped
-from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import Detections
+from gis_radar.measures import FrameCounter
+from gis_radar.poses import Pose, read_pose
+from gis_radar.recordings import Detections
 from gis_radar.sample import sample_folder
-from gis_radar.sight import SightTiles
-from gis_radar.tiles import make_tiles
+from gis_radar.scans import SightTiles
 
 COMPILING = "compiling what runs often: up to minutes at the first start, seconds at later ones"
 NOT_COMPILED = "what runs often is compiled only when it is needed: {}"
@@ -41,7 +37,7 @@ def compile_first(work: Callable[[], object], stop: Event, reporter: Reporter) -
     work : callable
         One of this module.
     stop : Event
-        As of :func:`gis_radar.processes.run_unless_stopped`.
+        As of :func:`gis_radar.base.processes.run_unless_stopped`.
     reporter : Reporter
         Receives what is done.
     """

@@ -13,9 +13,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
-from gis_radar.files import atomic_write, only_writer, output_errors
-from gis_radar.lanelets.graph import lane_graph
+from gis_radar.base import (
+    QUIET,
+    STEP_S,
+    STEP_US,
+    STEPS_PER_SECOND,
+    GisRadarError,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    Reporter,
+    Text,
+    atomic_write,
+    interval_steps,
+    only_writer,
+    output_errors,
+)
+from gis_radar.hdmap import lane_graph, read_tiles
 from gis_radar.live.background import BackgroundTask
 from gis_radar.live.broker import FUSION, Link, SensorTopics
 from gis_radar.live.first_run import NOT_COMPILED, compile_first, run_fusion_once
@@ -31,14 +45,9 @@ from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_
 from gis_radar.live.snapshot import place_of
 from gis_radar.live.spool import Spool, SpoolFile, spool_files
 from gis_radar.live.vehicles_now import LiveVehicles
-from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.measures.validity import validity_of
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.sight import SightTiles, open_sight
-from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, interval_steps
-from gis_radar.texts import Text
-from gis_radar.tiles import read_tiles
-from gis_radar.tracking.map_check import map_of_tiles
+from gis_radar.measures import FrameCounter, validity_of
+from gis_radar.scans import SightTiles, open_sight
+from gis_radar.tracking import map_of_tiles
 
 if TYPE_CHECKING:
     from pathlib import Path

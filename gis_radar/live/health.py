@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from gis_radar.base import LETTERS_OF_AN_ERROR, QUIET, Reporter, Text, one_line
 from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.progress import LETTERS_OF_AN_ERROR, QUIET, Reporter, one_line
-from gis_radar.texts import Text
 
 if TYPE_CHECKING:
     from prometheus_client import Metric

@@ -13,14 +13,21 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.calibration import LaneMap, RecordedSensor, check_plausibility
-from gis_radar.calibration.findings import UNKNOWN
-from gis_radar.dataset import Dataset, clear_unfinished, open_dataset, read_hours, record_path
-from gis_radar.dataset.hour_job import MeasureSettings
-from gis_radar.dataset.manifest import Manifest, require_same_settings
-from gis_radar.dataset.measure import manifest_of, measure
-from gis_radar.errors import InputError
-from gis_radar.files import output_errors
+from gis_radar.base import InputError, Reporter, output_errors, workers_here
+from gis_radar.calibration import UNKNOWN, LaneMap, RecordedSensor, check_plausibility
+from gis_radar.dataset import (
+    Dataset,
+    Manifest,
+    MeasureSettings,
+    clear_unfinished,
+    manifest_of,
+    measure,
+    open_dataset,
+    read_hours,
+    record_path,
+    require_same_settings,
+)
+from gis_radar.hdmap import read_tiles
 from gis_radar.live.quarters import KEPT, Lately, read_quarters
 from gis_radar.live.recordings import (
     CUT_US,
@@ -40,15 +47,11 @@ from gis_radar.live.recordings import (
     track_beside,
     waiting_hours,
 )
-from gis_radar.measures.settings import Filters
-from gis_radar.measures.validity import validity_of
-from gis_radar.poses.files import PoseTrack
-from gis_radar.processes import workers_here
-from gis_radar.progress import Reporter
-from gis_radar.recordings.formats import open_recording
-from gis_radar.sight import SightSource, SightTiles
-from gis_radar.tiles import read_tiles
-from gis_radar.tracking.map_check import map_of_tiles
+from gis_radar.measures import Filters, validity_of
+from gis_radar.poses import PoseTrack
+from gis_radar.recordings import open_recording
+from gis_radar.scans import SightSource, SightTiles
+from gis_radar.tracking import map_of_tiles
 
 DATASET, PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
 QUARTER_US = HOUR_US // 4

@@ -11,9 +11,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.crs import require_same
-from gis_radar.errors import InputError
+from gis_radar.base import (
+    QUIET,
+    STEP_US,
+    Floats,
+    InputError,
+    Integers,
+    Reporter,
+    Text,
+    iso_from_step,
+    require_same,
+)
 from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
 from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
@@ -37,15 +45,10 @@ from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.live.spool import FRAMES, HEAD, PASSED, Marks, Spool, SpooledFrames, SpoolFile
 from gis_radar.live.spool import POSE as POSE_RECORD
 from gis_radar.live.vehicles_now import LiveVehicles
-from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.measures.placing import PoseNumbers
-from gis_radar.measures.pose_sights import PoseSight
-from gis_radar.poses.pose import Pose, pose_from_dict
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Detections
-from gis_radar.sight import IN_SIGHT, SightSource, SightTiles, find_sight
-from gis_radar.steps import STEP_US, iso_from_step
-from gis_radar.texts import Text
+from gis_radar.measures import FrameCounter, PoseNumbers, PoseSight
+from gis_radar.poses import Pose, pose_from_dict
+from gis_radar.recordings import Detections
+from gis_radar.scans import IN_SIGHT, SightSource, SightTiles, find_sight
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from gis_radar.base import QUIET, GisRadarError, Reporter, stop_pool, watch_parent
 from gis_radar.dataset import hour_text
-from gis_radar.errors import GisRadarError
 from gis_radar.live.hour_work import (
     AFTER_US,
     QUARTER_US,
@@ -30,8 +30,6 @@ from gis_radar.live.hour_work import (
 from gis_radar.live.quarters import Quarters
 from gis_radar.live.recordings import end_of_hour_s
 from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.processes import stop_pool, watch_parent
-from gis_radar.progress import QUIET, Reporter
 
 NICE = 15  # the map goes first
 BEHIND_S = 900.0  # from which on it is told how far hours are behind, and at each doubling

@@ -11,17 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Integers
-from gis_radar.errors import GisRadarError
-from gis_radar.files import atomic_write
-from gis_radar.heatmap.by_lane import lane_totals
+from gis_radar.base import (
+    QUIET,
+    STEP_S,
+    Booleans,
+    GisRadarError,
+    Integers,
+    Reporter,
+    Text,
+    atomic_write,
+    interval_steps,
+    iso_from_step,
+)
 from gis_radar.live.background import BackgroundTask
 from gis_radar.live.sensorthings import LaneMeasure, LaneServer, Service
 from gis_radar.live.snapshot import Place
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.site.live_table import SensorThingsTable
-from gis_radar.steps import STEP_S, interval_steps, iso_from_step
-from gis_radar.texts import Text
+from gis_radar.products import lane_totals
+from gis_radar.site import SensorThingsTable
 
 FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0
 MOST_WAITING = 50_000  # measures: ten days of 50 lanes by 15 minutes

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Integers
-from gis_radar.measures.validity import valid_steps
-from gis_radar.steps import STEP_US, iso_from_step
+from gis_radar.base import STEP_US, Booleans, Integers, iso_from_step
+from gis_radar.measures import valid_steps
 
 MOST_STEPS = 1_200  # that are closed at once: after a longer standstill the map begins anew
 BACK_STEPS = 40  # a clock that is set back by more begins anew: 2 s

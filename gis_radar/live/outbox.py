@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from gis_radar.errors import InputError, OutputError
+from gis_radar.base import QUIET, InputError, OutputError, Reporter
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.buffer import DiskBuffer, Waiting
 from gis_radar.live.payload import (
@@ -22,7 +22,6 @@ from gis_radar.live.payload import (
     pack_message,
 )
 from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.progress import QUIET, Reporter
 
 AT_ONCE = 100  # messages read from the buffer in one go
 STATUS_S = 2.0  # between two reports of a sensor's state

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Floats
+from gis_radar.base import QUIET, Floats, NoAnswerError, Reporter, scratch_folder
 from gis_radar.calibration import (
     MONITOR,
     MOVED,
@@ -25,15 +25,11 @@ from gis_radar.calibration import (
     start_estimate,
     track_of,
 )
-from gis_radar.errors import NoAnswerError
-from gis_radar.files import scratch_folder
-from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.hdmap import LaneletMap, read_map
 from gis_radar.live.settings import EdgeFile
-from gis_radar.poses.files import DECIMALS
-from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Detections
-from gis_radar.scans.scan import read_road
+from gis_radar.poses import ANGLES, DECIMALS, POSITION, Pose, View
+from gis_radar.recordings import Detections
+from gis_radar.scans import read_road
 
 AGAIN_FRAMES = 500  # that come before the next try, where no pose follows: 25 s
 WAITING_FRAMES = 2_000  # for a fit to end: 100 s

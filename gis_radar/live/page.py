@@ -32,13 +32,11 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from gis_radar.heatmap import style
-from gis_radar.languages import LANGUAGES, class_label
+from gis_radar.base import LANGUAGES, class_label, speaking, step_begin, street_label, tr
 from gis_radar.live.features import feature_routes
 from gis_radar.live.health import ALARMS, METRICS_TYPE
 from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
-from gis_radar.steps import step_begin
-from gis_radar.words import speaking, street_label, tr
+from gis_radar.products import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
 
 _LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
@@ -331,10 +329,10 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
                      "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
                  "none": tr("not observed"),
                  "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
-        colours = {"classes": [each.colour for each in style.colour_classes()],
-                   "unobserved": style.NOT_OBSERVED, "free": style.NEVER_HIT,
+        colours = {"classes": [each.colour for each in colour_classes()],
+                   "unobserved": NOT_OBSERVED, "free": NEVER_HIT,
                    "hit": HIT, "vehicle": VEHICLE,
-                   "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
+                   "breaks": [round(1000 * each) for each in BREAKS[:-1]]}  # fmt: skip
         return _TEMPLATE.render(
             place=place, followed=followed, legends=_legends(language, followed=followed),
             language=language, tr=tr, words=words, colours=colours, languages=LANGUAGES,
@@ -354,7 +352,7 @@ def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
         "now": {
             "title": tr("Now"),
             "note": tr("which tiles are hit; zoomed out: lanes, last 15 minutes"),
-            "classes": [(HIT, tr("hit now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]],
+            "classes": [(HIT, tr("hit now")), (NEVER_HIT, tr("not hit now")), hits[-1]],
         },
         "occupancy": {
             "title": tr("Occupancy"),
@@ -367,10 +365,8 @@ def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
 
 def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
     """Return the classes of a measure, highest first, and that of missing values last."""
-    classes = [
-        (each.colour, class_label(each.label, language)) for each in style.colour_classes(measure)
-    ]
-    return [*reversed(classes), (style.NOT_OBSERVED, tr(style.WORDS[measure].unknown))]
+    classes = [(each.colour, class_label(each.label, language)) for each in colour_classes(measure)]
+    return [*reversed(classes), (NOT_OBSERVED, tr(MAP_WORDS[measure].unknown))]
 
 
 def _site_json(place: Place, language: str) -> bytes:

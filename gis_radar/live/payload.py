@@ -16,9 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from gis_radar.errors import InputError
-from gis_radar.json_documents import parsed_json
-from gis_radar.texts import Text
+from gis_radar.base import InputError, Text, parsed_json
 
 VERSION = 2
 DETECTIONS, POSE = "detections", "pose"  # topics

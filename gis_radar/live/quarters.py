@@ -12,11 +12,9 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.dataset import STEPS_PER_QUARTER, Dataset
-from gis_radar.dataset.tables import PASSAGES, TILE_COUNTS, TableSchema
-from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
-from gis_radar.steps import STEP_S, step_begin
+from gis_radar.base import STEP_S, Floats, Integers, step_begin
+from gis_radar.dataset import PASSAGES, STEPS_PER_QUARTER, TILE_COUNTS, Dataset, TableSchema
+from gis_radar.products import lane_totals, lanes_with_tiles
 
 KEPT = 96  # quarters: a day
 

@@ -9,9 +9,8 @@ from threading import Lock
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.heatmap.by_lane import lane_totals
-from gis_radar.steps import STEP_S, step_begin
+from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_begin
+from gis_radar.products import lane_totals
 
 MINUTE = 1_200  # steps
 MINUTES = 15  # of a moving sum, and of an interval

@@ -19,21 +19,24 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Integers
-from gis_radar.dataset.parts import rename_whole, unfinished
-from gis_radar.errors import InputError
-from gis_radar.files import output_errors, writing_errors
+from gis_radar.base import (
+    QUIET,
+    STEP_US,
+    InputError,
+    Integers,
+    Reporter,
+    Text,
+    output_errors,
+    step_begin,
+    writing_errors,
+)
+from gis_radar.dataset import rename_whole, unfinished
 from gis_radar.live.detections import FrameDetections, unpack_detections
 from gis_radar.live.payload import PoseContent, key_of_pose, unpack_message
 from gis_radar.live.spool import FRAMES, POSE, SpoolFile
-from gis_radar.measures.frames import FrameIndex
-from gis_radar.measures.hour import MARGIN_STEPS
-from gis_radar.poses.files import PoseTrack, read_track, write_pose, write_track
-from gis_radar.poses.pose import pose_from_dict
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import open_recording
-from gis_radar.steps import STEP_US, step_begin
-from gis_radar.texts import Text
+from gis_radar.measures import MARGIN_STEPS, FrameIndex
+from gis_radar.poses import PoseTrack, pose_from_dict, read_track, write_pose, write_track
+from gis_radar.recordings import open_recording
 
 HOUR_US = 3_600_000_000
 CUT_US = MARGIN_STEPS * STEP_US  # after the full hour

@@ -20,11 +20,9 @@ from itertools import groupby, islice
 from typing import Any, NamedTuple
 from urllib.parse import quote, urljoin
 
-from gis_radar.errors import GisRadarError, InputError
+from gis_radar.base import STEP_S, GisRadarError, InputError, iso_from_step, street_label
 from gis_radar.live.snapshot import Place, geometries
-from gis_radar.site.live_table import SensorThingsTable
-from gis_radar.steps import STEP_S, iso_from_step
-from gis_radar.words import street_label
+from gis_radar.site import SensorThingsTable
 
 TIMEOUT_S = 30.0
 AT_ONCE = 500  # observations in a request

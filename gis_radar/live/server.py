@@ -12,8 +12,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Booleans
-from gis_radar.errors import InputError
+from gis_radar.base import Booleans, InputError
 from gis_radar.live.intake import SensorState
 from gis_radar.live.map_of_now import MapState
 from gis_radar.live.page import make_app
@@ -23,7 +22,7 @@ from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot, place_of
 from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.web_server import WebServer
-from gis_radar.site.live_table import PageTable
+from gis_radar.site import PageTable
 
 RATE_S = 10.0  # over which frames are counted
 

@@ -8,26 +8,33 @@ from typing import Annotated, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError, Text
 from gis_radar.live.broker import FUSION, BrokerAddress
 from gis_radar.measures import Filters
-from gis_radar.site.live_table import BrokerTable, Duration, LiveTable, TopicWord
-from gis_radar.site.settings import MapTable, Sensor, Site, ViewTable
-from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
-from gis_radar.site.values import (
+from gis_radar.site import (
+    BrokerTable,
     CompassBearing,
+    Duration,
     File,
+    LiveTable,
+    MapTable,
     Meaning,
     Position,
     Recordings,
+    Sensor,
+    Site,
     Switch,
     TextValue,
     TomlTable,
+    TopicWord,
     Unfit,
+    ViewTable,
     key,
+    read_toml,
+    toml_reference,
+    toml_template,
     within,
 )
-from gis_radar.texts import Text
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,17 +15,13 @@ import pandas as pd
 import shapely
 from pyproj import CRS, Transformer
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.crs import transformer
-from gis_radar.heatmap import style
-from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
-from gis_radar.lanelets import lanes, read_map
+from gis_radar.base import Booleans, Floats, Integers, transformer, zone_of
+from gis_radar.hdmap import fingerprint, lanes, read_map
 from gis_radar.live.quarters import Lately
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.vehicles_now import VehiclesNow
-from gis_radar.poses.pose import Pose
-from gis_radar.steps import zone_of
-from gis_radar.tiles.tiles import fingerprint
+from gis_radar.poses import Pose
+from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
 NOT_OBSERVED = -1  # in place of a class
 DEGREES = 7  # digits after the point: a centimetre
@@ -204,7 +200,7 @@ class Snapshot:
 
 def classes_of(share: Floats) -> Integers:
     """Return the class of each share: 0 for none, then as in the legend; -1 where not known."""
-    found = np.searchsorted(style.BREAKS[:-1], np.nan_to_num(share), side="left")
+    found = np.searchsorted(BREAKS[:-1], np.nan_to_num(share), side="left")
     return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
 
 

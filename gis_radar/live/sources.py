@@ -16,13 +16,16 @@ from threading import Thread
 
 import numpy as np
 
-from gis_radar.errors import NoAnswerError
-from gis_radar.measures.frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.formats import format_of, open_recording
-from gis_radar.recordings.frame_clock import AGREEING_S
-from gis_radar.recordings.frames import Frame, ReaderContext
-from gis_radar.recordings.recording import Detections
+from gis_radar.base import QUIET, NoAnswerError, Reporter
+from gis_radar.measures import NO_FURTHER, FrameIndex, rows_of, whole_frames
+from gis_radar.recordings import (
+    AGREEING_S,
+    Detections,
+    Frame,
+    ReaderContext,
+    format_of,
+    open_recording,
+)
 
 IDLE_S = 0.02  # between two looks while no frame is there
 SET_BACK_S = 0.5  # a frame that is earlier by less came out of order

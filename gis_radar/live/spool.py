@@ -17,8 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from gis_radar.dataset.parts import sync_folder
-from gis_radar.files import output_errors
+from gis_radar.base import output_errors
+from gis_radar.dataset import sync_folder
 
 HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; messages that were passed over
 ENDING = ".spool"

@@ -18,22 +18,39 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Floats
-from gis_radar.errors import GisRadarError, InputError
-from gis_radar.lanelets.graph import LaneGraph, lane_graph
+from gis_radar.base import (
+    QUIET,
+    Floats,
+    GisRadarError,
+    InputError,
+    Reporter,
+    stop_pool,
+    watch_parent,
+)
+from gis_radar.hdmap import LaneGraph, lane_graph
 from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
 from gis_radar.live.first_run import SampleSensor
 from gis_radar.live.payload import POSE_BYTES
-from gis_radar.measures.frames import rows_of
-from gis_radar.poses.pose import Pose
-from gis_radar.processes import stop_pool, watch_parent
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.tracking.bodies import are_persons, usual_rcs
-from gis_radar.tracking.columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
-from gis_radar.tracking.detections import MapDetections, map_detections
-from gis_radar.tracking.forward import ForwardFilter
-from gis_radar.tracking.settings import VEHICLE_DEFAULTS
-from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.measures import rows_of
+from gis_radar.poses import Pose
+from gis_radar.tracking import (
+    FRONT,
+    HEADING,
+    HITS,
+    LAST,
+    NUMBER,
+    REAR,
+    SPEED,
+    VEHICLE_DEFAULTS,
+    ForwardFilter,
+    MapDetections,
+    VehicleSettings,
+    X,
+    Y,
+    are_persons,
+    map_detections,
+    usual_rcs,
+)
 
 HEAVY_M = 7.0  # the contract: who is longer counts as heavy
 LENGTHS_M, HEAVY_WIDTH_M, WIDTH_M = (4.6, 18.75), 2.5, 1.85
@@ -319,8 +336,8 @@ class VehicleFollower:
             self._newest = max(self._newest, frame.time_us / 1e6)
             self._filter.take(
                 map_detections(
-                    rows_of(rows, rows.present), pose, number, self._graph, VEHICLE_DEFAULTS.detections,
-                    road_m=road_m,
+                    rows_of(rows, rows.present), pose, number, self._graph,
+                    VEHICLE_DEFAULTS.detections, road_m=road_m,
                 )
             )  # fmt: skip
 

@@ -13,7 +13,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from gis_radar.errors import OutputError
+from gis_radar.base import OutputError
 
 MOST_CONNECTIONS = 300  # a third of the 1,024 files that a process may usually open
 BACKLOG = 64  # connections that are accepted at once, beyond these

@@ -1,4 +1,7 @@
-"""What is measured on tiles: which were hit in which 50 ms steps, and which could have been."""
+"""Hits: which tiles were hit in which 50 ms steps, and which were observed.
+
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
+"""
 
 import lazy_loader
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.base import Floats, Integers, compiled
+from gis_radar.hdmap import Numbers, TileCells, is_inside
 from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of
-from gis_radar.tiles.lookup import Numbers, TileCells, is_inside
 
 # Columns of the frames: what is found of each.
 TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, POSE = range(7)

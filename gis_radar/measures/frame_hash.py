@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Floats, Integers, compiled, contiguous
-from gis_radar.recordings.raw_rows import RawRows
+from gis_radar.base import Floats, Integers, compiled, contiguous
+from gis_radar.recordings import RawRows
 
 Hashes: TypeAlias = NDArray[np.uint64]
 Bits: TypeAlias = NDArray[np.uint32]

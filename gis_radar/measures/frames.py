@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.recordings.recording import Detections
+from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.recordings import Detections
 
 OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatch.from_pydict({})
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, contiguous
-from gis_radar.errors import InputError
+from gis_radar.base import Floats, InputError, Integers, contiguous
+from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import (
     COUNTS,
     DETECTIONS,
@@ -30,12 +30,9 @@ from gis_radar.measures.counting_loop import (
 )
 from gis_radar.measures.placing import Places, PoseNumbers
 from gis_radar.measures.settings import HIT_DEFAULTS, Filters, HitSettings
-from gis_radar.poses.pose import Pose
-from gis_radar.recordings.recording import Detections, RangeCounts
-from gis_radar.sight import SightTiles
-from gis_radar.sight.recorded import REFLECTION_M
-from gis_radar.sight.settings import SIGHT_DEFAULTS
-from gis_radar.tiles.lookup import Numbers, TileGrid
+from gis_radar.poses import Pose
+from gis_radar.recordings import Detections, RangeCounts
+from gis_radar.scans import REFLECTION_M, SIGHT_DEFAULTS, SightTiles
 
 ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # filled in at once; 224 KiB, 1 MiB
 NO_TILES: Integers = np.empty(0, np.int64)

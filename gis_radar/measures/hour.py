@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gis_radar.steps import STEP_US, STEPS_PER_SECOND
+from gis_radar.base import STEP_US, STEPS_PER_SECOND
 
 STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
 MARGIN_STEPS = 120 * STEPS_PER_SECOND

@@ -9,21 +9,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Integers, compiled
-from gis_radar.measures.counting_loop import (
-    DETECTIONS,
-    MOVING,
-    SHIFT_US,
-    TILES_HIT,
-    TIME_US,
-    WILD,
-)
+from gis_radar.base import STEP_US, Integers, compiled
+from gis_radar.hdmap import Numbers
+from gis_radar.measures.counting_loop import DETECTIONS, MOVING, SHIFT_US, TILES_HIT, TIME_US, WILD
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, STEPS_PER_HOUR, HourWindow
 from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union
-from gis_radar.steps import STEP_US
-from gis_radar.tiles.lookup import Numbers
 
 NEVER = np.iinfo(np.int64).min // 2
 ROOM = 1 << 19  # pairs at once, 8 MiB; more than a tile can have

@@ -11,9 +11,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from gis_radar.arrays import Floats, compiled
-from gis_radar.poses.pose import Pose
-from gis_radar.tiles.lookup import Numbers, TileCells, cell_at
+from gis_radar.base import Floats, compiled
+from gis_radar.hdmap import Numbers, TileCells, cell_at
+from gis_radar.poses import Pose
 
 PLACED_AT_ONCE = 1024  # detections: 36 KiB, near the processor
 

@@ -19,17 +19,12 @@ from typing import NamedTuple, Self
 import numpy as np
 import scipy
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.base import Floats, Integers, NoAnswerError, Reporter, Text, require_same
 from gis_radar.calibration import SensorClock
-from gis_radar.crs import require_same
-from gis_radar.errors import NoAnswerError
 from gis_radar.measures.settings import HIT_DEFAULTS, HitSettings
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import Reporter
-from gis_radar.recordings.formats import as_recording
-from gis_radar.recordings.recording import Recording
-from gis_radar.sight import (
+from gis_radar.poses import Pose, PoseTrack
+from gis_radar.recordings import Recording, as_recording
+from gis_radar.scans import (
     HIDDEN,
     IN_SIGHT,
     OUT_OF_VIEW,
@@ -39,7 +34,6 @@ from gis_radar.sight import (
     find_sight,
     report_uncovered,
 )
-from gis_radar.texts import Text
 
 
 def name_of_track(track: PoseTrack) -> str:

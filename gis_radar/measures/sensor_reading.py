@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.errors import InputError
+from gis_radar.base import STEP_S, STEP_US, Floats, InputError, Integers, iso_from_step, step_of
+from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import POSE, TILES_HIT, TIME_US
 from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
 from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
@@ -17,11 +17,8 @@ from gis_radar.measures.placing import PoseNumbers
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, places_of
 from gis_radar.measures.settings import Filters, HitSettings
 from gis_radar.measures.validity import FrameTimes
-from gis_radar.recordings.raw_rows import RawRows, read_raw
-from gis_radar.recordings.recording import RangeCounts
-from gis_radar.sight import SightTiles
-from gis_radar.steps import STEP_S, STEP_US, iso_from_step, step_of
-from gis_radar.tiles.lookup import Numbers, TileGrid
+from gis_radar.recordings import RangeCounts, RawRows, read_raw
+from gis_radar.scans import SightTiles
 
 NEVER_US = -(2**62)
 

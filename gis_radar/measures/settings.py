@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gis_radar.errors import UsageError
-from gis_radar.steps import CLOCK_SET_S
+from gis_radar.base import CLOCK_SET_S, UsageError
 
 
 @dataclass(frozen=True, kw_only=True)

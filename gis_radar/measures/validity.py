@@ -11,10 +11,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gis_radar.arrays import Integers
-from gis_radar.errors import UsageError
+from gis_radar.base import (
+    CYCLE_HINT,
+    LONGEST_CYCLE_S,
+    SHORTEST_CYCLE_S,
+    STEP_US,
+    Integers,
+    UsageError,
+)
 from gis_radar.measures.settings import HIT_DEFAULTS, HitSettings
-from gis_radar.steps import CYCLE_HINT, LONGEST_CYCLE_S, SHORTEST_CYCLE_S, STEP_US
 
 GAP_US = 100  # resolution of measured cycles: jitter is larger
 MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US

@@ -1,4 +1,7 @@
-"""Poses: where a sensor stands and looks, its files, and its layers on a map."""
+"""Poses: where a sensor stands and looks, its files, and its layers on a map.
+
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
+"""
 
 import lazy_loader
 

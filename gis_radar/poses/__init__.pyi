@@ -1,16 +1,37 @@
-from .files import PoseTrack, as_track, read_pose, read_track, write_pose, write_track
-from .pose import COMPONENTS, Pose, View, ellipse, pose_from_dict
+from .files import DECIMALS, PoseTrack, as_track, read_pose, read_track, write_pose, write_track
+from .layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
+from .pose import (
+    ANGLES,
+    COMPONENTS,
+    POSITION,
+    Evidence,
+    Pose,
+    View,
+    draw_sensor,
+    ellipse,
+    pose_from_dict,
+)
 
 __all__ = [
+    "ANGLES",
     "COMPONENTS",
+    "DECIMALS",
+    "POSITION",
+    "SENSORS",
+    "UNCERTAINTY",
+    "VIEWS",
+    "Evidence",
     "Pose",
     "PoseTrack",
     "View",
     "as_track",
+    "draw_sensor",
     "ellipse",
     "pose_from_dict",
     "read_pose",
+    "read_style",
     "read_track",
     "write_pose",
+    "write_sensors",
     "write_track",
 ]

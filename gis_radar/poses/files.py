@@ -14,15 +14,21 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.crs import metric_crs, name_of
-from gis_radar.errors import InputError
-from gis_radar.files import atomic_write
-from gis_radar.json_documents import read_json
-from gis_radar.notebooks import table_card
+from gis_radar.base import (
+    Floats,
+    InputError,
+    Integers,
+    Text,
+    atomic_write,
+    iso_from_step,
+    metric_crs,
+    name_of,
+    read_json,
+    seconds_from_iso,
+    step_of,
+    table_card,
+)
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
-from gis_radar.steps import iso_from_step, seconds_from_iso, step_of
-from gis_radar.texts import Text
 
 VIEW_FIELDS = tuple(View.__dataclass_fields__)
 SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))

@@ -13,10 +13,14 @@ from typing import Any
 import geopandas as gpd
 import shapely
 
-from gis_radar.crs import require_same
-from gis_radar.errors import UsageError
-from gis_radar.files import atomic_write
-from gis_radar.geopackage import add_layer, add_styles, keep_styles
+from gis_radar.base import (
+    UsageError,
+    add_layer,
+    add_styles,
+    atomic_write,
+    keep_styles,
+    require_same,
+)
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"

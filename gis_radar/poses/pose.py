@@ -12,12 +12,20 @@ import scipy
 import shapely
 from pyproj import CRS
 
-from gis_radar.arrays import Booleans, Floats
-from gis_radar.crs import metric_crs, name_of, require_on_earth
-from gis_radar.errors import InputError, placed
-from gis_radar.notebooks import axes_or_new, card, label_map
-from gis_radar.texts import Text
-from gis_radar.words import tr
+from gis_radar.base import (
+    Booleans,
+    Floats,
+    InputError,
+    Text,
+    axes_or_new,
+    card,
+    label_map,
+    metric_crs,
+    name_of,
+    placed,
+    require_on_earth,
+    tr,
+)
 
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")

@@ -1,1 +1,8 @@
-"""What single vehicles become for other programs: a layer for QGIS, trajectories."""
+"""What people and other programs take away: heat maps, reports, QGIS projects, layers.
+
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,18 +16,22 @@ import pandas as pd
 import pyarrow as pa
 import shapely
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.dataset import Dataset
-from gis_radar.dataset.states import states_of
-from gis_radar.dataset.tables import EVERY
-from gis_radar.errors import InputError, UsageError
-from gis_radar.files import atomic_write
-from gis_radar.geopackage import add_styles, keep_styles, write_stream
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_S, STEP_US
-from gis_radar.tracking.footprints import Footprints, PathBook, footprints_of
-from gis_radar.tracking.occupancy_settings import OccupancySettings
-from gis_radar.tracking.passages import HEAVY
+from gis_radar.base import (
+    QUIET,
+    STEP_S,
+    STEP_US,
+    Floats,
+    InputError,
+    Integers,
+    Reporter,
+    UsageError,
+    add_styles,
+    atomic_write,
+    keep_styles,
+    write_stream,
+)
+from gis_radar.dataset import EVERY, Dataset, states_of
+from gis_radar.tracking import HEAVY, Footprints, OccupancySettings, PathBook, footprints_of
 
 FOOTPRINTS = "footprints"
 _SCHEMA = pa.schema([

@@ -13,16 +13,22 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
-from gis_radar.arrays import Floats
-from gis_radar.crs import transformer
-from gis_radar.dataset import Dataset
-from gis_radar.dataset.reading import Span
-from gis_radar.dataset.states import no_states, states_of
-from gis_radar.errors import TRAJECTORIES, InputError, UsageError
-from gis_radar.files import atomic_write
+from gis_radar.base import (
+    QUIET,
+    STEP_US,
+    TRAJECTORIES,
+    Floats,
+    InputError,
+    Reporter,
+    UsageError,
+    atomic_write,
+    interval_steps,
+    step_at,
+    transformer,
+    zone_of,
+)
+from gis_radar.dataset import Dataset, Span, no_states, states_of
 from gis_radar.products.footprints import require_vehicles
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_US, interval_steps, step_at, zone_of
 
 if TYPE_CHECKING:
     import movingpandas

@@ -1,4 +1,7 @@
-"""Recordings of radar detections, and their conversion from the formats of radars."""
+"""Recordings of radar detections, and their conversion from the formats of radars.
+
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
+"""
 
 import lazy_loader
 

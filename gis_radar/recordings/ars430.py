@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from gis_radar.base import Text
 from gis_radar.recordings.columns import cartesian
 from gis_radar.recordings.frames import Column, DamagedError, Frame
-from gis_radar.texts import Text
 
 PACKET = "ars430_ros_publisher/msg/RadarPacket"
 DETECTION = "ars430_ros_publisher/msg/RadarDetection"

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.errors import UsageError
+from gis_radar.base import Text, UsageError
 from gis_radar.recordings.frames import Column, DamagedError, Frame, ReaderContext
 from gis_radar.recordings.recording import COLUMNS
 from gis_radar.recordings.units import refuse_degrees
-from gis_radar.texts import Text
 
 # Names that radar drivers and data sets use, however they are written; the first one counts.
 NAMES: dict[str, tuple[str, ...]] = {

@@ -12,15 +12,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-from gis_radar.errors import InputError, OutputError, UsageError, first_line, placed
-from gis_radar.files import atomic_writes, refuse_inputs
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import (
+    QUIET,
+    InputError,
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_writes,
+    first_line,
+    placed,
+    refuse_inputs,
+)
 from gis_radar.recordings.formats import format_of
 from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
 from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
-from gis_radar.texts import Text
 
 # What readers and their libraries raise where bytes cannot be what they should.
 DAMAGE = (

@@ -12,7 +12,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 
-from gis_radar.errors import InputError, first_line
+from gis_radar.base import InputError, first_line
 from gis_radar.recordings import settings
 
 BYTES_AT_ONCE = 1 << 20  # about 15,000 rows; the longest header

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from gis_radar.errors import InputError, first_line
+from gis_radar.base import InputError, Text, first_line
 from gis_radar.recordings import readers
 from gis_radar.recordings.frames import Format
 from gis_radar.recordings.recording import UNREADABLE, Recording, open_table
-from gis_radar.texts import Text
 
 OWN = ".parquet"  # a recording as we write it: no other format is looked for, or imported
 

@@ -10,11 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from gis_radar.arrays import Floats
-from gis_radar.errors import InputError
-from gis_radar.progress import Reporter
+from gis_radar.base import Floats, InputError, Reporter, Text
 from gis_radar.recordings.frames import Frame
-from gis_radar.texts import Text
 
 Clock = Literal["auto", "sensor", "recorder"]
 CLOCKS: tuple[Clock, ...] = ("auto", "sensor", "recorder")

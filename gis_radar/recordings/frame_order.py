@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 
-from gis_radar.errors import InputError
-from gis_radar.progress import QUIET
+from gis_radar.base import QUIET, InputError
 from gis_radar.recordings.frames import Frame, NothingHereError, ReaderContext
 
 # 12 s of a 20 Hz sensor: far more than a network or a bag writer ever reorders.

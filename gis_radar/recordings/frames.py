@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.errors import InputError
-from gis_radar.progress import QUIET, Level, Reporter
+from gis_radar.base import QUIET, InputError, Level, Reporter, Text
 from gis_radar.recordings.recording import FARTHEST_M, Recording
-from gis_radar.texts import Text
 
 Column = NDArray[Any]
 

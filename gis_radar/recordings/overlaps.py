@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from gis_radar.texts import Text
+from gis_radar.base import Text
 
 
 def overlap_warnings(sensor: str, spans: Sequence[tuple[float, float, Path]]) -> Iterator[str]:

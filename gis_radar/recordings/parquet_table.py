@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError
 from gis_radar.recordings import settings
 
 ROWS_AT_ONCE = 65_536  # 3 MB of a recording's columns as float64

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from gis_radar.arrays import Floats, compiled
+from gis_radar.base import Floats, compiled, in_known_years
 from gis_radar.recordings.recording import COLUMNS, FARTHEST_M, Recording, RowChecks
 from gis_radar.recordings.units import FARTHEST_RADAR_M, LEAST_EXTENT_M, LEAST_JUDGED
-from gis_radar.steps import in_known_years
 
 RAW_COLUMNS = COLUMNS[:-1]  # all but the radar cross section, which few ask for
 NEARLY = 0.999  # what comes near a limit is looked at by name, too

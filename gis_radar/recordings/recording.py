@@ -13,14 +13,22 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Booleans, Floats
-from gis_radar.errors import InputError, NoAnswerError, first_line
+from gis_radar.base import (
+    FIRST_YEAR,
+    LAST_YEAR,
+    UNIX_SECONDS_HINT,
+    Booleans,
+    Floats,
+    InputError,
+    NoAnswerError,
+    Text,
+    first_line,
+    in_known_years,
+)
 from gis_radar.recordings import settings
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.parquet_table import first_group_of, parquet_batches, spans_of_groups
 from gis_radar.recordings.units import refuse_positions_in_other_units
-from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
-from gis_radar.texts import Text
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
 SENSOR = b"gis_radar.sensor"  # key of a file's metadata

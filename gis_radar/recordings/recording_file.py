@@ -13,8 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.errors import InputError
-from gis_radar.files import output_errors
+from gis_radar.base import InputError, output_errors
 from gis_radar.recordings.frames import Column, Frame
 from gis_radar.recordings.recording import SENSOR
 from gis_radar.recordings.units import compare_speeds, refuse_positions_in_other_units

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats
-from gis_radar.errors import InputError
-from gis_radar.texts import Text
+from gis_radar.base import Floats, InputError, Text
 
 FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
 LEAST_JUDGED = 100  # detections, of which the median is no ghost's

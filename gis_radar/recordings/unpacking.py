@@ -9,8 +9,8 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any, BinaryIO, Self
 
+from gis_radar.base import Text
 from gis_radar.recordings import settings
-from gis_radar.texts import Text
 
 
 class ExplodingError(ValueError):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.base import Booleans, Floats
 from gis_radar.recordings.recording import Detections
 
 

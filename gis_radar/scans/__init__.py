@@ -1,4 +1,7 @@
-"""The road from the air: airborne laser scans, masked by a map, as points of the road."""
+"""Airborne laser scans: the road masked out of them, and what stands in the way of a sensor.
+
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
+"""
 
 import lazy_loader
 

@@ -1,9 +1,72 @@
+from .columns import Columns, ground_under, nearest_known, read_columns
+from .mask import RoadMask, mask_road, require_road_name
 from .pdal import find_pdal
-from .scan import open_scan, read_road, road_crs
+from .roads import Roads, read_roads
+from .scan import box_with_margin, open_scan, read_road, road_crs
+from .sight.gaps import find_gaps, gap_warning
+from .sight.layers import SIGHT_LAYER, SightFile, open_sight, write_sights
+from .sight.picture import COLOURS, NAMES, draw_sight
+from .sight.recorded import (
+    REFLECTION_M,
+    MovementCounter,
+    MovingHits,
+    find_contradictions,
+    report_contradictions,
+)
+from .sight.settings import SIGHT_DEFAULTS
+from .sight.sight import (
+    HIDDEN,
+    IN_SIGHT,
+    OUT_OF_VIEW,
+    VIEW_ONLY,
+    Sight,
+    SightScan,
+    SightSource,
+    SightTiles,
+    describe_sight,
+    find_sight,
+    report_uncovered,
+)
 
 __all__ = [
+    "COLOURS",
+    "HIDDEN",
+    "IN_SIGHT",
+    "NAMES",
+    "OUT_OF_VIEW",
+    "REFLECTION_M",
+    "SIGHT_DEFAULTS",
+    "SIGHT_LAYER",
+    "VIEW_ONLY",
+    "Columns",
+    "MovementCounter",
+    "MovingHits",
+    "RoadMask",
+    "Roads",
+    "Sight",
+    "SightFile",
+    "SightScan",
+    "SightSource",
+    "SightTiles",
+    "box_with_margin",
+    "describe_sight",
+    "draw_sight",
+    "find_contradictions",
+    "find_gaps",
     "find_pdal",
+    "find_sight",
+    "gap_warning",
+    "ground_under",
+    "mask_road",
+    "nearest_known",
     "open_scan",
+    "open_sight",
+    "read_columns",
     "read_road",
+    "read_roads",
+    "report_contradictions",
+    "report_uncovered",
+    "require_road_name",
     "road_crs",
+    "write_sights",
 ]

@@ -24,9 +24,7 @@ import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.grid import CELL_M, Grid
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import CELL_M, QUIET, Booleans, Floats, Grid, Integers, Reporter, compiled
 from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, PointStore
 from gis_radar.scans.roads import RoadLevel
 from gis_radar.scans.settings import DEFAULTS, MaskSettings

@@ -11,10 +11,7 @@ import scipy
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.crs import Box
-from gis_radar.grid import Grid
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import QUIET, Booleans, Box, Floats, Grid, Integers, Reporter
 from gis_radar.scans.scan import Scan
 
 # ASPRS LAS 1.4, table 17

@@ -17,11 +17,19 @@ import laspy
 import numpy as np
 import shapely
 
-from gis_radar.crs import Box, moved_box, name_of, same_plane
-from gis_radar.errors import GisRadarError, UsageError
-from gis_radar.files import scratch_folder
-from gis_radar.geopackage import add_layer
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import (
+    QUIET,
+    Box,
+    GisRadarError,
+    Reporter,
+    Text,
+    UsageError,
+    add_layer,
+    moved_box,
+    name_of,
+    same_plane,
+    scratch_folder,
+)
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
 from gis_radar.scans.point_store import PointStore
 from gis_radar.scans.roads import Roads
@@ -37,7 +45,6 @@ from gis_radar.scans.scan import (
     open_scan,
 )
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
-from gis_radar.texts import Text
 
 LAYER, COLUMN = "roads", "road"
 MARK = "UserData"

@@ -18,8 +18,7 @@ import lazrs
 import lazy_loader
 import numpy as np
 
-from gis_radar.errors import InputError
-from gis_radar.texts import Text
+from gis_radar.base import InputError, Text
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
 

@@ -12,21 +12,28 @@ from typing import Any
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Floats
-from gis_radar.crs import moved_box, name_of
-from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import atomic_writes, scratch_folder
-from gis_radar.grid import CELL_M
-from gis_radar.lanelets import LaneletMap
-from gis_radar.notebooks import card
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import (
+    CELL_M,
+    QUIET,
+    Floats,
+    InputError,
+    NoAnswerError,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_writes,
+    card,
+    moved_box,
+    name_of,
+    scratch_folder,
+)
+from gis_radar.hdmap import LaneletMap
 from gis_radar.scans.cells import RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, write_layer
 from gis_radar.scans.point_store import PointStore, cut_into_blocks
 from gis_radar.scans.roads import Roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
-from gis_radar.texts import Text
 
 BESIDE = (".roads.gpkg", ".pipeline.json")
 

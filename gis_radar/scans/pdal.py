@@ -16,10 +16,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from gis_radar.errors import GisRadarError, InputError, OutputError
-from gis_radar.processes import OFFLINE, run_child
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.texts import Text
+from gis_radar.base import (
+    OFFLINE,
+    QUIET,
+    GisRadarError,
+    InputError,
+    OutputError,
+    Reporter,
+    Text,
+    run_child,
+)
 
 OLDEST = (2, 2, 0)
 """The oldest PDAL that has all stages of our pipelines."""
@@ -67,7 +73,7 @@ class PdalRunner:
         pipeline : mapping
             PDAL's document, ``{"pipeline": [stage, ...]}``, whose last stage is a writer. What
             the writer has begun stays when the run fails: let it write into a private folder
-            (:mod:`gis_radar.files`).
+            (:mod:`gis_radar.base.files`).
         reporter : Reporter
             Where the seconds so far go, and PDAL's warnings.
 

@@ -14,10 +14,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.crs import Box
-from gis_radar.errors import InputError
-from gis_radar.grid import CELL_M, Grid
+from gis_radar.base import CELL_M, Booleans, Box, Floats, Grid, InputError, Integers
 from gis_radar.scans.roads import Roads
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 

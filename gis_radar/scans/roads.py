@@ -19,17 +19,23 @@ import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError as ProjError
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.crs import metric_crs, name_of, utm_zone
-from gis_radar.errors import CrsError, InputError, first_line
-from gis_radar.grid import Grid
-from gis_radar.lanelets import LaneletMap, read_map
-from gis_radar.lanelets.bounds import at_fractions, length
-from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import (
+    QUIET,
+    CrsError,
+    Floats,
+    Grid,
+    InputError,
+    Integers,
+    Reporter,
+    Text,
+    first_line,
+    metric_crs,
+    name_of,
+    read_vector,
+    utm_zone,
+)
+from gis_radar.hdmap import ON_FOOT_OR_BICYCLE, LaneletMap, at_fractions, length, read_map
 from gis_radar.scans.settings import DEFAULTS, RoadSettings
-from gis_radar.texts import Text
-from gis_radar.vector_files import read_vector
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,14 +15,24 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError as ProjError
 
-from gis_radar.arrays import Floats
-from gis_radar.crs import Box, metric_crs, moved_box, name_of, require_same, same_plane, transformer
-from gis_radar.errors import CrsError, InputError
-from gis_radar.files import WRITTEN
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.base import (
+    QUIET,
+    WRITTEN,
+    Box,
+    CrsError,
+    Floats,
+    InputError,
+    Reporter,
+    Text,
+    metric_crs,
+    moved_box,
+    name_of,
+    require_same,
+    same_plane,
+    transformer,
+)
 from gis_radar.scans.header import FAULTS, read_header, refuse_outside, scan_errors
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
-from gis_radar.texts import Text
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
 

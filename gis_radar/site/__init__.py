@@ -1,6 +1,6 @@
 """A site as one file, and the whole way from its raw data to its heat maps.
 
-Nothing is imported here: a worker of a run starts with what it needs.
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
 """
 
 import lazy_loader

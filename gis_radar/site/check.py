@@ -13,6 +13,20 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
+from gis_radar.base import (
+    QUIET,
+    SILENT,
+    InputError,
+    Level,
+    NoAnswerError,
+    Reporter,
+    Text,
+    iso_from_step,
+    name_of,
+    step_of,
+    transformer,
+    zone_of,
+)
 from gis_radar.calibration import (
     Finding,
     LaneMap,
@@ -21,19 +35,12 @@ from gis_radar.calibration import (
     read_clocks,
     refuse_implausible,
 )
-from gis_radar.crs import name_of, transformer
-from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.lanelets import LaneletMap, lanes, read_map
-from gis_radar.poses.files import read_track
-from gis_radar.progress import QUIET, SILENT, Level, Reporter
-from gis_radar.recordings.formats import open_recording
-from gis_radar.recordings.overlaps import overlap_warnings
-from gis_radar.recordings.recording import RangeCounts, Recording
-from gis_radar.scans.scan import open_scan, road_crs
+from gis_radar.hdmap import LaneletMap, lanes, read_map
+from gis_radar.poses import read_track
+from gis_radar.recordings import RangeCounts, Recording, open_recording, overlap_warnings
+from gis_radar.scans import open_scan, road_crs
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
-from gis_radar.steps import iso_from_step, step_of, zone_of
-from gis_radar.texts import Text
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,14 +15,21 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
-from gis_radar.files import atomic_write
-from gis_radar.progress import Reporter
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    Reporter,
+    Text,
+    atomic_write,
+    restored,
+    with_texts,
+)
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
 from gis_radar.site.software import software
 from gis_radar.site.worker import Event, Pool, carry_out
-from gis_radar.texts import Text, restored, with_texts
 
 ALL = Text("all stages")
 
@@ -242,7 +249,7 @@ def discard(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         if path.suffix == ".qgz" and path.exists():
-            from gis_radar.qgis.project_file import was_edited  # noqa: PLC0415 - 2 s, needed rarely
+            from gis_radar.products import was_edited  # noqa: PLC0415 - 2 s, needed rarely
 
             if was_edited(path):
                 continue
@@ -346,7 +353,7 @@ class RunState:
 
     def _hash_of_package(self, path: Path, name: str, of_bytes: str) -> str:
         """Return the hash of what a GeoPackage's tables hold, 15 times as slow as that of bytes."""
-        from gis_radar.geopackage import content_digest  # noqa: PLC0415 - 1 s, needed rarely
+        from gis_radar.base import content_digest  # noqa: PLC0415 - 1 s, needed rarely
 
         if name not in self._packages or self._packages[name][0] != of_bytes:
             self._packages[name] = (of_bytes, content_digest(path) or of_bytes)
@@ -354,7 +361,7 @@ class RunState:
 
     def _hash_of_tiles(self, path: Path) -> str | None:
         """Return the hash of a file of tiles but for layers that stages do not count by."""
-        from gis_radar.geopackage import content_digest  # noqa: PLC0415 - 1 s, needed rarely
+        from gis_radar.base import content_digest  # noqa: PLC0415 - 1 s, needed rarely
 
         whole, name = self.hash_of(path), f"{path.resolve()}: tiles"
         if whole is not None and self._packages.get(name, ("", ""))[0] != whole:

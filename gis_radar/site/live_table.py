@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, PlainValidator, model_validator
 
-from gis_radar.errors import GisRadarError
+from gis_radar.base import GisRadarError, Text, duration_s, interval_steps
 from gis_radar.site.values import (
     File,
     Meaning,
@@ -21,8 +21,6 @@ from gis_radar.site.values import (
     key,
     within,
 )
-from gis_radar.steps import duration_s, interval_steps
-from gis_radar.texts import Text
 
 _NOT_IN_TOPICS = frozenset("+#/$")
 

@@ -11,9 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
-from gis_radar.errors import GisRadarError
-from gis_radar.steps import Clock, zone_of
-from gis_radar.texts import Text
+from gis_radar.base import Clock, GisRadarError, Text, zone_of
 
 # What stands for a value, or for a text by its template.
 KEYS = {

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from gis_radar.errors import GisRadarError
-from gis_radar.report.names import REPORT_FILES
+from gis_radar.base import GisRadarError, Text
+from gis_radar.products import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.settings import ConvertTable, Sensor, Site
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL
-from gis_radar.texts import Text
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",

@@ -13,20 +13,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gis_radar.crs import name_of, require_same
-from gis_radar.errors import GisRadarError, InputError, UsageError
-from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import Pose
-from gis_radar.progress import Reporter
-from gis_radar.texts import Text
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    Reporter,
+    Text,
+    UsageError,
+    name_of,
+    require_same,
+)
+from gis_radar.poses import Pose, PoseTrack
 
 if TYPE_CHECKING:
     import geopandas as gpd
 
     from gis_radar.calibration import SensorClock
     from gis_radar.dataset import Dataset
-    from gis_radar.sight import MovingHits, Sight, SightTiles
-    from gis_radar.sight.sight import SightSource
+    from gis_radar.scans import MovingHits, Sight, SightSource, SightTiles
 
 AUTO = "auto"  # clocks: as the recordings themselves show
 
@@ -42,9 +45,16 @@ def split_map(
 
     The figures are returned; options are those of :func:`gis_radar.make_tiles`.
     """
-    from gis_radar.lanelets import lanes, read_map, stop_lines
-    from gis_radar.scans.scan import read_road
-    from gis_radar.tiles import fingerprint, make_tiles, with_road_heights, write_tiles
+    from gis_radar.hdmap import (
+        fingerprint,
+        lanes,
+        make_tiles,
+        read_map,
+        stop_lines,
+        with_road_heights,
+        write_tiles,
+    )
+    from gis_radar.scans import read_road
 
     roads = read_map(map_file, crs=crs, origin=origin, reporter=reporter)
     table = make_tiles(roads, reporter=reporter, **options)
@@ -80,8 +90,7 @@ def mask_scans(
     What was written and the figures are returned; options are those of
     :func:`gis_radar.read_roads`.
     """
-    from gis_radar.scans.mask import mask_road, require_road_name
-    from gis_radar.scans.roads import read_roads
+    from gis_radar.scans import mask_road, read_roads, require_road_name
 
     require_road_name(output)
     roads = read_roads(map_file, reporter=reporter, **options)
@@ -141,10 +150,10 @@ def measure_recordings(
 
     Options are those of :func:`gis_radar.measure`.
     """
-    from gis_radar.dataset.measure import measure
+    from gis_radar.base import workers_here
+    from gis_radar.dataset import measure
+    from gis_radar.hdmap import read_tiles
     from gis_radar.measures import Filters
-    from gis_radar.processes import workers_here
-    from gis_radar.tiles import read_tiles
 
     kept, tiles = Filters(**filters), read_tiles(tile_file)
     known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
@@ -169,7 +178,8 @@ def see_tiles(
     UsageError
         If there are recordings, but not one a pose.
     """
-    from gis_radar.sight import (
+    from gis_radar.hdmap import read_tiles
+    from gis_radar.scans import (
         SightTiles,
         find_contradictions,
         open_sight,
@@ -177,7 +187,6 @@ def see_tiles(
         report_uncovered,
         write_sights,
     )
-    from gis_radar.tiles import read_tiles
 
     if recordings and len(recordings) != len(tracks):
         raise UsageError("{} recordings, but {} poses", len(recordings), len(tracks))
@@ -219,8 +228,8 @@ def _sights(
     tracks: Sequence[PoseTrack], road: SightTiles, source: SightSource | None
 ) -> tuple[list[Sight], list[Pose]]:
     """Return what sensors see from each of their views, and the first pose of its place."""
-    from gis_radar.measures.pose_sights import places_of, standing_for
-    from gis_radar.sight import find_sight
+    from gis_radar.measures import places_of, standing_for
+    from gis_radar.scans import find_sight
 
     found: list[Sight] = []
     place_of: list[Pose] = []
@@ -236,12 +245,10 @@ def _moving_hits(
     reporter: Reporter,
 ) -> list[MovingHits]:  # fmt: skip
     """Return what moves on the tiles, of each place where the sensor stood for long enough."""
-    from gis_radar.measures.frames import rows_of, whole_frames
-    from gis_radar.measures.pose_sights import places_of, road_near, standing_for
-    from gis_radar.recordings.formats import open_recording
-    from gis_radar.sight import MovementCounter, MovingHits
-    from gis_radar.sight.settings import SIGHT_DEFAULTS
-    from gis_radar.tiles import TileGrid
+    from gis_radar.hdmap import TileGrid
+    from gis_radar.measures import places_of, road_near, rows_of, standing_for, whole_frames
+    from gis_radar.recordings import open_recording
+    from gis_radar.scans import SIGHT_DEFAULTS, MovementCounter, MovingHits
 
     engine = TileGrid(road.quads)
     first, standing = places_of(track.poses), standing_for(track.poses)

@@ -5,42 +5,46 @@ Its record stands beside the results: `run.json` for programs, `summary.md` to r
 
 from __future__ import annotations
 
-import math
-import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from datetime import datetime
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment
-
-from gis_radar.errors import GisRadarError, InputError, NoAnswerError, UsageError
-from gis_radar.files import (
+from gis_radar.base import (
+    QUIET,
+    GisRadarError,
+    InputError,
+    NoAnswerError,
+    Reporter,
+    Text,
+    UsageError,
     atomic_write,
+    card,
+    json_text,
     only_writer,
     output_errors,
     refuse_foreign,
     refuse_inputs,
+    with_texts,
+    workers_here,
 )
-from gis_radar.json_documents import json_text
-from gis_radar.notebooks import card
-from gis_radar.processes import workers_here
-from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
-from gis_radar.site.messages import error_in_site_words
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.software import software
 from gis_radar.site.stages import STATE
+from gis_radar.site.summary import (
+    doubts_of,
+    refused_sensors,
+    sensors_in,
+    sensors_of,
+    summary_page,
+    warnings_of,
+)
 from gis_radar.site.worker import process_pool
-from gis_radar.steps import Clock, zone_of
-from gis_radar.texts import Text, with_texts
-from gis_radar.words import NOTHING, direction, figure_text, listed, speaking, tr
 
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
@@ -75,7 +79,7 @@ class SiteRun:
     @property
     def missing(self) -> dict[str, GisRadarError]:
         """The sensors without a result, and why."""
-        return _refused(self.outcomes, self.site.timezone) | {
+        return refused_sensors(self.outcomes, self.site.timezone) | {
             each.stage.sensor: each.error
             for each in reversed(self.outcomes)
             if each.stage.sensor and each.error is not None
@@ -109,14 +113,14 @@ class SiteRun:
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
         by_work = {e.stage.work: e.figures for e in reversed(self.outcomes) if e.has_result}
-        unsure = _doubts(self.outcomes)
+        unsure = doubts_of(self.outcomes)
         heat, tiles = by_work.get(work.heatmap_stage), by_work.get(work.tiles_stage)
         names = (*_POSE, "fitness", "scan_check", "state")
-        sensors = _sensors_of(self.outcomes, self.site).items()
+        sensors = sensors_of(self.outcomes, self.site).items()
         return {
             "site": self.site.title,
             "sensors": {k: {n: facts[n] for n in names if n in facts} for k, facts in sensors},
-            "heat_maps_show": _sensors_in(self.outcomes) if heat else [],
+            "heat_maps_show": sensors_in(self.outcomes) if heat else [],
             **({"tiles": tiles["tiles"]} if tiles else {}),
             **{k: value for k, value in (heat or {}).items() if k not in {"sensors", "tiles"}},
             **{
@@ -125,7 +129,7 @@ class SiteRun:
                 if k in {"vehicles", "heavy", "passages"}
             },
             **({"not_known_to_fit": [*unsure.values()]} if unsure else {}),
-            "warnings": len(_warnings(self.outcomes)),
+            "warnings": len(warnings_of(self.outcomes)),
             "stages": len(self.outcomes),
             "stages_done_before": sum(each.state == "kept" for each in self.outcomes),
         }
@@ -284,7 +288,7 @@ def _write_record(
     document = {
         "finished": finished,
         "site": site.model_dump(),
-        "sensors_in_heat_maps": _sensors_in(outcomes),
+        "sensors_in_heat_maps": sensors_in(outcomes),
         "inputs": {_relative(p, base): state.hash_of(p) for p in (site.path, *site.inputs)},
         "software": software(),
         "stages": [_stage(each, base, root) for each in outcomes],
@@ -300,73 +304,11 @@ def _write_record(
         part.write_text(summary_page(site, outcomes), encoding="utf-8")
 
 
-def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return the sensors that the heat maps are made of."""
-    return [
-        name
-        for each in outcomes
-        if each.has_result and each.stage.work is work.measure_stage
-        for name in each.figures["sensors"]
-    ]
-
-
-def _refused(outcomes: Sequence[Outcome], timezone: str) -> dict[str, GisRadarError]:
-    """Return the sensors whose recordings are not in the dataset, and why."""
-    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
-    return {
-        name: error_in_site_words(
-            (NoAnswerError if name in each.get("implausible", ()) else InputError)(
-                why, hint=each.get("hints", {}).get(name, "")
-            ),
-            timezone,
-        )
-        for each in measured
-        for name, why in each.get("refused", {}).items()
-    }
-
-
 def _named(name: str, error: GisRadarError) -> GisRadarError:
     """Return why a sensor has no result, with its name."""
     if name in error.message.partition(":")[0].split():  # it names the sensor itself
         return error
     return type(error)("{}: {}", name, error.message, hint=error.hint)
-
-
-def _doubts(outcomes: Sequence[Outcome]) -> dict[str, str]:
-    """Return by sensor what the check of poses and recordings doubts."""
-    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
-    return {name: line for each in measured for name, line in each.get("doubts", {}).items()}
-
-
-def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
-    """Return the pose of each sensor, or why there is none."""
-    found: dict[str, dict[str, Any]] = {sensor.name: {} for sensor in site.sensor}
-    for each in outcomes:
-        if not each.stage.sensor:
-            continue
-        facts = found[each.stage.sensor]
-        if each.error is not None:
-            reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
-            facts.setdefault("state", reason)
-        elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
-            # how a pose was found comes first; the pose in use counts
-            found[each.stage.sensor] = {**facts, **each.figures}
-    for name, error in _refused(outcomes, site.timezone).items():
-        found[name]["state"] = Text(error.message).removeprefix(f"{name}: ")
-    for name, doubt in _doubts(outcomes).items():
-        found[name]["state"] = Text(doubt).removeprefix(f"{name}: ")
-    return {name: {"state": "ok"} | facts for name, facts in found.items()}
-
-
-def _together(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return what sensors gained by each other, or why they are not tied."""
-    solved = (e.figures for e in outcomes if e.has_result and e.stage.work is work.together_stage)
-    return [f"{name}: {tr(line)}" for each in solved for name, line in each.items()]
-
-
-def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return the warnings of all stages, each once."""
-    return warnings_once({each.stage.name: list(each.warnings) for each in outcomes})
 
 
 def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
@@ -389,103 +331,3 @@ def _relative(path: Path, *bases: Path) -> str:
         if whole.is_relative_to(base.resolve()):
             return whole.relative_to(base.resolve()).as_posix()
     return str(whole)
-
-
-_NUMBERS = "|".join(rf"(?<=^{digits})[.)](?=\s|$)" for digits in (r"\d", r"\d\d", r"\d\d\d"))
-_MARKS = re.compile(  # what Markdown takes for markup; no underscore within a word
-    r"[\\`*\[\]<>|~]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)|^[#+=-]|" + _NUMBERS
-)
-
-
-def markdown_escaped(value: object) -> object:
-    """Return a text as Markdown prints it: names and titles are no markup and no HTML.
-
-    Parameters
-    ----------
-    value : object
-        Escaped where it is a text; anything else stays as it is.
-
-    Returns
-    -------
-    object
-        A text of one line, or the value.
-    """
-    if not isinstance(value, str):
-        return value
-    return _MARKS.sub(_escaped, " ".join(value.split()))
-
-
-def _escaped(found: re.Match[str]) -> str:
-    text = found.group()
-    return {"<": "&lt;", ">": "&gt;", "&": "&amp;"}.get(text, f"\\{text}")
-
-
-def summary_page(site: Site, outcomes: Sequence[Outcome]) -> str:
-    """Return the summary of a run, to read: what the report says first, in its language.
-
-    Parameters
-    ----------
-    site : Site
-        With title, time zone and language.
-    outcomes : sequence of Outcome
-        Of the run's stages.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
-    by_work = {each.stage.work: each.figures for each in outcomes if each.has_result}
-    heat, told = by_work.get(work.heatmap_stage, {}), by_work.get(work.report_stage, {})
-    text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
-    plain = Environment(  # noqa: S701 - Markdown, escaped by `finalize`
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=markdown_escaped
-    )
-    template = plain.from_string(text)
-    with speaking(site.language):
-        heard = told.get("remarks") or [tr(each) for each in _warnings(outcomes)]
-        shown: str = template.render(
-            tr=tr, title=site.title, span=_span(site, heat), shown=listed(_sensors_in(outcomes)),
-            facts=told.get("facts") or {}, heard=heard, version=software()["gis_radar"],
-            tables=[
-                (tr("What this rests on"), told.get("basis")),
-                (tr("Lanes by occupancy"), told.get("lanes_named")),
-                (tr("Sensors"), _pose_rows(outcomes, site)),
-            ],
-            lists={
-                tr("Poses found together"): _together(outcomes),
-                tr("Data sources"): site.credits,
-            },
-        )  # fmt: skip
-    return shown
-
-
-def _span(site: Site, heat: Mapping[str, Any]) -> str:
-    """Return the time of the heat maps by the site's clock, with its zone."""
-    if not {"begin", "end"} <= set(heat):
-        return ""
-    begin, end = (datetime.fromisoformat(heat[name]) for name in ("begin", "end"))
-    clock = Clock(zone=zone_of(site.timezone), first=begin, last=end)
-    return clock.whole_in_zone(begin, end)
-
-
-def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
-    """Return the poses as a table is read: its head, and a row a sensor; bearings as the report."""
-    rows = [[
-        tr("Sensor"), f"{tr('Easting')}, m", f"{tr('Northing')}, m", f"{tr('Height')}, m",
-        f"{tr('Looks to')}, {tr('from grid north')}", tr("Pitch, roll"),
-        tr("Scan check"), tr("State"),
-    ]]  # fmt: skip
-    for name, facts in _sensors_of(outcomes, site).items():
-        state = tr("good") if facts["state"] == "ok" else tr(str(facts["state"]))
-        if "yaw" not in facts:
-            rows.append([name, *[NOTHING] * 6, state])
-            continue
-        yaw = math.radians(facts["yaw"])
-        place = [figure_text(facts[each], 2) for each in ("easting", "northing", "height")]
-        bearing = f"{figure_text((90.0 - facts['yaw']) % 360.0, 1)}°"
-        angles = ", ".join(f"{figure_text(facts[each], 1)}°" for each in ("pitch", "roll"))
-        looks = f"{direction(math.cos(yaw), math.sin(yaw))}, {bearing}"
-        look = tr(str(facts.get("scan_check") or NOTHING))
-        rows.append([name, *place, looks, angles, look, state])
-    return rows

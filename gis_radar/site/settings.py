@@ -12,9 +12,10 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from gis_radar import recordings
+from gis_radar.base import Text
 from gis_radar.site.live_table import LiveTable
 from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
-from gis_radar.site.values import (
+from gis_radar.site.values import (  # fmt: skip
     CompassBearing,
     Crs,
     Cycle,
@@ -36,8 +37,7 @@ from gis_radar.site.values import (
     Zone,
     key,
     within,
-)  # fmt: skip
-from gis_radar.texts import Text
+)
 
 _HINT = Text("begin with: gis-radar run --template > SITE.toml")
 

@@ -13,12 +13,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gis_radar.crs import name_of
-from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.files import atomic_write, scratch_folder
-from gis_radar.poses.files import PoseTrack, read_track, write_pose
-from gis_radar.poses.pose import COMPONENTS, Pose, View
-from gis_radar.progress import Reporter
+from gis_radar.base import (
+    InputError,
+    NoAnswerError,
+    Reporter,
+    Text,
+    atomic_write,
+    name_of,
+    scratch_folder,
+)
+from gis_radar.poses import COMPONENTS, Pose, PoseTrack, View, read_track, write_pose
 from gis_radar.site.together import (
     RECORDED,
     read_together,
@@ -27,7 +31,6 @@ from gis_radar.site.together import (
     write_candidates,
     write_together,
 )
-from gis_radar.texts import Text
 
 STATE = ".gis-radar"
 SIGHTS = "sights"  # in there: what sensors see by the scans, which is asked for again
@@ -44,7 +47,7 @@ def mask_stage(*, map_file: Path, scans: Paths, outputs: Paths, **options: Any) 
 
 def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
     """Take a road that was masked before."""
-    from gis_radar.scans.scan import read_road, road_crs
+    from gis_radar.scans import read_road, road_crs
 
     crs = road_crs(road)
     points = read_road(road, crs)
@@ -227,7 +230,7 @@ def heatmap_stage(
 ) -> Figures:  # fmt: skip
     """Make a heat map of what was measured."""
     from gis_radar.dataset import open_dataset
-    from gis_radar.heatmap import MapLabels, make_heatmap
+    from gis_radar.products import MapLabels, make_heatmap
 
     zone = None if labels["timezone"] == "UTC" else labels["timezone"]
     heat = make_heatmap(
@@ -240,7 +243,7 @@ def heatmap_stage(
 
 def project_stage(*, outputs: Paths, **options: Any) -> Figures:
     """Write sensors, and vehicles where asked, as layers; and the project that shows them."""
-    from gis_radar.qgis import write_site_project
+    from gis_radar.products import write_site_project
 
     write_site_project(outputs[0].parent, **options)
     return {}
@@ -248,7 +251,7 @@ def project_stage(*, outputs: Paths, **options: Any) -> Figures:
 
 def report_stage(*, outputs: Paths, csv_locale: str, reporter: Reporter) -> Figures:
     """Write the report of all that was made; what it says first, the summary says, too."""
-    from gis_radar.report import write_report
+    from gis_radar.products import write_report
 
     made = write_report(outputs[0].parent, csv_locale=csv_locale, reporter=reporter)
     for remark in made.summary["found"]:

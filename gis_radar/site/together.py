@@ -8,13 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.files import atomic_write
-from gis_radar.json_documents import read_json
-from gis_radar.poses.files import read_pose
-from gis_radar.poses.pose import Pose, pose_from_dict
-from gis_radar.progress import Reporter
-from gis_radar.texts import Text, restored, with_texts
+from gis_radar.base import (
+    InputError,
+    NoAnswerError,
+    Reporter,
+    Text,
+    atomic_write,
+    read_json,
+    restored,
+    with_texts,
+)
+from gis_radar.poses import Pose, pose_from_dict, read_pose
 
 if TYPE_CHECKING:
     from gis_radar.calibration import AmbiguousError, Solved
@@ -70,8 +74,8 @@ def solve_together(
         or why it is not tied.
     """
     from gis_radar.calibration import Solved, adjust_poses, read_clocks
-    from gis_radar.lanelets import read_map
-    from gis_radar.scans.scan import read_road
+    from gis_radar.hdmap import read_map
+    from gis_radar.scans import read_road
 
     alone = {name: _alone(folder / name) for name in sensors}
     poses = {name: found[0] for name, found in alone.items() if found[0]}

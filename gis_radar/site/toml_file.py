@@ -13,17 +13,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from gis_radar.errors import InputError, first_line
-from gis_radar.site.values import (
-    Steps,
-    TomlTable,
-    Unfit,
-    is_repeated,
-    lines_of,
-    table_of,
-    value_of,
-)
-from gis_radar.texts import Text
+from gis_radar.base import InputError, Text, first_line
+from gis_radar.site.values import Steps, TomlTable, Unfit, is_repeated, lines_of, table_of, value_of
 
 Root = TypeVar("Root", bound=TomlTable)
 LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it

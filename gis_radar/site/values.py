@@ -21,17 +21,20 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
-from gis_radar.errors import GisRadarError, first_line
-from gis_radar.steps import (
+from gis_radar.base import (
     CYCLE_HINT,
     LONGEST_CYCLE_S,
     SHORTEST_CYCLE_S,
+    GisRadarError,
+    Text,
+    bearing_of,
     duration_s,
+    first_line,
     interval_steps,
+    looks_like_degrees,
+    metric_crs,
     zone_of,
 )
-from gis_radar.texts import Text
 
 _WILD = frozenset("*?[")
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT

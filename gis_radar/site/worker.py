@@ -19,10 +19,16 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from gis_radar.errors import GisRadarError, OutputError
-from gis_radar.processes import go_offline, stop_workers, watch_parent
-from gis_radar.progress import Level, Reporter
-from gis_radar.words import speak
+from gis_radar.base import (
+    GisRadarError,
+    Level,
+    OutputError,
+    Reporter,
+    go_offline,
+    speak,
+    stop_workers,
+    watch_parent,
+)
 
 _REPORT_S = 0.05  # bars move 20 times a second at most: faster is not seen, and costs both ends
 _ENDED = 128 + signal.SIGTERM  # exit code of a worker that was asked to end

@@ -1,1 +1,8 @@
-"""Vehicles: followed along the lanes, with what they occupy and hide."""
+"""Vehicles: followed along the lanes, with what they occupy and hide.
+
+What the room offers is listed in `__init__.pyi` and loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,10 +10,8 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
-from gis_radar.arrays import Booleans, Floats, Integers, nearest
-from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.steps import STEP_S
-from gis_radar.texts import Text
+from gis_radar.base import STEP_S, Booleans, Floats, Integers, Text, nearest
+from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled, turned
-from gis_radar.lanelets.graph import FieldArrays, lanes_at
-from gis_radar.tracking.columns import (
+from gis_radar.base import Floats, Integers, compiled, turned
+from gis_radar.hdmap import FieldArrays, lanes_at
+from gis_radar.tracking.columns import (  # fmt: skip
     ALIVE,
     BEGUN,
     BIRTH_S,
@@ -40,7 +40,7 @@ from gis_radar.tracking.columns import (
     WAITS,
     X,
     Y,
-)  # fmt: skip
+)
 
 FASTEST_MPS = 60.0
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers, nearest
+from gis_radar.base import Booleans, Floats, Integers, nearest
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion, fit_motion

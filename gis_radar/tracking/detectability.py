@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from gis_radar.arrays import Floats, Integers, compiled
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.management_settings import DetectabilitySettings
 from gis_radar.tracking.motion import HALF_STEPS, Motion

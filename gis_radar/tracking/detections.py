@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
-from gis_radar.poses.pose import Pose
-from gis_radar.recordings.recording import Detections
+from gis_radar.base import Booleans, Floats, Integers, compiled
+from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
+from gis_radar.poses import Pose
+from gis_radar.recordings import Detections
 from gis_radar.tracking.settings import DetectionSettings
 
 LEAST_LEVEL = 0.3  # cosine of the elevation: what is steeper below tells nothing of its speed

@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled, ranges
-from gis_radar.tiles.tiles import quads
+from gis_radar.base import Booleans, Floats, Integers, compiled, ranges
+from gis_radar.hdmap import quads
 from gis_radar.tracking.occupancy_settings import OccupancySettings
 
 CELL_M = 2.0  # of the look-up: half a vehicle's length; twice or half of it is as fast

@@ -15,10 +15,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled, turned
-from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
+from gis_radar.base import Floats, Integers, compiled, turned
+from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 from gis_radar.tracking.births import begin
-from gis_radar.tracking.columns import (
+from gis_radar.tracking.columns import (  # fmt: skip
     ACCEL,
     ACROSS,
     ALIVE,
@@ -64,7 +64,7 @@ from gis_radar.tracking.columns import (
     WAIT_COLUMNS,
     X,
     Y,
-)  # fmt: skip
+)
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.settings import DetectionSettings, ForwardSettings
 from gis_radar.tracking.size import LONGEST_M

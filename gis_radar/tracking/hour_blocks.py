@@ -12,14 +12,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Integers, give_back_memory
-from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.measures.frames import rows_of, whole_frames
-from gis_radar.measures.hour import HourWindow
-from gis_radar.measures.pose_sights import PlacedRecording
-from gis_radar.measures.sensor_reading import SensorHour
-from gis_radar.recordings.recording import Detections
-from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, step_of
+from gis_radar.base import STEP_S, STEP_US, STEPS_PER_SECOND, Integers, give_back_memory, step_of
+from gis_radar.hdmap import LaneGraph
+from gis_radar.measures import HourWindow, PlacedRecording, SensorHour, rows_of, whole_frames
+from gis_radar.recordings import Detections
 from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections, map_detections, still_rate
 from gis_radar.tracking.settings import BlockSettings, VehicleSettings

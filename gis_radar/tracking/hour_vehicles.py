@@ -14,11 +14,9 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Integers
-from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.measures.hour import HourWindow
-from gis_radar.measures.pose_sights import PoseSight
-from gis_radar.measures.sensor_reading import SensorHour
+from gis_radar.base import Integers
+from gis_radar.hdmap import LaneGraph
+from gis_radar.measures import HourWindow, PoseSight, SensorHour
 from gis_radar.tracking.batches import BatchMaker, joined_rows
 from gis_radar.tracking.hour_blocks import blocks_of
 from gis_radar.tracking.occupancy import OccupancyEngine

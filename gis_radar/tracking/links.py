@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detectability import Detectability
 from gis_radar.tracking.management_settings import DetectabilitySettings, LinkSettings

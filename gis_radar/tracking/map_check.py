@@ -11,12 +11,8 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
-from gis_radar.crs import name_of
-from gis_radar.errors import InputError, UsageError
-from gis_radar.lanelets import LaneletMap, read_map
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.texts import Text
-from gis_radar.tiles.tiles import quads
+from gis_radar.base import QUIET, InputError, Reporter, Text, UsageError, name_of
+from gis_radar.hdmap import LaneletMap, quads, read_map
 
 HINT = Text("give the map that the tiles were made from, with the same CRS and origin")
 SAME_PLACE_M = 0.01  # how far bounds of one map may be apart, by rounding

@@ -12,8 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
-from gis_radar.steps import STEP_S, STEPS_PER_SECOND
+from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.paths import Path, path_through
 from gis_radar.tracking.settings import MotionSettings

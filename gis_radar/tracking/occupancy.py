@@ -8,8 +8,8 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.measures.pose_sights import PoseSight
+from gis_radar.base import Floats, Integers
+from gis_radar.measures import PoseSight
 from gis_radar.tracking.footprints import (
     CrossLines,
     Footprints,

@@ -8,8 +8,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S, Booleans, Floats, Integers
 from gis_radar.tracking.tables import PASSAGES
 
 HEAVY = 0.5  # probability from which a vehicle counts as heavy

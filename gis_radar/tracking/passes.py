@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gis_radar.arrays import Floats, nearest
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_SECOND, Floats, nearest
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.management_settings import StationarySettings
 from gis_radar.tracking.motion import Motion

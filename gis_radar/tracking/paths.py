@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled, turned
+from gis_radar.base import Floats, Integers, compiled, turned
 from gis_radar.tracking.size import LONGEST_M
 
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car

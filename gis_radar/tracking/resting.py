@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detectability import Detectability
 from gis_radar.tracking.detections import MapDetections

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled, turned
-from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
+from gis_radar.base import Floats, Integers, compiled, turned
+from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 from gis_radar.tracking.settings import RouteSettings
 
 MOST = 8  # lanelets at one point

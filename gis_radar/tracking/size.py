@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats, compiled
+from gis_radar.base import Floats, compiled
 from gis_radar.tracking.settings import MotionSettings
 
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter, uniform_filter1d
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.management_settings import StationarySettings

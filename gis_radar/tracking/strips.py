@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.base import Floats, Integers
+from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.columns import NONE
 
 AT_ONCE = 100_000  # points: with the lanes near them, 20 MB

@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.arrays import Booleans
-from gis_radar.errors import InputError
+from gis_radar.base import Booleans, InputError
 
 BLOCK_STEPS = 18_000
 """Steps of a block of runs: a quarter of an hour of absolute time, as most heat maps count."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.base import Floats
 from gis_radar.tracking.management_settings import TallSettings
 
 

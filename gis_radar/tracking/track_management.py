@@ -11,9 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
+from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.bodies import usual_rcs
 from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.detections import MapDetections

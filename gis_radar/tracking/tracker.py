@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, give_back_memory
-from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.base import Floats, Integers, give_back_memory
+from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.bodies import (
     absorb,
     is_person,

@@ -18,17 +18,10 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.measures.pose_sights import PoseSight
-from gis_radar.poses.pose import Pose
-from gis_radar.steps import STEPS_PER_SECOND
-from gis_radar.tracking.footprints import (
-    MOST_PARTS,
-    CrossLines,
-    Footprints,
-    clip_box,
-    is_occupied,
-)
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, compiled
+from gis_radar.measures import PoseSight
+from gis_radar.poses import Pose
+from gis_radar.tracking.footprints import MOST_PARTS, CrossLines, Footprints, clip_box, is_occupied
 from gis_radar.tracking.occupancy_settings import OccupancySettings
 
 BINS = 720  # of the azimuth around a sensor: half a degree, a tenth of a car at 20 m

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gis_radar.base import InputError
 from gis_radar.dataset import (
     STEPS_PER_HOUR,
     HourWriter,
@@ -24,10 +25,10 @@ from gis_radar.dataset import (
     read_hour,
     read_hours,
     record_path,
+    unfinished,
 )
-from gis_radar.dataset.parts import ROWS_IN_GROUP, PartWriter, unfinished
+from gis_radar.dataset.parts import ROWS_IN_GROUP, PartWriter
 from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED, OCCUPIED, TABLES, TRACKS, VEHICLES
-from gis_radar.errors import InputError
 
 HOUR = 472_222
 BEGIN = HOUR * STEPS_PER_HOUR

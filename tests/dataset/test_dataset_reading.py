@@ -9,8 +9,10 @@ import pytest
 from datasets import BEGIN, HOUR, square_tiles, write_dataset
 from maps import EAST, NORTH, Listener
 
+from gis_radar.base import InputError, UsageError
 from gis_radar.dataset import (
     STEPS_PER_HOUR,
+    TILE_COUNTS,
     HourWriter,
     Origin,
     open_dataset,
@@ -18,8 +20,7 @@ from gis_radar.dataset import (
     record_path,
     require_same_site,
 )
-from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED, TABLES, TILE_COUNTS, TRACKS
-from gis_radar.errors import InputError, UsageError
+from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED, TABLES, TRACKS
 
 AFTER = BEGIN + STEPS_PER_HOUR
 TRACK = {

@@ -10,7 +10,7 @@ from maps import Listener
 from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
-from gis_radar.steps import step_of
+from gis_radar.base import step_of
 
 EDGE_STEP = int(EDGE_S * 20)
 

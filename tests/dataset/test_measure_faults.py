@@ -11,9 +11,9 @@ from maps import Listener
 from measured import EDGE_S, MAP, contents, cut, measured, sample_pose
 
 import gis_radar as gr
+from gis_radar.base import QUIET
 from gis_radar.dataset import read_hours
 from gis_radar.dataset.making import writing
-from gis_radar.progress import QUIET
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import polars as pl
 import pytest
 from datasets import BEGIN, HOUR, write_dataset
 
-from gis_radar.dataset import STEPS_PER_HOUR
-from gis_radar.dataset.tables import HOUR_TABLES, TABLES, TILE_COUNTS
+from gis_radar.dataset import STEPS_PER_HOUR, TILE_COUNTS
+from gis_radar.dataset.tables import HOUR_TABLES, TABLES
 
 DUCKDB = Path(sys.executable).with_name("duckdb")
 BIG = 9_007_199_254_740_993

@@ -11,9 +11,9 @@ import pyarrow.dataset as pads
 import pytest
 from datasets import BEGIN, HOUR, write_dataset
 
+from gis_radar.base import InputError, UsageError
 from gis_radar.dataset import STEPS_PER_HOUR, part_path, record_path
 from gis_radar.dataset.tables import HITS, TABLES
-from gis_radar.errors import InputError, UsageError
 
 AFTER = BEGIN + STEPS_PER_HOUR
 

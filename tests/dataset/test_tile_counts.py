@@ -8,10 +8,12 @@ from datasets import BEGIN, HOUR, write_dataset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gis_radar.base import InputError
 from gis_radar.dataset import (
     RUN_ERRORS,
     STEPS_PER_HOUR,
     STEPS_PER_QUARTER,
+    TILE_COUNTS,
     HourWriter,
     Origin,
     open_dataset,
@@ -21,8 +23,7 @@ from gis_radar.dataset import (
     update_counts,
     write_record,
 )
-from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED, TILE_COUNTS
-from gis_radar.errors import InputError
+from gis_radar.dataset.tables import HITS, HOUR_TABLES, OBSERVED
 
 RUNS = ("observed", "visible", "occupied")
 COUNTS = [name for name in TILE_COUNTS.names if name.endswith("steps")]

@@ -34,9 +34,9 @@ def main() -> None:
     used = "laspy", "matplotlib.pyplot", "numba", "rasterio", "scipy.ndimage", "scipy.spatial"
     for name in used:
         importlib.import_module(name)
+    from gis_radar.base import go_offline
     from gis_radar.cli import group
     from gis_radar.cli.console import run_group
-    from gis_radar.processes import go_offline
 
     go_offline()
     importlib.import_module("numba").njit(lambda x: x)(1)  # what it knows of types, 0.1 s

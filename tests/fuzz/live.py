@@ -13,6 +13,7 @@ import numpy as np
 from maps import EAST, NORTH
 
 import gis_radar as gr
+from gis_radar.base import QUIET
 from gis_radar.live import (
     Acknowledgement,
     BrokerAddress,
@@ -43,8 +44,7 @@ from gis_radar.live import (
 )
 from gis_radar.live.outbox import ONLINE, status_message
 from gis_radar.measures import FrameCounter
-from gis_radar.progress import QUIET
-from gis_radar.sight import SightFile, SightTiles, find_sight, write_sights
+from gis_radar.scans import SightFile, SightTiles, find_sight, write_sights
 
 STREAM, BEGIN_US = b"abcd", 1_700_000_000_000_000
 MESSAGES = ("status", "pose", "detections")  # in the order in which they come

@@ -64,7 +64,7 @@ def fuzz(target: Any, inputs: Path, folder: Path, seconds: int) -> None:
         Of the processor's time.
     """
     from fuzz.targets import Bench
-    from gis_radar.processes import go_offline
+    from gis_radar.base import go_offline
 
     go_offline()
     logging.disable()

@@ -2,8 +2,8 @@
 
 import pyarrow as pa
 
+from gis_radar.base import Text
 from gis_radar.dataset.tables.table import POSE, SENSOR, TILE, TableColumn, TableSchema
-from gis_radar.texts import Text
 
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
 

@@ -11,8 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from gis_radar.arrays import Booleans, Integers
-from gis_radar.errors import InputError
+from gis_radar.base import Booleans, InputError, Integers
 
 _INT, _TEXT = pa.int64(), pa.string()
 

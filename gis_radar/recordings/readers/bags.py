@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.errors import InputError, UsageError, first_line
+from gis_radar.base import InputError, Text, UsageError, first_line
 from gis_radar.recordings import ars430
 from gis_radar.recordings.columns import Layout, find_layout, message_rows, values_of
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 from gis_radar.recordings.unpacking import limit_rosbags
-from gis_radar.texts import Text
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 # Messages that list their detections one by one: where, and of which type.

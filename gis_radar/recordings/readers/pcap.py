@@ -18,6 +18,7 @@ from pathlib import Path
 from socket import inet_ntoa
 from typing import BinaryIO, NamedTuple
 
+from gis_radar.base import Text
 from gis_radar.recordings.frames import (
     DamagedError,
     Format,
@@ -28,7 +29,6 @@ from gis_radar.recordings.frames import (
 )
 from gis_radar.recordings.readers.udp import METHOD, OTHER_METHODS, method_of, read_detections
 from gis_radar.recordings.unpacking import ExplodingError, LimitedStream
-from gis_radar.texts import Text
 
 GZIP = b"\x1f\x8b"
 PCAPNG = b"\x0a\x0d\x0d\x0a"

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 
-from gis_radar.errors import InputError
+from gis_radar.base import InputError, Text
 from gis_radar.recordings import settings
 from gis_radar.recordings.columns import find_layout, values_of
 from gis_radar.recordings.frames import (
@@ -28,7 +28,6 @@ from gis_radar.recordings.frames import (
     NothingHereError,
     ReaderContext,
 )
-from gis_radar.texts import Text
 
 # Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
 WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}

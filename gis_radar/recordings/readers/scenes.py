@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Floats
-from gis_radar.errors import InputError
+from gis_radar.base import Floats, InputError, Text
 from gis_radar.recordings.frames import Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.readers.pcd import read_folder
-from gis_radar.texts import Text
 
 CALIBRATION = "calibration.json"
 # The published chain from a radar to the ground goes over the lidar.

@@ -12,15 +12,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Floats
-from gis_radar.errors import InputError, UsageError
+from gis_radar.base import Floats, InputError, Text, UsageError
 from gis_radar.recordings import settings
 from gis_radar.recordings.columns import NAMES, Layout, find_layout
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.parquet_table import parquet_batches
 from gis_radar.recordings.recording import open_table
-from gis_radar.texts import Text
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ENDINGS = (".parquet", ".csv")

@@ -19,8 +19,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
-from gis_radar.errors import InputError, UsageError
-from gis_radar.processes import stopped_by_signals
+from gis_radar.base import InputError, Text, UsageError, stopped_by_signals
 from gis_radar.recordings.columns import cartesian
 from gis_radar.recordings.frames import (
     Column,
@@ -30,7 +29,6 @@ from gis_radar.recordings.frames import (
     ReaderContext,
     counted,
 )
-from gis_radar.texts import Text
 
 PORT = 42102  # of the sensor by default, as GROUP
 GROUP = "224.0.2.2"

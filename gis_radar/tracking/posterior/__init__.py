@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import cut

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.posterior.frames import Frames
 from gis_radar.tracking.posterior.likelihood import CELL_M, RATE_MPS

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, compiled
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, compiled
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import WINDOW_S

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
-from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.steps import STEP_S, STEPS_PER_SECOND
+from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
+from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior.cuts import END_SHARE, END_WINDOWS

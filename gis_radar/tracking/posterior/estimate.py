@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Floats, Integers, give_back_memory
+from gis_radar.base import Floats, Integers, give_back_memory
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.background import Background

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S, Floats, Integers
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.steps import STEP_S, STEPS_PER_SECOND
+from gis_radar.base import STEP_S, STEPS_PER_SECOND
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior.cuts import END_MOST, END_SHARE, END_WINDOWS, EXISTS

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.size import LONG_M
 
 ON_FACES = 0.75  # share of detections of the faces that are seen; others are of all the body

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
-from gis_radar.steps import STEP_S, STEPS_PER_SECOND
+from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import EXISTS
 from gis_radar.tracking.posterior.estimate import Posterior

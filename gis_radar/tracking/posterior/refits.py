@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.steps import STEP_S
+from gis_radar.base import STEP_S, Floats, Integers
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.sizes import with_size

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.base import Floats, Integers, compiled
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import SPEED, groups_of

@@ -1,0 +1,114 @@
+"""Errors: one class a kind, each with its exit code; a message is one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+from gis_radar.base.texts import Text
+
+
+class GisRadarError(Exception):
+    """Base of every error that gis_radar raises on purpose.
+
+    Parameters
+    ----------
+    template : str
+        What is wrong, and in which file or value, with a hole `{}` for each value; what it quotes
+        may have line ends, the error has none.
+    *values
+        For the holes of the template.
+    hint : str, optional
+        One line: what to do about it.
+    parts : sequence of GisRadarError
+        Where it is about several things: the same in a line each, with a hint of its own.
+
+    Examples
+    --------
+    >>> GisRadarError("{}: row {} has no time", "R1.csv", 3).message
+    'R1.csv: row 3 has no time'
+    """
+
+    exit_code: ClassVar[int] = 3
+
+    def __init__(
+        self, template: str, /, *values: Any, hint: str = "", parts: Sequence[GisRadarError] = ()
+    ) -> None:
+        message = Text(template, *values)
+        if len(message.splitlines()) > 1:
+            flat = map(_one_line, message.values)
+            message = Text(message.template, *flat) if message.values else Text(_one_line(message))
+        super().__init__(message)
+        self.message = message
+        self.parts = tuple(parts)
+        self._hint = ""
+        self.hint = hint
+
+    @property
+    def hint(self) -> str:
+        """What to do about it, or nothing; tracebacks and notebooks show it below the message."""
+        return self._hint
+
+    @hint.setter
+    def hint(self, hint: str) -> None:
+        others = getattr(self, "__notes__", [])[bool(self._hint) :]
+        self._hint = hint
+        self.__notes__ = [hint, *others] if hint else others
+
+
+def _one_line(value: Any) -> Any:
+    lines = value.splitlines() if isinstance(value, str) else ()
+    return " ".join(value.split()) if len(lines) > 1 else value
+
+
+class UsageError(GisRadarError):
+    """Wrong usage: options that do not fit each other."""
+
+    exit_code = 2
+
+
+class InputError(GisRadarError):
+    """A bad input: a file or a table that is not what it should be."""
+
+
+class CrsError(InputError):
+    """A coordinate system that is missing, geographic, or not that of the other inputs."""
+
+
+class OutputError(GisRadarError):
+    """A place where a result cannot be written."""
+
+
+class NoAnswerError(GisRadarError):
+    """Sound inputs from which no trustworthy answer follows."""
+
+    exit_code = 4
+
+
+@contextmanager
+def placed(where: str) -> Iterator[None]:
+    """Name the place of what is wrong, where only the caller knows it.
+
+    Parameters
+    ----------
+    where : str
+        A file, or a place in one; stands before the message of an `InputError`, once.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.message.startswith(where):
+            raise
+        raise type(error)("{}: {}", where, error.message, hint=error.hint) from error
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an error of a library, or its kind where it has no text."""
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+LOCALIZE = Text("pip install gis_radar[localize]")
+PDF = "pip install gis_radar[pdf]"
+NOTEBOOKS = Text("pip install gis_radar[notebooks]")
+TRAJECTORIES = Text("pip install gis_radar[trajectories]")

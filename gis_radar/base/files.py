@@ -1,0 +1,437 @@
+"""Write outputs whole or not at all, and let one run at a time write a result."""
+
+from __future__ import annotations
+
+import atexit
+import errno
+import json
+import os
+import secrets
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import date
+from pathlib import Path
+
+from gis_radar.base.errors import GisRadarError, OutputError, first_line
+from gis_radar.base.leftovers import (
+    PLAN,
+    PRIVATE,
+    SCRATCH,
+    clear_abandoned,
+    clear_scratch,
+    hidden_stem,
+    leftovers,
+    living,
+    private_pattern,
+)
+from gis_radar.base.progress import QUIET, Reporter
+from gis_radar.base.texts import Text
+
+WRITTEN = date(2000, 1, 1)
+"""The day on which all files were written that must name one: the same work, the same bytes."""
+
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+# Libraries that write our files, by the module of their errors: importing them takes a second.
+_WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
+_FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
+LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
+
+_unfinished: set[Path] = set()
+_CLEARING_FILES = 4  # file descriptors to remove a folder in a folder
+
+
+def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
+    """Refuse an output that would take the place of an input.
+
+    Parameters
+    ----------
+    output : str or Path
+        The file or folder to be written.
+    *inputs : str or Path
+        The files and folders that are read.
+
+    Raises
+    ------
+    OutputError
+        If the output is one of the inputs, under whatever name, or a folder that holds one.
+    """
+    place = Path(output)
+    if not place.exists():
+        return
+    for source in map(Path, inputs):
+        if source.exists() and any(
+            place.samefile(part) for part in (source, *source.resolve().parents)
+        ):
+            raise OutputError(
+                "{}: would replace the input {}", output, source, hint="name another output"
+            )
+
+
+def require_folder(output: str | Path) -> None:
+    """Refuse a file whose folder is not there, before any work.
+
+    Parameters
+    ----------
+    output : str or Path
+        The file to be written.
+
+    Raises
+    ------
+    OutputError
+        If the folder does not exist.
+    """
+    folder = Path(output).absolute().parent
+    if not folder.is_dir():
+        raise OutputError("{}: cannot be written: there is no folder {}", output, folder)
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Write a file that appears only when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file shall be; an existing file is replaced in one move.
+
+    Yields
+    ------
+    Path
+        A file name with the same ending in a private folder beside `path`.
+
+    Raises
+    ------
+    OutputError
+        If the folder around it does not exist, or the place cannot be written.
+    """
+    if path.is_dir():
+        raise OutputError("{}: is a folder", path, hint="name a file for the output")
+    with atomic_writes(path) as (private, places):
+        places[private / path.name] = path
+        yield private / path.name
+
+
+@contextmanager
+def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
+    """Write several files that appear only when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        One of the files, or what they are named after; they stand beside it.
+
+    Yields
+    ------
+    private : Path
+        An empty folder beside `path` to write in.
+    places : dict of Path to Path
+        Empty; to be filled with files in `private` and where they shall be.
+
+    Raises
+    ------
+    OutputError
+        If the folder around `path` does not exist, or a place cannot be written.
+    """
+    places: dict[Path, Path] = {}
+    with _beside(path) as private:
+        yield private, places
+        for place in places.values():
+            if place.is_dir():
+                raise OutputError("{}: is a folder", place, hint="name a file for the output")
+        # The file that names the others comes last; a killed run's moves are ended by the next.
+        order = sorted(places.items(), key=lambda each: each[1] == path)
+        if len(order) > 1:
+            plan = json.dumps([[part.name, str(place.absolute())] for part, place in order])
+            (private / PLAN).write_text(plan, encoding="utf-8")
+        for part, place in order:
+            with output_errors(place):
+                os.replace(part, place)  # noqa: PTH105 - atomic on every platform
+
+
+@contextmanager
+def atomic_folder(
+    path: Path, *, owned: tuple[str, ...], reporter: Reporter = QUIET
+) -> Iterator[Path]:
+    """Write a folder that appears only when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        Where the folder shall be. An earlier result there is replaced as a whole.
+    owned : tuple of str
+        How the names of our own files begin. A folder that holds anything else is not ours
+        to replace.
+    reporter : Reporter
+        Receives a warning where the file system has no locks; the folder is then written without.
+
+    Yields
+    ------
+    Path
+        An empty private folder beside `path`.
+
+    Raises
+    ------
+    OutputError
+        If the place cannot be written, holds files that are not ours, is the folder that
+        the program runs in, or is being written by another run.
+    """
+    path = path.resolve()
+    if path.exists():
+        _refuse_here(path)
+        refuse_foreign(path, owned)
+    with _alone(path, reporter), _beside(path, alone=True) as private:
+        _restore(path)
+        fresh = private / path.name
+        fresh.mkdir()
+        yield fresh
+        _replace_folder(path, fresh, private.with_suffix(".before"))
+
+
+def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
+    """Move `fresh` to `path`; until it is there, the earlier result comes back."""
+    try:
+        with output_errors(path):
+            if path.exists():
+                path.rename(earlier)
+            fresh.rename(path)
+    finally:
+        if earlier.exists() and fresh.exists():
+            earlier.rename(path)
+        elif earlier.exists():
+            shutil.rmtree(earlier, ignore_errors=True)
+
+
+def _restore(path: Path) -> None:
+    """Bring back a folder that a run moved aside before it was killed; we hold its lock."""
+    for earlier in leftovers(path, "before"):
+        if path.exists():
+            shutil.rmtree(earlier, ignore_errors=True)
+        else:
+            earlier.rename(path)
+
+
+def _refuse_here(path: Path) -> None:
+    """Refuse the working folder: a shell in it would stay in the folder that is replaced."""
+    here = Path.cwd()
+    if path == here or path in here.parents:
+        raise OutputError(
+            "{}: is the folder you are in, which cannot be replaced",
+            path,
+            hint="name a folder in it, such as result",
+        )
+
+
+def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
+    """Refuse a folder with files of others, whose names do not begin like our own, or a file."""
+    if not path.is_dir():
+        raise OutputError("{}: is a file", path, hint="name a folder for the output")
+    clear_abandoned(path, PRIVATE)
+    foreign = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(owned))
+    if foreign and PRIVATE.fullmatch(foreign[0]):
+        raise OutputError(
+            "{}: another run is writing into it", path, hint="wait for it, or stop it"
+        )
+    if foreign:
+        raise OutputError(
+            "{}: holds {}, which is not part of such a result",
+            path,
+            repr(foreign[0]),
+            hint="name a new or an empty folder",
+        )
+
+
+@contextmanager
+def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
+    """Yield a private folder on the same file system as `path`; it is gone afterwards."""
+    if any("\ud800" <= letter <= "\udfff" for letter in str(path)):
+        raise OutputError("{}: the name is not UTF-8, which libraries need to write it", path)
+    clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
+    private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
+    # Entered before it exists: an interruption may come at any moment, in the clearing up too.
+    _unfinished.add(private)
+    spare = list[int]()  # kept for the clearing up, where a work leaves no file descriptor
+    try:
+        with output_errors(path):
+            spare += (os.open(os.devnull, os.O_RDONLY) for _ in range(_CLEARING_FILES))
+            private.mkdir(mode=0o700)
+        with living(private), writing_errors(path):
+            yield private
+    finally:
+        for each in spare:
+            os.close(each)
+        shutil.rmtree(private, ignore_errors=True)
+        _unfinished.discard(private)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Make a folder for temporary files; what killed runs left of theirs goes first.
+
+    Yields
+    ------
+    Path
+        An empty folder in the system's folder for temporary files.
+
+    Raises
+    ------
+    OutputError
+        If there is no room.
+    """
+    root = Path(tempfile.gettempdir())
+    clear_scratch(root)
+    with ExitStack() as held, writing_errors(root):
+        with output_errors(root):
+            made = tempfile.TemporaryDirectory(prefix=SCRATCH, ignore_cleanup_errors=True)
+            name = Path(held.enter_context(made))
+            held.enter_context(living(name))
+        yield name
+
+
+@contextmanager
+def writing_errors(path: Path) -> Iterator[None]:
+    """Turn what libraries raise that write files into an error that names the output.
+
+    Parameters
+    ----------
+    path : Path
+        The output, for the message.
+
+    Raises
+    ------
+    OutputError
+        Where the disk is full, or a library that writes files of ours fails.
+    """
+    try:
+        yield
+    except GisRadarError:
+        raise
+    except Exception as error:
+        reason = first_line(error)
+        number = error.errno if isinstance(error, OSError) else None
+        ours = type(error).__module__.partition(".")[0] in _WRITERS
+        # Arrow, GDAL and SQLite set no errno, only the text; some not even that.
+        told = any(text in str(error).lower() for text in _FULL_TEXTS)
+        if number in FULL or told or (ours and _is_full(path)):
+            raise OutputError(
+                "{}: cannot be written: the disk is full", path, hint="nothing was left behind"
+            ) from error
+        if ours:
+            raise OutputError("{}: cannot be written: {}", path, reason) from error
+        raise
+
+
+def _is_full(path: Path) -> bool:
+    """Return whether next to nothing is free where a file lies."""
+    try:
+        return shutil.disk_usage(path.absolute().parent).free < LEAST_FREE
+    except OSError:
+        return False
+
+
+@atexit.register
+def _clear_up() -> None:
+    """Remove what a second interruption kept from being removed."""
+    for private in tuple(_unfinished):
+        shutil.rmtree(private, ignore_errors=True)
+
+
+@contextmanager
+def _alone(path: Path, reporter: Reporter) -> Iterator[None]:
+    """Hold the lock of an output; name the output where it cannot be locked."""
+    with ExitStack() as held:
+        with output_errors(path):
+            held.enter_context(only_writer(path, reporter=reporter))
+        yield
+
+
+@contextmanager
+def output_errors(path: Path) -> Iterator[None]:
+    """Turn what the system refuses into an error that names the output.
+
+    Parameters
+    ----------
+    path : Path
+        The output, for the message.
+
+    Raises
+    ------
+    OutputError
+        Where the block raises an `OSError`.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise OutputError("{}: cannot be written: {}", path, reason) from error
+
+
+@contextmanager
+def only_writer(
+    path: Path, *, lock: Path | None = None, reporter: Reporter = QUIET
+) -> Iterator[None]:
+    """Keep other runs from writing the same result while the block runs.
+
+    The lock is filelock's, on a file of ours: its `FileLock` leaves the file behind and does not
+    name the process that holds it.
+
+    Parameters
+    ----------
+    path : Path
+        The result, for the message.
+    lock : Path, optional
+        The file that is locked, removed afterwards; by default a hidden one beside the result. It
+        holds the process id of the holder.
+    reporter : Reporter
+        Receives a warning where the file system has no locks; the block then runs without one.
+
+    Raises
+    ------
+    OutputError
+        If another run is writing it.
+    """
+    lock = lock or path.with_name(f"{hidden_stem(path)}.lock")
+    handle = _taken(lock, path, reporter)
+    try:
+        os.truncate(handle, 0)
+        # From the second byte on: Windows lets nobody else read the first, which is the locked one.
+        os.write(handle, f"\n{os.getpid()}\n".encode())
+        yield
+    finally:
+        # While still held, where the system allows it: who opens it anew gets another file.
+        with suppress(OSError):
+            lock.unlink()
+        os.close(handle)
+        with suppress(OSError):
+            if sys.platform == "win32":
+                lock.unlink()
+
+
+def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
+    """Open and lock the file; a file that was removed meanwhile is no lock."""
+    from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
+
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            free = lock_descriptor(handle, blocking=False)
+        except OSError as error:
+            reporter.warn("{}: cannot be locked: {}", path, error.strerror)
+            return handle
+        if not free:
+            os.lseek(handle, 1, os.SEEK_SET)
+            holder = os.read(handle, 20).decode(errors="replace").strip()
+            os.close(handle)
+            who = Text(" (process {})", holder) if holder else ""
+            raise OutputError(
+                "{}: another run is writing it{}",
+                path,
+                who,
+                hint="wait for it, stop it, or name another output",
+            )
+        with suppress(OSError):
+            if os.path.samestat(lock.stat(), os.fstat(handle)):
+                return handle
+        os.close(handle)

@@ -1,0 +1,457 @@
+"""Open GeoPackages that are some; write their layers, with styles that QGIS loads by itself."""
+
+from __future__ import annotations
+
+import hashlib
+import marshal
+import sqlite3
+import warnings
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from pathlib import Path
+from threading import Lock
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import geopandas as gpd
+import pyarrow as pa
+import pyogrio
+import pyogrio.util
+import shapely
+from pyproj.exceptions import ProjError
+
+from gis_radar.base.errors import InputError, OutputError, first_line
+from gis_radar.base.files import WRITTEN
+from gis_radar.base.progress import QUIET, Reporter
+from gis_radar.base.texts import Text
+
+GPKG_VERSION = "1.2"
+"""The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
+
+_WRITTEN = f"{WRITTEN}T00:00:00.000Z"
+_DATE_OF_GDAL = "OGR_CURRENT_DATE"
+
+SQLITE = b"SQLite format 3\0"
+_KINDS = {b"GPKG", b"GP10", b"GP11"}  # application ids of GeoPackage 1.0, 1.1 and later
+_KIND_AT = 68  # bytes, in SQLite's header
+DAMAGE = (
+    pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, sqlite3.Error,
+    shapely.errors.ShapelyError, pa.ArrowException, OSError, ValueError, TypeError, LookupError,
+    OverflowError, RecursionError, ProjError,
+)  # fmt: skip
+"""What libraries raise that read a damaged file."""
+_LOCKED = "database is locked"  # as SQLite says it
+_HELD = "another program has it locked"
+_HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
+PATIENCE_S = 2.0  # another program may be at the end of its writing
+_OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
+
+# As QGIS itself makes it; GDAL and QGIS look for it by this name.
+_TABLE = """
+CREATE TABLE layer_styles (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+    f_table_catalog TEXT(256),
+    f_table_schema TEXT(256),
+    f_table_name TEXT(256),
+    f_geometry_column TEXT(256),
+    styleName TEXT(30),
+    styleQML TEXT,
+    styleSLD TEXT,
+    useAsDefault BOOLEAN,
+    description TEXT,
+    owner TEXT(30),
+    ui TEXT(30),
+    update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+)
+"""
+_CONTENTS = """
+INSERT INTO gpkg_contents (table_name, data_type, identifier, description, last_change)
+VALUES ('layer_styles', 'attributes', 'layer_styles', '', ?)
+"""
+_STYLE = """
+INSERT INTO layer_styles (
+    f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
+    styleName, styleQML, styleSLD, useAsDefault, description, owner, update_time
+)
+SELECT '', '', table_name, column_name, ?, ?, ?, 1, ?, ?, ?
+FROM gpkg_geometry_columns WHERE table_name = ?
+"""
+
+
+@contextmanager
+def opened_package(
+    path: str | Path, *, what: str, hint: str = "", reporter: Reporter = QUIET
+) -> Iterator[Path]:
+    """Read a GeoPackage in the block; what libraries raise in it becomes an error of ours.
+
+    GDAL chooses its driver by the content, and some drivers open what the content names: files
+    and addresses. So the content is looked at before GDAL sees it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    what : str
+        What it should be, for the message: `a heat map`.
+    hint : str
+        How to come by one.
+    reporter : Reporter
+        Receives what the libraries warn of.
+
+    Yields
+    ------
+    Path
+        The absolute path.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is no GeoPackage, it is damaged, or its name stands for a file
+        in an archive.
+    """
+    if not Path(path).is_file():
+        raise InputError("{}: no such file", path, hint=hint)
+    with library_errors(path, what=what, hint=hint, reporter=reporter):
+        with Path(path).open("rb") as file:
+            head = file.read(100)
+        if not head.startswith(SQLITE) or head[_KIND_AT : _KIND_AT + 4] not in _KINDS:
+            raise InputError("{}: not {}: it is no GeoPackage", path, what, hint=hint)
+        yield plain_place(path)
+
+
+def plain_place(path: str | Path) -> Path:
+    """Return the absolute path of a file that GDAL opens as that very file.
+
+    Raises
+    ------
+    InputError
+        If its name makes pyogrio or GDAL open a file within it, or another one.
+    """
+    place = Path(path).resolve()
+    if _is_in_archive(place) or place.suffix.lower() == ".zip":
+        raise InputError(
+            "{}: cannot be read under this name, which stands for a file in an archive",
+            path,
+            hint="rename it, or its folder: no .zip at the end, no ! and no ;",
+        )
+    return place
+
+
+def _is_in_archive(place: Path) -> bool:
+    """Return whether pyogrio takes an absolute path for that of a file in an archive."""
+    return bool(pyogrio.util.vsi_path(place) != str(place))
+
+
+@contextmanager
+def library_errors(
+    path: str | Path, *, what: str, hint: str = "", reporter: Reporter = QUIET
+) -> Iterator[None]:
+    """Turn what libraries raise while they read a file into an error that names it.
+
+    Parameters
+    ----------
+    path, what, hint, reporter
+        As :func:`opened_package` takes them.
+
+    Raises
+    ------
+    InputError
+        Where the block raises one of :data:`DAMAGE`.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            yield
+        except DAMAGE as error:
+            if _LOCKED in str(error):
+                raise InputError(
+                    "{}: another program has it locked", path, hint=_HELD_HINT
+                ) from error
+            wrong = Text("not {}", what) if isinstance(error, _OTHER) else "damaged"
+            raise InputError("{}: {}: {}", path, wrong, first_line(error), hint=hint) from error
+    for text in dict.fromkeys(str(each.message).partition("\n")[0] for each in caught):
+        reporter.warn("{}: {}", path, text)
+
+
+_FIELDS = """
+CREATE TABLE IF NOT EXISTS gpkg_data_columns (
+    table_name TEXT NOT NULL,
+    column_name TEXT NOT NULL,
+    name TEXT,
+    title TEXT,
+    description TEXT,
+    mime_type TEXT,
+    constraint_name TEXT,
+    CONSTRAINT pk_gdc PRIMARY KEY (table_name, column_name),
+    CONSTRAINT gdc_tn UNIQUE (table_name, name)
+)
+"""
+_EXTENSION = """
+INSERT INTO gpkg_extensions (table_name, column_name, extension_name, definition, scope)
+SELECT 'gpkg_data_columns', NULL, 'gpkg_schema',
+    'http://www.geopackage.org/spec121/#extension_schema', 'read-write'
+WHERE NOT EXISTS (SELECT 1 FROM gpkg_extensions WHERE table_name = 'gpkg_data_columns')
+"""
+_DESCRIPTION = """
+INSERT INTO gpkg_metadata (md_scope, md_standard_uri, mime_type, metadata)
+VALUES ('dataset', 'http://mrcc.com/qgis.dtd', 'text/xml', ?)
+"""
+_DESCRIBES = """
+INSERT INTO gpkg_metadata_reference (
+    reference_scope, table_name, column_name, row_id_value, timestamp, md_file_id, md_parent_id
+)
+VALUES ('table', ?, NULL, NULL, ?, ?, NULL)
+"""
+
+
+class LayerNotes(NamedTuple):
+    """What a layer and its fields are, for people: fields by name, each with title and text."""
+
+    title: str
+    abstract: str
+    fields: Mapping[str, tuple[str, str]]
+
+
+def describe_layers(database: sqlite3.Connection, notes: Mapping[str, LayerNotes]) -> None:
+    """Write titles and meaning of layers and fields: QGIS shows them as metadata and aliases.
+
+    Parameters
+    ----------
+    database : sqlite3.Connection
+        A GeoPackage that GDAL has written with metadata of its layers.
+    notes : mapping
+        By layer; fields that a layer has not are passed over.
+    """
+    database.execute(_FIELDS)
+    database.execute(_EXTENSION)
+    for layer, about in notes.items():
+        there = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{layer}")')}
+        rows = [
+            (layer, name, title, title, text)
+            for name, (title, text) in about.fields.items()
+            if name in there
+        ]
+        database.executemany(
+            "INSERT INTO gpkg_data_columns (table_name, column_name, name, title, description) "
+            "VALUES (?, ?, ?, ?, ?)", rows,
+        )  # fmt: skip
+        database.execute(
+            "UPDATE gpkg_contents SET description = ? WHERE table_name = ?", (about.abstract, layer)
+        )
+        row = database.execute(_DESCRIPTION, (_qgis_metadata(about),))
+        database.execute(_DESCRIBES, (layer, _WRITTEN, row.lastrowid))
+
+
+def _qgis_metadata(about: LayerNotes) -> str:
+    """Return the metadata of a layer as QGIS writes it."""
+    root = Element("qgis", {"version": "3.34"})
+    values = {"type": "dataset", "title": about.title, "abstract": about.abstract}
+    for name, value in values.items():
+        SubElement(root, name).text = value
+    return f"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n{tostring(root).decode()}"
+
+
+def add_styles(
+    database: sqlite3.Connection, styles: Mapping[str, tuple[str, str]], *, name: str, about: str
+) -> None:
+    """Give layers of a GeoPackage that has no styles yet their default style.
+
+    Parameters
+    ----------
+    database : sqlite3.Connection
+        The GeoPackage.
+    styles : mapping
+        QML and SLD (or an empty text) by layer.
+    name, about : str
+        Of the styles, in a few words.
+    """
+    database.execute(_TABLE)
+    database.execute(_CONTENTS, (_WRITTEN,))
+    for layer, (qml, sld) in styles.items():
+        database.execute(_STYLE, (name, qml, sld, about, _owner(qml), _WRITTEN, layer))
+
+
+def keep_styles(path: Path, *, earlier: Path) -> None:
+    """Take over the styles that somebody has saved in the file that a new one replaces.
+
+    What was the default of a layer stays its default; a style of ours that nobody touched does not
+    come along.
+
+    Parameters
+    ----------
+    path : Path
+        The new GeoPackage, with styles of ours.
+    earlier : Path
+        The one that it replaces, which need not be there.
+
+    Raises
+    ------
+    OutputError
+        If another program writes the earlier one: what it has not saved yet would be lost.
+    """
+    if not earlier.is_file():
+        return
+    _refuse_locked(earlier)
+    columns = "f_table_name, styleName, styleQML, styleSLD, description, useAsDefault, owner"
+    query = f"SELECT {columns} FROM layer_styles ORDER BY id"  # noqa: S608 - our own names
+    with closing(sqlite3.connect(path)) as database, database:
+        ours = {row[4] for row in database.execute(query)}
+        try:
+            with closing(sqlite3.connect(f"{_uri(earlier)}?mode=ro", uri=True)) as old:
+                saved = old.execute(query).fetchall()
+        except sqlite3.Error:
+            return
+        for layer, name, qml, sld, about, default, owner in saved:
+            if owner == _owner(str(qml)) or (not owner and about in ours):
+                continue  # as we wrote it, now or before styles were marked
+            if default:
+                database.execute(
+                    "UPDATE layer_styles SET useAsDefault = 0 WHERE f_table_name = ?", (layer,)
+                )
+            database.execute(_STYLE, (name, qml, sld, about, owner, _WRITTEN, layer))
+            database.execute(
+                "UPDATE layer_styles SET useAsDefault = ? WHERE id = last_insert_rowid()",
+                (bool(default),),
+            )
+
+
+def _refuse_locked(path: Path) -> None:
+    """Refuse to replace a GeoPackage that another program writes; who only reads it does not."""
+    uri = f"{_uri(path)}?mode=rw"
+    try:
+        with closing(sqlite3.connect(uri, uri=True, timeout=PATIENCE_S)) as database:
+            database.execute("BEGIN IMMEDIATE")
+            database.execute("ROLLBACK")
+    except sqlite3.Error as error:
+        if _LOCKED in str(error):
+            raise OutputError("{}: another program has it locked", path, hint=_HELD_HINT) from error
+
+
+def _owner(qml: str) -> str:
+    """Return the mark of a style as we wrote it."""
+    return f"gis_radar {hashlib.blake2b(qml.encode(), digest_size=8).hexdigest()}"
+
+
+def _uri(path: Path) -> str:
+    return path.resolve().as_uri()
+
+
+_OF_VIEWERS = {"layer_styles", "qgis_projects", "gpkg_ogr_contents"}
+_WITH_TIMES = {"gpkg_contents", "gpkg_metadata_reference"}
+
+
+def content_digest(path: Path, but: Collection[str] = ()) -> str | None:
+    """Return a digest of what tables of a GeoPackage hold; None where it cannot be read.
+
+    It does not cover what viewers write: the pages' order, counters, and styles; nor when the file
+    was written; nor the layers `but`.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    try:
+        with closing(sqlite3.connect(f"{_uri(path)}?mode=ro", uri=True)) as database:
+            query = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
+            for (name,) in database.execute(query).fetchall():
+                if name not in {*_OF_VIEWERS, *_WITH_TIMES, *but} and not name.startswith(
+                    ("rtree_", "sqlite_")
+                ):
+                    _add_table(digest, database, name)
+    except sqlite3.Error:
+        return None
+    return digest.hexdigest()
+
+
+def _add_table(digest: Any, database: sqlite3.Connection, name: str) -> None:
+    """Add a table's stored columns, row by row."""
+    stored = [row[1] for row in database.execute(f'PRAGMA table_xinfo("{name}")') if not row[6]]
+    listed = ", ".join(f'"{column}"' for column in stored)
+    rows = database.execute(f'SELECT {listed} FROM "{name}"')  # noqa: S608 - of the file itself
+    digest.update(repr((name, stored)).encode())
+    while batch := rows.fetchmany(4096):
+        digest.update(marshal.dumps(batch, 2))  # 2: without references, so that equal is equal
+
+
+_writing = Lock()
+
+
+@contextmanager
+def _same_date() -> Iterator[None]:
+    """Make GDAL write a fixed date within the block; one thread writes at a time."""
+    with _writing:
+        earlier = pyogrio.get_gdal_config_option(_DATE_OF_GDAL)
+        pyogrio.set_gdal_config_options({_DATE_OF_GDAL: _WRITTEN})
+        try:
+            yield
+        finally:
+            pyogrio.set_gdal_config_options({_DATE_OF_GDAL: earlier})
+
+
+def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -> None:
+    """Write a table as a layer of a GeoPackage, beside those that it has.
+
+    Parameters
+    ----------
+    table : GeoDataFrame
+        The layer.
+    path : Path
+        The file, which need not be there.
+    layer : str
+        Its name.
+    **options
+        As for :func:`pyogrio.write_dataframe`.
+    """
+    _refuse_archive(path)
+    with _same_date():
+        pyogrio.write_dataframe(
+            table, path, layer=layer, driver="GPKG", append=path.exists(),
+            dataset_options={"VERSION": GPKG_VERSION}, **options,
+        )  # fmt: skip
+
+
+def _refuse_archive(path: Path) -> None:
+    """Raise where GDAL would write elsewhere, or not at all."""
+    if _is_in_archive(path.resolve()):
+        raise OSError(
+            "its name, or its folder's, stands for a file in an archive: no ! and no .zip"
+        )
+
+
+def write_stream(
+    batches: Iterable[pa.RecordBatch], schema: pa.Schema, path: Path, **options: Any
+) -> None:
+    """Write batches as a layer of a new GeoPackage; what stops them is raised as it is.
+
+    Parameters
+    ----------
+    batches : iterable of pyarrow.RecordBatch
+        All of `schema`, the geometry as WKB.
+    schema : pyarrow.Schema
+        The columns.
+    path : Path
+        The file.
+    **options
+        As for :func:`pyogrio.write_arrow`.
+    """
+    _refuse_archive(path)
+    stopped: list[BaseException] = []
+    reader = pa.RecordBatchReader.from_batches(schema, _remembering(batches, stopped))
+    try:
+        with _same_date():
+            pyogrio.write_arrow(
+                reader, path, driver="GPKG", dataset_options={"VERSION": GPKG_VERSION}, **options
+            )
+    except Exception:
+        if not stopped:
+            raise
+    if stopped:
+        raise stopped[0]
+
+
+def _remembering(
+    batches: Iterable[pa.RecordBatch], stopped: list[BaseException]
+) -> Iterator[pa.RecordBatch]:
+    """Pass batches on, and keep what stops them: Arrow's stream would hide a Ctrl-C."""
+    try:
+        yield from batches
+    except (Exception, KeyboardInterrupt) as error:
+        stopped.append(error)
+        raise

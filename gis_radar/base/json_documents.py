@@ -1,0 +1,88 @@
+"""JSON: files and messages of others are read whole or refused, and ours can be read by others."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gis_radar.base.errors import InputError, first_line
+
+
+def parsed_json(text: str) -> Any:
+    """Return what a JSON text holds.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+
+    Raises
+    ------
+    ValueError
+        If it is no JSON, or holds half a character, which JSON can and no file takes.
+    RecursionError
+        If it is nested too deeply.
+    """
+    found = json.loads(text)
+    if "\\ud" in text.lower():
+        json.dumps(found, ensure_ascii=False).encode()
+    return found
+
+
+def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
+    """Read a file of JSON.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, in UTF-8.
+    what : str
+        What it should be, for the message: `a pose`.
+    hint : str
+        How to come by one.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is no JSON that Python can hold.
+    """
+    try:
+        return parsed_json(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError("{}: cannot be read: {}", path, reason, hint=hint) from error
+    except UnicodeDecodeError as error:
+        raise InputError("{}: not {}: not UTF-8 text", path, what, hint=hint) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            "{}: not {}: not JSON: {}", path, what, first_line(error), hint=hint
+        ) from error
+
+
+def json_text(
+    document: Any, *, indent: int | None = None, default: Callable[[Any], Any] | None = None
+) -> str:
+    """Return a document as JSON for other programs: what is no finite number is null.
+
+    Parameters
+    ----------
+    document : object
+        Of what JSON can hold, and numbers that it cannot.
+    indent : int, optional
+        By how many blanks; by default one line.
+    default : callable, optional
+        Turns other objects into what JSON can hold; without it they are refused.
+    """
+    options: dict[str, Any] = {"indent": indent, "default": default}
+    return json.dumps(_finite(document), ensure_ascii=False, allow_nan=False, **options)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

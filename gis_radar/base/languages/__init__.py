@@ -1,0 +1,54 @@
+"""The words that people read in their language: English in the code, others from a catalogue.
+
+There is one catalogue a language for the package and the QGIS plugin, in gettext's format:
+`de/LC_MESSAGES/gis_radar.po`, by English text and sorted. Errors, hints and warnings have a hole
+`{}` for each value; in the translation `{0}` is the first of them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+from gis_radar.base.languages.po import read_catalogue
+
+LANGUAGES = ("en", "de")
+CHOSEN = "GIS_RADAR_LANGUAGE"  # the environment variable that the plugin sets for its worker
+_OF_THE_SYSTEM = ("LANGUAGE", "LC_ALL", "LC_MESSAGES", "LANG")  # as gettext asks them
+
+
+@cache
+def catalogue(language: str) -> Mapping[str, str]:
+    """Return the translations into a language by English text; none for English itself."""
+    path = Path(__file__).with_name(language) / "LC_MESSAGES" / "gis_radar.po"
+    return read_catalogue(path) if path.is_file() else {}
+
+
+def users_language(*, chosen_only: bool = False) -> str:
+    """Return the language that the environment names; English where there are no words of it.
+
+    Parameters
+    ----------
+    chosen_only : bool
+        Whether only `GIS_RADAR_LANGUAGE` counts, and not the language of the system.
+    """
+    names = (CHOSEN,) if chosen_only else (CHOSEN, *_OF_THE_SYSTEM)
+    wanted = next((os.environ[name] for name in names if os.environ.get(name)), "")
+    short = (each[:2] for each in wanted.split(":"))
+    return next((each for each in short if each in LANGUAGES), LANGUAGES[0])
+
+
+def translated(text: str, language: str) -> str:
+    """Return a text in a language, in English where there is no translation."""
+    return catalogue(language).get(text, text)
+
+
+def class_label(label: str, language: str) -> str:
+    """Return the label of a class of a legend in a language: `2 to 5 %` has words in it."""
+    if label in catalogue(language):
+        return translated(label, language)
+    for words in ("never hit", "no vehicle", "uncertain", "up to", " to "):
+        label = label.replace(words, translated(words, language))
+    return label.replace(".", ",") if language == "de" else label

@@ -1,0 +1,228 @@
+"""Show results: cards of figures in notebooks, axes of plots, pictures in files.
+
+Plain HTML in one piece: text is escaped, the picture is inside, nothing is loaded from elsewhere.
+
+Matplotlib is imported where it is used, so that other work does not wait for it.
+"""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from gis_radar.base.files import atomic_write
+from gis_radar.base.words import tr
+
+MOST_ROWS = 24  # of a table: about a screen
+_CELL = "text-align:left;padding:1px 10px 1px 0"
+_SOFT = f"{_CELL};opacity:0.65;font-weight:normal"
+
+
+def card(title: str, figures: Mapping[str, Any], *, picture: bytes = b"") -> str:
+    """Return a result as HTML: its figures as rows of a table.
+
+    Parameters
+    ----------
+    title : str
+        What it is.
+    figures : mapping
+        Values by name; underscores in names become spaces.
+    picture : bytes
+        PNG, shown beside the figures.
+    """
+    names = (str(name).replace("_", " ") for name in figures)
+    rows = zip(names, map(_text, figures.values()), strict=True)
+    return _whole(title, _table(rows), picture)
+
+
+def table_card(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return a result as HTML: a table with a head, cut where it is long.
+
+    Parameters
+    ----------
+    title : str
+        What it is.
+    columns : sequence of str
+        The head.
+    rows : sequence of sequences
+        A value a column.
+    """
+    cells = [[_text(value) for value in row] for row in rows[:MOST_ROWS]]
+    if len(rows) > MOST_ROWS:
+        cells.append([f"... {len(rows) - MOST_ROWS} more"])
+    return _whole(title, _table(cells, head=columns), b"")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}" if abs(value) < 1e5 else f"{value:.2f}"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{name}: {_text(each)}" for name, each in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_text, value)) or "none"
+    return "" if value is None else str(value)
+
+
+def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
+    lines = []
+    if head:
+        cells = "".join(f'<th style="{_SOFT}">{escape(name)}</th>' for name in head)
+        lines.append(f"<tr>{cells}</tr>")
+    for first, *rest in rows:
+        style = _CELL if head else _SOFT
+        cells = "".join(f'<td style="{_CELL}">{escape(text)}</td>' for text in rest)
+        lines.append(f'<tr><th style="{style}">{escape(first)}</th>{cells}</tr>')
+    return f"<table>{''.join(lines)}</table>"
+
+
+def _whole(title: str, table: str, picture: bytes) -> str:
+    image = ""
+    if picture:
+        data = b64encode(picture).decode("ascii")
+        image = f'<img alt="{escape(title)}" src="data:image/png;base64,{data}">'
+    return (
+        f"<div><strong>{escape(title)}</strong>"
+        f'<div style="display:flex;flex-wrap:wrap;gap:16px;align-items:flex-start">'
+        f"<div>{table}</div>{image}</div></div>"
+    )
+
+
+SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
+MOST_TICKS = 5
+EDGE_IN = 0.1  # around a picture
+LABELS_IN = 0.42  # what ticks and label of an axis take
+PANELS = "Panels"  # of a picture: where its panels lie, for pages that lay them out anew
+FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
+
+
+def axes_or_new(ax: Any, size_in: tuple[float, float] = (7.0, 6.0)) -> Any:
+    """Return the axes, or those of a new figure of pyplot where `ax` is None."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot as plt  # noqa: PLC0415 - chooses a window system
+
+    return plt.figure(figsize=size_in, layout="constrained").add_subplot()
+
+
+def label_map(ax: Any) -> None:
+    """Give axes in metres of the map their labels and equal scales."""
+    ax.set_aspect("equal")
+    ax.set(xlabel=tr("easting, m"), ylabel=tr("northing, m"))
+    ax.xaxis.set_major_locator(_locator(0.6))
+    ax.yaxis.set_major_locator(_locator(1.0))
+    ax.ticklabel_format(useOffset=False, style="plain")
+
+
+def _locator(share: float) -> Any:
+    """Return a locator of as many ticks as have room, at most five.
+
+    Along x that is a share of what matplotlib reckons with, which are labels of four figures.
+    """
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
+
+    class FewTicks(MaxNLocator):
+        def __call__(self) -> Any:
+            room = int(self.axis.get_tick_space() * share) if self.axis is not None else 1
+            self.set_params(nbins=min(max(room, 1), MOST_TICKS), min_n_ticks=1)
+            return super().__call__()
+
+    return FewTicks()
+
+
+def legend_below(ax: Any, handles: Sequence[Any] | None = None) -> Any:
+    """Write a legend below axes of a map, clear of their labels however flat they are."""
+    from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415
+
+    down = ScaledTranslation(0.0, -LABELS_IN, ax.figure.dpi_scale_trans)
+    return ax.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=ax.transAxes + down, ncols=2, frameon=False,
+    )  # fmt: skip
+
+
+def label_times(ax: Any) -> None:
+    """Write UTC times along x, no longer than needed."""
+    from matplotlib import dates  # noqa: PLC0415
+
+    locator: Any = dates.AutoDateLocator(tz=UTC)  # type: ignore[no-untyped-call]
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=UTC))  # type: ignore[no-untyped-call]
+    ax.set_xlabel("time, UTC")
+
+
+@contextmanager
+def picture_file(
+    path: str | Path,
+    size_in: tuple[float, float],
+    dpi: int,
+    *,
+    tight: bool = False,
+    letters_pt: float = 8.0,
+) -> Iterator[Any]:
+    """Yield a new figure in the package's font and write it as PNG, without pyplot.
+
+    Parameters
+    ----------
+    path : str or Path
+        The picture; appears whole or not at all.
+    size_in : (float, float)
+        Width and height, inches.
+    dpi : int
+        Pixels an inch.
+    tight : bool
+        Fit the picture to what is drawn, for axes true to scale outgrow a constrained layout; and
+        note in the file where each panel lies (:data:`PANELS`).
+    letters_pt : float
+        Size of its words.
+    """
+    import matplotlib as mpl  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    letters = {"font.size": letters_pt, "axes.titlesize": "medium"}
+    with mpl.rc_context(FONTS | letters):
+        figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
+        yield figure
+        how = _fitted(figure) if tight else {}
+        with atomic_write(Path(path)) as part:
+            figure.savefig(part, format="png", **how)
+
+
+def _fitted(figure: Any) -> dict[str, Any]:
+    """Return how to save a figure cut to what is drawn, and where its panels then lie.
+
+    Left, top, width and height of each are shares of the picture.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
+    whole = figure.get_tightbbox().padded(EDGE_IN)
+    panels = []
+    for ax in figure.axes:
+        box = ax.get_tightbbox().transformed(figure.dpi_scale_trans.inverted())
+        left, top = (box.x0 - whole.x0) / whole.width, (whole.y1 - box.y1) / whole.height
+        size = box.width / whole.width, box.height / whole.height
+        panels.append([round(float(each), 4) for each in (left, top, *size)])
+    return {"bbox_inches": whole, "metadata": {PANELS: json.dumps(panels)}}
+
+
+def small_picture(draw: Callable[[Any], Any]) -> bytes:
+    """Return what a function draws on axes as a small PNG, without pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=SMALL_IN, dpi=SMALL_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    draw(figure.add_subplot())
+    picture = BytesIO()
+    figure.savefig(picture, format="png")
+    return picture.getvalue()

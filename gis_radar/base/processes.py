@@ -1,0 +1,337 @@
+"""Child processes that do not outlive their parent, and the parent watchdog of a child.
+
+A process that is killed cannot stop what it started. So a worker leads a process group, which is
+stopped as a whole, and watches its parent: it ends itself and its group when the parent is gone.
+"""
+
+from __future__ import annotations
+
+import _thread
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from types import FrameType
+from typing import IO, TYPE_CHECKING
+
+from gis_radar.base.errors import GisRadarError
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
+
+WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
+"""The environment variable that starts the watchdog of a command; its only value is `stdin`."""
+
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+_POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
+_LOOK_S = 0.05  # between two looks whether a child has ended
+_REAPED_S = 0.001  # between two looks whether another thread has reaped one
+GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
+STOP_PATIENCE_S = 0.7
+"""How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
+
+OFFLINE = {
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",  # of every file system over curl, S3 and the like too
+    "GDAL_HTTP_PROXY": "none://none",  # of all other requests: GDAL refuses it before any socket
+    "no_proxy": "",
+    "NO_PROXY": "",
+}
+"""Environment variables that keep GDAL, in this process and those it starts, off the network.
+
+A data file can name an address; no command of ours needs one.
+"""
+
+_MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
+
+
+def free_address_space() -> int | None:
+    """Return how many bytes of address space this process may still take; None without a limit."""
+    try:
+        import resource  # noqa: PLC0415 - not on Windows
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        pages = int(Path("/proc/self/statm").read_bytes().split()[0])
+    except (ImportError, OSError, ValueError, IndexError):
+        return None
+    return None if limit == resource.RLIM_INFINITY else limit - pages * resource.getpagesize()
+
+
+def go_offline() -> None:
+    """Keep GDAL off the network, in this process and all that it starts (:data:`OFFLINE`)."""
+    os.environ.update(OFFLINE)
+
+
+def run_child(
+    command: Sequence[str],
+    *,
+    stdin: IO[bytes],
+    stderr: IO[bytes],
+    environment: Mapping[str, str],
+    waiting: Callable[[float], object],
+) -> int:
+    """Run a program to its end; when this call is interrupted, the program is killed.
+
+    It stays in the process group of its parent, so that who kills that group kills it too.
+
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its arguments.
+    stdin, stderr : file
+        What it reads, and where its messages go; its standard output is dropped.
+    environment : mapping of str to str
+        The environment it is started in.
+    waiting : callable
+        Called five times a second with the seconds so far.
+
+    Returns
+    -------
+    int
+        Its exit code; negative for a signal.
+
+    Raises
+    ------
+    GisRadarError
+        If it does not start.
+    """
+    child = _Child(lambda: subprocess.Popen(  # noqa: S603 - the caller has found the program
+        command, stdin=stdin, stdout=subprocess.DEVNULL, stderr=stderr, env=dict(environment)
+    ))  # fmt: skip
+    start = time.monotonic()
+    try:
+        try:
+            _thread.start_new_thread(child.run, ())  # in C: no signal breaks it off half-way
+        except RuntimeError:  # no memory for a thread
+            child.gone.put(None)
+            raise
+        while True:
+            try:
+                ended = child.told.get(timeout=_POLL_S)
+            except Empty:
+                waiting(time.monotonic() - start)
+                continue
+            if isinstance(ended, OSError):
+                raise GisRadarError("{}: does not start: {}", command[0], ended.strerror) from ended
+            if isinstance(ended, Exception):
+                raise ended
+            return ended
+    finally:
+        child.asked.put(None)  # called here, for it is in C: a second Ctrl-C comes after it
+        with suppress(Empty):
+            try:
+                child.gone.get(timeout=GONE_S)
+            except KeyboardInterrupt:  # at once, Python's end would stop the thread before it kills
+                child.gone.get(timeout=GONE_S)
+                raise
+
+
+class _Child:
+    """A program that runs, for a thread of its own: signals reach the main thread only.
+
+    There they would break off Popen between its start and its return, or its wait between taking
+    its lock and the block that gives it back. Queues of this kind wait in C, whole or not at all.
+    """
+
+    def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
+        self.told: SimpleQueue[int | Exception] = SimpleQueue()
+        self.asked: SimpleQueue[None] = SimpleQueue()  # to end it
+        self.gone: SimpleQueue[None] = SimpleQueue()
+        self._start = start
+
+    def run(self) -> None:
+        """Run it to its end, and tell the exit code or the error."""
+        try:
+            self.told.put(self._run())
+        except Exception as error:  # noqa: BLE001 - raised where it is waited for
+            self.told.put(error)
+        finally:
+            self.gone.put(None)
+
+    def _run(self) -> int:
+        process = self._start()
+        try:
+            while process.poll() is None:
+                with suppress(Empty):
+                    self.asked.get(timeout=_LOOK_S)
+                    break
+        finally:
+            process.kill()  # of one that has ended nothing
+        return process.wait()
+
+
+class _StopSignal(threading.Event):
+    """A stop that signals set; what may be broken off is interrupted by it."""
+
+    interrupts = False
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """Yield an event that Ctrl-C or SIGTERM sets; the second one interrupts as always."""
+    stop = _StopSignal()
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        interrupts = stop.is_set() or stop.interrupts
+        stop.set()
+        if interrupts:
+            raise KeyboardInterrupt
+
+    # the only thread that signals reach
+    on_main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, note) for number in STOPPING} if on_main else {}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def run_unless_stopped(work: Callable[[], object], stop: threading.Event) -> None:
+    """Do what takes long and may be broken off anywhere, unless it is stopped.
+
+    Parameters
+    ----------
+    work : callable
+        What is to be done.
+    stop : Event
+        That of :func:`stopped_by_signals` interrupts the work; one that another thread sets is
+        only looked at before.
+    """
+    if isinstance(stop, _StopSignal):
+        stop.interrupts = True
+    try:
+        if not stop.is_set():
+            work()
+    except KeyboardInterrupt:
+        if not stop.is_set():
+            raise
+    finally:
+        if isinstance(stop, _StopSignal):
+            stop.interrupts = False
+
+
+def watch_input() -> None:
+    """Interrupt this process, as Ctrl+C would, when its standard input is closed.
+
+    Only where the environment asks for it. A program that starts gis-radar as a worker keeps the
+    worker's standard input open; closing it, on purpose or by dying, works on every system and
+    needs nobody alive to send a signal.
+    """
+    if os.environ.get(WATCHDOG_VARIABLE) == "stdin":
+        # A worker started in the background would ignore the interruption.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _start_watchdog(_wait_for_end_of_input, interrupt_main_thread)
+
+
+def watch_parent() -> None:
+    """End this worker of a process pool, and what it started, when the pool's process is gone.
+
+    For the initializer of a pool: makes the worker the leader of a process group, which leaves
+    interruptions from the terminal to the parent (see :func:`stop_workers`).
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        raise RuntimeError("only a process of multiprocessing has a parent to watch")
+    if sys.platform != "win32" and os.getpgrp() != os.getpid():
+        os.setsid()
+    _start_watchdog(parent.join, _kill_own_group)
+
+
+def stop_workers(workers: Iterable[BaseProcess], *, patience_s: float = STOP_PATIENCE_S) -> None:
+    """Stop workers that called :func:`watch_parent`, and all that they started.
+
+    Parameters
+    ----------
+    workers : iterable of multiprocessing.process.BaseProcess
+        Those of a pool. First they are asked to (SIGTERM), then killed with their groups.
+    patience_s : float
+        How long all of them together may take to clear up, seconds.
+    """
+    workers = list(workers)
+    for worker in workers:
+        worker.terminate()
+    end = time.monotonic() + patience_s
+    for worker in workers:
+        worker.join(max(end - time.monotonic(), 0.01))
+        if sys.platform != "win32" and worker.pid is not None:
+            with suppress(ProcessLookupError):
+                os.killpg(worker.pid, signal.SIGKILL)  # no group: ended before it led one
+        worker.kill()
+        worker.join()
+        end_reaped = time.monotonic() + GONE_S
+        while worker.exitcode is None and time.monotonic() < end_reaped:
+            time.sleep(_REAPED_S)  # the pool's own thread reaps it: join returned before it did
+
+
+def stop_pool(pool: ProcessPoolExecutor) -> None:
+    """Stop a pool with what its workers do, none of which is waited for."""
+    workers = list((pool._processes or {}).values())  # noqa: SLF001 - no other way
+    pool.shutdown(wait=False, cancel_futures=True)
+    stop_workers(workers)
+
+
+def workers_here() -> int:
+    """Return how many workers this machine has cores and memory for."""
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
+    memory = free_memory()
+    return cores if memory is None else max(1, min(cores, memory // _MEMORY_EACH))
+
+
+def free_memory() -> int | None:
+    """Return the memory that new processes may use.
+
+    Returns
+    -------
+    int or None
+        Bytes, of the machine or of the group of processes; None where the system does not state it.
+    """
+    group = Path("/sys/fs/cgroup")
+    found = []
+    with suppress(OSError, ValueError):
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        named = dict(line.split(":", 1) for line in lines)
+        found.append(int(named["MemAvailable"].split()[0]) * 1024)
+    with suppress(OSError, ValueError):
+        most = int((group / "memory.max").read_text(encoding="ascii"))
+        found.append(most - int((group / "memory.current").read_text(encoding="ascii")))
+    return min(found, default=None)
+
+
+def _start_watchdog(wait: Callable[[], object], end: Callable[[], object]) -> None:
+    def watch() -> None:
+        wait()
+        end()
+
+    threading.Thread(target=watch, daemon=True, name="parent watchdog").start()
+
+
+def _wait_for_end_of_input() -> None:
+    """Wait on descriptor 0 itself; a reader of :mod:`io` would hold a lock at exit."""
+    with suppress(OSError):  # nothing to read from is the end, too
+        while os.read(0, 1024):
+            pass
+
+
+def interrupt_main_thread() -> None:
+    """Interrupt the main thread, out of a system call too where signals can do that."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    elif (main := threading.main_thread().ident) is not None:
+        signal.pthread_kill(main, signal.SIGINT)
+
+
+def _kill_own_group() -> None:
+    if sys.platform != "win32":
+        os.killpg(os.getpgrp(), signal.SIGKILL)
+    os._exit(1)

@@ -1,0 +1,79 @@
+"""Progress callbacks: the command line replaces them by bars or JSON lines."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from gis_radar.base.texts import Text
+
+Level = Literal["info", "warning"]
+
+MOST_NAMES = 2  # of stages before a warning
+LETTERS_OF_AN_ERROR = 500
+_BLANKS = "\u00a0\u202f"  # in numbers and before units
+_LOGGER = logging.getLogger("gis_radar")
+
+
+class Reporter:
+    """Receiver of progress and remarks; this one passes remarks to :mod:`logging`."""
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        """Report how far a stage is.
+
+        Parameters
+        ----------
+        stage : str
+            What is being done, in a few words; the same text for one bar.
+        done, total : int
+            Units of work; `total` is None where it is not known beforehand.
+        """
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Report one line to the user."""
+        _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, one_line(message))
+
+    def warn(self, template: str, /, *values: Any) -> None:
+        """Report one line that the user should not miss, with values for its holes."""
+        self.log(Text(template, *values), "warning")
+
+
+class Silent(Reporter):
+    """A receiver that drops remarks: of work that only a picture is made of."""
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Drop a remark."""
+
+
+QUIET = Reporter()
+SILENT = Silent()
+
+
+def one_line(text: str, most: int = 2_000) -> str:
+    """Return a text as one line that any terminal shows, without its middle where it is long.
+
+    What a file or a message from elsewhere holds may be long, or look like further lines.
+    """
+    if len(text) > most:
+        text = f"{text[: most - 150]} ... {text[-100:]}"
+    line = re.sub(r"[ \t\n\v\f\r]+", " ", text).strip()
+    line = "".join(each if each.isprintable() or each in _BLANKS else ascii(each)[1:-1]
+                   for each in line)  # fmt: skip
+    return text if line == text else line  # a Text keeps what it is translated by
+
+
+def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the warnings of stages, each once, after the names of the stages that gave it.
+
+    What more than two gave is not theirs, but of a file that all read: it stands alone.
+    """
+    stages: dict[str, list[str]] = {}
+    for name, warnings in by_stage.items():
+        for text in dict.fromkeys(warnings):
+            stages.setdefault(text, []).append(name)
+    return [
+        text if len(names) > MOST_NAMES else Text("{}: {}", Text(", ").join(names), text)
+        for text, names in stages.items()
+    ]

@@ -1,0 +1,83 @@
+"""Tables for people as CSV: as a spreadsheet of their country opens them, and no cell a formula."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from numbers import Number
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base.errors import UsageError
+
+# What makes a spreadsheet take a cell for a formula (OWASP), in ASCII and in full width.
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+
+
+def safe(cell: Any) -> Any:
+    """Return a cell as it is written: numbers stay, text never begins a formula."""
+    if cell is None or cell is pd.NaT:
+        return ""
+    if isinstance(cell, Number):
+        return "" if isinstance(cell, float | np.floating) and np.isnan(cell) else cell
+    text = str(cell)
+    return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
+
+
+CSV_LOCALES = ("en", "de")
+_csv_locale: ContextVar[str] = ContextVar("csv_locale", default="en")
+
+
+@contextmanager
+def csv_for(locale: str) -> Iterator[None]:
+    """Write tables as spreadsheets of a country open them at once, `en` or `de`.
+
+    Raises
+    ------
+    UsageError
+        If there is no such locale.
+    """
+    if locale not in CSV_LOCALES:
+        expected = ", ".join(CSV_LOCALES)
+        raise UsageError("csv_locale is {}, expected one of {}", repr(locale), expected)
+    token = _csv_locale.set(locale)
+    try:
+        yield
+    finally:
+        _csv_locale.reset(token)
+
+
+def csv_style(locale: str) -> dict[str, Any]:
+    """Return how pandas writes a table for :func:`csv_for` of a country.
+
+    Raises
+    ------
+    UsageError
+        If there is no such locale.
+    """
+    with csv_for(locale):
+        german = {"sep": ";", "decimal": ",", "encoding": "utf-8-sig"}
+        return german if locale == "de" else {}
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table as CSV in UTF-8, with commas and points.
+
+    Within :func:`csv_for` of `de` with semicolons and decimal commas, and the mark by which Excel
+    knows UTF-8.
+    """
+    german = _csv_locale.get() == "de"
+    with path.open("w", encoding="utf-8-sig" if german else "utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\r\n", delimiter=";" if german else ",")
+        writer.writerow([safe(name) for name in header])
+        writer.writerows([_written(safe(cell), german=german) for cell in row] for row in rows)
+
+
+def _written(cell: Any, *, german: bool) -> Any:
+    number = german and isinstance(cell, float | np.floating)
+    return str(cell).replace(".", ",") if number else cell

@@ -1,0 +1,139 @@
+"""Texts for users: a template and its values together, English until shown in a language."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from numbers import Integral, Real
+from pathlib import PurePath
+from typing import Any, Self
+
+KEPT = "texts"  # the member of a JSON document that holds the templates of its texts
+_HOLE = re.compile(r"\{(\d{0,2})(?::[+,]*(?:\.\d)?[dfge%]?)?\}")
+
+
+class Text(str):
+    """A finished English text that keeps the template and the values it was made of.
+
+    It is a `str` everywhere: in files, in comparisons, between processes. `gis_radar.base.words.tr`
+    translates the template and fills in the values again: numbers with a format as the language
+    writes them, texts among the values translated.
+
+    Parameters
+    ----------
+    template : str
+        English, with a hole for each value, as `str.format` takes it; without values a text as it
+        stands.
+    *values
+        Numbers, paths, words or other texts.
+
+    Examples
+    --------
+    >>> Text("{}: {:,} rows", "R1.parquet", 12000)
+    'R1.parquet: 12,000 rows'
+    """
+
+    __slots__ = ("template", "values")
+    template: str
+    values: tuple[Any, ...]
+
+    def __new__(cls, template: str, /, *values: Any) -> Self:
+        """Fill in the values; a finished text stays what it is."""
+        self = super().__new__(cls, template.format(*values) if values else template)
+        self.template, self.values = template, tuple(map(_lasting, values))
+        if isinstance(template, Text) and not values:
+            self.template, self.values = template.template, template.values
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Text, (self.template, *self.values)
+
+    def __str__(self) -> str:
+        return self  # of an error, too: `str(error)` keeps the template
+
+    def join(self, parts: Iterable[str], /) -> Text:
+        """Return texts as one, with this one between them; a word of it is translated, too."""
+        values = tuple(parts)
+        if any(map(str.isalpha, self)):
+            between = [each for part in values for each in (self, part)][1:]
+            return Text("{}" * len(between), *between)
+        return Text(str.__str__(self).join("{}" for _ in values), *values)
+
+    def removeprefix(self, prefix: str, /) -> str:
+        """Return the text without a name and a colon at its begin; what is left is a text, too."""
+        name, _, rest = self.template.partition(": ")
+        if name != "{}" or f"{self.values[0]}: " != prefix:
+            return super().removeprefix(prefix)
+        return Text(rest, *self.values[1:]) if rest != "{}" else self.values[1]
+
+
+def _lasting(value: Any) -> Any:
+    """Return a value as it goes to other processes and files."""
+    if isinstance(value, str | int | float | PurePath):
+        return value
+    if isinstance(value, Real):  # NumPy's
+        return int(value) if isinstance(value, Integral) else float(value)
+    return str(value)
+
+
+def with_texts(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a document for JSON with templates and values of its texts beside them."""
+    found: dict[str, Any] = {}
+    _collect(document, found)
+    return {**document, KEPT: found} if found else dict(document)
+
+
+def _collect(value: Any, found: dict[str, Any]) -> None:
+    if isinstance(value, Text) and value.values:
+        found[value] = _as_list(value)
+    inner = value.values() if isinstance(value, Mapping) else value
+    for each in inner if isinstance(value, Mapping | list | tuple) else ():
+        _collect(each, found)
+
+
+def _as_list(value: Any) -> Any:
+    """Return a value as JSON holds it; a text as a list of template and values."""
+    if isinstance(value, Text):
+        return [value.template, *map(_as_list, value.values)]
+    if isinstance(value, float):
+        return float(
+            f"{value:.9g}"
+        )  # last digits follow the order of sums: equal runs, equal bytes
+    return str(value) if isinstance(value, PurePath) else value
+
+
+def restored(document: dict[str, Any]) -> dict[str, Any]:
+    """Return a document of :func:`with_texts` with its texts; what fits no text stays as it is."""
+    kept = document.pop(KEPT, None)
+    texts = map(_from_list, kept.values()) if isinstance(kept, dict) else ()
+    whole: dict[str, Any] = _with_known(document, {text: text for text in texts})
+    return whole
+
+
+def _from_list(entry: Any) -> Any:
+    match entry:
+        case [str(template), *values]:
+            if not values or _fits(template, len(values)):
+                return Text(template, *map(_from_list, values))
+    return str(entry) if isinstance(entry, list | dict) else entry
+
+
+def _fits(template: str, values: int) -> bool:
+    """Return whether so many values fill the holes; none looks into a value or fills the memory.
+
+    The file may be anybody's.
+    """
+    numbers = _HOLE.findall(template)
+    places = range(len(numbers)) if not any(numbers) else [int(each or values) for each in numbers]
+    rest = _HOLE.sub("", template.replace("{{", "").replace("}}", ""))
+    return all(place < values for place in places) and not {"{", "}"} & set(rest)
+
+
+def _with_known(value: Any, known: Mapping[Any, Any]) -> Any:
+    if isinstance(value, str):
+        return known.get(value, value)
+    if isinstance(value, dict):
+        return {name: _with_known(each, known) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_known(each, known) for each in value]
+    return value

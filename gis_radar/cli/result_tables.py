@@ -1,0 +1,94 @@
+"""Results as people read them on a terminal: tables, lists and numbers."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text as Cell
+
+from gis_radar.base import Text, decimal, json_text, one_line, tr
+
+
+def is_table(value: Any) -> bool:
+    """Return whether a value is a table: a mapping of mappings."""
+    return isinstance(value, Mapping) and all(isinstance(row, Mapping) for row in value.values())
+
+
+def as_lines(name: str, value: Any) -> str:
+    """Return a value as text: sentences a line each; a lane's number is no amount."""
+    if name.endswith("lane"):
+        return str(value)
+    if isinstance(value, Mapping):
+        worded = all(isinstance(each, str) for each in value.values())
+        return "\n".join(f"{k}: {v}" for k, v in value.items()) if worded else json_text(value)
+    if isinstance(value, list) and any(" " in str(each) for each in value):
+        return "\n".join(map(_readable, value))
+    return _readable(value)
+
+
+def as_title(name: str) -> str:
+    """Return the name of a figure as people read it."""
+    return tr(name.replace("_", " "))
+
+
+def table_of_rows(name: str, rows: list[list[Any]]) -> Table:
+    """Return rows below their head as a table that wraps."""
+    head, *rest = rows
+    table = Table(box=None, pad_edge=False, title=as_title(name), title_justify="left")
+    for title in head:
+        table.add_column(Cell(str(title)), overflow="fold")  # nothing is cut
+    for row in rest:
+        table.add_row(*(Cell(_readable(each)) for each in row))
+    return table
+
+
+def table_of_answer(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the rows of an answer as a table, whole numbers as they are."""
+    table = Table(box=None, pad_edge=False)
+    for name in rows[0] if rows else ():
+        table.add_column(Cell(name), overflow="fold")
+    for row in rows:
+        texts = (_number(each) if isinstance(each, float) else each for each in row.values())
+        table.add_row(
+            *(Cell("" if each is None else one_line(str(each), sys.maxsize)) for each in texts)
+        )
+    return table
+
+
+def _number(value: float) -> str:
+    """Return a number with six digits, a coordinate with its millimetres."""
+    return f"{value:.3f}" if 1e3 <= abs(value) < 1e12 else f"{value:.6g}"
+
+
+def table_of_entries(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return a table with a row for each entry, and a column for each name that any has."""
+    fullest_first = sorted(rows.values(), key=len, reverse=True)
+    columns = list(dict.fromkeys(column for row in fullest_first for column in row))
+    table = Table(box=None, pad_edge=False)
+    for title in (name, *columns):
+        table.add_column(Cell(as_title(title)), justify="left" if title == name else "right")
+    for key, row in rows.items():
+        cells = [row.get(column, "") for column in columns]
+        texts = [decimal(f"{c:.3f}") if isinstance(c, float) else _cell(c) for c in cells]
+        table.add_row(Cell(key), *map(Cell, texts))
+    return table
+
+
+def _cell(value: Any) -> str:
+    """Return a value of a table: a single word is a state, not a name."""
+    return tr(value) if isinstance(value, str) else _readable(value)
+
+
+def _readable(value: Any) -> str:
+    if value is None:
+        return tr("not known")
+    if isinstance(value, float):
+        return decimal(f"{value:.4g}") if abs(value) < 1000 else f"{value:,.2f}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_readable(item) for item in value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{value:,}"
+    return tr(value) if isinstance(value, Text) or " " in str(value) else str(value)

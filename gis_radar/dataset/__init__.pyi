@@ -1,0 +1,64 @@
+from .dataset import Dataset, open_dataset
+from .hour_job import MeasureSettings
+from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
+from .measure import manifest_of, measure
+from .parts import (
+    STEPS_PER_HOUR,
+    Origin,
+    clear_unfinished,
+    hour_of_step,
+    hour_text,
+    part_path,
+    rename_whole,
+    sync_folder,
+    unfinished,
+    write_whole,
+)
+from .reading import Span
+from .records import HourWriter, read_hour, read_hours, record_path, write_record
+from .states import no_states, states_of
+from .tables import EVERY, FRAMES, PASSAGES, TILE_COUNTS, TableSchema
+from .tile_counts import RUN_ERRORS, STEPS_PER_QUARTER, HourSpans, count_spans, update_counts
+from .upkeep import relink, withdraw
+
+__all__ = [
+    "EVERY",
+    "FRAMES",
+    "PASSAGES",
+    "RUN_ERRORS",
+    "STEPS_PER_HOUR",
+    "STEPS_PER_QUARTER",
+    "TILE_COUNTS",
+    "Dataset",
+    "HourSpans",
+    "HourWriter",
+    "Manifest",
+    "MeasureSettings",
+    "Origin",
+    "Span",
+    "TableSchema",
+    "clear_unfinished",
+    "count_spans",
+    "create_dataset",
+    "hour_of_step",
+    "hour_text",
+    "manifest_of",
+    "measure",
+    "no_states",
+    "open_dataset",
+    "part_path",
+    "read_hour",
+    "read_hours",
+    "record_path",
+    "relink",
+    "rename_whole",
+    "require_same_settings",
+    "require_same_site",
+    "states_of",
+    "sync_folder",
+    "unfinished",
+    "update_counts",
+    "withdraw",
+    "write_record",
+    "write_whole",
+]

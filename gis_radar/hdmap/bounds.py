@@ -1,0 +1,376 @@
+"""The two bounds of a lanelet as arrays of points: direction, arc length, rungs between them.
+
+Every function takes bounds as (n, 2) or (n, 3) arrays in metres, rows in order along the line;
+where heights are given they are carried along and never decide anything.
+
+Where equal lengths do not pair the points of two bounds, the ribbon of shortest rungs does: a
+strip of triangles between the bounds. Each has one side on a bound and its tip on the other one. Of
+all strips that only move forward, the one is taken that has the least length of wrongly turned
+triangles and then the shortest rungs (dynamic programming).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gis_radar.base import Booleans, Floats, Integers, Text
+
+
+class CannotMendError(Exception):
+    """A lanelet has to be left out; the message is the reason, in plain words."""
+
+
+# How much of the plain arc-length pairing is kept; the first that works is taken.
+_BLENDS = (0.75, 0.5, 0.25, 0.1, 0.03)
+# What a bound may lose to cut corners before divisions move to corners; share of the outline.
+_LOSS = 0.001
+_LOSS_EACH = 0.1  # share of that loss from which a corner counts
+# A lanelet that is whole is cut soundly at this length, see :mod:`mending`.
+_SOUND_M = 0.5
+
+
+class Drawn(NamedTuple):
+    """Whether each bound has to be turned round to run in the driving direction."""
+
+    turn_left: bool
+    turn_right: bool
+
+
+def without_repeats(bound: Floats) -> Floats:
+    """Return a bound without points that repeat the one before them (in east and north)."""
+    moved = np.any(bound[1:, :2] != bound[:-1, :2], axis=1)
+    kept: Floats = bound[np.concatenate([[True], moved])]
+    return kept
+
+
+def length(bound: Floats) -> float:
+    """Return the horizontal length of a bound in metres."""
+    return float(arc_lengths(bound)[-1])
+
+
+def at_fractions(bound: Floats, fractions: Floats) -> Floats:
+    """Return the points at fractions 0 to 1 of a bound's horizontal length: (k, 2 or 3)."""
+    along = arc_lengths(bound)
+    where = fractions * along[-1]
+    return np.column_stack([np.interp(where, along, column) for column in bound.T])
+
+
+def slices(left: Floats, right: Floats, slice_m: float = _SOUND_M) -> int:
+    """Return into how many slices of about `slice_m` metres a lanelet is cut, at least one."""
+    return max(1, round((length(left) + length(right)) / 2.0 / slice_m))
+
+
+def drawn_direction(left: Floats, right: Floats) -> Drawn:
+    """Find the driving direction: the one that has the left bound on the left.
+
+    First the bounds are made parallel: of the two ways to pair them, the one with the shorter
+    rungs (mean over the length, so that loops with equal ends are distinguished, too). Then the
+    signed area between them shows on which side the left bound is; if on the right, both are
+    turned.
+
+    Parameters
+    ----------
+    left, right : (n, 2 or 3) array
+        The bounds as drawn, each in any direction, with two distinct points at least.
+
+    Returns
+    -------
+    Drawn
+        Which of them to turn round.
+    """
+    fractions = np.linspace(0.0, 1.0, 2 * max(len(left), len(right)) + 7)
+    origin = left[0, :2]
+    p, q = (
+        at_fractions(left[:, :2] - origin, fractions),
+        at_fractions(right[:, :2] - origin, fractions),
+    )
+    with_it = np.hypot(*(p - q).T).mean()
+    against = np.hypot(*(p - q[::-1]).T).mean()
+    opposed = bool(against < with_it)
+    backward = bool(signed_area(p, q[::-1] if opposed else q) < 0.0)
+    return Drawn(turn_left=backward, turn_right=backward != opposed)
+
+
+def signed_area(left: Floats, right: Floats) -> float:
+    """Return the area between two parallel bounds in m2, positive if `left` is on the left."""
+    ring = np.concatenate([right[:, :2], left[::-1, :2]]) - right[0, :2]
+    ahead = np.roll(ring, -1, axis=0)
+    return float(np.sum(ring[:, 0] * ahead[:, 1] - ring[:, 1] * ahead[:, 0]) / 2.0)
+
+
+def rungs(left: Floats, right: Floats, n: int) -> tuple[Floats, Floats]:
+    """Return n + 1 pairs of points that cut a lanelet into n slices.
+
+    Both bounds are divided into n parts of equal length. Where that would cut off too much of
+    their corners, divisions move there. Where it would make slices that cross
+    themselves (a bound with a bay, a very tight turn), points are paired by the shortest rungs
+    instead, blended with equal lengths as far as all slices come out sound.
+
+    Parameters
+    ----------
+    left, right : (k, 2 or 3) array
+        The cleaned bounds in driving direction.
+    n : int
+        How many slices.
+
+    Returns
+    -------
+    left_points, right_points : (n + 1, 2 or 3) array
+        The ends of the rungs; first and last are the ends of the bounds, exactly.
+    """
+    even = np.linspace(0.0, 1.0, n + 1)
+    best, fewest = (left[[0, -1]], right[[0, -1]]), n + 1
+    for on_left, on_right in _pairings(left, right, even):
+        pair = at_fractions(left, on_left), at_fractions(right, on_right)
+        bad = int(np.count_nonzero(~sound(*pair)))
+        if bad < fewest:
+            best, fewest = pair, bad
+        if not bad:
+            return pair
+    return best
+
+
+def sound_rungs(left: Floats, right: Floats, slice_m: float) -> tuple[Floats, Floats]:
+    """Return rungs about `slice_m` metres apart whose slices are all sound.
+
+    Where that length makes slices that cross themselves (a long slice of a tight turn), the
+    lanelet is cut into more; where even many do not help, into slices of half a metre.
+
+    Parameters
+    ----------
+    left, right : (k, 2 or 3) array
+        The cleaned bounds in driving direction.
+    slice_m : float
+        The length asked for, metres.
+
+    Returns
+    -------
+    left_points, right_points : (n + 1, 2 or 3) array
+        The ends of the rungs, as from :func:`rungs`.
+
+    Raises
+    ------
+    CannotMendError
+        If no number of slices is sound: the bounds have not been mended.
+    """
+    asked, surely = slices(left, right, slice_m), slices(left, right)
+    for n in (*_growing(asked, 2 * max(asked, surely)), surely):
+        pair = rungs(left, right, n)
+        if sound(*pair).all():
+            return pair
+    raise CannotMendError(Text("it cannot be cut into sound tiles"))
+
+
+def _growing(n: int, most: int) -> Iterator[int]:
+    while n <= most:
+        yield n
+        n += max(1, n // 4)
+
+
+def _pairings(left: Floats, right: Floats, even: Floats) -> Iterator[tuple[Floats, Floats]]:
+    """Yield ways to divide both bounds, the plainest first: fractions of their lengths."""
+    most_loss = _LOSS * abs(signed_area(left, right))
+    snapped = [_snapped(bound, even, most_loss) for bound in (left, right)]
+    if any(fractions is not even for fractions in snapped):
+        yield snapped[0], snapped[1]
+    yield even, even
+    path = matched(left, right)
+    for keep in _BLENDS:
+        on_left = keep * even + (1.0 - keep) * np.interp(even, path.even, path.left)
+        on_right = keep * even + (1.0 - keep) * np.interp(even, path.even, path.right)
+        yield on_left, on_right
+
+
+def _snapped(bound: Floats, even: Floats, most_loss: float) -> Floats:
+    """Put divisions on corners where cutting these off would lose more than `most_loss` m2.
+
+    Returns ascending fractions, evenly spread between corners, or `even` where none had to move.
+    """
+    if len(even) < 3 or len(bound) < 3:
+        return even
+    along = arc_lengths(bound)
+    corners = along[1:-1] / along[-1]
+    chords, n = at_fractions(bound[:, :2], even), len(even) - 1
+    within = np.minimum((corners * n).astype(np.int64), n - 1)
+    loss = np.abs(turn(chords[within], chords[within + 1], bound[1:-1, :2])) / 2.0
+    if loss.sum() <= most_loss:
+        return even
+    worst = np.argsort(loss)[::-1][: n - 1]
+    kept = np.sort(corners[worst[loss[worst] > _LOSS_EACH * most_loss]])
+    # The division nearest to each corner, but every corner its own.
+    turn_of = np.arange(len(kept))
+    nearest = np.maximum.accumulate(np.rint(kept * n).astype(np.int64) - turn_of) + turn_of
+    nearest = np.clip(nearest, turn_of + 1, n - len(kept) + turn_of)
+    where = np.concatenate([[0], nearest, [n]])
+    moved: Floats = np.interp(np.arange(n + 1), where, np.concatenate([[0.0], kept, [1.0]]))
+    return moved
+
+
+def sound(left_points: Floats, right_points: Floats) -> Booleans:
+    """Return which slices between rungs are simple, and have their left side on the left.
+
+    A quadrilateral is simple and runs counter-clockwise exactly if one of its diagonals cuts it
+    into two counter-clockwise triangles. Slices that all are, and share their rungs, tile the
+    outline of the rungs' ends without gap or overlap.
+
+    Parameters
+    ----------
+    left_points, right_points : (n + 1, 2 or 3) array
+        The ends of the rungs.
+
+    Returns
+    -------
+    (n,) array of bool
+    """
+    origin = right_points[0, :2]
+    p, q = right_points[:, :2] - origin, left_points[:, :2] - origin
+    r0, r1, l0, l1 = p[:-1], p[1:], q[:-1], q[1:]
+    one_way = (turn(r0, r1, l1) > 0.0) & (turn(r0, l1, l0) > 0.0)
+    other_way = (turn(r0, r1, l0) > 0.0) & (turn(r1, l1, l0) > 0.0)
+    answer: Booleans = one_way | other_way
+    return answer
+
+
+_SPACING_POINTS = 300  # on both bounds together; the work grows with its square
+_MOST_POINTS = 1200  # on a bound, drawn ones included: bounds time and memory
+NEVER_M = 1e4  # a rung gets so much longer to avoid a wrongly turned triangle: any way round
+_FLAT_M2 = 1e-9  # sideways is not backwards
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ribbon:
+    """A monotone pairing of two bounds.
+
+    Parameters
+    ----------
+    left, right : (k,) array
+        Fractions of the bounds' lengths, ascending together from 0 to 1.
+    even : (k,) array
+        The mean of both, which parametrises the pairing.
+    left_wrong, right_wrong : (m, 2) array
+        Stretches, in fractions of each bound's length, whose triangles are wrongly turned: there
+        the bound runs backwards.
+    """
+
+    left: Floats
+    right: Floats
+    even: Floats
+    left_wrong: Floats
+    right_wrong: Floats
+
+
+def arc_lengths(line: Floats) -> Floats:
+    """Return the horizontal distance of each point from the start, along the line: (n,) metres."""
+    steps = line[1:] - line[:-1]
+    along = np.zeros(len(line))
+    np.cumsum(np.hypot(steps[:, 0], steps[:, 1]), out=along[1:])
+    return along
+
+
+def turn(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Return twice the signed area of triangles a b c in m2, positive if counter-clockwise."""
+    ab, ac = b - a, c - a
+    area: Floats = ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]
+    return area
+
+
+def matched(left: Floats, right: Floats, wrong_m: float = NEVER_M) -> Ribbon:
+    """Return the ribbon between two bounds in driving direction.
+
+    Parameters
+    ----------
+    left, right : (n, 2 or 3) array
+        The bounds in metres. All their vertices take part, and points between them where these
+        are far apart.
+    wrong_m : float
+        How many metres longer a rung may get to avoid a wrongly turned triangle.
+
+    Returns
+    -------
+    Ribbon
+        The pairing, and where it cannot go forward.
+    """
+    spacing = (arc_lengths(left)[-1] + arc_lengths(right)[-1]) / _SPACING_POINTS
+    p, s = _refined(left[:, :2] - right[0, :2], max(spacing, 0.1))
+    q, t = _refined(right[:, :2] - right[0, :2], max(spacing, 0.1))
+    rows, columns = _cheapest_path(p, q, wrong_m)
+    moves_left, moves_right = np.diff(rows) == 1, np.diff(columns) == 1
+    wrong = _wrong_length(p, q, rows, columns, moves_left) > 0.0
+    a, b = s[rows], t[columns]
+    return Ribbon(
+        left=a,
+        right=b,
+        even=(a + b) / 2.0,
+        left_wrong=_stretches(a, wrong & moves_left),
+        right_wrong=_stretches(b, wrong & moves_right),
+    )
+
+
+def _stretches(fractions: Floats, wrong: Booleans) -> Floats:
+    starts = np.flatnonzero(wrong)
+    return np.column_stack([fractions[starts], fractions[starts + 1]]).reshape(-1, 2)
+
+
+def _refined(line: Floats, spacing: float) -> tuple[Floats, Floats]:
+    """Return a line with points added until none are farther apart, and their length fractions."""
+    along = arc_lengths(line)
+    parts = np.maximum(1, np.ceil(np.diff(along) / spacing).astype(np.int64))
+    where = np.concatenate(
+        [
+            np.linspace(a, b, k, endpoint=False)
+            for a, b, k in zip(along, along[1:], parts, strict=False)
+        ]
+        + [along[-1:]]
+    )
+    if len(where) > _MOST_POINTS:
+        where = np.linspace(0.0, along[-1], _MOST_POINTS)
+    points = np.column_stack([np.interp(where, along, column) for column in line.T])
+    return points, where / along[-1]
+
+
+def _cheapest_path(p: Floats, q: Floats, wrong_m: float) -> tuple[Integers, Integers]:
+    """Return the indices of the rungs of the best strip, one step on one bound at a time."""
+    rung = np.hypot(p[:, None, 0] - q[None, :, 0], p[:, None, 1] - q[None, :, 1])
+    step_p, step_q = np.hypot(*np.diff(p, axis=0).T), np.hypot(*np.diff(q, axis=0).T)
+    # Moving on the left: triangle (tip on the right, ahead, behind) must be counter-clockwise.
+    wrong_p = turn(q[None, :], p[1:, None], p[:-1, None]) <= 0.0
+    wrong_q = turn(p[:, None], q[None, :-1], q[None, 1:]) <= 0.0
+    cost_p = step_p[:, None] * (rung[1:] + wrong_m * wrong_p)
+    cost_q = step_q[None, :] * (rung[:, 1:] + wrong_m * wrong_q)
+    total = np.full(rung.shape, np.inf)
+    from_left = np.zeros(rung.shape, dtype=np.bool_)
+    total[0, 0] = 0.0
+    for diagonal in range(1, len(p) + len(q) - 1):
+        i = np.arange(max(0, diagonal - len(q) + 1), min(len(p), diagonal + 1))
+        j = diagonal - i
+        by_p = np.where(i > 0, total[i - 1, j] + cost_p[i - 1, j], np.inf)
+        by_q = np.where(j > 0, total[i, j - 1] + cost_q[i, j - 1], np.inf)
+        total[i, j] = np.minimum(by_p, by_q)
+        from_left[i, j] = by_p < by_q
+    return _walk_back(from_left)
+
+
+def _walk_back(from_left: Booleans) -> tuple[Integers, Integers]:
+    i, j = from_left.shape[0] - 1, from_left.shape[1] - 1
+    path = [(i, j)]
+    while i or j:
+        i, j = (i - 1, j) if (from_left[i, j] and i) or not j else (i, j - 1)
+        path.append((i, j))
+    rows, columns = np.array(path[::-1], dtype=np.int64).T
+    return rows, columns
+
+
+def _wrong_length(
+    p: Floats, q: Floats, rows: Integers, columns: Integers, moves_left: Booleans
+) -> Floats:
+    """Return how long the side of each triangle is where it is wrongly turned, else 0."""
+    tip = np.where(moves_left[:, None], q[columns[:-1]], p[rows[:-1]])
+    behind = np.where(moves_left[:, None], p[rows[:-1]], q[columns[:-1]])
+    ahead = np.where(moves_left[:, None], p[rows[1:]], q[columns[1:]])
+    area = np.where(moves_left, 1.0, -1.0) * turn(tip, ahead, behind)
+    side: Floats = np.where(area < -_FLAT_M2, np.hypot(*(ahead - behind).T), 0.0)
+    return side

@@ -1,0 +1,352 @@
+"""Lane graph: where on which lanelet a point lies, and which lanelets follow which."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled, ranges
+
+STEP_M = 1.0  # of the samples: on a curve of 10 m radius their chord is 1 cm off the arc
+MARGIN_M = 1.0  # beyond a lane's edge: a vehicle's middle is rarely so far outside
+CELL_M = 1.0
+JOIN_M = 1.5  # ends of lanelets that share no nodes: half a lane
+JOIN_RAD = np.radians(30.0)
+MOST = 8  # lanelets at one point
+LEVEL_M = 2.0  # roads that differ less in height are on one level (the contract)
+
+FieldArrays: TypeAlias = tuple[Integers, Integers, Integers, Integers, Floats]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneGraph:
+    """The driven lanelets of a map, sampled along their centres.
+
+    Parameters
+    ----------
+    lanelet_id : (n,) int64 array
+        Ids, ascending.
+    length_m : (n,) array
+        Length of the centre line.
+    first : (n + 1,) int64 array
+        Where the samples of each lanelet begin.
+    points : (m, 3) array
+        Samples in the map, metres, `origin` taken away; heights NaN where unknown.
+    s_m : (m,) array
+        Distance of a sample from the start of its lanelet, metres.
+    heading : (m,) array
+        Direction of travel, radians.
+    half_width_m : (m,) array
+        Half of the lanelet's width there.
+    two_way : (n,) bool array
+        Lanelets that are driven in both directions.
+    successors : list of int64 arrays
+        Positions of the lanelets that follow each.
+    origin : (2,) array
+        Easting and northing of the local (0, 0).
+    """
+
+    lanelet_id: Integers
+    length_m: Floats
+    first: Integers
+    points: Floats
+    s_m: Floats
+    heading: Floats
+    half_width_m: Floats
+    two_way: Booleans
+    successors: list[Integers]
+    origin: Floats
+
+    @cached_property
+    def field(self) -> LaneField:
+        """The graph as compiled code asks it: which lanes are at a point."""
+        return LaneField.of(self)
+
+    def reversed(self) -> LaneGraph:
+        """Return the graph as it is driven when time runs backward."""
+        order = np.concatenate(
+            [
+                np.arange(b - 1, a - 1, -1)
+                for a, b in zip(self.first[:-1], self.first[1:], strict=True)
+            ]
+        )
+        lane = np.repeat(np.arange(len(self.lanelet_id)), np.diff(self.first))
+        before: list[list[int]] = [[] for _ in self.lanelet_id]
+        for index, following in enumerate(self.successors):
+            for other in following.tolist():
+                before[other].append(index)
+        return replace(
+            self,
+            points=self.points[order],
+            s_m=self.length_m[lane] - self.s_m[order],
+            heading=self.heading[order] + np.pi,
+            half_width_m=self.half_width_m[order],
+            successors=[np.array(each, np.int64) for each in before],
+        )
+
+    def place(self, lane: int, s_m: Floats) -> tuple[Floats, Floats]:
+        """Return local points (k, 2) and headings (k,) at distances along a lanelet.
+
+        Parameters
+        ----------
+        lane : int
+            Position of the lanelet.
+        s_m : (k,) array
+            Metres from its start; beyond its ends its ends.
+        """
+        part = slice(self.first[lane], self.first[lane + 1])
+        s = self.s_m[part]
+        points = np.column_stack([np.interp(s_m, s, self.points[part, k]) for k in range(2)])
+        turned = np.interp(s_m, s, np.unwrap(self.heading[part]))
+        return points, np.asarray(turned)
+
+
+def lane_graph(lanelets: gpd.GeoDataFrame) -> LaneGraph:
+    """Build the graph of the lanelets that vehicles drive on.
+
+    Lanelets that share no nodes follow each other where the end of one lies within `JOIN_M` of the
+    start of the other and both point the same way.
+
+    Parameters
+    ----------
+    lanelets : GeoDataFrame
+        As in :class:`gis_radar.hdmap.LaneletMap`.
+
+    Raises
+    ------
+    NoAnswerError
+        If no lanelet is for vehicles.
+    """
+    driven = [
+        any(p == "vehicle" or p.startswith("vehicle:") for p in who)
+        for who in lanelets["participants"]
+    ]
+    table = lanelets[np.asarray(driven, bool)].sort_values("lanelet_id")
+    if table.empty:
+        raise NoAnswerError("the map has no lanelet for vehicles", hint="check the map's tags")
+    parts = [_sampled(*row) for row in zip(table["left"], table["right"], strict=True)]
+    first = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])]).astype(np.int64)
+    points = np.vstack([part[0] for part in parts])
+    origin = np.floor(points[:, :2].min(axis=0))
+    ids = table["lanelet_id"].to_numpy(np.int64)
+    graph = LaneGraph(
+        lanelet_id=ids,
+        length_m=np.array([part[1][-1] for part in parts]),
+        first=first,
+        points=points - [*origin, 0.0],
+        s_m=np.concatenate([part[1] for part in parts]),
+        heading=np.concatenate([part[2] for part in parts]),
+        half_width_m=np.concatenate([part[3] for part in parts]),
+        two_way=~table["one_way"].to_numpy(bool),
+        successors=[],
+        origin=origin,
+    )
+    graph.successors.extend(_successors(graph, table))
+    return graph
+
+
+def _sampled(
+    left: shapely.LineString, right: shapely.LineString
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return points, distances, headings and half widths along a lanelet."""
+    count = max(int(np.ceil(max(left.length, right.length) / STEP_M)), 1) + 1
+    share = np.linspace(0.0, 1.0, count)
+    sides = [
+        shapely.get_coordinates(
+            shapely.line_interpolate_point(line, share, normalized=True), include_z=True
+        )
+        for line in (left, right)
+    ]
+    middle = 0.5 * (sides[0] + sides[1])
+    gaps = np.diff(middle[:, :2], axis=0)
+    lengths = np.hypot(gaps[:, 0], gaps[:, 1])
+    s_m = np.concatenate([[0.0], np.cumsum(lengths)])
+    way = np.arctan2(gaps[:, 1], gaps[:, 0])
+    turned = np.unwrap(np.concatenate([way[:1], way, way[-1:]]))
+    heading = 0.5 * (turned[:-1] + turned[1:])
+    half = 0.5 * np.hypot(*(sides[0] - sides[1])[:, :2].T)
+    return middle, s_m, heading, half
+
+
+def _successors(graph: LaneGraph, table: gpd.GeoDataFrame) -> list[Integers]:
+    position = {ref: index for index, ref in enumerate(graph.lanelet_id.tolist())}
+    starts, ends = graph.first[:-1], graph.first[1:] - 1
+    found = []
+    for index, named in enumerate(table["successors"]):
+        gap = graph.points[starts] - graph.points[ends[index]]
+        turn = np.cos(graph.heading[starts] - graph.heading[ends[index]])
+        level = ~(np.abs(gap[:, 2]) > LEVEL_M)
+        near = (np.hypot(gap[:, 0], gap[:, 1]) < JOIN_M) & (turn > np.cos(JOIN_RAD)) & level
+        near[index] = False
+        stated = [position[ref] for ref in named if ref in position]
+        found.append(np.union1d(np.flatnonzero(near), np.array(stated, np.int64)).astype(np.int64))
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneField:
+    """Segments of lanes by cell of a grid, for compiled code.
+
+    Parameters
+    ----------
+    first, segment : int64 arrays
+        Where the segments of each cell begin, and the segments by cell: positions of samples.
+    columns, rows : int
+        Size of the grid, which begins at the graph's origin less `MARGIN_M`.
+    lane_of : (m,) int64 array
+        Lanelet of each sample.
+    """
+
+    first: Integers
+    segment: Integers
+    columns: int
+    rows: int
+    shift: float
+    lane_of: Integers
+    points: Floats
+    s_m: Floats
+    heading: Floats
+    half_width_m: Floats
+
+    @classmethod
+    def of(cls, graph: LaneGraph) -> LaneField:
+        """Lay the segments of a graph into a grid."""
+        lane_of = np.repeat(np.arange(len(graph.lanelet_id)), np.diff(graph.first))
+        shift = float(graph.half_width_m.max()) + MARGIN_M
+        size = graph.points[:, :2].max(axis=0) + 2.0 * shift
+        columns, rows = (int(side / CELL_M) + 1 for side in size)
+        heads = np.flatnonzero(np.diff(lane_of) == 0)
+        ends = np.stack([graph.points[heads, :2], graph.points[heads + 1, :2]])
+        reach = np.maximum(graph.half_width_m[heads], graph.half_width_m[heads + 1]) + MARGIN_M
+        low = np.floor((ends.min(axis=0) - reach[:, None] + shift) / CELL_M).astype(np.int64)
+        high = np.floor((ends.max(axis=0) + reach[:, None] + shift) / CELL_M).astype(np.int64)
+        low, high = np.maximum(low, 0), np.minimum(high, [columns - 1, rows - 1])
+        wide = high - low + 1
+        number = np.repeat(np.arange(len(heads)), wide[:, 0] * wide[:, 1])
+        within = ranges(np.zeros(len(heads), np.int64), wide[:, 0] * wide[:, 1])
+        row = low[number, 1] + within // wide[number, 0]
+        column = low[number, 0] + within % wide[number, 0]
+        cell = row * columns + column
+        order = np.argsort(cell, kind="stable")
+        count = np.bincount(cell, minlength=columns * rows)
+        return cls(
+            first=np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
+            segment=heads[number[order]].astype(np.int64),
+            columns=columns,
+            rows=rows,
+            shift=shift,
+            lane_of=lane_of.astype(np.int64),
+            points=graph.points,
+            s_m=graph.s_m,
+            heading=graph.heading,
+            half_width_m=graph.half_width_m,
+        )
+
+    @cached_property
+    def arrays(self) -> FieldArrays:
+        """All that :func:`lanes_at` needs."""
+        size = np.array([self.columns, self.rows], np.int64)
+        samples = np.column_stack(
+            [
+                self.points,
+                self.s_m,
+                self.heading,
+                self.half_width_m,
+                np.full(len(self.s_m), self.shift),
+            ]
+        )
+        return self.first, self.segment, size, self.lane_of, samples
+
+    def lanes(self, points: Floats) -> pd.DataFrame:
+        """Return the lanes at local points: `point lane s_m d_m heading half_width_m height_m`."""
+        rows = _all_lanes(np.ascontiguousarray(points[:, :2]), self.arrays)
+        names = ["point", "lane", "s_m", "d_m", "heading", "half_width_m", "height_m"]
+        return pd.DataFrame(rows, columns=names).astype({"point": np.int64, "lane": np.int64})
+
+
+@compiled
+def lanes_at(
+    x: float, y: float, field: FieldArrays, out: Floats
+) -> int:  # pragma: no cover - compiled
+    """Fill rows (lane, s, d, heading, half width, height) of the lanes at a point; return how many.
+
+    A lane is at a point within its width and `MARGIN_M`, between its ends.
+    """
+    first, segment, size, lane_of, samples = field
+    shift = samples[0, 6]
+    column, row = int((x + shift) / 1.0), int((y + shift) / 1.0)
+    if x + shift < 0.0 or y + shift < 0.0 or column >= size[0] or row >= size[1]:
+        return 0
+    cell, found = row * size[0] + column, 0
+    for k in range(first[cell], first[cell + 1]):
+        i = segment[k]
+        t, d = _on_segment(x, y, i, lane_of, samples)
+        if np.isnan(t):
+            continue
+        slot = found
+        for j in range(found):
+            if int(out[j, 0]) == lane_of[i]:
+                slot = j
+        if slot == len(out) or (slot < found and abs(out[slot, 2]) <= abs(d)):
+            continue
+        found = max(found, slot + 1)
+        out[slot, 0], out[slot, 2] = lane_of[i], d
+        # s, heading, half width, height: between those of the segment's ends
+        for place, column in ((1, 3), (3, 4), (4, 5), (5, 2)):
+            begin, end = samples[i, column], samples[i + 1, column]
+            out[slot, place] = begin + t * (end - begin)
+    return found
+
+
+@compiled
+def _share(x: float, y: float, i: int, samples: Floats) -> float:  # pragma: no cover - compiled
+    """Return how far along a segment a point is, as a share of its length; NaN of none."""
+    bx, by = samples[i + 1, 0] - samples[i, 0], samples[i + 1, 1] - samples[i, 1]
+    length2 = bx * bx + by * by
+    if length2 <= 0.0:
+        return np.nan
+    return float(((x - samples[i, 0]) * bx + (y - samples[i, 1]) * by) / length2)
+
+
+@compiled
+def _on_segment(
+    x: float, y: float, i: int, lane_of: Integers, samples: Floats
+) -> tuple[float, float]:  # pragma: no cover - compiled
+    """Return how far along a segment, as a share, and how far left of it a point is; or NaN."""
+    nothing = (np.nan, np.nan)
+    t = _share(x, y, i, samples)
+    if t < 0.0:
+        # before it, and on the segment before or before the lane
+        if i == 0 or lane_of[i - 1] != lane_of[i] or _share(x, y, i - 1, samples) <= 1.0:
+            return nothing
+    elif t > 1.0:
+        last = i + 2 >= len(lane_of) or lane_of[i + 2] != lane_of[i]
+        if last or _share(x, y, i + 1, samples) >= 0.0:
+            return nothing
+    elif np.isnan(t):
+        return nothing
+    ax, ay = samples[i, 0], samples[i, 1]
+    bx, by = samples[i + 1, 0] - ax, samples[i + 1, 1] - ay
+    t = min(max(t, 0.0), 1.0)
+    d = (bx * (y - ay) - by * (x - ax)) / np.hypot(bx, by)
+    half = samples[i, 5] + t * (samples[i + 1, 5] - samples[i, 5])
+    return (t, d) if abs(d) <= half + 1.0 else nothing
+
+
+@compiled
+def _all_lanes(points: Floats, field: FieldArrays) -> Floats:
+    """Return the lanes at every point, a row each, the point's position first."""
+    rows = np.empty((8 * len(points), 7))
+    count = 0
+    for i in range(len(points)):
+        out = rows[count : count + 8, 1:]
+        found = lanes_at(points[i, 0], points[i, 1], field, out)
+        rows[count : count + found, 0] = i
+        count += found
+    return rows[:count].copy()

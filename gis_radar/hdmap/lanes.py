@@ -1,0 +1,360 @@
+"""Lanes: chains of lanelets with number, street, direction, turns and stop line.
+
+This is the one place where lanes are made and numbered: tiles carry the number, and heat maps,
+reports and projects take it from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import geopandas as gpd
+import numpy as np
+import scipy
+import shapely
+
+from gis_radar.base import QUIET, Floats, Integers, Reporter, wind_of
+from gis_radar.hdmap.reader import LaneletMap
+from gis_radar.hdmap.streets import name_streets
+from gis_radar.hdmap.tagging import STREET, TURN_TAG
+
+LANES, STOP_LINES = "lanes", "stop_lines"
+TOUCH_M = 0.05  # between the ends of lanelets that follow each other: drawn twice, to the digit
+SHAPE_M = 0.01  # of lines as drawn: far below a pixel, and a tenth of the points
+EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
+STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
+BACK_RAD = math.radians(150.0)
+SHARP_M = 50.0  # mean radius of a turn; roads that only bend have more
+STOP_NEAR_M = 2.0  # from the end of a lanelet to the stop line that is drawn behind it
+WAYS = ("left", "straight", "right", "back")
+_STOP_KINDS: dict[str, Any] = {
+    "stop_line": np.int64, "lane": np.int64, "lanelet_id": np.int64,
+    "s_m": np.float64, "lane_m": np.float64, "sign": object,
+}  # fmt: skip
+_TAGGED = {"left": "left", "right": "right", "straight": "straight", "through": "straight"}
+
+
+class _Ends(NamedTuple):
+    """Where lanelets begin and end: (n, 4) arrays, easting and northing of left and right."""
+
+    starts: Floats
+    ends: Floats
+
+
+def chain_lanelets(
+    lanelet_id: Integers,
+    starts: Floats,
+    ends: Floats,
+    stated: Sequence[Collection[int]] | None = None,
+) -> list[tuple[int, ...]]:
+    """Chain lanelets to lanes: each the only successor of the last, which alone precedes it.
+
+    Parameters
+    ----------
+    lanelet_id : (n,) int64 array
+        Ids, ascending.
+    starts, ends : (n, 4) arrays
+        Easting and northing of the left and of the right bound there, metres.
+    stated : sequence of collections of int, optional
+        Ids of the successors that the map states, beside those that begin where a lanelet ends.
+
+    Returns
+    -------
+    list of tuples of int
+        The lanelets of each lane in driving order, lanes by their smallest id. A ring begins at its
+        smallest.
+    """
+    ids = lanelet_id.tolist()
+    after = _following(ids, _Ends(starts, ends), stated)
+    before = Counter(k for found in after for k in found)
+    only = {i: k[0] for i, k in enumerate(after) if len(k) == 1 and before[k[0]] == 1}
+    chains = (tuple(ids[i] for i in chain) for chain in _chains(only, len(ids)))
+    return sorted(chains, key=min)
+
+
+def _following(
+    ids: list[int], at: _Ends, stated: Sequence[Collection[int]] | None
+) -> list[list[int]]:
+    """Return the positions of the lanelets that follow each."""
+    low = at.starts.min(axis=0) if len(ids) else 0.0
+    trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))
+    touching = next(trees).query_ball_tree(next(trees), TOUCH_M)
+    position = {ref: index for index, ref in enumerate(ids)}
+    named = stated if stated is not None else [()] * len(ids)
+    return [
+        sorted({k for k in near if k != i} | {position[ref] for ref in refs if ref in position})
+        for i, (near, refs) in enumerate(zip(touching, named, strict=True))
+    ]
+
+
+def _chains(only: Mapping[int, int], total: int) -> Iterator[list[int]]:
+    """Follow the links from where a chain begins; a ring begins at its first lanelet."""
+    led_to, seen = set(only.values()), set[int]()
+    for first in [*(i for i in range(total) if i not in led_to), *range(total)]:
+        chain, at = [], first
+        while at not in seen:
+            seen.add(at)
+            chain.append(at)
+            at = only.get(at, at)
+        if chain:
+            yield chain
+
+
+def lane_chains(lanelets: gpd.GeoDataFrame) -> list[tuple[int, ...]]:
+    """Return the lanelets of each lane of a map, as :func:`chain_lanelets` orders them.
+
+    Parameters
+    ----------
+    lanelets : GeoDataFrame
+        As in :class:`gis_radar.hdmap.LaneletMap`.
+    """
+    table = _by_id(lanelets)
+    return chain_lanelets(
+        table["lanelet_id"].to_numpy(np.int64), *_ends_of(table), list(table["successors"])
+    )
+
+
+def lane_style(layer: str) -> str:
+    """Return the QGIS style of the layer of lanes or of stop lines as QML."""
+    return (files("gis_radar.hdmap") / f"{layer}.qml").read_text(encoding="utf-8")
+
+
+def _by_id(lanelets: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    return lanelets.set_index(lanelets["lanelet_id"].to_numpy(np.int64)).sort_index()
+
+
+def _ends_of(lanelets: gpd.GeoDataFrame) -> _Ends:
+    """Return where the bounds of lanelets begin and end."""
+    sides = [lanelets[side].array for side in ("left", "right")]
+    starts, ends = (
+        np.column_stack([shapely.get_coordinates(shapely.get_point(side, at)) for side in sides])
+        for at in (0, -1)
+    )
+    return _Ends(starts, ends)
+
+
+def lane_numbers(lanelets: gpd.GeoDataFrame) -> dict[int, int]:
+    """Return the number of each lanelet's lane: its smallest lanelet id."""
+    return {ref: min(chain) for chain in lane_chains(lanelets) for ref in chain}
+
+
+def lanes(
+    roads: LaneletMap,
+    *,
+    streets: gpd.GeoDataFrame | str | Path | None = None,
+    street_field: str | None = None,
+    reporter: Reporter = QUIET,
+) -> gpd.GeoDataFrame:
+    """Return the lanes of a map, with what planners call them by.
+
+    A lane is a chain of lanelets, each the only successor of the last and it its only predecessor.
+
+    Parameters
+    ----------
+    roads : LaneletMap
+        The map.
+    streets : GeoDataFrame, str or Path, optional
+        Lines of streets with names, in any coordinate system: a layer of the city's. Lanes that the
+        map names keep their name; the others get that of the street along most of their way.
+    street_field : str, optional
+        Its column of names; without it the first of the usual ones.
+    reporter : Reporter
+        Receives what a user should know: lanes without names, streets of one name.
+
+    Returns
+    -------
+    GeoDataFrame
+        One row a lane, by `lane` (int64, its number: its smallest lanelet id). `lanelets` (tuple of
+        int, in driving order); `subtype` of the first; `street` (None where unknown);
+        `street_part` (where the map or the layer has several streets of that name, more than 250 m
+        apart: where among them this one lies, a compass wind such as `north-east`, or a number
+        where winds do not tell them apart; None elsewhere); `direction`
+        (of eight compass winds of the map's grid, where its last 5 m lead to); `turn` (`left`,
+        `straight`, `right`, `back`, joined by `;`: what it or the lanes that it leads to do in a
+        junction, by the map's tags, else by their geometry; None elsewhere); `stop_line_m` (metres
+        along the lane, NaN where the map has none); `length_m`; its centre line as geometry.
+
+    Raises
+    ------
+    InputError
+        If the streets cannot be read, or have no column of that name.
+    CrsError
+        If the streets state no coordinate system.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> lanes = gr.lanes(gr.read_map(gr.sample_folder() / "junction.osm"))
+    >>> lanes[["lane", "direction", "turn"]].head(2)  # doctest: +SKIP
+    """
+    table = _by_id(roads.lanelets)
+    chains = lane_chains(table)
+    number = {ref: min(chain) for chain in chains for ref in chain}
+    after = _lanelets_after(table)
+    if len(table) > 1 and not any(after.values()):
+        reporter.warn(
+            "no lanelet of the map follows another: each is a lane of its own, without turns",
+        )
+    lines = [_centre_line([table.at[ref, "centre"] for ref in chain]) for chain in chains]
+    turns = _lane_turns(chains, table, after)
+    stops = stop_lines(roads)
+    stop_m = dict(zip(stops["lane"], stops["lane_m"], strict=True))
+    result = gpd.GeoDataFrame(
+        {
+            "lane": np.array([number[chain[0]] for chain in chains], np.int64),
+            "lanelets": chains,
+            "subtype": [table.at[chain[0], "subtype"] for chain in chains],
+            STREET: [_tagged_street(table, chain) for chain in chains],
+            "direction": [wind_of(*_exit_of(line)) for line in lines],
+            "turn": turns,
+            "stop_line_m": [float(stop_m.get(min(chain), math.nan)) for chain in chains],
+            "length_m": [float(line.length) for line in lines],
+        },
+        geometry=lines,
+        crs=roads.crs,
+    )
+    return name_streets(result, streets, street_field, reporter)
+
+
+def _lanelets_after(table: gpd.GeoDataFrame) -> dict[int, list[int]]:
+    ids = table["lanelet_id"].tolist()
+    found = _following(ids, _ends_of(table), list(table["successors"]))
+    return {ref: [ids[k] for k in after] for ref, after in zip(ids, found, strict=True)}
+
+
+def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
+    """Join centre lines that follow each other, in the plane."""
+    points = np.concatenate([shapely.get_coordinates(part) for part in parts])
+    apart = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)
+    line = shapely.LineString(points[apart] if apart.sum() > 1 else points)
+    return shapely.simplify(line, SHAPE_M)
+
+
+def _exit_of(line: shapely.LineString) -> tuple[float, float]:
+    """Return east and north of the last metres of a line."""
+    end, before = line.interpolate(line.length), line.interpolate(max(line.length - EXIT_M, 0.0))
+    return end.x - before.x, end.y - before.y
+
+
+def _tagged_street(table: gpd.GeoDataFrame, chain: tuple[int, ...]) -> str | None:
+    """Return the name that most of a lane's length is tagged with."""
+    lengths = Counter[str]()
+    for ref in chain:
+        if name := table.at[ref, STREET]:
+            lengths[name] += table.at[ref, "centre"].length
+    return lengths.most_common(1)[0][0] if lengths else None
+
+
+# Turns.
+
+
+def _lane_turns(
+    chains: list[tuple[int, ...]], table: gpd.GeoDataFrame, after: Mapping[int, Sequence[int]]
+) -> list[str | None]:
+    """Return the turns of each lane, or those of the lanes that it leads to."""
+    own = {ref: _turn_of(table, ref) for ref in table["lanelet_id"].tolist()}
+    branches = {ref for found in after.values() if len(found) > 1 for ref in found}
+    turns: list[str | None] = []
+    for chain in chains:
+        ways = {own[ref] for ref in chain} - {""}
+        ahead = after[chain[-1]]
+        if len(ahead) > 1:
+            ways |= {own[ref] or "straight" for ref in ahead}
+        elif chain[0] in branches and not ways:
+            ways = {"straight"}
+        turns.append(";".join(way for way in WAYS if way in ways) or None)
+    return turns
+
+
+def _turn_of(table: gpd.GeoDataFrame, ref: int) -> str:
+    """Return how a lanelet turns: by its tag, else by its geometry; nothing where it does not."""
+    if tag := str(table.at[ref, TURN_TAG] or "").lower():
+        return _TAGGED.get(tag, "")
+    gaps = np.diff(shapely.get_coordinates(table.at[ref, "centre"]), axis=0)
+    lengths = np.hypot(*gaps.T)
+    way = np.unwrap(np.arctan2(gaps[:, 1], gaps[:, 0])[lengths > 1e-6])
+    turned = float(way[-1] - way[0]) if len(way) else 0.0
+    if abs(turned) < STRAIGHT_RAD or lengths.sum() > SHARP_M * abs(turned):
+        return ""
+    if abs(turned) > BACK_RAD:
+        return "back"
+    return "left" if turned > 0.0 else "right"
+
+
+# Stop lines.
+
+
+def stop_lines(roads: LaneletMap) -> gpd.GeoDataFrame:
+    """Return the stop lines of a map, one row for each lane that one ends.
+
+    A line ends the lanes that it crosses, or that end within 2 m before it: of the lanelets that
+    name its regulatory element, where some do.
+
+    Parameters
+    ----------
+    roads : LaneletMap
+        The map.
+
+    Returns
+    -------
+    GeoDataFrame
+        `stop_line` (int64, the way's id), `lane`, `lanelet_id` (int64), `s_m` along the lanelet and
+        `lane_m` along the lane, metres; `sign` (such as `de294`; empty where none); the line.
+    """
+    table = _by_id(roads.lanelets)
+    before: dict[int, tuple[int, float]] = {}
+    for chain in lane_chains(table):
+        gone = np.cumsum([0.0, *(table.at[ref, "centre"].length for ref in chain)])
+        before |= {ref: (min(chain), float(m)) for ref, m in zip(chain, gone, strict=False)}
+    rows: dict[tuple[int, int], tuple[Any, ...]] = {}
+    for way, named, sign, line in _drawn_stop_lines(roads.regulatory):
+        for ref, s_m in _stopped(table["centre"], line, named):
+            lane, gone_m = before[ref]
+            rows[way, lane] = (way, lane, ref, s_m, gone_m + s_m, sign, line)
+    order = sorted(rows.values(), key=lambda row: (row[1], row[4]))
+    columns = {name: [row[i] for row in order] for i, name in enumerate(_STOP_KINDS)}
+    lines = [row[-1] for row in order]
+    return gpd.GeoDataFrame(columns, geometry=lines, crs=roads.crs).astype(_STOP_KINDS)
+
+
+def _drawn_stop_lines(
+    elements: gpd.GeoDataFrame,
+) -> Iterator[tuple[int, set[int], str, shapely.LineString]]:
+    """Yield the id of each stop line, the lanelets that name it, its sign, and itself."""
+    found = elements[elements["member_type"].eq("stop_line") | elements["role"].eq("ref_line")]
+    for way, rows in found.groupby("member_id"):
+        line = rows.geometry.iloc[0]
+        if line is not None and line.geom_type == "LineString":
+            named = {ref for refs in rows["lanelet_ids"] for ref in refs}
+            yield int(way), named, str(rows["member_sign"].iloc[0] or ""), shapely.force_2d(line)
+
+
+def _stopped(
+    centres: gpd.GeoSeries, line: shapely.LineString, named: Collection[int]
+) -> list[tuple[int, float]]:
+    """Return the lanelets that a stop line ends, each with the metres along it."""
+    near = centres.index[shapely.dwithin(centres.array, line, STOP_NEAR_M)].tolist()
+    among = [ref for ref in (named or near) if ref in centres.index]
+    met = [ref for ref in among if _ends_at(centres[ref], line)]
+    along = [(ref, _meets(centres[ref], line)) for ref in met or sorted(among)]
+    # where one lanelet ends at the line and the next begins, the line ends the first
+    ended = [(ref, s_m) for ref, s_m in along if s_m > STOP_NEAR_M / 2]
+    return sorted(ended or along)
+
+
+def _ends_at(centre: shapely.LineString, line: shapely.LineString) -> bool:
+    """Return whether a lanelet, or what lies straight ahead of it, meets a stop line."""
+    before, end = shapely.get_coordinates(centre)[-2:]
+    ahead = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
+    longer = shapely.LineString([before, end + STOP_NEAR_M * ahead])
+    return bool(centre.distance(line) < TOUCH_M or longer.distance(line) < TOUCH_M)
+
+
+def _meets(centre: shapely.LineString, line: shapely.LineString) -> float:
+    """Return where along a centre another line meets it, or comes nearest, metres."""
+    return float(centre.project(shapely.Point(shapely.shortest_line(centre, line).coords[0])))

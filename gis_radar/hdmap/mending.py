@@ -1,0 +1,433 @@
+"""Mending the bounds of a lanelet: loops, crossings, fold-backs, and ends without width.
+
+Functions take bounds as (n, 2) or (n, 3) arrays in metres, in driving direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from shapely import LineString, Point, Polygon, STRtree, box, get_coordinates
+
+from gis_radar.base import Floats, Integers, Text
+from gis_radar.hdmap.bounds import (
+    NEVER_M,
+    CannotMendError,
+    arc_lengths,
+    at_fractions,
+    length,
+    matched,
+    rungs,
+    signed_area,
+    slices,
+    sound,
+    turn,
+    without_repeats,
+)
+
+NO_WIDTH_M = 0.01  # maps are drawn to centimetres
+NO_LENGTH_M = 0.01  # as NO_WIDTH_M
+MOST_LENGTH_M = 100_000.0  # a longer bound has a node that is misplaced
+_PASSES = 8  # one stretch that runs backwards is taken out in each
+# How much longer a rung may get to avoid a wrongly turned triangle, the strictest first.
+_SLANTS_M = (NEVER_M, 100.0, 10.0, 3.0)
+_RESUME_M = 0.1  # behind the rung that a bound crosses, so that the slice there has an area
+_TINY = 1e-9  # rounding of fractions of a length
+_OPPOSITE = 1e-6  # length of the sum of two unit vectors that cancel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mended:
+    """The bounds of one lanelet, fit to be cut into slices.
+
+    Parameters
+    ----------
+    left, right : (n, 2 or 3) array
+        The cleaned bounds.
+    repairs : tuple of str
+        What was mended, in plain words; empty where nothing needed it.
+    """
+
+    left: Floats
+    right: Floats
+    repairs: tuple[str, ...]
+
+
+def mend(left: Floats, right: Floats) -> Mended:
+    """Return the bounds of a lanelet such that it can be cut into sound slices.
+
+    A lanelet that needs nothing is returned as it is. Otherwise, in this order: small loops of a
+    bound are cut off; bounds that cross right at an end are cut there; ends without width are
+    parted by 1 cm; stretches where a bound runs backwards are taken out.
+
+    Parameters
+    ----------
+    left, right : (n, 2 or 3) array
+        The bounds in driving direction.
+
+    Returns
+    -------
+    Mended
+        Cleaned bounds, and what was done.
+
+    Raises
+    ------
+    CannotMendError
+        With the reason, where the lanelet must be left out.
+    """
+    left, right = without_repeats(left), without_repeats(right)
+    _require_extent(left, right)
+    if is_sound(left, right):
+        return Mended(left=left, right=right, repairs=())
+    repairs: list[str] = []
+    left, right = _without_loops(left, right, repairs)
+    left, right = part_at_crossings(left, right, repairs)
+    left, right = _parted(left, right, repairs)
+    left, right = _without_fold_backs(left, right, repairs)
+    _require_extent(left, right)
+    if not is_sound(left, right):
+        raise CannotMendError(Text("its outline crosses itself and cannot be mended"))
+    return Mended(left=left, right=right, repairs=tuple(repairs))
+
+
+def outline(left: Floats, right: Floats) -> Polygon:
+    """Return the polygon between two bounds; a ring road has a hole."""
+    if len(left) > 3 and len(right) > 3 and _closed(left) and _closed(right):
+        rings = sorted((Polygon(left[:, :2]), Polygon(right[:, :2])), key=lambda ring: ring.area)
+        return Polygon(rings[1].exterior, [rings[0].exterior])
+    return Polygon(np.concatenate([right[:, :2], left[::-1, :2]]))
+
+
+def is_sound(left: Floats, right: Floats) -> bool:
+    """Return whether a lanelet needs no mending."""
+    ends = np.hypot(*(left[[0, -1], :2] - right[[0, -1], :2]).T)
+    return bool(
+        ends.min() >= NO_WIDTH_M * (1.0 - 1e-6)
+        and LineString(left[:, :2]).is_simple
+        and LineString(right[:, :2]).is_simple
+        and outline(left, right).is_valid
+        and sound(*rungs(left, right, slices(left, right))).all()
+        and (_plainly_forward(left, right) or not _backward(left, right))
+    )
+
+
+def _require_extent(left: Floats, right: Floats) -> None:
+    for side, bound in (("left", left), ("right", right)):
+        if len(bound) < 2 or length(bound) < NO_LENGTH_M:
+            raise CannotMendError(Text("the {} bound has no length", Text(side)))
+        if length(bound) > MOST_LENGTH_M:
+            far = Text("{:.0f} km long", length(bound) / 1000.0)
+            raise CannotMendError(
+                Text("the {} bound is {}: a node is in the wrong place", Text(side), far)
+            )
+    mean_length = (length(left) + length(right)) / 2.0
+    if abs(signed_area(left, right)) < NO_WIDTH_M * mean_length:
+        raise CannotMendError(Text("it has no width: its bounds lie on each other, or cross"))
+
+
+def _closed(bound: Floats) -> bool:
+    return bool(np.all(bound[0, :2] == bound[-1, :2]))
+
+
+def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    cleaned = []
+    for side, bound in (("left", left), ("right", right)):
+        cleaned.append(without_loops(bound, side))
+        if cleaned[-1] is not bound:
+            repairs.append(Text("a loop of the {} bound cut off", Text(side)))
+    return cleaned[0], cleaned[1]
+
+
+def _parted(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    """Part ends without width by 1 cm, across the direction in which the lanelet opens."""
+    if _gap(left[0], right[0]) < NO_WIDTH_M:
+        left, right = _start_parted(left, right)
+        repairs.append("start without width parted by 1 cm")
+    if _gap(left[-1], right[-1]) < NO_WIDTH_M:
+        # Seen backwards, the end is a start, and left is right.
+        right, left = (bound[::-1] for bound in _start_parted(right[::-1], left[::-1]))
+        repairs.append("end without width parted by 1 cm")
+    return left, right
+
+
+def _gap(a: Floats, b: Floats) -> float:
+    return float(np.hypot(*(a - b)[:2]))
+
+
+def _start_parted(left: Floats, right: Floats) -> tuple[Floats, Floats]:
+    shared = min(len(left), len(right))
+    gaps = np.hypot(*(left[:shared, :2] - right[:shared, :2]).T)
+    touching = int(np.argmax(gaps >= NO_WIDTH_M)) if np.any(gaps >= NO_WIDTH_M) else shared
+    left, right = left.copy(), right.copy()
+    for i in range(touching):
+        middle = (left[i, :2] + right[i, :2]) / 2.0
+        along = _heading(left, i) + _heading(right, i)
+        if np.hypot(*along) < _OPPOSITE:
+            raise CannotMendError(Text("its bounds leave a common end in opposite directions"))
+        across = np.array([-along[1], along[0]]) / np.hypot(*along) * NO_WIDTH_M / 2.0
+        left[i, :2], right[i, :2] = middle + across, middle - across
+    return left, right
+
+
+def _heading(bound: Floats, i: int) -> Floats:
+    """Return the unit vector along a bound after (at its last point: before) a point."""
+    i = min(i, len(bound) - 2)
+    step = bound[i + 1, :2] - bound[i, :2]
+    unit: Floats = step / np.hypot(*step)
+    return unit
+
+
+def _plainly_forward(left: Floats, right: Floats) -> bool:
+    """Return, by equal lengths only, that every stretch has the other bound on its proper side."""
+    return bool(_faces(left, right) and _faces(right[::-1], left[::-1]))
+
+
+def _faces(bound: Floats, other: Floats) -> bool:
+    """Return whether all of a bound has the other one on its right."""
+    along = arc_lengths(bound)
+    middle = (along[1:] + along[:-1]) / 2.0 / along[-1]
+    opposite = at_fractions(other[:, :2], middle)
+    return bool(np.all(turn(opposite, bound[1:, :2], bound[:-1, :2]) > 0.0))
+
+
+def _backward(left: Floats, right: Floats) -> bool:
+    ribbon = matched(left, right)
+    return len(ribbon.left_wrong) > 0 or len(ribbon.right_wrong) > 0
+
+
+def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    """Remove the stretches where a bound runs backwards.
+
+    A very slanted rung can make a backward stretch look forward; so where that leaves slices
+    that cross themselves, slanted rungs are made dearer.
+    """
+    for wrong_m in _SLANTS_M:
+        forward = _unfolded_both(left, right, wrong_m)
+        if is_sound(*forward):
+            break
+    for side, before, after in zip(("left", "right"), (left, right), forward, strict=True):
+        if after is not before:
+            repairs.append(Text("fold-back of the {} bound taken out", Text(side)))
+    return forward
+
+
+def _unfolded_both(left: Floats, right: Floats, wrong_m: float) -> tuple[Floats, Floats]:
+    for _ in range(_PASSES):
+        ribbon = matched(left, right, wrong_m)
+        if len(ribbon.left_wrong):
+            left = _unfolded(left, right, ribbon.left_wrong[0], ribbon.left, ribbon.right)
+        elif len(ribbon.right_wrong):
+            # Seen backwards, the right bound is a left one.
+            wrong = 1.0 - ribbon.right_wrong[-1, ::-1]
+            turned = 1.0 - ribbon.right[::-1], 1.0 - ribbon.left[::-1]
+            right = _unfolded(right[::-1], left[::-1], wrong, *turned)[::-1]
+        else:
+            break
+        _require_extent(left, right)
+    return left, right
+
+
+def _unfolded(
+    bound: Floats, other: Floats, wrong: Floats, on_bound: Floats, on_other: Floats
+) -> Floats:
+    """Return a left bound without the first stretch that runs backwards.
+
+    The part behind the rung at the turning point is skipped until the bound is ahead of it
+    again; where it never is, the part ahead of the last rung is skipped instead.
+    """
+    fractions = arc_lengths(bound) / length(bound)
+    tip = at_fractions(bound, wrong[:1])
+    foot = at_fractions(other, np.interp(wrong[:1], on_bound, on_other))
+    behind = turn(foot[:, :2], tip[:, :2], bound[:, :2])
+    ahead = np.flatnonzero((behind < 0.0) & (fractions >= wrong[1] - _TINY))
+    if len(ahead):
+        rest = _resumed(bound[ahead[0] - 1 :], behind[ahead[0] - 1 :])
+        return without_repeats(np.concatenate([bound[fractions < wrong[0] - _TINY], tip, rest]))
+    before_end = turn(other[-1:, :2], bound[-1:, :2], bound[:, :2])
+    last = int(np.flatnonzero((before_end > 0.0) & (fractions <= wrong[0] + _TINY))[-1:].sum())
+    rest = _resumed(bound[last + 1 :: -1], -before_end[last + 1 :: -1])[::-1]
+    return without_repeats(np.concatenate([rest, bound[-1:]]))
+
+
+def _resumed(bound: Floats, behind: Floats) -> Floats:
+    """Return a bound from a little after the rung that its first segment crosses.
+
+    `behind` is proportional to how far each point is behind the rung: the first is, the second not.
+    """
+    step = float(np.hypot(*(bound[1] - bound[0])[:2]))
+    across = behind[0] - behind[1]
+    share = float(np.clip(behind[0] / across, 0.0, 1.0)) if across > 0.0 else 0.0
+    share += min(_RESUME_M / step, (1.0 - share) / 2.0)
+    first = bound[0] + share * (bound[1] - bound[0])
+    return np.concatenate([first[None], bound[1:]])
+
+
+_LOOP_SHARE = 0.5  # of the bound; a longer loop may be the road itself
+_END_M = 1.0  # from an end, in which bounds may cross by careless drawing
+_END_SHARE = 0.2  # of the bound, where that is less
+_MOST_LOOPS = 20  # of a bound
+_NEAR_M = 1e-6  # rounding of coordinates of 1e7 m in float64 is 2e-9
+
+
+def without_loops(bound: Floats, side: str) -> Floats:
+    """Return a bound with small loops cut off where it crosses itself.
+
+    Parameters
+    ----------
+    bound : (n, 2 or 3) array
+        The points of the bound, metres.
+    side : str
+        `left` or `right`, for the reason.
+
+    Returns
+    -------
+    (m, 2 or 3) array
+        The same array where there was no loop.
+
+    Raises
+    ------
+    CannotMendError
+        If a loop is more than half of the bound.
+    """
+    for _ in range(_MOST_LOOPS):
+        if LineString(bound[:, :2]).is_simple:
+            return bound
+        bound = without_first_loop(bound, side)
+    raise CannotMendError(Text("the {} bound crosses itself again and again", Text(side)))
+
+
+def without_first_loop(bound: Floats, side: str) -> Floats:
+    """Cut the first loop out of a bound that crosses itself.
+
+    Parameters
+    ----------
+    bound : (n, 2) or (n, 3) array
+        Its points, metres.
+    side : str
+        Which bound it is, for the message.
+
+    Returns
+    -------
+    (m, 2) or (m, 3) array
+        The bound with the point of the crossing in place of the loop.
+
+    Raises
+    ------
+    CannotMendError
+        If the bound only touches itself, or the loop is a large part of it.
+    """
+    i, j = _near_pairs(bound[:, :2])
+    on_first, on_second = _crossings(bound[:, :2], i, j)
+    hits = np.flatnonzero(np.isfinite(on_first))
+    if not len(hits):
+        raise CannotMendError(Text("the {} bound touches itself", Text(side)))
+    first, second = int(i[hits[0]]), int(j[hits[0]])
+    t, u = on_first[hits[0]], on_second[hits[0]]
+    along = arc_lengths(bound)
+    start = along[first] + t * (along[first + 1] - along[first])
+    stop = along[second] + u * (along[second + 1] - along[second])
+    if stop - start > _LOOP_SHARE * along[-1]:
+        raise CannotMendError(Text("the {} bound crosses itself in a large loop", Text(side)))
+    knot = bound[first] + t * (bound[first + 1] - bound[first])
+    return without_repeats(np.concatenate([bound[: first + 1], knot[None], bound[second + 1 :]]))
+
+
+def _near_pairs(line: Floats) -> tuple[Integers, Integers]:
+    """Return the segments i < j of a line whose boxes meet, ascending by i, then j."""
+    low = np.minimum(line[1:], line[:-1]) - _NEAR_M
+    high = np.maximum(line[1:], line[:-1]) + _NEAR_M
+    boxes = box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+    i, j = STRtree(boxes).query(boxes)
+    i, j = i[i < j], j[i < j]
+    order = np.lexsort((j, i))
+    return i[order], j[order]
+
+
+def _crossings(line: Floats, i: Integers, j: Integers) -> tuple[Floats, Floats]:
+    """Return where on segments i and j of a line (0 to 1) they meet; NaN if they do not.
+
+    Segments that follow each other share a point, and meet otherwise only if the second one runs
+    back over the first.
+    """
+    ab, cd, ac = line[i + 1] - line[i], line[j + 1] - line[j], line[j] - line[i]
+    across = _cross(ab, cd)
+    one, other = np.hypot(*ab.T), np.hypot(*cd.T)
+    adjacent = j == i + 1
+    back = adjacent & (np.abs(across) <= 1e-12 * one * other) & (np.sum(ab * cd, axis=1) < 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t, u = _cross(ac, cd) / across, _cross(ac, ab) / across
+    met = ~adjacent & (across != 0.0) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
+    t = np.where(back, 1.0 - np.minimum(1.0, other / one), np.where(met, t, np.nan))
+    u = np.where(back, np.minimum(1.0, one / other), np.where(met, u, np.nan))
+    return t, u
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    area: Floats = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return area
+
+
+def part_at_crossings(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    """Cut off what is beyond a crossing of the two bounds right at an end.
+
+    Raises
+    ------
+    CannotMendError
+        If the bounds cross or meet anywhere else.
+    """
+    for _ in range(4):
+        meeting = _meeting_places(left, right)
+        if not len(meeting):
+            return left, right
+        here = meeting[0]
+        on_left, on_right = _along(left, here), _along(right, here)
+        if _near_start(left, on_left) and _near_start(right, on_right):
+            left, right = _cut_start(left, on_left), _cut_start(right, on_right)
+            repairs.append("bounds that crossed at the start cut there")
+        elif _near_start(left[::-1], _along(left[::-1], here)) and _near_start(
+            right[::-1], _along(right[::-1], here)
+        ):
+            left = _cut_start(left[::-1], _along(left[::-1], here))[::-1]
+            right = _cut_start(right[::-1], _along(right[::-1], here))[::-1]
+            repairs.append("bounds that crossed at the end cut there")
+        else:
+            raise CannotMendError(Text("its bounds cross or meet between its ends"))
+    raise CannotMendError(Text("its bounds cross again and again"))
+
+
+def _meeting_places(left: Floats, right: Floats) -> Floats:
+    """Return where the bounds meet, apart from ends that they share: (k, 2)."""
+    met = LineString(left[:, :2]).intersection(LineString(right[:, :2]))
+    places: Floats = get_coordinates(met)
+    shared = _shared_runs(left, right)
+    if not len(places) or not len(shared):
+        return places
+    gaps = np.hypot(*(places[:, None] - shared[None]).transpose(2, 0, 1))
+    apart: Floats = places[gaps.min(axis=1) > 1e-6]
+    return apart
+
+
+def _shared_runs(left: Floats, right: Floats) -> Floats:
+    """Return the points that both bounds share from either end on."""
+    n = min(len(left), len(right))
+    same_start = np.all(left[:n, :2] == right[:n, :2], axis=1)
+    same_end = np.all(left[::-1][:n, :2] == right[::-1][:n, :2], axis=1)
+    head = int(np.argmin(same_start)) if not same_start.all() else n
+    tail = int(np.argmin(same_end)) if not same_end.all() else n
+    return np.concatenate([left[:head, :2], left[::-1][:tail, :2]])
+
+
+def _along(bound: Floats, point: Floats) -> float:
+    """Return how far along a bound a point on it is, in metres."""
+    return float(LineString(bound[:, :2]).project(Point(point)))
+
+
+def _near_start(bound: Floats, along: float) -> bool:
+    return along <= min(_END_M, _END_SHARE * float(arc_lengths(bound)[-1]))
+
+
+def _cut_start(bound: Floats, along: float) -> Floats:
+    lengths = arc_lengths(bound)
+    start = [np.interp(along, lengths, column) for column in bound.T]
+    return without_repeats(np.concatenate([[start], bound[lengths > along]]))

@@ -1,0 +1,286 @@
+"""OpenStreetMap XML as Lanelet2 uses it: nodes, ways and relations, read in one stream."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, NoReturn
+from xml.parsers import expat
+
+import numpy as np
+
+from gis_radar.base import Floats, InputError, Integers, Text
+
+NODE_TAGS = ("ele", "local_x", "local_y")
+LONGEST_TAG = 1 << 20  # bytes; the longest of a map are texts of some kilobytes
+DEEPEST = 100  # elements in each other; osm, relation and member are three
+_BYTES_AT_ONCE = 1 << 18
+_NOWHERE = (math.nan, math.nan)
+_IDS = range(-(2**63), 2**63)
+
+
+class Member(NamedTuple):
+    """One member of a relation: `kind` is node, way or relation."""
+
+    kind: str
+    ref: int
+    role: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """A line: the ids of its nodes in the order drawn, and its tags."""
+
+    nodes: tuple[int, ...]
+    tags: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relation:
+    """A group of nodes, ways and relations with roles, and its tags."""
+
+    members: tuple[Member, ...]
+    tags: dict[str, str]
+
+    @property
+    def type(self) -> str:
+        """What it is: `lanelet`, `regulatory_element`, `multipolygon`, ..."""
+        return self.tags.get("type", "")
+
+    def refs(self, kind: str, role: str) -> tuple[int, ...]:
+        """Return the ids of the members of one kind and role, in their order."""
+        return tuple(m.ref for m in self.members if m.kind == kind and m.role == role)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OsmMap:
+    """The elements of an OSM file, before any meaning is given to them.
+
+    Parameters
+    ----------
+    path : Path
+        Where it was read from, for messages.
+    node_ids : (n,) array
+        Node ids in the order of the file, each once.
+    geographic : (n, 2) array
+        Longitude and latitude in degrees (WGS84); NaN where missing or impossible.
+    local : (n, 2) array
+        The tags `local_x` and `local_y` in metres; NaN where missing.
+    elevation : (n,) array
+        The tag `ele` in metres; NaN where missing.
+    ways, relations : dict
+        By id.
+    doubled : tuple of (str, int)
+        Kind and id of every element whose id had been used before; the first one counts.
+    odd_heights : tuple of (int, str)
+        Node and text of every tag `ele` that is not empty and no number.
+    """
+
+    path: Path
+    node_ids: Integers
+    geographic: Floats
+    local: Floats
+    elevation: Floats
+    ways: dict[int, Way]
+    relations: dict[int, Relation]
+    doubled: tuple[tuple[str, int], ...]
+    odd_heights: tuple[tuple[int, str], ...] = ()
+
+    @cached_property
+    def node_index(self) -> dict[int, int]:
+        """Row of each node id in the arrays."""
+        return {int(node): row for row, node in enumerate(self.node_ids)}
+
+    def relations_of(self, kind: str) -> Iterator[tuple[int, Relation]]:
+        """Yield id and relation for every relation of one type."""
+        return (
+            (ref, relation) for ref, relation in self.relations.items() if relation.type == kind
+        )
+
+
+def read_osm(path: str | Path) -> OsmMap:
+    """Read an OSM XML file.
+
+    Document type definitions and entities are refused before anything is expanded. Elements that
+    an editor marked as deleted are left out.
+
+    Parameters
+    ----------
+    path : str or Path
+        An OSM 0.6 file, in any encoding that its first line declares.
+
+    Returns
+    -------
+    OsmMap
+        Nodes, ways and relations as they stand in the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is not XML, ends early, is not OSM, or holds a bad id.
+    """
+    collector = _Collector(Path(path))
+    parser = expat.ParserCreate()
+    collector.attach(parser)
+    try:
+        with Path(path).open("rb") as file:
+            _parse(parser, file, collector)
+    except OSError as error:
+        raise InputError("{}: cannot be read: {}", path, error.strerror or error) from error
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise InputError(_not_xml(path, error, parser.CurrentLineNumber)) from error
+    return collector.finished()
+
+
+def _parse(parser: expat.XMLParserType, file: BinaryIO, collector: _Collector) -> None:
+    """Parse a file in batches: a tag without an end is refused before it fills the memory."""
+    read = 0
+    while batch := file.read(_BYTES_AT_ONCE):
+        parser.Parse(batch)
+        read += len(batch)
+        # Expat looks through an open tag from its begin on, again with every batch.
+        if read - max(parser.CurrentByteIndex, 0) > LONGEST_TAG + _BYTES_AT_ONCE:
+            collector.refuse(Text("a tag of over {} MiB, a map has none", LONGEST_TAG >> 20))
+    parser.Parse(b"", True)
+
+
+def _not_xml(path: str | Path, error: Exception, line: int) -> str:
+    """Explain why the parser gave up, for a person who may have sent the wrong file."""
+    reason = str(error).split(":")[0]
+    if Path(path).stat().st_size == 0:
+        return Text("{}: the file is empty", path)
+    if reason in {"no element found", "unclosed token", "unclosed CDATA section"}:
+        return Text("{}: line {}: the file ends early: truncated XML", path, line)
+    return Text("{}: line {}: not XML: {}", path, line, reason)
+
+
+class _Collector:
+    """Collector of elements as the parser meets them; one open way or relation at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: dict[int, tuple[float, ...]] = {}
+        self.ways: dict[int, Way] = {}
+        self.relations: dict[int, Relation] = {}
+        self.known: dict[str, dict[int, Any]] = {
+            "node": self.rows,
+            "way": self.ways,
+            "relation": self.relations,
+        }
+        self.doubled: list[tuple[str, int]] = []
+        self.odd_heights: list[tuple[int, str]] = []
+        self.depth = 0
+        self._forget()
+
+    def attach(self, parser: expat.XMLParserType) -> None:
+        """Make the parser call this collector."""
+        self.parser = parser
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.StartDoctypeDeclHandler = self._refuse
+        parser.EntityDeclHandler = self._refuse
+        parser.buffer_text = True
+
+    def finished(self) -> OsmMap:
+        """Return everything gathered."""
+        table = np.array(list(self.rows.values()), dtype=np.float64).reshape(-1, 5)
+        return OsmMap(
+            path=self.path,
+            node_ids=np.fromiter(self.rows, dtype=np.int64, count=len(self.rows)),
+            geographic=table[:, 0:2],
+            local=table[:, 3:5],
+            elevation=table[:, 2],
+            ways=self.ways,
+            relations=self.relations,
+            doubled=tuple(self.doubled),
+            odd_heights=tuple(self.odd_heights),
+        )
+
+    def _forget(self) -> None:
+        self.place: tuple[float, float] = _NOWHERE
+        self.refs: list[int] = []
+        self.members: list[Member] = []
+        self.tags: dict[str, str] = {}
+        self.id = 0
+
+    def refuse(self, reason: str) -> NoReturn:
+        """Refuse what the parser is at."""
+        raise InputError("{}: line {}: {}", self.path, self.parser.CurrentLineNumber, reason)
+
+    def _refuse(self, *_: object) -> None:
+        self.refuse("document types and entities are refused, a Lanelet2 map has none")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            self.refuse(Text("elements are nested {} deep, a map's are three", DEEPEST))
+        if self.depth == 1 and name != "osm":
+            raise InputError("{}: not OSM: its root is <{}>, expected <osm>", self.path, name)
+        if name == "tag":
+            self.tags[attributes.get("k", "")] = attributes.get("v", "")
+        elif name == "nd":
+            self.refs.append(self._id(name, attributes.get("ref")))
+        elif name == "member":
+            ref = self._id(name, attributes.get("ref"))
+            member = Member(attributes.get("type", ""), ref, attributes.get("role", ""))
+            self.members.append(member)
+        elif name in {"node", "way", "relation"}:
+            self._open(name, attributes)
+
+    def _open(self, name: str, attributes: dict[str, str]) -> None:
+        self._forget()
+        self.id = self._id(name, attributes.get("id"))
+        self.gone = attributes.get("action") == "delete" or attributes.get("visible") == "false"
+        if name == "node":
+            self.place = _place(attributes.get("lon", ""), attributes.get("lat", ""))
+
+    def _end(self, name: str) -> None:
+        self.depth -= 1
+        if name not in {"node", "way", "relation"} or self.gone:
+            return
+        known = self.known[name]
+        if self.id in known:
+            self.doubled.append((name, self.id))
+        elif name == "node":
+            tags = self.tags
+            extra = [_number(tags[key]) if key in tags else math.nan for key in NODE_TAGS]
+            self.rows[self.id] = (*self.place, *extra)
+            if math.isnan(extra[0]) and tags.get("ele", "").strip().lower() not in {"", "nan"}:
+                self.odd_heights.append((self.id, tags["ele"]))
+        elif name == "way":
+            self.ways[self.id] = Way(nodes=tuple(self.refs), tags=self.tags)
+        else:
+            self.relations[self.id] = Relation(members=tuple(self.members), tags=self.tags)
+
+    def _id(self, name: str, text: str | None) -> int:
+        try:
+            number = int(text or "")
+        except ValueError:
+            number = _IDS.stop
+        if number not in _IDS:
+            raise InputError(
+                "{}: line {}: <{}> has the id {}, expected an integer of 64 bits",
+                self.path,
+                self.parser.CurrentLineNumber,
+                name,
+                repr(text),
+            )
+        return number
+
+
+def _place(longitude: str, latitude: str) -> tuple[float, float]:
+    """Return longitude and latitude in degrees, NaN for both unless both are possible."""
+    lon, lat = _number(longitude), _number(latitude)
+    return (lon, lat) if abs(lon) <= 180.0 and abs(lat) <= 90.0 else _NOWHERE
+
+
+def _number(text: str) -> float:
+    """Return a finite number, or NaN for anything else."""
+    try:
+        number = float(text)
+    except ValueError:
+        return math.nan
+    return number if math.isfinite(number) else math.nan

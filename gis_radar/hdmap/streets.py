@@ -1,0 +1,228 @@
+"""Streets: names of lanes from a layer of the city's."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import scipy
+import shapely
+
+from gis_radar.base import CrsError, Floats, InputError, Reporter, Text, read_vector, wind_of
+from gis_radar.hdmap.tagging import STREET
+
+NAME_FIELDS = (
+    "name", "street", "street_name", "road_name", "strassenname", "straßenname", "str_name",
+    "strname", "strasse", "straße", "bezeichnung", "nom_voie", "naam", "straatnaam",
+)  # fmt: skip
+PART = "street_part"  # on which of several streets of one name a lane is
+NEAR_M = 20.0  # from the middle of a street to its outermost lane: six lanes and a tram
+PARALLEL_RAD = math.radians(30.0)
+SAMPLE_M = 5.0  # of lanes, to ask which street is there
+APART_M = 250.0  # between pieces of a street, beyond which one name is of two streets
+
+
+def name_streets(
+    lanes: gpd.GeoDataFrame,
+    streets: gpd.GeoDataFrame | str | Path | None,
+    field: str | None,
+    reporter: Reporter,
+) -> gpd.GeoDataFrame:
+    """Return lanes with the names of streets where the map has none.
+
+    A lane takes the name of the street that is nearest and parallel along most of it. Where streets
+    far apart have one name, `street_part` tells on which of them a lane is.
+
+    Parameters
+    ----------
+    lanes : GeoDataFrame
+        With `street`, lines as geometry, metres.
+    streets : GeoDataFrame, str or Path, optional
+        Lines of streets.
+    field : str, optional
+        Their column of names.
+    reporter : Reporter
+        Receives what a user should know.
+
+    Raises
+    ------
+    InputError
+        If the streets cannot be read, or have no column of that name.
+    CrsError
+        If they state no coordinate system.
+    """
+    named, known, prefix = lanes.copy(), _no_streets(lanes.crs), ""
+    if streets is not None:
+        what = str(streets) if isinstance(streets, str | Path) else "streets"
+        prefix = f"{what}: "
+        known = _known_streets(streets, field, lanes.crs, what, reporter)
+    if len(known):
+        names = [_name_along(line, known) for line in lanes.geometry]
+        named[STREET] = [tag or name for tag, name in zip(lanes[STREET], names, strict=True)]
+        _tell_bare(named, prefix, reporter)
+    place = list(named.columns).index(STREET) + 1
+    named.insert(place, PART, _parts_of(named, known, prefix, reporter))
+    return named
+
+
+def _known_streets(
+    streets: gpd.GeoDataFrame | str | Path, field: str | None, crs: Any, what: str,
+    reporter: Reporter,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Return the lines that have a name, in the CRS of the lanes."""
+    table = _read(streets, what)
+    name = _field_of(table, field, what)
+    if name is None:
+        usual = ", ".join(NAME_FIELDS[:4])
+        reporter.warn(
+            "{}: no column of names ({}, ...); lanes stay without names of streets",
+            what,
+            usual,
+        )
+        return _no_streets(crs)
+    named = {STREET: table[name].to_numpy()}
+    known = gpd.GeoDataFrame(named, geometry=table.geometry.array).explode(ignore_index=True)
+    texts = known[STREET].map(lambda value: str(value).strip() if isinstance(value, str) else "")
+    known = known.assign(**{STREET: texts})
+    known = known[(known[STREET] != "") & (known.geometry.geom_type == "LineString")]
+    return _moved(known, crs, what)
+
+
+def _no_streets(crs: Any) -> gpd.GeoDataFrame:
+    return gpd.GeoDataFrame({STREET: np.empty(0, object)}, geometry=[], crs=crs)
+
+
+def _read(streets: gpd.GeoDataFrame | str | Path, what: str) -> gpd.GeoDataFrame:
+    """Return the layer of streets; refuse what is none, or states no coordinate system."""
+    table: Any = streets
+    if isinstance(streets, str | Path):
+        table = read_vector(streets, what="layer of streets", columns=None)
+    kinds = set(table.geom_type.dropna()) if isinstance(table, gpd.GeoDataFrame) else set()
+    if not kinds & {"LineString", "MultiLineString"}:
+        has = ", ".join(sorted(kinds)) or Text("no geometry")
+        raise InputError("{}: streets are lines, the layer has {}", what, has)
+    if table.crs is None:
+        raise CrsError(
+            "{}: states no coordinate system", what, hint="save the layer with its CRS in QGIS"
+        )
+    return table
+
+
+def _field_of(table: gpd.GeoDataFrame, field: str | None, what: str) -> str | None:
+    """Return the column of names: the one that is asked for, else the first of the usual ones."""
+    texts = [str(name) for name in table.columns if name != table.geometry.name]
+    if field is not None and field not in texts:
+        listed = ", ".join(texts) or "none"
+        raise InputError(
+            "{}: has no column {}", what, repr(field), hint=Text("its columns: {}", listed)
+        )
+    usual = {name.casefold(): name for name in reversed(texts)}
+    return field or next((usual[name] for name in NAME_FIELDS if name in usual), None)
+
+
+def _moved(table: gpd.GeoDataFrame, crs: Any, what: str) -> gpd.GeoDataFrame:
+    moved = table.to_crs(crs)
+    if len(moved) and not np.isfinite(moved.total_bounds).all():
+        raise CrsError("{}: lies outside the area of the map's coordinate system", what)
+    return moved.reset_index(drop=True)
+
+
+def _name_along(lane: shapely.LineString, streets: gpd.GeoDataFrame) -> str | None:
+    """Return the name of the street that is nearest and parallel along most of a lane."""
+    count = max(round(lane.length / SAMPLE_M), 1) + 1
+    at = np.linspace(0.0, lane.length, count)
+    points, way = _on(lane, at)
+    asked, street = streets.sindex.query(
+        shapely.points(points), predicate="dwithin", distance=NEAR_M
+    )
+    lines = streets.geometry.array[street]
+    near = shapely.distance(lines, shapely.points(points[asked]))
+    heading = np.array(
+        [
+            _on(line, np.array([line.project(shapely.Point(points[k]))]))[1][0]
+            for line, k in zip(lines, asked, strict=True)
+        ]
+    )
+    parallel = np.abs(np.sin(heading - way[asked])) < math.sin(PARALLEL_RAD)
+    votes = Counter[str]()
+    for k in np.unique(asked[parallel]):
+        mine = np.flatnonzero(parallel & (asked == k))
+        votes[streets[STREET].iat[street[mine[near[mine].argmin()]]]] += 1
+    if not votes:
+        return None
+    name, most = votes.most_common(1)[0]
+    return name if 2 * most >= count else None
+
+
+def _on(line: shapely.LineString, at: Floats) -> tuple[Floats, Floats]:
+    """Return points of a line and its direction there, radians."""
+    behind, ahead = (
+        shapely.get_coordinates(
+            shapely.line_interpolate_point(line, np.clip(at + off, 0.0, line.length))
+        )
+        for off in (-0.5, 0.5)
+    )
+    way = ahead - behind
+    points = shapely.get_coordinates(shapely.line_interpolate_point(line, at))
+    return points, np.arctan2(way[:, 1], way[:, 0])
+
+
+def _tell_bare(lanes: gpd.GeoDataFrame, prefix: str, reporter: Reporter) -> None:
+    """Report lanes without a name."""
+    bare = int(lanes[STREET].isna().sum())
+    if bare:
+        reporter.log(
+            Text(
+                "{}{} of {} lanes run along none of its streets with a name and stay without",
+                prefix,
+                bare,
+                len(lanes),
+            ),
+            "warning" if bare == len(lanes) else "info",
+        )
+
+
+def _parts_of(
+    lanes: gpd.GeoDataFrame, streets: gpd.GeoDataFrame, prefix: str, reporter: Reporter
+) -> list[str | None]:
+    """Return on which of several streets of its name each lane is; a line tells of each name."""
+    parts = np.full(len(lanes), None, object)
+    names = lanes[STREET].to_numpy(object)
+    for name in sorted({each for each in names if isinstance(each, str)}):
+        mine = np.flatnonzero(names == name)
+        drawn = streets.geometry.array[np.flatnonzero(streets[STREET] == name)]
+        pieces = _pieces([*lanes.geometry.array[mine], *drawn])[: len(mine)]
+        if len(set(pieces)) > 1:
+            words = _told_apart(lanes.geometry.array[mine], pieces)
+            parts[mine] = [words[piece] for piece in pieces]
+            reporter.warn(
+                "{}{} streets are called {}; their lanes differ by number",
+                prefix,
+                len(words),
+                name,
+            )
+    return parts.tolist()
+
+
+def _pieces(lines: list[shapely.LineString]) -> list[int]:
+    """Return the number of the street that each line is part of: near ones are one street."""
+    near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=APART_M)
+    links = scipy.sparse.coo_array((np.ones(near.shape[1]), near), shape=(len(lines), len(lines)))
+    return list(scipy.sparse.csgraph.connected_components(links, directed=False)[1].tolist())
+
+
+def _told_apart(lanes: Any, pieces: list[int]) -> dict[int, str]:
+    """Return a word for each street: where it lies among those of its name, else a number."""
+    known = sorted(set(pieces))
+    middles = shapely.get_coordinates(
+        [shapely.union_all(lanes[np.equal(pieces, each)]).centroid for each in known]
+    )
+    off = middles - middles.mean(axis=0)
+    words = [wind_of(*each) for each in off]
+    if len(set(words)) < len(known) or np.hypot(*off.T).min() < APART_M / 4.0:  # one in the middle
+        words = [str(number) for number in range(1, len(known) + 1)]
+    return dict(zip(known, words, strict=True))

@@ -1,0 +1,332 @@
+"""Find the tiles that points fall in: two exact engines that give the same pairs.
+
+A point belongs to a tile by the crossing number of a ray towards the west. Every edge is
+stored once in one direction, whichever tile it bounds, so that a point on an edge shared by two
+tiles of a lanelet falls in exactly one of them: the test for that edge is the same arithmetic.
+
+:class:`TileGrid` is the default. Its inner loop is compiled by numba, which is worth its 190 MB:
+the same look-up in NumPy alone (in `bench/plain_grid.py`, an oracle of the tests, too) is ten times
+slower (`make bench-assignment`) and barely three times faster than a spatial join. A
+compiled extension of our own would need a compiler on each user's machine. :class:`TileTree` is
+the paper's R-tree ("Local Sensor Data Processing").
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import scipy
+from numpy.typing import NDArray
+from rtree import index as rtree_index
+
+from gis_radar.base import Floats, InputError, Integers, compiled
+from gis_radar.hdmap.tiles import LENGTH_M, quads
+
+Numbers: TypeAlias = NDArray[np.int32]
+SLACK_M = 1e-6  # a point may be rounded into the cell beside its own
+
+
+def _fill_cells(quads: Floats, columns: int, rows: int, cell_m: float) -> tuple[Numbers, Numbers]:
+    """Return `first` and `tiles` of :class:`TileCells` for a grid from (0, 0)."""
+    counts = np.zeros(columns * rows + 1, np.int64)
+    nothing = np.empty(0, np.int32)
+    _visit(quads, columns, rows, cell_m, counts, nothing)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    tiles = np.empty(first[-1], np.int32)
+    _visit(quads, columns, rows, cell_m, first[:-1].copy(), tiles)
+    return first.astype(np.int32), tiles
+
+
+@compiled
+def _visit(  # pragma: no cover - compiled
+    quads: Floats,
+    columns: int,
+    rows: int,
+    cell_m: float,
+    cursor: Integers,
+    tiles: Numbers,
+) -> None:
+    """Move each touched cell's cursor by one; note the tile there unless `tiles` is empty."""
+    for tile in range(len(quads)):
+        quad = quads[tile]
+        low_column = max(int((quad[:, 0].min() - SLACK_M) / cell_m), 0)
+        low_row = max(int((quad[:, 1].min() - SLACK_M) / cell_m), 0)
+        high_column = min(int((quad[:, 0].max() + SLACK_M) / cell_m), columns - 1)
+        high_row = min(int((quad[:, 1].max() + SLACK_M) / cell_m), rows - 1)
+        for row in range(low_row, high_row + 1):
+            for column in range(low_column, high_column + 1):
+                x, y = (column + 0.5) * cell_m, (row + 0.5) * cell_m
+                if not _apart(quad, x, y, 0.5 * cell_m + SLACK_M):
+                    cell = row * columns + column + 1
+                    if len(tiles) > 0:
+                        tiles[cursor[cell]] = tile
+                    cursor[cell] += 1
+
+
+@compiled
+def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: no cover - compiled
+    """Return whether the normal of an edge separates a tile from the square around (x, y)."""
+    for k in range(4):
+        normal_x = quad[(k + 1) % 4, 1] - quad[k, 1]
+        normal_y = quad[k, 0] - quad[(k + 1) % 4, 0]
+        reach = half_m * (abs(normal_x) + abs(normal_y))
+        low, high = np.inf, -np.inf
+        for vertex in range(4):
+            along = normal_x * (quad[vertex, 0] - x) + normal_y * (quad[vertex, 1] - y)
+            low, high = min(low, along), max(high, along)
+        if low > reach or high < -reach:
+            return True
+    return False
+
+
+MOST_CELLS = 16_000_000  # of a grid, 64 MB; wider cells where a map is larger
+Pairs = tuple[Integers, Integers]
+
+
+class TileCells(NamedTuple):
+    """A grid of cells as compiled code takes it; its corner is the origin of what it holds.
+
+    Parameters
+    ----------
+    west, south, width, height : float
+        The rectangle around all tiles; map frame, metres.
+    cell_m : float
+        Side of a cell.
+    columns : int
+        Cells from west to east.
+    first : (m + 2,) int32 array
+        Where the tiles of each cell begin in `tiles`. Cells count from 1, along the rows from the
+        south-west; cell 0 is all that is outside, and has none.
+    tiles : (k,) int32 array
+        The tiles that touch each cell, ascending.
+    edges : (n, 4, 4) array
+        By tile: low end y, high end y, low end x, slope dx/dy of each of four edges.
+    """
+
+    west: float
+    south: float
+    width: float
+    height: float
+    cell_m: float
+    columns: int
+    first: Numbers
+    tiles: Numbers
+    edges: Floats
+
+
+class TileGrid:
+    """Cells of half a metre, each with the tiles that touch it; exact test in compiled code.
+
+    Parameters
+    ----------
+    quads : (n, 4, 2) array
+        Vertices of the tiles in order around them; map frame, metres.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm"))
+    >>> point, tile = gr.TileGrid(gr.quads(tiles)).assign([690400.0], [5336200.0])
+    >>> point.tolist(), tiles["tile_id"].iloc[tile].tolist()
+    ([0], [4894])
+    """
+
+    def __init__(self, quads: Floats) -> None:
+        origin = _origin(quads)
+        local = np.ascontiguousarray(quads - origin)  # one layout, one compiled form
+        span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
+        cell_m = max(LENGTH_M, math.sqrt(float(span.prod()) / MOST_CELLS))
+        columns, rows = (int(side * (1.0 / cell_m)) + 1 for side in span)  # rounded as in cell_at
+        first, tiles = _fill_cells(local, columns, rows, cell_m)
+        (west, south), (width, height) = origin.tolist(), span.tolist()
+        self.cells = TileCells(
+            west, south, width, height, cell_m, columns, first, tiles, _edges(local)
+        )
+
+    @property
+    def most_in_a_cell(self) -> int:
+        """How many tiles touch a cell at most."""
+        return int(np.diff(self.cells.first).max(initial=0))
+
+    def assign(self, easting: Floats, northing: Floats) -> Pairs:
+        """Return the pairs (point, tile) of points inside tiles.
+
+        Parameters
+        ----------
+        easting, northing : (n,) arrays
+            Map frame, metres. NaN falls in no tile.
+
+        Returns
+        -------
+        point, tile : (k,) int64 arrays
+            Positions in the inputs and in the quads, ascending by point, then by tile.
+        """
+        x, y = (np.ascontiguousarray(each, np.float64) for each in (easting, northing))
+        room = len(x) + len(x) // 4 + 1024
+        point, tile = np.empty(room, np.int64), np.empty(room, np.int64)
+        done = found = 0
+        while True:
+            done, found = _assign(x, y, self.cells, point, tile, done, found)
+            if done == len(x):
+                return point[:found], tile[:found]
+            point, tile = (np.concatenate([kept, np.empty_like(kept)]) for kept in (point, tile))
+
+
+class TileTree:
+    """The paper's R-tree over the tiles' bounding boxes, then the exact test.
+
+    Parameters
+    ----------
+    quads : (n, 4, 2) array
+        Vertices of the tiles in order around them; map frame, metres.
+    """
+
+    def __init__(self, quads: Floats) -> None:
+        self._origin = _origin(quads)
+        local = quads - self._origin
+        self._edges = _edges(local)
+        boxes = np.hstack([local.min(axis=1), local.max(axis=1)])
+        entries = ((i, tuple(box), None) for i, box in enumerate(boxes.tolist()))
+        self._tree = rtree_index.Index(entries) if len(boxes) else rtree_index.Index()
+
+    def assign(self, easting: Floats, northing: Floats) -> Pairs:
+        """Return the pairs (point, tile); see :meth:`TileGrid.assign`."""
+        points = np.column_stack([easting, northing]) - self._origin
+        finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+        tiles, counts = self._tree.intersection_v(  # type: ignore[no-untyped-call]
+            points[finite], points[finite]
+        )
+        point = np.repeat(finite, counts.astype(np.int64))
+        tile = np.asarray(tiles, dtype=np.int64)
+        inside = inside_quads(self._edges[tile], points[point])
+        order = np.lexsort((tile[inside], point[inside]))
+        return point[inside][order], tile[inside][order]
+
+
+TileEngine: TypeAlias = TileGrid | TileTree
+"""Objects that find the tiles of points."""
+
+
+def _origin(quads: Floats) -> Floats:
+    """South-west corner of all tiles: sums near it keep their digits."""
+    return np.floor(quads.reshape(-1, 2).min(axis=0)) if len(quads) else np.zeros(2)
+
+
+def _edges(quads: Floats) -> Floats:
+    """Return (n, 4, 4): low end y, high end y, low end x, slope dx/dy, each of four edges."""
+    start, end = quads, np.roll(quads, -1, axis=1)
+    upward = (start[..., 1] < end[..., 1]) | (
+        (start[..., 1] == end[..., 1]) & (start[..., 0] <= end[..., 0])
+    )
+    low = np.where(upward[..., None], start, end)
+    high = np.where(upward[..., None], end, start)
+    rise = high[..., 1] - low[..., 1]
+    slope = np.divide(high[..., 0] - low[..., 0], rise, out=np.zeros_like(rise), where=rise > 0.0)
+    return np.stack([low[..., 1], high[..., 1], low[..., 0], slope], axis=1)
+
+
+def inside_quads(edges: Floats, points: Floats) -> NDArray[np.bool_]:
+    """Return for each row whether the point is in the tile with these (n, 4, 4) edges."""
+    x, y = points[:, None, 0], points[:, None, 1]
+    low, high, x_low, slope = np.moveaxis(edges, 1, 0)
+    crossed = (low <= y) & (y < high) & (x >= x_low + (y - low) * slope)
+    return np.asarray(np.bitwise_xor.reduce(crossed, axis=1))
+
+
+@compiled
+def cell_at(  # pragma: no cover - compiled
+    x: float, y: float, width: float, height: float, per_m: float, columns: int
+) -> int:
+    """Return the cell around a point from the corner of :class:`TileCells`; 0 outside of them."""
+    # Not a number compares false. Without branches and in 32 bits, processors do several at a time.
+    inside = (x >= 0.0) & (x <= width) & (y >= 0.0) & (y <= height)
+    row, column = np.int32(y * per_m if inside else 0.0), np.int32(x * per_m if inside else 0.0)
+    return int(row * np.int32(columns) + column + 1 if inside else 0)
+
+
+@compiled
+def is_inside(  # pragma: no cover - compiled
+    edges: Floats, tile: int, x: float, y: float
+) -> int:
+    """Return 1 where a point is in a tile, else 0; edges and origin as of :class:`TileCells`."""
+    crossings = 0.0
+    for e in range(4):
+        low, high, x_low, slope = (
+            edges[tile, 0, e], edges[tile, 1, e], edges[tile, 2, e], edges[tile, 3, e],
+        )  # fmt: skip
+        # Numbers, not truth values: processors take several edges at a time.
+        over, right = y - low, x - (x_low + (y - low) * slope)
+        crossed = 1.0 if min(over, right) >= 0.0 else 0.0
+        crossings += crossed if y < high else 0.0
+    return int(crossings) & 1
+
+
+@compiled
+def _assign(  # pragma: no cover - compiled
+    x: Floats,
+    y: Floats,
+    cells: TileCells,
+    point_out: Integers,
+    tile_out: Integers,
+    done: int,
+    found: int,
+) -> tuple[int, int]:
+    """Go on at point `done` until the end or until the pairs found fill the room."""
+    first, tiles, edges = cells.first, cells.tiles, cells.edges
+    per_m = 1.0 / cells.cell_m
+    for i in range(done, len(x)):
+        px, py = x[i] - cells.west, y[i] - cells.south
+        cell = cell_at(px, py, cells.width, cells.height, per_m, cells.columns)
+        if found + first[cell + 1] - first[cell] > len(point_out):
+            return i, found
+        for k in range(first[cell], first[cell + 1]):
+            point_out[found] = i
+            tile_out[found] = tiles[k]
+            found += is_inside(edges, tiles[k], px, py)
+    return len(x), found
+
+
+SAME_LEVEL_M = 2.0  # of the contract; bridges are over 4 m above
+NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
+
+
+def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame:
+    """Return tiles whose `height_m` is that of the scanned road.
+
+    A tile takes the median of the points in it; one without points the nearest point within
+    `NEAR_M` of its centre; else it keeps the height it had. Where the map has a height, it
+    chooses the level: points more than `SAME_LEVEL_M` off it belong to another road.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.hdmap.tiles.make_tiles`.
+    road : (n, 3) array
+        Points of the road's surface in the tiles' CRS, metres.
+
+    Raises
+    ------
+    InputError
+        If no tile gets a height: scan and map do not overlap.
+    """
+    known = tiles["height_m"].to_numpy(np.float64)
+    point, tile = TileGrid(quads(tiles)).assign(road[:, 0], road[:, 1])
+    level = ~(np.abs(road[point, 2] - known[tile]) > SAME_LEVEL_M)
+    inside = pd.Series(road[point[level], 2]).groupby(tile[level]).median()
+    found = inside.reindex(np.arange(len(tiles))).to_numpy(copy=True)
+    bare = np.flatnonzero(np.isnan(found))
+    centres = tiles.geometry.centroid
+    distance, nearest = scipy.spatial.cKDTree(road[:, :2]).query(
+        np.column_stack([centres.x, centres.y])[bare], distance_upper_bound=NEAR_M
+    )
+    near = np.isfinite(distance)
+    height = road[np.asarray(nearest)[near], 2]
+    fits = ~(np.abs(height - known[bare[near]]) > SAME_LEVEL_M)
+    found[bare[near][fits]] = height[fits]
+    if np.isnan(found).all():
+        raise InputError("the road's points and the map do not overlap")
+    return tiles.assign(height_m=np.where(np.isnan(found), known, found))

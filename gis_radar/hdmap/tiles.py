@@ -1,0 +1,421 @@
+"""Tiles: slices of lanelets, half a metre along the lane and as wide as it."""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from collections import Counter
+from collections.abc import Collection
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from gis_radar.base import (
+    QUIET,
+    Floats,
+    InputError,
+    LayerNotes,
+    Reporter,
+    Text,
+    UsageError,
+    add_layer,
+    add_styles,
+    atomic_write,
+    describe_layers,
+    keep_styles,
+    metric_crs,
+    name_of,
+    opened_package,
+)
+from gis_radar.hdmap.bounds import CannotMendError, slices, sound_rungs
+from gis_radar.hdmap.lanes import LANES, STOP_LINES, lane_numbers, lane_style
+from gis_radar.hdmap.mending import outline
+from gis_radar.hdmap.reader import LaneletMap, problem_table
+from gis_radar.hdmap.tagging import ON_FOOT_OR_BICYCLE
+
+LENGTH_M = 0.5  # of the contract and the paper
+LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
+MOST_TILES = 2_500_000  # each takes 1.4 kB of memory when it is made and written: 3.5 GB
+LAYER = "tiles"
+PROBLEMS = "problems"
+_COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
+_MAKE_ONE = Text("make one with: gis-radar tiles")
+COLUMNS = (
+    "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
+)  # fmt: skip
+IDS = ("tile_id", "lanelet_id", "index")
+LANE = "lane"  # number of the lane; tiles of older versions have none
+
+
+def make_tiles(
+    roads: LaneletMap,
+    *,
+    length_m: float = LENGTH_M,
+    subtypes: Collection[str] | None = None,
+    reporter: Reporter = QUIET,
+) -> gpd.GeoDataFrame:
+    """Split the lanelets of a map into tiles.
+
+    Both bounds are interpolated to the same number of points; every four points that enclose a
+    smallest quadrilateral make a tile (the paper, "Using the HD Map as Scaffold").
+
+    Parameters
+    ----------
+    roads : LaneletMap
+        The map.
+    length_m : float
+        Length of a tile along the lane, metres; a lanelet gets
+        `max(1, round(mean length of its bounds / length_m))` tiles, or more where these would
+        cross themselves.
+    subtypes : collection of str, optional
+        Which lanelets; without it all but those for pedestrians and bicycles.
+    reporter : Reporter
+        Receives progress, which lanelets are not tiled, and what long tiles lose.
+
+    Returns
+    -------
+    GeoDataFrame
+        A row a tile in the order of (lanelet_id, index), with the columns `COLUMNS`, `lane` (the
+        number of its lane, as :func:`gis_radar.lanes` has it) and the map's CRS. `height_m` is NaN
+        where the map has no heights.
+
+    Raises
+    ------
+    InputError
+        If no lanelet is of these subtypes, one cannot be cut, or there are too many tiles.
+    UsageError
+        If `length_m` is not positive.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm"))
+    >>> len(tiles), tiles.geometry.geom_type.unique().tolist()
+    (5387, ['Polygon'])
+    """
+    if not LEAST_LENGTH_M <= length_m < np.inf:
+        raise UsageError("tile length is {} m, expected {} m or more", length_m, LEAST_LENGTH_M)
+    lanelets = _chosen(roads.lanelets, subtypes)
+    _say_left_out(roads.lanelets, lanelets, reporter)
+    tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
+    numbers = tiles["lanelet_id"].map(lane_numbers(roads.lanelets)).astype(np.int64)
+    tiles.insert(len(COLUMNS), LANE, numbers)
+    return tiles
+
+
+FIELDS = {
+    "tile_id": ("Tile", "from 0, in the order of lanelet and index"),
+    "lanelet_id": ("Lanelet", "of the map"),
+    "index": ("Place in the lanelet", "0 at the lanelet's start"),
+    "s_m": ("Along the lanelet (m)", "from the lanelet's start to the tile's, along the middle"),
+    "length_m": ("Length (m)", "along the middle"),
+    "width_m": ("Width (m)", "mean of both ends, across"),
+    "height_m": ("Height (m)", "of the road; null where unknown"),
+    "subtype": ("Kind", "subtype of the lanelet"),
+    LANE: ("Lane", "number of the lane: its smallest lanelet id"),
+}
+"""Titles and meaning of the columns of tiles."""
+_LANES: dict[str, Any] = {
+    "title": "Lanes", "abstract": "Chains of lanelets by number, as in report and tables",
+    "fields": {},
+}  # fmt: skip
+_STOPS: dict[str, Any] = {
+    "title": "Stop lines", "abstract": "A row for each lane that a stop line ends", "fields": {},
+}  # fmt: skip
+
+
+def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
+    """Return the columns of tiles that are not somebody else's."""
+    return [*COLUMNS, *((LANE,) if LANE in tiles else ())]
+
+
+def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd.GeoDataFrame:
+    if subtypes is None:
+        chosen = lanelets[~lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
+    else:
+        chosen = lanelets[lanelets["subtype"].isin(list(subtypes))]
+    if chosen.empty:
+        wanted = (
+            Text("a road")
+            if subtypes is None
+            else Text("of subtype {}", ", ".join(sorted(subtypes)))
+        )
+        present = ", ".join(sorted(lanelets["subtype"].unique()))
+        raise InputError(
+            "the map has no lanelet that is {}", wanted, hint=Text("it has: {}", present)
+        )
+    return chosen.sort_values("lanelet_id")
+
+
+def _say_left_out(lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter: Reporter) -> None:
+    counts = Counter(lanelets["subtype"])
+    counts.subtract(chosen["subtype"])
+    others = [f"{count} {subtype}" for subtype, count in counts.most_common() if count]
+    if others:
+        reporter.log(Text("not tiled: {} (use {})", ", ".join(others), "--subtype"))
+
+
+def _table(lanelets: gpd.GeoDataFrame, pieces: list[Floats], crs: Any) -> gpd.GeoDataFrame:
+    """Lay the rungs of all lanelets, each (n + 1, left and right, xyz), out as tiles."""
+    counts = np.array([len(piece) - 1 for piece in pieces])
+    index = np.concatenate([np.arange(count) for count in counts])
+    corners = np.concatenate([corners_between(piece) for piece in pieces])
+    middle = [piece[..., :2].mean(axis=1) for piece in pieces]
+    steps = [np.hypot(*np.diff(line, axis=0).T) for line in middle]
+    begins = [np.cumsum(step) - step for step in steps]
+    widths = np.hypot(*(corners[:, [0, 1], :2] - corners[:, [3, 2], :2]).transpose(2, 0, 1))
+    return gpd.GeoDataFrame(
+        {
+            "tile_id": np.arange(len(index)),
+            "lanelet_id": np.repeat(lanelets["lanelet_id"].to_numpy(np.int64), counts),
+            "index": index,
+            "s_m": np.concatenate(begins),
+            "length_m": np.concatenate(steps),
+            "width_m": widths.mean(axis=1),
+            "height_m": corners[..., 2].mean(axis=1),
+            "subtype": np.repeat(lanelets["subtype"].to_numpy(object), counts),
+        },
+        geometry=polygons(corners[..., :2]),
+        crs=crs,
+    )
+
+
+def polygons(corners: Floats) -> np.ndarray[Any, np.dtype[Any]]:
+    """Return polygons with these (n, 4, 2) vertices."""
+    return np.asarray(shapely.polygons(np.concatenate([corners, corners[:, :1]], axis=1)))
+
+
+def quads(tiles: gpd.GeoDataFrame) -> Floats:
+    """Return the (n, 4, 2) vertices of tiles, in order around each."""
+    rings = shapely.get_coordinates(tiles.geometry.array)
+    return np.ascontiguousarray(rings.reshape(-1, 5, 2)[:, :4])
+
+
+def fingerprint(tiles: gpd.GeoDataFrame) -> str:
+    """Return a short text that only tables made from exactly these tiles carry.
+
+    It covers the coordinate system, the ids and every vertex.
+    """
+    return _digest(tiles, name_of(metric_crs(tiles.crs, what="tiles")))
+
+
+def _digest(tiles: gpd.GeoDataFrame, first: str = "") -> str:
+    digest = hashlib.blake2b(first.encode(), digest_size=16)
+    for column in IDS:
+        digest.update(tiles[column].to_numpy(np.int64).tobytes())
+    digest.update(quads(tiles).tobytes())
+    return digest.hexdigest()
+
+
+def write_tiles(
+    tiles: gpd.GeoDataFrame,
+    path: str | Path,
+    *,
+    problems: gpd.GeoDataFrame | None = None,
+    lanes: gpd.GeoDataFrame | None = None,
+    stop_lines: gpd.GeoDataFrame | None = None,
+) -> None:
+    """Write tiles, the list of problems, lanes and stop lines as layers of a GeoPackage.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        As from :func:`make_tiles`.
+    problems : GeoDataFrame, optional
+        As :attr:`LaneletMap.problems`; none without it.
+    lanes, stop_lines : GeoDataFrame, optional
+        As from :func:`gis_radar.lanes` and :func:`gis_radar.stop_lines`.
+    path : str or Path
+        The GeoPackage; it appears whole or not at all.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".gpkg":
+        raise UsageError("{}: tiles are written as GeoPackage", path, hint="end the name in .gpkg")
+    # Without the CRS: GeoPackage rewrites the text of one that has no number.
+    seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
+    if problems is None:
+        problems = problem_table([], tiles.crs)
+    layers = [(LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")]
+    if lanes is not None:
+        # GeoPackage has no lists
+        texts = lanes["lanelets"].map(lambda refs: " ".join(map(str, refs)))
+        layers.append((LANES, lanes.assign(lanelets=texts), "LineString"))
+    if stop_lines is not None:
+        layers.append((STOP_LINES, stop_lines, "LineString"))
+    with atomic_write(path) as part:
+        for layer, table, kind in layers:
+            metadata = seal if layer == LAYER else None
+            options = {"geometry_type": kind, "layer_metadata": metadata}
+            add_layer(table, part, layer, use_arrow=True, **options)
+        styles = {name: (lane_style(name), "") for name, _, _ in layers[2:]}
+        about = LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", FIELDS)
+        with closing(sqlite3.connect(part)) as database, database:
+            notes = {LANES: about._replace(**_LANES), STOP_LINES: about._replace(**_STOPS)}
+            describe_layers(database, {LAYER: about} | {name: notes[name] for name in styles})
+            if styles:
+                add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
+        if styles:
+            keep_styles(part, earlier=path)
+
+
+def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
+    """Read tiles from a GeoPackage.
+
+    Returns
+    -------
+    GeoDataFrame
+        Ascending by `tile_id`, with the columns `COLUMNS`.
+
+    Raises
+    ------
+    InputError
+        If the file is no GeoPackage with a layer `tiles` of four-vertex polygons, or it is not as
+        :func:`write_tiles` left it; CrsError if its coordinate system is missing or not metric.
+    """
+    tiles, seal = _layer(path)
+    missing = [name for name in COLUMNS if name not in tiles.columns]
+    if missing or not isinstance(tiles, gpd.GeoDataFrame):
+        raise InputError("{}: layer {} lacks {}", path, LAYER, ", ".join(missing) or "geometry")
+    tiles = tiles.set_crs(metric_crs(tiles.crs, what=str(path)), allow_override=True)
+    _refuse_odd_tiles(tiles, path)
+    try:
+        tiles["height_m"] = tiles["height_m"].astype(np.float64)
+    except (ValueError, TypeError) as error:
+        raise InputError("{}: column height_m holds something else than metres", path) from error
+    tiles = tiles.sort_values("tile_id", ignore_index=True)
+    _refuse_other_tiles(tiles, seal, path)
+    return tiles
+
+
+def _layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
+    """Return the layer of tiles as it is, and what :func:`write_tiles` noted about it."""
+    with opened_package(path, what="a GeoPackage of tiles", hint=_MAKE_ONE) as place:
+        tiles = pyogrio.read_dataframe(place, layer=LAYER, use_arrow=True)
+        seal = pyogrio.read_info(place, layer=LAYER)["layer_metadata"] or {}
+    return tiles, seal
+
+
+def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str | Path) -> None:
+    """Refuse tiles that are not those that were written; a layer without a seal is its own."""
+    if _CONTENT not in seal or seal[_CONTENT] == _digest(tiles):
+        return
+    count = seal.get(_COUNT, str(len(tiles)))
+    wrong = (
+        Text("{} of {} tiles", len(tiles), count)
+        if count != str(len(tiles))
+        else Text("other ids or corners")
+    )
+    raise InputError(
+        "{}: layer {} was damaged or edited after gis_radar wrote it: it has {}",
+        path,
+        LAYER,
+        wrong,
+        hint="make it again with: gis-radar tiles; a changed table of your own: write_tiles",
+    )
+
+
+def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
+    if tiles.empty:
+        raise InputError("{}: layer {} is empty", path, LAYER)
+    for column in IDS:
+        if not pd.api.types.is_integer_dtype(tiles[column]) or tiles[column].hasnans:
+            raise InputError("{}: column {} holds something else than whole numbers", path, column)
+    shapes = tiles.geometry.array
+    odd = (shapely.get_type_id(shapes) != shapely.GeometryType.POLYGON) | (
+        shapely.get_num_coordinates(shapes) != 5
+    )
+    if odd.any():
+        raise InputError(
+            "{}: tile {} has not four vertices", path, tiles["tile_id"].to_numpy()[odd][0]
+        )
+    if not np.isfinite(shapely.get_coordinates(shapes)).all():
+        raise InputError("{}: a tile has corners that are no numbers", path)
+    if tiles["tile_id"].duplicated().any():
+        twice = tiles["tile_id"][tiles["tile_id"].duplicated()].iloc[0]
+        raise InputError("{}: tile {} is there twice", path, twice)
+
+
+AREA_TOLERANCE = 0.005  # of a lanelet, from which corners that tiles cut are reported
+STAGE = "splitting lanelets"
+
+
+def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> list[Floats]:
+    """Return the rungs between which each lanelet's slices are, (n + 1, left and right, xyz).
+
+    A lanelet whose slices would cross themselves gets shorter ones.
+    """
+    pieces = []
+    finer = count = 0
+    rows = zip(lanelets["lanelet_id"], lanelets["left"], lanelets["right"], strict=True)
+    for done, (ref, left, right) in enumerate(rows):
+        bounds = _coordinates(left), _coordinates(right)
+        count += slices(*bounds, length_m)
+        if count > MOST_TILES:
+            raise InputError(
+                "the map has over {:,} tiles of {:g} m",
+                MOST_TILES,
+                length_m,
+                hint="make them longer",
+            )
+        try:
+            pieces.append(np.stack(sound_rungs(*bounds, length_m), axis=1))
+        except CannotMendError as error:
+            raise InputError("lanelet {}: {}", ref, error) from error
+        finer += len(pieces[-1]) - 1 != slices(*bounds, length_m)
+        if done % 100 == 0:
+            reporter.progress(STAGE, done, len(lanelets))
+    reporter.progress(STAGE, len(lanelets), len(lanelets))
+    if finer:
+        asked = Text("{} cut into more tiles than {:g} m asks for", _counted(finer), length_m)
+        reporter.warn("{}: longer ones would cross themselves", asked)
+    _say_losses(lanelets, pieces, reporter)
+    return pieces
+
+
+def corners_between(piece: Floats) -> Floats:
+    """Return the slices between rungs: (n, 4, 3), counter-clockwise from the right at the start."""
+    return np.stack([piece[:-1, 1], piece[1:, 1], piece[1:, 0], piece[:-1, 0]], axis=1)
+
+
+def _coordinates(line: shapely.LineString) -> Floats:
+    return shapely.get_coordinates(line, include_z=True)
+
+
+def _say_losses(lanelets: gpd.GeoDataFrame, pieces: list[Floats], reporter: Reporter) -> None:
+    shapes = lanelets.geometry.array
+    tiled = np.array([_tiled_area(piece) for piece in pieces])
+    off = shapely.area(shapely.symmetric_difference(shapes, tiled)) / shapely.area(shapes)
+    bad = int(np.count_nonzero(off > AREA_TOLERANCE))
+    if not bad:
+        return
+    worst = Text(
+        "lanelet {} by {:.1f} %", lanelets["lanelet_id"].iloc[off.argmax()], 100.0 * off.max()
+    )
+    reporter.warn(
+        "tiles cut corners: {} of {} are off by more than {:g} % of their area, {}; a "
+        "shorter {} follows curves better",
+        bad,
+        _counted(len(pieces)),
+        100.0 * AREA_TOLERANCE,
+        worst,
+        "--length",
+    )
+
+
+def _tiled_area(piece: Floats) -> BaseGeometry:
+    shape = outline(piece[:, 0], piece[:, 1])
+    if shape.is_valid:
+        return shape
+    rings = corners_between(piece)[:, [0, 1, 2, 3, 0], :2]
+    return shapely.union_all(shapely.polygons(rings))
+
+
+def _counted(count: int) -> str:
+    return Text("{} lanelets", count) if count > 1 else Text("{} lanelet", count)

@@ -1,0 +1,42 @@
+from .footprints import write_footprints
+from .heatmap.by_lane import lane_totals, lanes_with_tiles
+from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
+from .heatmap.intervals import MapLabels
+from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
+from .projection.project import project, write_projection
+from .qgis.project import write_qgis_project, write_site_project
+from .qgis.project_file import was_edited
+from .quality.quality import Quality, QualitySettings, measure_quality, require_table_name
+from .report.names import REPORT_FILES
+from .report.report import Report, write_report
+from .trajectories import to_trajectories, track_points, write_trajectories
+
+__all__ = [
+    "BREAKS",
+    "MAP_WORDS",
+    "NEVER_HIT",
+    "NOT_OBSERVED",
+    "REPORT_FILES",
+    "HeatMap",
+    "MapLabels",
+    "Quality",
+    "QualitySettings",
+    "Report",
+    "colour_classes",
+    "lane_totals",
+    "lanes_with_tiles",
+    "make_heatmap",
+    "measure_quality",
+    "project",
+    "read_heatmap",
+    "require_table_name",
+    "to_trajectories",
+    "track_points",
+    "was_edited",
+    "write_footprints",
+    "write_projection",
+    "write_qgis_project",
+    "write_report",
+    "write_site_project",
+    "write_trajectories",
+]

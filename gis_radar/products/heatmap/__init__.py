@@ -1,0 +1,1 @@
+"""Heat maps: occupancy of every tile, and its hit share."""

@@ -1,0 +1,500 @@
+"""Count in how many steps each tile was hit, observed, occupied and visible, by interval.
+
+Intervals of whole quarters of an hour are sums of the dataset's tile counts; finer ones are counted
+from its exact tables, an hour at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple, Self
+from zoneinfo import ZoneInfo
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from gis_radar.base import (
+    QUIET,
+    STEP_US,
+    STEPS_PER_SECOND,
+    Booleans,
+    Clock,
+    Floats,
+    InputError,
+    Integers,
+    Reporter,
+    Text,
+    UsageError,
+    iso_from_step,
+    zone_of,
+)
+from gis_radar.dataset import (
+    STEPS_PER_HOUR,
+    STEPS_PER_QUARTER,
+    TILE_COUNTS,
+    Dataset,
+    HourSpans,
+    count_spans,
+)
+from gis_radar.hdmap import own_columns
+from gis_radar.measures import Runs
+from gis_radar.products.heatmap.intervals import SETTINGS, MapLabels, Timeline, When, intervals_at
+from gis_radar.products.heatmap.occupancy import (
+    OCCUPANCY_DEFINITIONS,
+    Occupancy,
+    OccupancyShares,
+    mean_occupancy,
+    occupancy_of,
+)
+
+DEFINITIONS = {
+    "hit_s": (
+        "seconds in which the tile was hit: 0.05 s for each step of 50 ms in which a frame with a "
+        "detection in it that counts is valid, while it was observed"
+    ),
+    "observed_s": (
+        "seconds in which the tile was observed: 0.05 s for each step of 50 ms in which a frame of "
+        "a sensor that has it in sight is valid; overlapping views count once"
+    ),
+    "hit_share": "hit_s / observed_s, 0 to 1; no data where not observed",
+}
+
+Counts = NDArray[np.uint32]
+NO_LABELS = MapLabels()
+
+
+class Shares(NamedTuple):
+    """One value a tile, in the order of the tiles.
+
+    Parameters
+    ----------
+    hit_s, observed_s : (n,) float64 arrays
+        Seconds; hit is NaN where not observed, observed is 0 there.
+    hit_share : (n,) float64 array
+        Their quotient, NaN where not observed.
+    """
+
+    hit_s: Floats
+    observed_s: Floats
+    hit_share: Floats
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Tally:
+    """Steps in which tiles were hit and observed.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles, by ascending `tile_id`, in the map's coordinate system.
+    fingerprint : str
+        Theirs.
+    sensors : tuple of str
+        The sensors that delivered frames.
+    whole : Timeline
+        The whole time, as one interval: from the first to the last step with a frame.
+    timeline : Timeline
+        The intervals; `whole` where none were asked for.
+    seen : (k,) int64 array
+        Positions of the tiles that are in sight from some pose.
+    hit, observed : (intervals, k) uint32 arrays
+        Steps in which they were hit and observed, and observed.
+    occupancy : Occupancy, optional
+        Steps in which they were visible and occupied, where vehicles are known.
+    labels : MapLabels
+        What stands beside its numbers.
+    further : mapping
+        Of further columns of `tile_counts` that are a share of another one, by name: steps of the
+        column and of the other, (intervals, k) uint32 arrays each.
+    """
+
+    tiles: gpd.GeoDataFrame
+    fingerprint: str
+    sensors: tuple[str, ...]
+    whole: Timeline
+    timeline: Timeline
+    seen: Integers
+    hit: Counts
+    observed: Counts
+    occupancy: Occupancy | None = None
+    labels: MapLabels = NO_LABELS
+    further: Mapping[str, tuple[Counts, Counts]] = field(default_factory=dict)
+
+    @property
+    def measure(self) -> str:
+        """What maps of it show: `occupancy` where vehicles are known, else `hit_share`."""
+        return "hit_share" if self.occupancy is None else "occupancy"
+
+    @property
+    def definitions(self) -> dict[str, str]:
+        """What its columns mean."""
+        return DEFINITIONS | ({} if self.occupancy is None else OCCUPANCY_DEFINITIONS)
+
+    @property
+    def crs(self) -> CRS:
+        """The map's coordinate system."""
+        return CRS.from_user_input(self.tiles.crs)
+
+    @property
+    def columns(self) -> range:
+        """The intervals that become columns and bands: none where there are too many."""
+        if self.timeline is self.whole or len(self.timeline) > SETTINGS.most_columns:
+            return range(0)
+        return range(len(self.timeline))
+
+    @classmethod
+    def count(
+        cls,
+        dataset: Dataset,
+        whole: Timeline,
+        timeline: Timeline,
+        *,
+        chosen: Integers | None = None,
+        labels: MapLabels | None = None,
+        further: Sequence[str] = (),
+        reporter: Reporter = QUIET,
+    ) -> Self:
+        """Count the steps in which tiles were hit, observed, occupied and visible.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            What was measured.
+        whole, timeline : Timeline
+            The whole time, and the intervals.
+        chosen : (k,) int64 array, optional
+            Positions of the tiles to count, ascending; without it, all.
+        labels : MapLabels, optional
+            What stands beside its numbers.
+        further : sequence of str
+            Further columns of `tile_counts` to keep, each a share of another one.
+        reporter : Reporter
+            Where progress goes.
+
+        Raises
+        ------
+        UsageError
+            If a column is no share of another one.
+        InputError
+            If no tile is in sight, or a part of the dataset is damaged.
+        """
+        for name in further:
+            _require_share(name)
+        tiles = own_tiles(dataset)
+        ids = tiles["tile_id"].to_numpy(np.int64)
+        seen = positions(ids, np.unique(dataset.sights()["tile_id"].to_numpy(np.int64)))
+        if not len(seen):
+            raise InputError(
+                "no sensor sees any of the tiles", hint="do the poses belong to this place?"
+            )
+        if chosen is not None:
+            seen = seen[np.isin(seen, chosen)]
+        steps = dataset.frame_steps()
+        of_quarters = _of_quarters(timeline, steps)
+        sums = over = _sums(dataset, ids[seen], timeline, reporter, of_quarters=of_quarters)
+        if dataset.has_vehicles and not of_quarters:
+            cut = whole.cut_at(STEPS_PER_QUARTER)
+            exact = not _of_quarters(cut, steps)
+            over = _sums(dataset, ids[seen], cut, reporter, of_quarters=not exact)
+        if not sums["hit_steps"].any():
+            reporter.warn("no tile was hit while it was observed: the map shows zeros")
+        return cls(
+            tiles=tiles if chosen is None else tiles.iloc[chosen].reset_index(drop=True),
+            fingerprint=dataset.manifest.fingerprint,
+            sensors=tuple(dataset.sensors),
+            whole=whole,
+            timeline=timeline,
+            seen=seen if chosen is None else np.searchsorted(chosen, seen),
+            hit=sums["hit_steps"].astype(np.uint32),
+            observed=sums["observed_steps"].astype(np.uint32),
+            occupancy=occupancy_of(sums, over, tiles, seen) if dataset.has_vehicles else None,
+            labels=labels or NO_LABELS,
+            further={
+                name: (sums[name].astype(np.uint32), sums[SHARES[name]].astype(np.uint32))
+                for name in further
+            },
+        )
+
+    def chosen(
+        self, interval: When = None, *, begin: Any = None, end: Any = None
+    ) -> int | slice | None:
+        """Return the number of an interval, or those of several, that are asked for by time.
+
+        Parameters
+        ----------
+        interval : int, slice, str or datetime, optional
+            Its number, or a time in it, such as `2025-06-12 07:30`. Times without an offset are by
+            the clocks of the site, whose zone the labels name.
+        begin, end : str or datetime, optional
+            In place of one: all between these times.
+
+        Raises
+        ------
+        UsageError
+            If there is none such.
+        """
+        return intervals_at(self.timeline, self.zone, interval, begin, end)
+
+    @property
+    def zone(self) -> ZoneInfo:
+        """The site's time zone."""
+        return zone_of(self.labels.timezone)
+
+    @property
+    def times(self) -> pd.DatetimeIndex:
+        """When the intervals begin, by the clocks of the site."""
+        steps = pd.to_datetime(self.timeline.begin * (STEP_US // 1000), unit="ms", utc=True)
+        return steps.tz_convert(self.zone).rename("begin")
+
+    def shares(self, interval: When = None) -> Shares:
+        """Return seconds and hit share of all tiles.
+
+        Parameters
+        ----------
+        interval : int, slice, str or datetime, optional
+            Which interval, from 0, negative from the end, or which together, or a time in it, as
+            for :meth:`chosen`; without it, the whole time.
+
+        Raises
+        ------
+        UsageError
+            If there is no such interval.
+        """
+        hit, observed = self.steps(interval)
+        hit_s = np.full(len(self.tiles), np.nan)
+        observed_s = np.zeros(len(self.tiles))
+        known = observed > 0
+        hit_s[self.seen[known]] = hit[known] / STEPS_PER_SECOND
+        observed_s[self.seen] = observed / STEPS_PER_SECOND
+        share = np.full(len(self.tiles), np.nan)
+        share[self.seen[known]] = hit[known] / observed[known]
+        return Shares(hit_s, observed_s, share)
+
+    def occupancy_shares(self, interval: When = None) -> OccupancyShares | None:
+        """Return visible and occupied seconds and occupancy of all tiles, where vehicles are known.
+
+        Parameters
+        ----------
+        interval : int, slice, str or datetime, optional
+            As for :meth:`shares`.
+        """
+        part = self.chosen(interval)
+        if self.occupancy is None:
+            return None
+        return self.occupancy.shares(self.seen, len(self.tiles), part)
+
+    def shown(self, interval: When = None, measure: str | None = None) -> Floats:
+        """Return for all tiles what a map shows, 0 to 1; NaN where nothing is known.
+
+        Parameters
+        ----------
+        interval : int, slice, str or datetime, optional
+            As for :meth:`shares`.
+        measure : str, optional
+            `occupancy`, `hit_share`, or one of `further`; without it, :attr:`measure`.
+
+        Raises
+        ------
+        UsageError
+            If it was not counted.
+        """
+        measure = measure or self.measure
+        if measure == "hit_share":
+            return self.shares(interval).hit_share
+        known = self.occupancy_shares(interval)
+        if measure == "occupancy" and known is not None:
+            return known.occupancy
+        if measure not in self.further:
+            raise UsageError("the heat map has no {}", measure)
+        asked = self.chosen(interval)
+        rows = slice(asked) if asked is None else asked
+        part, whole = (
+            np.atleast_2d(counts[rows]).sum(axis=0, dtype=np.int64)
+            for counts in self.further[measure]
+        )
+        share = np.full(len(self.tiles), np.nan)
+        share[self.seen[whole > 0]] = part[whole > 0] / whole[whole > 0]
+        return share
+
+    def least_visible_s(self, interval: When = None) -> float:
+        """Return the seconds below which a tile was visible for too short to be certain of it."""
+        part = self.chosen(interval)
+        return 0.0 if self.occupancy is None else self.occupancy.least_visible_s(part)
+
+    def uncertain(self, interval: When = None) -> Booleans:
+        """Return for all tiles whether their occupancy is uncertain; maps hatch those.
+
+        Parameters
+        ----------
+        interval : int, slice, str or datetime, optional
+            As for :meth:`shares`.
+        """
+        known = self.occupancy_shares(interval)
+        if known is None:
+            return np.zeros(len(self.tiles), np.bool_)
+        return known.uncertain(self.least_visible_s(interval))
+
+    def steps(self, interval: When = None) -> tuple[Integers, Integers]:
+        """Return the steps in which each of the `seen` tiles was hit and observed."""
+        chosen = self.chosen(interval)
+        part = slice(None) if chosen is None else chosen
+        if isinstance(part, int):
+            return self.hit[part].astype(np.int64), self.observed[part].astype(np.int64)
+        hit, observed = (
+            each[part].sum(axis=0, dtype=np.int64) for each in (self.hit, self.observed)
+        )
+        return hit, observed
+
+    @property
+    def whole_iso(self) -> tuple[str, str]:
+        """Begin and end of the whole time, ISO 8601, UTC."""
+        return iso_from_step(int(self.whole.begin[0])), iso_from_step(int(self.whole.end[0]))
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """Sensors, times and definitions that the files of a heat map carry beside their tables."""
+        begin, end = self.whole_iso
+        return {
+            "fingerprint": self.fingerprint,
+            "sensors": list(self.sensors),
+            "begin": begin,
+            "end": end,
+            "definitions": self.definitions,
+            "labels": asdict(self.labels),
+        }
+
+    def figures(self) -> dict[str, Any]:
+        """Return a few figures worth a look: the time, and how much was observed and hit."""
+        hit, observed = self.steps()
+        begin, end = self.whole_iso
+        figures: dict[str, Any] = {
+            "begin": begin,
+            "end": end,
+            "intervals": len(self.timeline),
+            "tiles_observed": int(np.count_nonzero(observed)),
+            "tiles_hit": int(np.count_nonzero(hit)),
+        }
+        known = self.occupancy_shares()
+        if known is not None:
+            figures["tiles_visible"] = int(np.count_nonzero(known.visible_s))
+            figures["occupied_s"] = float(np.nansum(known.occupied_s))
+            figures["mean_occupancy"], figures["mean_occupancy_se"] = mean_occupancy(
+                self.tiles, known
+            )
+        return figures
+
+    @property
+    def local_span(self) -> dict[str, str]:
+        """Begin and end of the whole time by the clocks of the site, and the name of its zone."""
+        begin, end = self.whole.span()
+        clock = Clock(zone=self.zone, first=begin, last=end)
+        return {"begin": clock.iso(begin), "end": clock.iso(end), "timezone": str(self.zone)}
+
+    def __repr__(self) -> str:
+        known, span = self.figures(), self.local_span
+        intervals = known["intervals"]
+        text = (
+            f"{type(self).__name__}({span['begin']} to {span['end']} ({span['timezone']}), "
+            f"{intervals} interval{'s' if intervals != 1 else ''}, "
+            f"{known['tiles_observed']} of {len(self.tiles)} tiles observed, "
+        )
+        if "tiles_visible" not in known:
+            return f"{text}{known['tiles_hit']} hit)"
+        mean, error = known["mean_occupancy"], known["mean_occupancy_se"]
+        return f"{text}{known['tiles_visible']} visible; mean occupancy {mean:.4f}, se {error:.4f})"
+
+
+def own_tiles(dataset: Dataset) -> gpd.GeoDataFrame:
+    """Return the tiles of a dataset by id, with their own columns only."""
+    tiles = dataset.tiles().sort_values("tile_id", ignore_index=True)
+    return gpd.GeoDataFrame(tiles[[*own_columns(tiles), "geometry"]], crs=tiles.crs)
+
+
+def positions(tile_ids: Integers, wanted: Integers) -> Integers:
+    """Return where each wanted tile stands among the ascending `tile_ids`.
+
+    Raises
+    ------
+    InputError
+        If one is not there.
+    """
+    position = np.searchsorted(tile_ids, wanted)
+    known = position < len(tile_ids)
+    known[known] = tile_ids[position[known]] == wanted[known]
+    if not known.all():
+        raise InputError("the dataset names tile {}, which its tiles lack", wanted[~known][0])
+    return position
+
+
+COUNTED = tuple(name for name in TILE_COUNTS.names if name not in TILE_COUNTS.order)
+SHARES = TILE_COUNTS.shares
+
+
+def _require_share(name: str) -> None:
+    """Refuse a column that is no share of another one."""
+    if name not in SHARES:
+        raise UsageError(
+            "no further map shows {}",
+            repr(name),
+            hint=Text("choose one of {}; occupancy is mapped anyway", ", ".join(SHARES)),
+        )
+
+
+def _sums(
+    dataset: Dataset, ids: Integers, timeline: Timeline, reporter: Reporter, *, of_quarters: bool
+) -> dict[str, Floats]:
+    """Return the sums of the columns of tile counts: (intervals, tiles) arrays."""
+    sums = {name: np.zeros((len(timeline), len(ids))) for name in COUNTED}
+    source = _by_quarter if of_quarters else _by_step
+    for done, (tile, interval, counts) in enumerate(source(dataset, timeline)):
+        place = np.minimum(np.searchsorted(ids, tile), len(ids) - 1)
+        kept = (interval >= 0) & (ids[place] == tile)
+        cell = interval[kept] * len(ids) + place[kept]
+        for name, total in sums.items():
+            more = np.bincount(cell, counts[name][kept], total.size)
+            sums[name] = total + more.reshape(total.shape)
+        reporter.progress("counting tiles", done + 1, None)
+    return sums
+
+
+_Counted = tuple[Integers, Integers, dict[str, Floats]]  # tiles, intervals, counts
+
+
+def _of_quarters(timeline: Timeline, steps: Runs) -> bool:
+    """Return whether no interval cuts a quarter of an hour in which frames are valid."""
+    begin, end = timeline.begin, timeline.end
+    begins_there = (begin % STEPS_PER_QUARTER == 0) | (begin <= steps.first[0])
+    ends_there = (end % STEPS_PER_QUARTER == 0) | (end > steps.last[-1])
+    return bool((begins_there & ends_there).all())
+
+
+def _by_quarter(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
+    """Yield the tile counts of each date, with the interval that each quarter lies in."""
+    first = timeline.begin // STEPS_PER_QUARTER * STEPS_PER_QUARTER
+    last = -(-timeline.end // STEPS_PER_QUARTER) * STEPS_PER_QUARTER
+    quarters = Timeline(begin=first, end=last)
+    span = int(first[0]), int(last[-1]) - 1
+    for rows in dataset.batches(TILE_COUNTS, span, ["tile_id", "first_step", *COUNTED]):
+        counts = {name: rows[name].to_numpy().astype(np.float64) for name in COUNTED}
+        yield rows["tile_id"].to_numpy(), quarters.find(rows["first_step"].to_numpy()), counts
+
+
+def _by_step(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
+    """Yield the counts of each hour in the intervals that it has a part in."""
+    records = dataset.records((int(timeline.begin[0]), int(timeline.end[-1]) - 1))
+    for hour, record in records.items():
+        begin = hour * STEPS_PER_HOUR
+        low = int(np.searchsorted(timeline.end, begin, side="right"))
+        high = int(np.searchsorted(timeline.begin, begin + STEPS_PER_HOUR))
+        if low == high:
+            continue
+        spans = HourSpans(
+            first=np.maximum(timeline.begin[low:high] - begin, 0),
+            last=np.minimum(timeline.end[low:high] - begin, STEPS_PER_HOUR) - 1,
+        )
+        tiles, sums = count_spans(dataset.folder, record, spans)
+        yield np.repeat(tiles, high - low), np.tile(np.arange(low, high), len(tiles)), sums

@@ -1,0 +1,471 @@
+"""Show a heat map: the figure for a report with legend and time, plots, a map in a browser."""
+
+from __future__ import annotations
+
+import textwrap
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from gis_radar.base import (
+    FONTS,
+    NOTEBOOKS,
+    Clock,
+    Floats,
+    InputError,
+    Reporter,
+    axes_or_new,
+    class_label,
+    figure_text,
+    label_map,
+    name_of,
+    percent,
+    speaking,
+    tr,
+)
+from gis_radar.hdmap import quads
+from gis_radar.products.heatmap import style
+from gis_radar.products.heatmap.counting import Tally
+from gis_radar.products.heatmap.intervals import When
+from gis_radar.products.heatmap.occupancy import surest
+from gis_radar.products.heatmap.picture import (
+    INK,
+    SOFT,
+    STRIPE,
+    Extent,
+    add_scale_bar,
+    legend_in_words,
+    map_extent,
+    map_picture,
+)
+
+DPI = 200
+FINER = 2  # pixels of the picture for each of the figure's, so that edges are smooth
+WIDTH_IN = 10.0
+MAP_WIDTH_IN = 7.15
+MAP_HEIGHT_IN = (5.5, 8.6)  # lowest, which the legend needs, and highest
+EDGE_IN = 0.3
+TITLE_IN = 0.85
+SMALL, LINE = 8.5, 132  # points of all small words; as many letters of them in a line
+BELOW_TITLE = 82  # letters: as far as the scale bar
+TITLE, TITLE_LETTERS, HEAD_LETTERS = 17, 46, 26  # points; letters that fit, beside the north arrow
+LINE_IN = 0.16
+FRAME = "#9aa1a8"
+HATCH, UNSURE_HATCH = "////", "\\\\\\"
+APART = {style.NEVER_HIT, style.UNCERTAIN, style.NOT_OBSERVED}  # in the legend
+TITLES = {"hit_share": "Hit share heat map", "occupancy": "Occupancy heat map"}
+MEANINGS = {
+    "hit_share": (
+        "A tile is hit in a step of 50 ms when a radar detection falls in it; overlapping "
+        "views count once."
+    ),
+    "occupancy": (
+        "20 % are 12 seconds of every minute with a vehicle on the tile, moving or waiting. "
+        "Uncertain: the standard error (±) is as large as the value and 2 points or more, or the "
+        "tile was visible for less than half as long as the best seen one. Not visible: no sensor "
+        "sees it. Highest tile: the highest value once its ± is taken off."
+    ),
+}
+PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # of a plot: 180 an inch; of a notebook card
+
+
+def draw(
+    tally: Tally,
+    ax: Axes | None = None,
+    *,
+    interval: When = None,
+    begin: Any = None,
+    end: Any = None,
+    legend: bool = True,
+    most_pixels: int = PLOT_PIXELS,
+) -> Axes:
+    """Draw the tiles in the classes of all heat maps, the busiest on top.
+
+    Where vehicles are known it shows occupancy, else hit share; in the language of the labels.
+
+    Parameters
+    ----------
+    ax : Axes, optional
+        Where; without it, on a new figure of pyplot.
+    interval : int, slice, str or datetime, optional
+        Which interval, from 0, negative from the end, or a time in it, such as `2025-06-12 07:30`
+        by the clocks of the site; without it, the whole time.
+    begin, end : str or datetime, optional
+        In place of one: all intervals between these times.
+    legend : bool
+        Whether the classes stand beside it.
+    most_pixels : int
+        As many the picture may have.
+
+    Returns
+    -------
+    Axes
+        In metres of the map, cropped to the tiles that were observed.
+
+    Raises
+    ------
+    UsageError
+        If there is no such interval.
+    """
+    chosen = tally.chosen(interval, begin=begin, end=end)
+    share, vague = tally.shown(chosen), tally.uncertain(chosen)
+    ax = axes_or_new(ax, (8.5, 6.0))
+    extent = _extent(tally, (0.0, np.inf))
+    map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share, vague)
+    with speaking(tally.labels.language):
+        label_map(ax)
+        ax.set_title(time_span(tally, chosen), fontsize="medium")
+        if legend:
+            _add_legend(ax, tally.measure)
+    return ax
+
+
+def _extent(tally: Tally, aspect: tuple[float, float]) -> Extent:
+    """Return the extent of what was observed in the whole time."""
+    return map_extent(quads(tally.tiles), tally.shares().observed_s > 0, aspect)
+
+
+def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str) -> Rectangle:
+    """Return a field of a colour of the legend, hatched where it means not observed or unsure."""
+    field = Rectangle(corner, *size, edgecolor=SOFT, linewidth=0.5)
+    if colour == style.UNCERTAIN:
+        field.set(facecolor=style.RAMP[0], hatch=UNSURE_HATCH, edgecolor=style.HATCH_DARK)
+        return field
+    field.set_facecolor(colour)
+    if colour == style.NOT_OBSERVED:
+        field.set(hatch=HATCH, edgecolor=STRIPE)
+    return field
+
+
+def _add_legend(ax: Axes, measure: str) -> None:
+    """Write the classes of a measure beside axes."""
+    colours, labels = zip(*legend_in_words(measure), strict=True)
+    handles = [_swatch((0, 0), (1, 1), colour) for colour in colours]
+    ax.legend(
+        handles, labels, title=tr(style.MAP_WORDS[measure].title), loc="upper left",
+        bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False, fontsize="small",
+        title_fontsize="small", alignment="left",
+    )  # fmt: skip
+
+
+def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
+    """Write the picture as PNG, 2000 pixels wide."""
+    reporter.progress("drawing the picture", 0, 1)
+    with mpl.rc_context(FONTS), speaking(tally.labels.language):
+        figure = heatmap_figure(tally)
+        named = filter(None, (tally.labels.title, tr(TITLES[tally.measure])))
+        about = {"Title": ", ".join(named), "Description": time_span(tally)}
+        if tally.labels.sources:
+            about["Source"] = "; ".join(tally.labels.sources)
+        figure.savefig(path, dpi=DPI, metadata=about)
+    reporter.progress("drawing the picture", 1, 1)
+
+
+def heatmap_figure(tally: Tally) -> Figure:
+    """Draw the page of a heat map: the map, a title above, explanations beside and below.
+
+    Parameters
+    ----------
+    tally : Tally
+        The heat map.
+
+    Returns
+    -------
+    Figure
+        Not yet written to a file.
+    """
+    lowest, highest = (tall / MAP_WIDTH_IN for tall in MAP_HEIGHT_IN)
+    extent = _extent(tally, (lowest, highest))
+    foot_in = 0.26 + LINE_IN * len(_foot(tally))
+    width_m, height_m = extent[1] - extent[0]
+    tall_in = MAP_WIDTH_IN * height_m / width_m
+    title_in = TITLE_IN + LINE_IN * (len(_head(tally)) - 2)
+    figure = Figure(figsize=(WIDTH_IN, tall_in + title_in + foot_in), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    ax = _axes(figure, EDGE_IN, foot_in, MAP_WIDTH_IN, tall_in)
+    _add_map(ax, tally, extent, MAP_WIDTH_IN)
+    _add_detail(ax, tally, extent)
+    _frame(ax, FRAME)
+    beside = EDGE_IN + MAP_WIDTH_IN
+    over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title: it hides no tile
+    add_scale_bar(figure, (beside, over_in), MAP_WIDTH_IN / float(width_m))
+    _add_titles(figure, tally, EDGE_IN)
+    _add_side(_axes(figure, beside, foot_in, WIDTH_IN - beside, tall_in), tally)
+    return figure
+
+
+def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Add axes at a place given in inches."""
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
+    """Draw the whole time on axes of a given width."""
+    width_m, height_m = extent[1] - extent[0]
+    most = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
+    picture = map_picture(quads(tally.tiles), extent, int(most))
+    box = ax.get_window_extent()
+    dots = round(box.width), round(box.height)
+    picture.show(ax, tally.shown(), tally.uncertain(), dots=dots)
+    ax.set(xlim=(extent[0][0], extent[1][0]), ylim=(extent[0][1], extent[1][1]))
+
+
+def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
+    """Write title and time span over the map, and what is meant and where it is from under it."""
+    width_in, height_in = figure.get_size_inches()
+    left = left_in / width_in
+    line: dict[str, Any] = {"ha": "left", "va": "baseline", "parse_math": False}
+    title, *below = _head(tally)
+    size = max(TITLE * min(1.0, TITLE_LETTERS / len(title)), SMALL)
+    figure.text(
+        left, 1 - 0.42 / height_in, title, fontsize=size, fontweight="bold", color=INK, **line
+    )
+    for number, text in enumerate(below):
+        down = 1 - (0.68 + number * LINE_IN) / height_in
+        figure.text(left, down, text, fontsize=SMALL, color=SOFT, **line)
+    for number, text in enumerate(reversed(_foot(tally))):
+        up = (0.2 + number * LINE_IN) / height_in
+        figure.text(left, up, text, fontsize=SMALL, color=SOFT, **line)
+
+
+def _head(tally: Tally) -> list[str]:
+    """Return the title, and the lines below it, none of which reaches the scale bar."""
+    measure, when = tr(TITLES[tally.measure]), time_span(tally)
+    if not tally.labels.title:
+        return [measure, *textwrap.wrap(when, BELOW_TITLE)]
+    both = f"{measure}, {when}"
+    if len(both) <= BELOW_TITLE:
+        return [tally.labels.title, both]
+    return [tally.labels.title, measure, *textwrap.wrap(when, BELOW_TITLE)]
+
+
+def _foot(tally: Tally) -> list[str]:
+    """Return the lines under the map."""
+    crs = f"{tally.crs.name} ({name_of(tally.crs)[:20]})."
+    parts = [tr(MEANINGS[tally.measure]), crs]
+    if tally.labels.sources:
+        parts.append(tr("Sources: {sources}.", sources="; ".join(tally.labels.sources)))
+    return textwrap.wrap(" ".join(parts), LINE)
+
+
+def time_span(tally: Tally, interval: int | slice | None = None) -> str:
+    """Return the time span, or that of intervals, by the clocks that the labels name."""
+    times = tally.whole if interval is None else tally.timeline
+    rows = interval if isinstance(interval, slice) else slice(interval or 0, None)
+    first = range(len(times))[rows]
+    last = first[-1] if isinstance(interval, slice) else first[0]
+    begin, end = times.span(first[0])[0], times.span(last)[1]
+    clock = Clock(zone=tally.zone, first=begin, last=end)
+    if int(times.end[last] - times.begin[first[0]]) == 1:
+        return tr(
+            "{day}, {time}, one step of 50 ms ({zone})",
+            day=clock.date(begin), time=clock.time(begin), zone=clock.name,
+        )  # fmt: skip
+    return clock.whole_in_zone(begin, end)
+
+
+def _add_side(ax: Axes, tally: Tally) -> None:
+    """Draw the legend and the figures of the map, in inches from the top left."""
+    box = ax.get_window_extent()
+    ax.set_xlim(0, box.width / DPI)
+    ax.set_ylim(box.height / DPI, 0)
+    ax.axis("off")
+    words = style.MAP_WORDS[tally.measure]
+    size = 10 * min(1.0, HEAD_LETTERS / len(tr(words.title)))
+    ax.text(0.25, 0.12, tr(words.title), fontsize=size, fontweight="bold", color=INK)
+    ax.text(0.25, 0.3, tr(words.subtitle), fontsize=SMALL, color=SOFT)
+    y = 0.5
+    for colour, label in legend_in_words(tally.measure):
+        apart = 0.08 if colour in APART else 0.0
+        ax.add_patch(_swatch((0.25, y + apart), (0.34, 0.24), colour))
+        if colour == style.UNCERTAIN:  # over pale colours and over deep ones
+            deep = Rectangle((0.42, y + apart), 0.17, 0.24, linewidth=0.5, hatch=UNSURE_HATCH)
+            deep.set(facecolor=style.RAMP[4], edgecolor=style.HATCH_LIGHT)
+            ax.add_patch(deep)
+        ax.text(0.7, y + apart + 0.125, label, fontsize=SMALL, color=INK, va="center")
+        y += 0.24 + apart
+    for number, (name, value) in enumerate(_facts(tally)):
+        ax.text(0.25, y + 0.46 + number * 0.44, name, fontsize=SMALL, color=SOFT)
+        ax.text(0.25, y + 0.65 + number * 0.44, value, fontsize=10, color=INK, parse_math=False)
+
+
+def _facts(tally: Tally) -> list[tuple[str, str]]:
+    known, sensors = tally.figures(), tally.sensors
+    facts = [
+        (tr("Sensors"), ", ".join(sensors) if len(", ".join(sensors)) < 24 else str(len(sensors))),
+        (tr("Tiles observed"), figure_text(known["tiles_observed"])),
+        (tr("Tiles hit"), figure_text(known["tiles_hit"])),
+    ]
+    shares = tally.occupancy_shares()
+    if shares is not None:
+        part, whole = figure_text(known["tiles_visible"]), figure_text(len(tally.tiles))
+        facts[1:] = [(tr("Tiles visible"), tr("{part} of {all}", part=part, all=whole))]
+        mean = percent(known["mean_occupancy"], off=known["mean_occupancy_se"])
+        facts.append((tr("Mean occupancy"), mean))
+        if np.any(shares.occupancy > 0):
+            top = surest(shares.occupancy, shares.occupancy_se)
+            best = percent(shares.occupancy[top], off=shares.occupancy_se[top])
+            facts.append((tr("Highest tile"), best))
+    return facts
+
+
+INSETS = (0.42, 0.36, 0.3)  # sides of the inset to try, of the map's shorter side
+WINDOW = 0.12  # side of what it shows, of the map's shorter side
+SMALLEST_MAP_M = 150.0
+SMALLEST_WINDOW_M = 45.0
+GAP = 0.02
+CELLS = 4  # a window's side in cells of the search
+
+Box = tuple[float, float, float, float]
+
+
+def busiest_window(centres: Floats, share: Floats, extent: Extent) -> Extent | None:
+    """Return the square window with the highest sum of shares.
+
+    Parameters
+    ----------
+    centres : (n, 2) array
+        Centres of the tiles, metres.
+    share : (n,) array
+        Their occupancy or hit share, NaN where there is no data.
+    extent : (south-west, north-east)
+        The map's.
+
+    Returns
+    -------
+    (south-west, north-east) or None
+        None where nothing was hit, or the map is small enough to be read without.
+    """
+    low, high = extent
+    shorter = float((high - low).min())
+    weight = np.nan_to_num(share)
+    if shorter < SMALLEST_MAP_M or not weight.any():
+        return None
+    side = max(SMALLEST_WINDOW_M, WINDOW * shorter)
+    x, y = (np.arange(low[i], high[i] + side, side / CELLS) for i in (0, 1))
+    cells, _, _ = np.histogram2d(centres[:, 0], centres[:, 1], bins=[x, y], weights=weight)
+    total = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    far, near = slice(CELLS, None), slice(None, -CELLS)
+    sums = total[far, far] - total[near, far] - total[far, near] + total[near, near]
+    place = np.unravel_index(int(sums.argmax()), sums.shape)
+    corner = np.array([x[place[0]], y[place[1]]])
+    return corner, corner + side
+
+
+def free_corner(centres: Floats, extent: Extent) -> Box | None:
+    """Return the largest square in a corner of the map without a tile.
+
+    Returns
+    -------
+    (left, bottom, width, height) or None
+        As shares of the map; None where each corner has tiles.
+    """
+    low, high = extent
+    unit = (high - low).min() / (high - low)  # the shorter side, as a share of both
+    place = (centres - low) / (high - low)
+    for size, east, north in product(INSETS, (1, 0), (1, 0)):
+        side, gap = size * unit, GAP * unit
+        corner = gap + np.array([east, north]) * (1 - side - 2 * gap)
+        inside = (place >= corner - gap) & (place <= corner + side + gap)
+        if not inside.all(axis=1).any():
+            return float(corner[0]), float(corner[1]), float(side[0]), float(side[1])
+    return None
+
+
+def _add_detail(ax: Axes, tally: Tally, extent: Extent) -> None:
+    """Draw the busiest place larger in a corner of the map, where one is free."""
+    centres = quads(tally.tiles).mean(axis=1)
+    window = busiest_window(centres, tally.shown(), extent)
+    corner = free_corner(centres, extent)
+    if window is None or corner is None:
+        return
+    inset = ax.inset_axes(corner, zorder=4)
+    _add_map(inset, tally, window, corner[2] * MAP_WIDTH_IN)
+    _frame(inset, INK)
+    low, high = window
+    ax.add_patch(
+        Rectangle(tuple(low), *(high - low), fill=False, edgecolor=INK, linewidth=0.8, zorder=4)
+    )
+    inset.text(
+        0.03, 0.96, tr("detail, {length} m across", length=figure_text((high - low)[0])),
+        transform=inset.transAxes, fontsize=SMALL, color=INK, va="top",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 1.5},
+    )  # fmt: skip
+
+
+def _frame(ax: Axes, colour: str) -> None:
+    ax.set_xticks([])
+    ax.set_yticks([])
+    for spine in ax.spines.values():
+        spine.set(color=colour, linewidth=0.8)
+
+
+SHOWN = ("tile_id", "lanelet_id", "s_m", "hit_s", "observed_s", "hit_share")
+
+
+def show_in_browser(
+    tally: Tally, *, interval: When = None, begin: Any = None, end: Any = None, **options: Any
+) -> Any:
+    """Show the observed tiles on a map to move about in (folium, extra `notebooks`).
+
+    Parameters
+    ----------
+    interval, begin, end : optional
+        Which intervals, as for :meth:`plot`; without them, the whole time.
+    **options
+        For :meth:`geopandas.GeoDataFrame.explore`; with `tiles=None` nothing is loaded from a map
+        server.
+
+    Returns
+    -------
+    folium.Map
+
+    Raises
+    ------
+    UsageError
+        If there is no such interval.
+    InputError
+        If folium is not installed.
+    """
+    part = tally.chosen(interval, begin=begin, end=end)
+    measure, known = tally.measure, tally.occupancy_shares(part)
+    columns = tally.shares(part)._asdict() | ({} if known is None else known._asdict())
+    tiles = tally.tiles.assign(**columns).dropna(subset=measure)
+    tiles = tiles.sort_values(measure, kind="stable")  # the busiest on top
+    levels = style.colour_classes(measure)
+    place = np.searchsorted([level.upper for level in levels], tiles[measure])
+    with speaking(tally.labels.language):
+        labels = [class_label(level.label, tally.labels.language) for level in levels]
+        name, caption = tr(style.MAP_WORDS[measure].title), time_span(tally, part)
+    popup = SHOWN if known is None else (*SHOWN, *known._fields)
+    # what a browser reads has no 64-bit integers
+    tiles = tiles.assign(lanelet_id=tiles["lanelet_id"].astype(str))
+    tiles[name] = np.array(labels, object)[place]
+    chosen: dict[str, Any] = {
+        "column": name,
+        "categorical": True,
+        "categories": labels,
+        "cmap": [level.colour for level in levels],
+        "style_kwds": {"weight": 0.3, "fillOpacity": 0.9},
+        "tooltip": [name],
+        "popup": list(popup),
+        "tiles": "OpenStreetMap",
+        "max_zoom": 21,
+        "legend_kwds": {"caption": caption},
+    }
+    try:
+        return tiles[[*popup, name, "geometry"]].round(4).explore(**chosen | options)
+    except ImportError as error:
+        raise InputError(
+            "explore needs folium and mapclassify: {} is missing",
+            error.name or "one",
+            hint=NOTEBOOKS,
+        ) from error

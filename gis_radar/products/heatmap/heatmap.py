@@ -1,0 +1,393 @@
+"""From a dataset to a heat map: its figures, plots and files, and a labelled cube for xarray."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from gis_radar.base import (
+    NOTEBOOKS,
+    QUIET,
+    STEP_US,
+    InputError,
+    Integers,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_folder,
+    card,
+    iso_from_step,
+    keep_styles,
+    name_of,
+    output_errors,
+    small_picture,
+    step_at,
+    writing_errors,
+    zone_of,
+)
+from gis_radar.dataset import Dataset
+from gis_radar.hdmap import fingerprint
+from gis_radar.measures import Runs
+from gis_radar.products.heatmap.by_lane import table_by_lane
+from gis_radar.products.heatmap.counting import SHARES, Shares, Tally, positions
+from gis_radar.products.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
+from gis_radar.products.heatmap.intervals import MapLabels, intervals_of, whole_of
+from gis_radar.products.heatmap.layers import (
+    long_layer,
+    read_package,
+    wide_layer,
+    write_package,
+    write_table,
+)
+from gis_radar.products.heatmap.occupancy import OccupancyShares
+from gis_radar.products.heatmap.raster import write_raster
+from gis_radar.products.heatmap.style import sidecar_qml
+
+if TYPE_CHECKING:
+    import xarray
+
+MOST_MIB = 1024.0  # of a cube
+LANELET, START = "lanelet of the tile", "start of the tile along its lanelet"
+CELL_BYTES = 7 * 4 + 4  # of a tile and interval: seven numbers, and the count they come from
+NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
+MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
+# A report of it may stand there; it goes when the heat map does.
+OWNED = (
+    "heatmap.",
+    "hits.",
+    *(f"{name}." for name in SHARES),
+    "report.",
+    "lanes.csv",
+    "lanes_by_interval.csv",
+    "sensors.csv",
+    "quality.csv",
+)
+
+
+class HeatMap(Tally):
+    """Occupancy and hit share of each tile, over a time and its intervals.
+
+    Made by :func:`make_heatmap`; what it holds is described at :class:`Tally`.
+    """
+
+    wide = wide_layer
+    long = long_layer
+    plot = draw
+    explore = show_in_browser
+    by_lane = table_by_lane
+
+    def to_xarray(self, *, most_mib: float = MOST_MIB) -> xarray.Dataset:
+        """Return the heat map as an xarray Dataset over (tile, time).
+
+        `hit_s`, `observed_s` and `hit_share` are float32; where a tile was not observed,
+        `observed_s` is 0 and the others are NaN. So are `visible_s`, `occupied_s`, `occupancy` and
+        `occupancy_se`, where vehicles are known. Coordinates of a tile: `tile_id` (an index, so
+        that `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m);
+        of a time: `time` and `begin`, `end` (exclusive), datetime64 in UTC; the attribute
+        `timezone` names the site's.
+
+        Parameters
+        ----------
+        most_mib : float
+            The memory that it may take, MiB.
+
+        Raises
+        ------
+        UsageError
+            If it would take more; :func:`gis_radar.make_heatmap` counts a part of the time or of
+            the tiles alone.
+        InputError
+            If xarray is not installed.
+        """
+        xr = _require_xarray()
+        require_room(len(self.tiles), len(self.timeline), most_mib)
+        shape = (len(self.tiles), len(self.timeline))
+        names = (*Shares._fields, *(() if self.occupancy is None else OccupancyShares._fields))
+        arrays = {name: np.full(shape, np.nan, np.float32) for name in names}
+        for column in range(shape[1]):
+            known = self.occupancy_shares(column)
+            shares = self.shares(column)._asdict() | ({} if known is None else known._asdict())
+            for name, value in shares.items():
+                arrays[name][:, column] = value
+        about = self.definitions
+        units = {name: "s" if name.endswith("_s") else "1" for name in names}
+        values = {
+            name: (("tile", "time"), array, {"long_name": about[name], "units": units[name]})
+            for name, array in arrays.items()
+        }
+        attributes = {
+            "title": f"{' and '.join(dict.fromkeys((self.measure, 'hit_share')))} of lane tiles",
+            "crs": name_of(self.crs),
+            "fingerprint": self.fingerprint,
+            "sensors": ", ".join(self.sensors),
+            "timezone": str(self.zone),
+        }
+        cube: xarray.Dataset = xr.Dataset(values, coords=_coordinates(self), attrs=attributes)
+        return cube.set_xindex("tile_id")
+
+    def _repr_html_(self) -> str:
+        def small(ax: Any) -> None:
+            self.plot(ax, legend=False, most_pixels=SMALL_PIXELS).set_axis_off()
+
+        few = len(self.seen) <= MOST_DRAWN
+        picture = small_picture(small) if few else b""
+        return card("Heat map", self.figures() | self.local_span, picture=picture)
+
+    def write(self, folder: str | Path, reporter: Reporter = QUIET) -> list[Path]:
+        """Write `heatmap.gpkg`, `heatmap.tif`, `hits.tif`, `heatmap.parquet`, `heatmap.png`.
+
+        Beside them `heatmap.qml` lets QGIS show the GeoTIFF and the table in the same colours.
+        Where vehicles were not looked for, all show the hit share, and `heatmap.tif` is missing.
+        Each of `further` has a GeoTIFF of its name with its style; reading back leaves them out.
+
+        Parameters
+        ----------
+        folder : path
+            Where; an earlier heat map there is replaced as a whole.
+        reporter : Reporter
+            Where progress goes.
+
+        Returns
+        -------
+        list of Path
+            The files.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written or holds other files.
+        UsageError
+            If it was made with `tile_ids`.
+        """
+        folder = Path(folder)
+        if fingerprint(self.tiles) != self.fingerprint:
+            raise UsageError(
+                "{}: a heat map of some tiles is not written",
+                folder,
+                hint="make it without tile_ids; wide() and long() give its tables",
+            )
+        writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
+            "heatmap.gpkg": write_package,
+            "heatmap.parquet": write_table,
+            "heatmap.png": write_figure,
+            "heatmap.qml": _write_style,
+        }
+        writers["hits.tif"] = partial(write_raster, measure="hit_share")
+        if self.occupancy is not None:
+            writers["heatmap.tif"] = write_raster
+        else:
+            writers["hits.qml"] = writers["heatmap.qml"]
+        for name in self.further:
+            writers[f"{name}.tif"] = partial(write_raster, measure=name)
+            writers[f"{name}.qml"] = partial(_write_style, measure=name)
+        with atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh:
+            for name, write in writers.items():
+                with output_errors(folder / name), writing_errors(folder / name):
+                    write(self, fresh / name, reporter)
+            keep_styles(fresh / "heatmap.gpkg", earlier=folder / "heatmap.gpkg")
+        return [folder / name for name in writers]
+
+
+def make_heatmap(
+    dataset: Dataset,
+    *,
+    interval: str | None = None,
+    at: str | None = None,
+    begin: Any = None,
+    end: Any = None,
+    tile_ids: ArrayLike | None = None,
+    timezone: str | None = None,
+    labels: MapLabels | None = None,
+    further: Sequence[str] = (),
+    reporter: Reporter = QUIET,
+) -> HeatMap:
+    """Make the heat map of all tiles (the paper's section "Global Occupancy Heat Map").
+
+    A tile's occupancy is the share of the steps in which it was visible that a vehicle was on it,
+    its hit share that of the steps in which it was observed that it was hit.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        As from :func:`gis_radar.open_dataset`.
+    interval : str, optional
+        Length of intervals such as `15min`; they begin at multiples of it since the UNIX epoch.
+    at : str, optional
+        ISO 8601 time: the map of the one step that contains it, instead of the whole time.
+    begin, end : str or datetime, optional
+        Only what is between these times, such as `2025-06-12 07:30`; without an offset they are by
+        the clocks of `timezone`. Intervals are cut at both.
+    tile_ids : array of int, optional
+        Only these tiles.
+    timezone : str, optional
+        Whose hours and days intervals follow, such as Europe/Berlin, and whose clocks pictures
+        show where `labels` are not given; tables and layers stay in UTC. By default the dataset's.
+    labels : MapLabels, optional
+        Title, time zone and sources for pictures and reports.
+    further : sequence of str
+        Columns of `tile_counts` that become further maps, each as a share of its
+        time: `hidden_steps` shows how much of the observed time vehicles hid a tile.
+    reporter : Reporter
+        Where progress and remarks go.
+
+    Returns
+    -------
+    HeatMap
+
+    Raises
+    ------
+    UsageError
+        If `interval` is no duration, stands beside `at`, or is too short for this much data;
+        if there is no such time zone.
+    InputError
+        If there is no frame, no tile in sight, or a part of the dataset is damaged.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> pose = gr.read_pose(sample / "R1.json")
+    >>> ds = gr.measure([sample / "R1.parquet"], [pose], tiles, sample / "junction.osm", "site")
+    >>> heat = gr.make_heatmap(ds, interval="20s").wide()
+    >>> seen = heat[heat["visible_s"] > 0]
+    >>> bool(seen["occupancy"].between(0, 1).all())
+    True
+    """
+    if at is not None and (interval, begin, end) != (None, None, None):
+        raise UsageError("at and interval, begin, end do not go together", hint="give one of them")
+    labels = labels or MapLabels(timezone=timezone or dataset.timezone)
+    zone = None if timezone is None else zone_of(timezone)
+    span = [
+        None if time is None else step_at(time, zone_of(labels.timezone), what=what)
+        for time, what in ((begin, "begin"), (end, "end"))
+    ]
+    runs = _within(dataset.frame_steps(), *span)
+    ids = np.sort(dataset.tiles()["tile_id"].to_numpy(np.int64))
+    chosen = None if tile_ids is None else _chosen(ids, tile_ids)
+    whole = timeline = whole_of(runs, at)
+    if interval is not None:
+        counted = len(ids if chosen is None else chosen)
+        frames = _within(dataset.frame_steps(valid=False), *span)
+        timeline = intervals_of(frames, interval, zone, counted, reporter).cut(*span)
+        # What is valid after the last interval, by a frame in it, is no part of the whole either.
+        whole = whole.cut(None, int(timeline.end[-1]))
+    if not dataset.has_vehicles:
+        reporter.log(NO_OCCUPANCY)
+    for doubt in dataset.doubts:
+        reporter.warn("{}", doubt)
+    return HeatMap.count(
+        dataset, whole, timeline, chosen=chosen, labels=labels, further=further, reporter=reporter
+    )
+
+
+def _write_style(
+    tally: Tally, path: Path, _reporter: Reporter, *, measure: str | None = None
+) -> None:
+    """Write the style by which QGIS shows the raster and the table of that name."""
+    style = sidecar_qml(measure or tally.measure, least_s=tally.least_visible_s())
+    path.write_text(style, encoding="utf-8")
+
+
+def _within(runs: Runs, first: int | None, after: int | None) -> Runs:
+    """Return the steps of a set that lie in a span; refuse one without any."""
+    low = int(runs.first[0]) if first is None else first
+    high = int(runs.last[-1]) + 1 if after is None else after
+    if not low < high:
+        begin, end = (iso_from_step(step) for step in (low, high))
+        raise UsageError("begin and end are {} and {}, expected ascending times", begin, end)
+    inside = runs.within(low, high - 1)
+    if len(inside) == 0:
+        begin, end = (iso_from_step(step) for step in (low, high))
+        raise InputError("no sensor delivered a frame from {} to {}", begin, end)
+    return inside
+
+
+def read_heatmap(path: str | Path) -> HeatMap:
+    """Read a heat map back, with all that it counted.
+
+    The layer by interval is read in batches: memory is that of the result.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its folder, or the GeoPackage in it.
+
+    Returns
+    -------
+    HeatMap
+        Equal in all figures to the one that was written.
+
+    Raises
+    ------
+    InputError
+        If there is none, it is damaged, or its tiles were changed since.
+    """
+    return HeatMap(**read_package(Path(path)))
+
+
+def _require_xarray() -> Any:
+    """Return the module xarray, or refuse where it is not installed."""
+    try:
+        import xarray  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise InputError("a Dataset needs xarray, which is missing", hint=NOTEBOOKS) from error
+    return xarray
+
+
+def require_room(tiles: int, intervals: int, most_mib: float) -> None:
+    """Refuse a cube that would take more memory than it may, before it is made.
+
+    Raises
+    ------
+    UsageError
+        If it would.
+    """
+    mib = tiles * intervals * CELL_BYTES / 2**20
+    if mib > most_mib:
+        raise UsageError(
+            "{} tiles in {} intervals take {:.0f} MiB, over {:g} MiB",
+            tiles,
+            intervals,
+            mib,
+            most_mib,
+            hint="take a longer interval, fewer tiles (tile_ids), a part of the time (begin, end), "
+            "or raise most_mib",
+        )
+
+
+def _coordinates(tally: Tally) -> dict[str, Any]:
+    tiles = tally.tiles
+    middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
+    metres = {"units": "m"}
+    begin, end = (
+        (steps * (STEP_US // 1000)).astype("datetime64[ms]").astype("datetime64[ns]")
+        for steps in (tally.timeline.begin, tally.timeline.end)
+    )
+    begins = ("time", begin, {"long_name": "begin of the interval, UTC"})
+    return {
+        "tile_id": ("tile", tiles["tile_id"].to_numpy(np.int64)),
+        "lanelet_id": ("tile", tiles["lanelet_id"].to_numpy(), {"long_name": LANELET}),
+        "s_m": ("tile", tiles["s_m"].to_numpy(), {"long_name": START} | metres),
+        "easting": ("tile", middle[:, 0], {"long_name": "easting"} | metres),
+        "northing": ("tile", middle[:, 1], {"long_name": "northing"} | metres),
+        "time": begins,
+        "begin": begins,
+        "end": ("time", end, {"long_name": "end of the interval, exclusive, UTC"}),
+    }
+
+
+def _chosen(all_ids: Integers, tile_ids: ArrayLike) -> Integers:
+    """Return the positions of the chosen tiles, ascending."""
+    wanted = np.unique(np.asarray(tile_ids, dtype=np.int64))
+    if len(wanted) == 0:
+        raise UsageError("tile_ids names no tile")
+    if unknown := np.setdiff1d(wanted, all_ids).tolist():
+        raise InputError("tile_ids names tile {}, which the tiles lack", unknown[0])
+    return positions(all_ids, wanted)

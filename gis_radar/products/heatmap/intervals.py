@@ -1,0 +1,354 @@
+"""Intervals in which steps are counted: equal ones, and local hours, days and weeks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, time, timedelta
+from itertools import pairwise
+from operator import index
+from typing import Any, TypeAlias
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from gis_radar.base import (
+    CELL_M,
+    STEPS_PER_SECOND,
+    InputError,
+    Integers,
+    Reporter,
+    Text,
+    UsageError,
+    interval_steps,
+    iso_from_step,
+    known_language,
+    moment_in,
+    ranges,
+    seconds_from_iso,
+    step_at,
+    step_begin,
+    step_of,
+    zone_of,
+)
+from gis_radar.measures import Runs, union
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapLabels:
+    """What pictures and reports of a heat map say beside its numbers.
+
+    Parameters
+    ----------
+    title : str
+        Of the site.
+    timezone : str
+        Whose clocks the times in pictures follow, such as Europe/Berlin; files stay in UTC.
+    sources : sequence of str
+        Where map, scan and recordings come from, and whether they are simulated: a line each.
+    language : str
+        `en` or `de`: of the picture, and of a report.
+    """
+
+    title: str = ""
+    timezone: str = "UTC"
+    sources: Sequence[str] = ()
+    language: str = "en"
+
+    def __post_init__(self) -> None:
+        """Refuse a time zone or language that there is not; keep sources as a tuple."""
+        zone_of(self.timezone)
+        known_language(self.language)
+        object.__setattr__(self, "sources", tuple(self.sources))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeatMapSettings:
+    """Constants of all heat maps; the class breaks and the ramp are in `style`.
+
+    Parameters
+    ----------
+    pixel_m : float
+        Side of a pixel of the GeoTIFF, metres: the length of a tile, so that none is skipped.
+    most_columns : int
+        Intervals that become columns and bands (the files' contract); more are rows only.
+    most_rows : int
+        Rows of the layer by interval: as many are about 35 GB of GeoPackage.
+    """
+
+    pixel_m: float = CELL_M
+    most_columns: int = 500
+    most_rows: int = 100_000_000
+
+
+SETTINGS = HeatMapSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """Intervals that ascend and do not overlap.
+
+    Parameters
+    ----------
+    begin, end : (n,) int64 arrays
+        First step of each interval, and the step after its last.
+    """
+
+    begin: Integers
+    end: Integers
+
+    def __len__(self) -> int:
+        return len(self.begin)
+
+    def span(self, interval: int = 0) -> tuple[datetime, datetime]:
+        """Return begin and end of an interval, UTC."""
+        return step_begin(int(self.begin[interval])), step_begin(int(self.end[interval]))
+
+    def spans(self) -> list[tuple[datetime, datetime]]:
+        """Return begin and end of all intervals, UTC."""
+        return [self.span(i) for i in range(len(self))]
+
+    def cut_at(self, steps: int) -> Timeline:
+        """Return the parts of the only interval between whole multiples of some steps."""
+        low, high = int(self.begin[0]), int(self.end[0])
+        edges = np.arange(low // steps + 1, (high - 1) // steps + 1, dtype=np.int64) * steps
+        return Timeline(begin=np.append(low, edges), end=np.append(edges, high))
+
+    def cut(self, first: int | None, after: int | None) -> Timeline:
+        """Return the parts of intervals from one step until before another."""
+        low = first if first is not None else int(self.begin[0])
+        high = after if after is not None else int(self.end[-1])
+        inside = (self.end > low) & (self.begin < high)
+        begin, end = np.maximum(self.begin[inside], low), np.minimum(self.end[inside], high)
+        return Timeline(begin=begin, end=end)
+
+    def counts(self, runs: Runs) -> Integers:
+        """Return how many steps of a set fall in each interval."""
+        return runs.before(self.end) - runs.before(self.begin)
+
+    def find(self, step: Integers) -> Integers:
+        """Return the interval of each step, -1 where it is in none."""
+        if not len(self):
+            return np.full(len(step), -1)
+        interval = np.searchsorted(self.begin, step, side="right") - 1
+        inside = (interval >= 0) & (step < self.end[interval])
+        return np.where(inside, interval, -1)
+
+
+def aligned(first: int, last: int, steps: int) -> Timeline:
+    """Return all intervals from that of step `first` to that of step `last`.
+
+    Parameters
+    ----------
+    first, last : int
+        Steps.
+    steps : int
+        Length of an interval; intervals begin at multiples of it since the UNIX epoch.
+    """
+    begin = np.arange(first // steps, last // steps + 1, dtype=np.int64) * steps
+    return Timeline(begin=begin, end=begin + steps)
+
+
+def _numbers_with(runs: Runs, steps: int) -> Runs:
+    """Return the numbers of the aligned intervals that hold a step of the set, as runs."""
+    return union([Runs(first=runs.first // steps, last=runs.last // steps)])
+
+
+def intervals_with(runs: Runs, steps: int) -> int:
+    """Return how many aligned intervals hold a step of the set, without listing them."""
+    return _numbers_with(runs, steps).steps
+
+
+def aligned_with(runs: Runs, steps: int) -> Timeline:
+    """Return only those aligned intervals that hold a step of the set."""
+    numbers = _numbers_with(runs, steps)
+    begin = ranges(numbers.first, numbers.last - numbers.first + 1) * steps
+    return Timeline(begin=begin, end=begin + steps)
+
+
+def those_with(timeline: Timeline, runs: Runs) -> Timeline:
+    """Return only those intervals that hold a step of the set."""
+    filled = timeline.counts(runs) > 0
+    return Timeline(begin=timeline.begin[filled], end=timeline.end[filled])
+
+
+When: TypeAlias = int | slice | str | datetime | None
+"""Which interval: its number, several, a time in it, or the whole time."""
+
+
+def intervals_at(
+    timeline: Timeline, zone: ZoneInfo, interval: When, begin: Any, end: Any
+) -> int | slice | None:
+    """Return the numbers of intervals that are asked for by number or by time.
+
+    Raises
+    ------
+    UsageError
+        If there is none such, or a number stands beside `begin` or `end`.
+    """
+    if begin is not None or end is not None:
+        if interval is not None:
+            raise UsageError("interval and begin, end do not go together", hint="give one of them")
+        return _between(timeline, zone, begin, end)
+    if interval is None or isinstance(interval, slice):
+        return interval
+    if not isinstance(interval, str | datetime | np.datetime64):
+        number, count = index(interval), len(timeline)
+        if not -count <= number < count:
+            raise UsageError(
+                "interval {} of {}", number, count, hint=Text("from 0 to {}", count - 1)
+            )
+        return number
+    moment = moment_in(interval, zone, what="interval")
+    found = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
+    if found < 0:
+        raise _none_there(timeline, zone, Text("no interval holds {}", moment.astimezone(zone)))
+    return found
+
+
+def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
+    """Return the intervals that lie between two times as a whole."""
+    low, high = (
+        None if time is None else moment_in(time, zone, what=what)
+        for time, what in ((begin, "begin"), (end, "end"))
+    )
+    first, last = 0, len(timeline)
+    if low is not None:
+        step = step_at(low, zone, what="begin")
+        first = int(np.searchsorted(timeline.begin, step, side="left"))
+    if high is not None:
+        step = step_of(np.array([high.timestamp()]))[0]
+        last = int(np.searchsorted(timeline.end, step, side="right"))
+    if first >= last:
+        since, until = (each.astimezone(zone) if each else "..." for each in (low, high))
+        raise _none_there(timeline, zone, Text("no interval lies between {} and {}", since, until))
+    return slice(first, last)
+
+
+def _none_there(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
+    first, last = (each.astimezone(zone) for each in (timeline.span(0)[0], timeline.span(-1)[1]))
+    return UsageError(what, hint=Text("they go from {} to {} ({})", first, last, zone))
+
+
+QUARTER = 900 * STEPS_PER_SECOND
+HOUR = 4 * QUARTER
+DAY = 24 * HOUR
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_A_MONDAY = date(1970, 1, 5)
+
+
+def follows_utc(steps: int) -> bool:
+    """Return whether intervals begin alike in every zone: zones differ by whole quarter hours."""
+    return QUARTER % steps == 0
+
+
+def local_intervals(first: int, last: int, steps: int, zone: ZoneInfo) -> Timeline:
+    """Return all intervals from that of step `first` to that of step `last`.
+
+    Parameters
+    ----------
+    first, last : int
+        Steps.
+    steps : int
+        Length of an interval: a part of a day, or whole days. Up to an hour they follow each other
+        from midnight on, so that the day on which clocks are set back has 25 hours; longer ones
+        begin at their time of day, so that `6h` begins at 0, 6, 12 and 18 o'clock. Whole
+        days count from a Monday.
+    zone : ZoneInfo
+        Whose midnights.
+
+    Raises
+    ------
+    UsageError
+        If the length neither divides a day nor is one of whole days.
+    """
+    if DAY % steps and steps % DAY:
+        raise UsageError(
+            "with a timezone, intervals are parts of a day or whole days",
+            hint="such as 15min, 1h, 6h, 1d",
+        )
+    days = max(steps // DAY, 1)
+    begin = step_begin(first).astimezone(zone).date()
+    begin -= timedelta(days=(begin - _A_MONDAY).days % days)
+    count = (step_begin(last).astimezone(zone).date() - begin).days // days + 2
+    dates = [begin + timedelta(days=days * i) for i in range(count)]
+    edges = _edges(dates, min(steps, DAY), zone)
+    low, high = np.searchsorted(edges, [first, last], side="right")
+    return Timeline(begin=edges[low - 1 : high], end=edges[low : high + 1])
+
+
+def _edges(dates: list[date], steps: int, zone: ZoneInfo) -> Integers:
+    """Return all begins of intervals on these days, and the midnight of the last one."""
+    midnights = np.array([_step_of(day, time(), zone) for day in dates])
+    if steps <= HOUR:
+        parts = [np.arange(low, high, steps) for low, high in pairwise(midnights.tolist())]
+        return np.concatenate([*parts, midnights[-1:]])
+    minutes = range(0, 24 * 60, steps // (60 * STEPS_PER_SECOND))
+    clock = [time(minute // 60, minute % 60) for minute in minutes]
+    every = [_step_of(day, at, zone) for day in dates[:-1] for at in clock]
+    return np.unique(np.array([*every, midnights[-1]], np.int64))
+
+
+def _step_of(day: date, at: time, zone: ZoneInfo) -> int:
+    moment = datetime.combine(day, at, tzinfo=zone)
+    return round((moment - _EPOCH).total_seconds() * STEPS_PER_SECOND)
+
+
+def whole_of(runs: Runs, at: str | None) -> Timeline:
+    """Return the whole time, or the step that contains `at`, as one interval."""
+    first, last = int(runs.first[0]), int(runs.last[-1])
+    if at is not None:
+        moment = moment_of(at, "at")
+        first = last = int(step_of(np.array([moment]))[0])
+        nearest = runs.nearest(first)
+        if nearest != first:
+            raise InputError(
+                "no sensor delivered a frame at {}, in the step from {}",
+                at,
+                iso_from_step(first),
+                hint=Text("the nearest step with a frame begins at {}", iso_from_step(nearest)),
+            )
+    return Timeline(begin=np.array([first]), end=np.array([last + 1]))
+
+
+def moment_of(text: str, what: str) -> float:
+    """Return a time that a caller gave as UNIX seconds."""
+    try:
+        return seconds_from_iso(text, what=what)
+    except InputError as error:
+        raise UsageError(error.message, hint=error.hint) from error
+
+
+def intervals_of(
+    runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
+) -> Timeline:
+    """Return the intervals; where there are very many, only those with a frame."""
+    steps = interval_steps(interval)
+    first, last = int(runs.first[0]), int(runs.last[-1])
+    if zone is None or follows_utc(steps):
+        if last // steps - first // steps < SETTINGS.most_columns:
+            return aligned(first, last, steps)
+        filled = intervals_with(runs, steps)
+    else:
+        local = local_intervals(first, last, steps, zone)
+        if len(local) <= SETTINGS.most_columns:
+            return local
+        local = those_with(local, runs)
+        filled = len(local)
+    if filled * tiles > SETTINGS.most_rows:
+        raise UsageError(
+            "{} intervals of {} for {} tiles are more than a heat map can hold",
+            filled,
+            interval,
+            tiles,
+            hint="use a longer interval",
+        )
+    note = Text("only the {} intervals in which a sensor delivered a frame are kept", filled)
+    if filled > SETTINGS.most_columns:
+        note = Text(
+            "{}; more than {}, so they are rows of by_interval, not columns and bands",
+            note,
+            SETTINGS.most_columns,
+        )
+    reporter.log(note)
+    return aligned_with(runs, steps) if zone is None or follows_utc(steps) else local

@@ -1,0 +1,335 @@
+"""The two layers of a heat map: one row a tile, and one row a tile and interval."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+from numpy.typing import NDArray
+
+from gis_radar.base import (
+    STEPS_PER_SECOND,
+    InputError,
+    Integers,
+    LayerNotes,
+    Reporter,
+    Text,
+    UsageError,
+    add_layer,
+    add_styles,
+    describe_layers,
+    opened_package,
+    seconds_from_iso,
+    step_of,
+)
+from gis_radar.hdmap import COLUMNS, FIELDS, LANE, fingerprint, own_columns
+from gis_radar.products.heatmap import style
+from gis_radar.products.heatmap.counting import Tally
+from gis_radar.products.heatmap.intervals import MapLabels, Timeline
+from gis_radar.products.heatmap.occupancy import Occupancy
+from gis_radar.products.heatmap.registering import list_last
+from gis_radar.products.heatmap.step_table import (
+    BEGIN,
+    END,
+    ERROR,
+    LONG,
+    read_times,
+    step_columns,
+    write_steps,
+)
+from gis_radar.products.heatmap.wide_table import (
+    STEPS,
+    TILES,
+    WIDE,
+    interval_columns,
+    whole_columns,
+    write_wide,
+)
+
+FILE = "heatmap.gpkg"
+Counted = dict[str, NDArray[Any]]
+
+_STEP_MS = 50
+
+
+def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
+    """Return one row a tile: the whole time, and a column an interval.
+
+    Returns
+    -------
+    GeoDataFrame
+        The tiles' columns, then `hit_s`, `observed_s`, `hit_share` over the whole time, and
+        `hit_...`, the hit seconds of each interval, NaN where not observed in it. Where
+        vehicles are known also `visible_s`, `occupied_s`, `occupancy`, `occupancy_se`, and
+        `occ_...`, the occupied seconds of each interval, NaN where not visible in it.
+    """
+    columns, stamps = whole_columns(tally), interval_columns(tally)
+    for i, stamp in zip(tally.columns, stamps, strict=True):
+        columns[f"hit_{stamp}"] = tally.shares(i).hit_s
+    for i, stamp in zip(tally.columns, stamps, strict=True):
+        if (part := tally.occupancy_shares(i)) is not None:
+            columns[f"occ_{stamp}"] = part.occupied_s
+    shares = pd.DataFrame(columns, index=tally.tiles.index)
+    attributes = tally.tiles.drop(columns="geometry")
+    return gpd.GeoDataFrame(
+        pd.concat([attributes, shares], axis=1), geometry=tally.tiles.geometry, crs=tally.crs
+    )
+
+
+def long_layer(tally: Tally) -> gpd.GeoDataFrame:
+    """Return one row a tile and interval, also where nothing was hit or observed.
+
+    Returns
+    -------
+    GeoDataFrame
+        `tile_id`, `lanelet_id`, `begin` and `end` (UTC; the end is exclusive), `hit_s`,
+        `observed_s`, `hit_share`, where vehicles are known also `visible_s`, `occupied_s`,
+        `occupancy`, `occupancy_se`, and geometry, ordered by interval, then by tile. Where a tile
+        was not observed, `observed_s` is 0 and the other two are NaN.
+    """
+    parts = []
+    tiles = tally.tiles[["tile_id", "lanelet_id"]]
+    for i in range(len(tally.timeline)):
+        times = (int(step[i]) * _STEP_MS for step in (tally.timeline.begin, tally.timeline.end))
+        begin, end = (pd.Timestamp(time, unit="ms", tz="UTC").as_unit("ms") for time in times)
+        known = tally.occupancy_shares(i)
+        shares = tally.shares(i)._asdict() | ({} if known is None else known._asdict())
+        parts.append(tiles.assign(**{BEGIN: begin, END: end}, **shares))
+    geometry = np.tile(tally.tiles.geometry.to_numpy(), len(tally.timeline))
+    rows = pd.concat(parts, ignore_index=True)
+    return gpd.GeoDataFrame(rows, geometry=geometry, crs=tally.crs)
+
+
+def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
+    """Write the layer `heatmap` as GeoParquet 1.1 with a box for each row."""
+    frame = wide_layer(tally)
+    frame.attrs = tally.metadata
+    frame.to_parquet(
+        path,
+        index=False,
+        compression="zstd",
+        schema_version="1.1.0",
+        write_covering_bbox=True,
+        write_page_checksum=True,  # a flipped bit is found on reading
+    )
+
+
+def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
+    """Write the layer of tiles, the tables of what was counted, their views, and styles."""
+    metadata = {
+        name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+        for name, value in tally.metadata.items()
+    }
+    options = {"geometry_type": "Polygon", "layer_metadata": metadata}
+    add_layer(tally.tiles, path, TILES, use_arrow=True, **options)
+    length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
+    measure, notes = tally.measure, _notes_of(tally)
+    least_s = {layer: tally.least_visible_s(part) for layer, part in ((WIDE, None), (LONG, 0))}
+    styles = {
+        layer: (qml, style.sld(layer, measure, least_s=least_s[layer]))
+        for layer, qml in own_styles(measure, length_s, least_s).items()
+    }
+    about = f"fixed classes of {measure}, so that maps compare"
+    with closing(sqlite3.connect(path)) as database, database:
+        write_wide(database, tally)
+        write_steps(database, tally, reporter)
+        list_last(database, TILES)
+        describe_layers(database, notes)
+        add_styles(database, styles, name=measure, about=about)
+
+
+def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]:
+    """Return the QGIS styles of both layers as gis_radar gives them to a heat map.
+
+    What is stored in the file may be anybody's, with code of forms, actions and expressions.
+
+    Parameters
+    ----------
+    path : Path
+        The GeoPackage.
+    measure : str
+        What it shows.
+    length_s : float
+        Length of its intervals, seconds.
+    """
+    longest_s = dict.fromkeys((WIDE, LONG), 0.0)
+    if measure == "occupancy":
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            for layer in longest_s:
+                query = f'SELECT max("visible_s") FROM "{layer}"'  # noqa: S608 - our own names
+                longest_s[layer] = float(database.execute(query).fetchone()[0] or 0.0)
+    least_s = {layer: style.UNCERTAIN_SEEN * each for layer, each in longest_s.items()}
+    return own_styles(measure, length_s, least_s)
+
+
+def own_styles(measure: str, length_s: float, least_s: Mapping[str, float]) -> dict[str, str]:
+    """Return the QGIS styles of both layers; `least_s` is what is visible for long enough."""
+    measured = {
+        name: title for name, title in _TITLES.items()
+        if measure == "occupancy" or name in _OF_HITS
+    }  # fmt: skip
+    titles = {name: title for name, (title, _) in FIELDS.items()}
+    return {
+        layer: style.vector_qml(
+            interval_s=shown_s, measure=measure, least_s=least_s[layer],
+            titles=titles | more | measured,
+        )
+        for layer, shown_s, more in ((WIDE, None, {}), (LONG, length_s, _TIMES))
+    }  # fmt: skip
+
+
+_TIMES = {BEGIN: "Begin (UTC)", END: "End (UTC)"}
+_OF_HITS = ("hit_s", "observed_s", "hit_share")
+_TITLES = {
+    "hit_s": "Hit (s)",
+    "observed_s": "Observed (s)",
+    "hit_share": "Hit share",
+    "visible_s": "Visible (s)",
+    "occupied_s": "Occupied (s)",
+    "occupancy": "Occupancy",
+    "occupancy_se": "Occupancy, standard error",
+}
+
+
+def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
+    """Return titles and meaning of both layers and their fields."""
+    measured = {name: (_TITLES[name], text) for name, text in tally.definitions.items()}
+    times = {BEGIN: (_TIMES[BEGIN], "of the interval"), END: (_TIMES[END], "exclusive")}
+    begin, end = tally.whole_iso
+    about = f"{tally.definitions[tally.measure]}. Sensors {', '.join(tally.sensors)}"
+    title = tally.labels.title or "Heat map"
+    return {
+        TILES: LayerNotes("Tiles", "slices of lanes that the heat map counts on", FIELDS),
+        WIDE: LayerNotes(
+            f"{title}: {tally.measure}", f"{about}, {begin} to {end}", FIELDS | measured
+        ),
+        LONG: LayerNotes(
+            f"{title}: {tally.measure} by interval", f"{about}, {begin} to {end}",
+            FIELDS | times | measured,
+        ),
+    }  # fmt: skip
+
+
+_HINT = Text("make one with: gis-radar heatmap")
+
+
+def read_package(path: Path) -> dict[str, Any]:
+    """Read both layers back as the fields of a tally, the one by interval in batches.
+
+    Parameters
+    ----------
+    path : Path
+        The GeoPackage, or its folder.
+
+    Raises
+    ------
+    InputError
+        If there is none, it is damaged, or its tiles were changed since.
+    """
+    path = path / FILE if path.is_dir() else path
+    with opened_package(path, what="a heat map", hint=_HINT) as place:
+        return _fields(place, path)
+
+
+def _fields(place: Path, path: Path) -> dict[str, Any]:
+    """Return the fields of a tally from the GeoPackage at `place`, which messages call `path`."""
+    tiles = pyogrio.read_dataframe(place, layer=WIDE, columns=[*COLUMNS, LANE], use_arrow=True)
+    notes = pyogrio.read_info(place, layer=WIDE)["layer_metadata"] or {}
+    whole = _checked_whole(tiles, notes, path)
+    with closing(sqlite3.connect(f"{place.as_uri()}?mode=ro", uri=True)) as database:
+        times = read_times(database)
+        names = step_columns(database)
+    timeline = Timeline(
+        begin=_steps_of([begin for begin, _ in times], path),
+        end=_steps_of([end for _, end in times], path),
+    )
+    counts = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline), names)
+    errors = pyogrio.read_dataframe(
+        place, layer=WIDE, columns=["occupancy_se"], read_geometry=False, use_arrow=True
+    )
+    hit, observed = counts["hit"], counts["observed"]
+    seen = np.flatnonzero(observed.any(axis=0))
+    return {
+        "tiles": tiles[[*own_columns(tiles), "geometry"]],
+        "fingerprint": notes["fingerprint"],
+        "sensors": tuple(json.loads(notes["sensors"])),
+        "whole": whole,
+        "timeline": whole if timeline.spans() == whole.spans() else timeline,
+        "seen": seen,
+        "hit": hit[:, seen].astype(np.uint32),
+        "observed": observed[:, seen].astype(np.uint32),
+        "occupancy": _occupancy_of(counts, seen, errors),
+        "labels": _labels_of(notes.get("labels", "{}"), path),
+    }
+
+
+def _labels_of(text: str, path: Path) -> MapLabels:
+    """Return what was kept of labels; refuse what is none."""
+    try:
+        return MapLabels(**json.loads(text))
+    except (TypeError, ValueError, UsageError) as error:
+        raise InputError("{}: its labels cannot be read: {}", path, error, hint=_HINT) from error
+
+
+def _occupancy_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Occupancy | None:
+    """Return visible and occupied steps and errors of the tiles that are seen, if there are any."""
+    if "visible" not in counts:
+        return None
+    return Occupancy(
+        visible=counts["visible"][:, seen].astype(np.uint32),
+        occupied=counts["occupied"][:, seen].astype(np.uint32),
+        error=counts["occupancy_se"][:, seen].astype(np.float32),
+        error_whole=errors["occupancy_se"].to_numpy(np.float32)[seen],
+    )
+
+
+def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -> Timeline:
+    """Return the whole time; refuse a table that is not what was written."""
+    missing = [name for name in COLUMNS if name not in tiles]
+    missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
+    if missing or not isinstance(tiles, gpd.GeoDataFrame):
+        lacking = ", ".join(missing) or "geometry"
+        raise InputError("{}: lacks {}", path, lacking, hint="make it again")
+    if fingerprint(tiles) != notes["fingerprint"]:
+        raise InputError("{}: its tiles were changed since it was made", path, hint="make it again")
+    begin, end = (_steps_of([notes[name]], path) for name in ("begin", "end"))
+    return Timeline(begin=begin, end=end)
+
+
+def _steps_of(times: list[str], path: Path) -> Integers:
+    return step_of(
+        np.array([seconds_from_iso(each, what=Text("{}: time", path)) for each in times])
+    )
+
+
+def _read_counts(path: Path, tile_ids: Integers, intervals: int, names: list[str]) -> Counted:
+    """Read the table of steps: for each column an (intervals, tiles) array."""
+    rows = intervals * len(tile_ids)
+    counts = {name: np.zeros(rows, np.float32 if name == ERROR else np.uint32) for name in names}
+    done = 0
+    with pyogrio.open_arrow(
+        path, layer=STEPS, use_pyarrow=True, read_geometry=False, columns=["tile_id", *names]
+    ) as (_, reader):
+        for batch in reader:
+            place = np.arange(done, done + len(batch))
+            done += len(batch)
+            expected = tile_ids[place % len(tile_ids)] if done <= rows else tile_ids[:0]
+            if not np.array_equal(batch["tile_id"].to_numpy(), expected):
+                done = -1
+                break
+            for name, values in counts.items():
+                read = batch[name].to_numpy(zero_copy_only=False)
+                values[place] = read if name == ERROR else np.nan_to_num(read)
+    if done != rows or not rows:
+        raise InputError(
+            "{}: {} is damaged: not one row a tile and interval", path, STEPS, hint=_HINT
+        )
+    return {name: values.reshape(intervals, len(tile_ids)) for name, values in counts.items()}

@@ -1,0 +1,249 @@
+"""Occupancy of tiles with its standard error, from the steps in which they were occupied.
+
+Occupancy is an estimate of the share of time with a vehicle on a tile. Its error is that of a
+finite number of runs of steps, each of which may be too long, too short, or not there at all:
+
+- the ends of a run are known as well as the ends of a vehicle: `end_share` of its length of time,
+  and no more than `end_most_s`, however long the vehicle stood;
+- a run may be of no vehicle, and one may be missing: `false_share` of a run that was seen, and
+  `inferred_share` of one that was inferred while nothing was measured, of its whole length;
+- while other vehicles hide a tile nothing is measured there, on empty road as under vehicles: of
+  `hidden_share` of that time only the occupancy at large is known;
+- all vehicles may be shifted along the lane by `shift_m`, as poses and maps are: that much of the
+  change of occupancy from tile to tile.
+
+With T the length of a run, V the visible time, H the hidden part of it, and c the occupancy,
+`se = sqrt(sum(min(end_share T, end_most_s)^2 + (false_share T)^2 or (inferred_share T)^2) / V^2
++ (hidden_share H / V)^2 c (1 - c) + (shift_m dc/ds)^2)`, and at least `least_s / V`. Runs are
+independent of each other, hidden times are not. The first sum is the dataset's `occupied_variance`
+(:mod:`gis_radar.dataset.tile_counts`), the hidden time its `inferred_steps`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import geopandas as gpd
+import numpy as np
+from numpy.typing import NDArray
+
+from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers
+from gis_radar.hdmap import lanes_of
+from gis_radar.products.heatmap.style import UNCERTAIN_FROM, UNCERTAIN_SEEN
+
+OCCUPANCY_DEFINITIONS = {
+    "visible_s": (
+        "seconds in which the tile was visible: 0.05 s for each step of 50 ms in which it was "
+        "observed and not hidden by other vehicles for more than 10 s on end"
+    ),
+    "occupied_s": "seconds in which the tile was visible and a vehicle was on it",
+    "occupancy": "occupied_s / visible_s, 0 to 1; no data where not visible",
+    "occupancy_se": "standard error of occupancy as an estimate for this period",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class OccupancyErrorSettings:
+    """Constants of the standard error of occupancy; its docstring's module has the formula.
+
+    Parameters
+    ----------
+    hidden_share : float
+        Root of the variance of the hidden time, relative to its length, as of runs that were
+        inferred. Of the tiles hidden for over a tenth of the time, in two simulated places, 6 and
+        45 % are within two standard errors without it, 50 and 71 % with it.
+    shift_m : float
+        Error along the lane that all vehicles share, metres: poses 0.14 m, map 0.25 m.
+    least_s : float
+        Least error of the occupied time, seconds: two steps.
+    """
+
+    hidden_share: float = 0.7
+    shift_m: float = 0.3
+    least_s: float = 0.1
+
+
+ERRORS = OccupancyErrorSettings()
+# Tables hold the roots of standard errors by interval in parts of a 32767th, the largest number of
+# two bytes: 0.0001 is kept to 0.3 %, larger ones better.
+ERROR_UNIT = 1.0 / 32767**2
+
+
+class OccupancyShares(NamedTuple):
+    """One value a tile, in the order of the tiles.
+
+    Parameters
+    ----------
+    visible_s, occupied_s : (n,) float64 arrays
+        Seconds; visible is 0 where never, occupied is NaN there.
+    occupancy, occupancy_se : (n,) float64 arrays
+        Their quotient and its standard error, NaN where not visible.
+    """
+
+    visible_s: Floats
+    occupied_s: Floats
+    occupancy: Floats
+    occupancy_se: Floats
+
+    def uncertain(self, least_visible_s: float) -> Booleans:
+        """Return what maps hatch.
+
+        That is where the standard error is as large as the occupancy and at least 2 percentage
+        points, and where a tile was visible for less than so long.
+        """
+        vague = self.occupancy_se >= np.maximum(self.occupancy, UNCERTAIN_FROM)
+        return (self.visible_s > 0.0) & (vague | (self.visible_s < least_visible_s))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Occupancy:
+    """Steps in which tiles were visible and occupied, for the tiles that some view sees.
+
+    Parameters
+    ----------
+    visible, occupied : (intervals, k) uint32 arrays
+        Steps.
+    error : (intervals, k) float32 array
+        Standard error of the occupancy; NaN where not visible.
+    error_whole : (k,) float32 array
+        That of the whole time.
+    """
+
+    visible: NDArray[np.uint32]
+    occupied: NDArray[np.uint32]
+    error: NDArray[np.float32]
+    error_whole: NDArray[np.float32]
+
+    def shares(self, seen: Integers, tiles: int, interval: int | slice | None) -> OccupancyShares:
+        """Return the values of all tiles, of which `seen` are counted here."""
+        part = slice(interval) if interval is None else interval
+        visible, occupied = (
+            counts[part] if isinstance(part, int) else counts[part].sum(axis=0, dtype=np.int64)
+            for counts in (self.visible, self.occupied)
+        )
+        known = visible > 0
+        found = [np.zeros(tiles), *(np.full(tiles, np.nan) for _ in range(3))]
+        found[0][seen] = visible / STEPS_PER_SECOND
+        place = seen[known]
+        found[1][place] = occupied[known] / STEPS_PER_SECOND
+        found[2][place] = occupied[known] / visible[known]
+        found[3][place] = self._error(interval, visible)[known]
+        return OccupancyShares(*found)
+
+    def least_visible_s(self, interval: int | slice | None) -> float:
+        """Return half of the longest visible time of a tile; of one interval, of that in any."""
+        if isinstance(interval, int):
+            longest = self.visible.max(initial=0)
+        else:
+            part = self.visible[slice(interval) if interval is None else interval]
+            longest = part.sum(axis=0, dtype=np.int64).max(initial=0)
+        return UNCERTAIN_SEEN * float(longest) / STEPS_PER_SECOND
+
+    def _error(self, interval: int | slice | None, visible: Any) -> Floats:
+        if interval is None:
+            return np.asarray(self.error_whole, np.float64)
+        if isinstance(interval, int):
+            return np.asarray(self.error[interval], np.float64)
+        parts = np.nan_to_num(self.error[interval]) * self.visible[interval]
+        return np.asarray(np.sqrt((parts**2).sum(axis=0)) / np.maximum(visible, 1))
+
+
+def surest(share: Floats, error: Floats) -> int:
+    """Return the tile whose share is highest with its standard error taken off.
+
+    The highest share alone would be that of the tile of which least is known.
+    """
+    return int(np.nanargmax(share - np.nan_to_num(error)))
+
+
+def mean_occupancy(tiles: gpd.GeoDataFrame, shares: OccupancyShares) -> tuple[float, float]:
+    """Return the mean occupancy over tiles and visible time, and its standard error.
+
+    A vehicle that was missed, or is none, is so all along its lane: the errors of a lane's tiles
+    are taken as one error, those of different lanes as independent. On ten simulated sites the
+    true mean was within two standard errors on nine.
+    """
+    total_s = float(shares.visible_s.sum())
+    if total_s == 0.0:
+        return float("nan"), float("nan")
+    error_s = np.nan_to_num(shares.visible_s * shares.occupancy_se)
+    by_lane = [error_s[lane.rows].sum() for lane in lanes_of(tiles)]
+    occupied_s = float(np.nansum(shares.occupied_s))
+    return occupied_s / total_s, float(np.linalg.norm(by_lane)) / total_s
+
+
+def occupancy_of(
+    sums: Mapping[str, Floats], whole: Mapping[str, Floats], tiles: gpd.GeoDataFrame,
+    seen: Integers,
+) -> Occupancy:  # fmt: skip
+    """Return the occupancy of tiles with its standard error.
+
+    Parameters
+    ----------
+    sums : mapping
+        By the names of the columns of `tile_counts`, sums by interval and tile: (intervals, k).
+    whole : mapping
+        The same of the whole time by quarter of an hour, at whose edges runs are cut.
+    tiles : GeoDataFrame
+        All tiles, by ascending `tile_id`.
+    seen : (k,) int64 array
+        Positions of the tiles that were counted.
+    """
+    names = ("visible_steps", "occupied_steps", "occupied_variance", "inferred_steps")
+    slopes = _LaneSlopes.of(tiles, seen)
+    errors = [slopes.error(*each) for each in zip(*(sums[name] for name in names), strict=True)]
+    error_whole = slopes.error(*(whole[name].sum(axis=0) for name in names))
+    visible, occupied = (sums[name].astype(np.uint32) for name in names[:2])
+    return Occupancy(
+        visible=visible, occupied=occupied, error=_rounded(np.stack(errors)),
+        error_whole=error_whole.astype(np.float32),
+    )  # fmt: skip
+
+
+def error_roots(errors: Floats) -> Integers:
+    """Return roots of standard errors, 0 to 1, as the whole numbers that tables hold."""
+    return np.rint(np.sqrt(errors / ERROR_UNIT)).astype(np.int64)
+
+
+def _rounded(errors: Floats) -> NDArray[np.float32]:
+    """Return standard errors as tables hold them, so that a map read back is the same."""
+    roots = error_roots(np.nan_to_num(errors))
+    return np.where(np.isnan(errors), np.nan, roots * roots * ERROR_UNIT).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _LaneSlopes:
+    """The tiles before and after each tile of a lanelet, to see how occupancy changes along it."""
+
+    seen: Integers
+    s_m: Floats
+    linked: NDArray[np.bool_]  # whether a tile follows the one before it in the table
+
+    @classmethod
+    def of(cls, tiles: gpd.GeoDataFrame, seen: Integers) -> _LaneSlopes:
+        lanelet, index = (tiles[n].to_numpy(np.int64) for n in ("lanelet_id", "index"))
+        linked = np.zeros(len(tiles) + 1, np.bool_)
+        linked[1:-1] = (lanelet[1:] == lanelet[:-1]) & (np.diff(index) == 1)
+        middle = tiles["s_m"].to_numpy(float) + tiles["length_m"].to_numpy(float) / 2
+        return cls(seen=seen, s_m=middle, linked=linked)
+
+    def error(self, visible: Any, occupied: Any, squares: Floats, hidden: Floats) -> Floats:
+        """Return the standard error of occupancy of the counted tiles, NaN where not visible."""
+        time, occupancy = np.maximum(visible, 1), occupied / np.maximum(visible, 1)
+        share = np.full(len(self.s_m), np.nan)
+        share[self.seen] = np.where(visible > 0, occupancy, np.nan)
+        unknown = (ERRORS.hidden_share * hidden) ** 2 * occupancy * (1.0 - occupancy)
+        slope = self._slope(share)[self.seen]
+        least = ERRORS.least_s / STEP_S / time
+        found = np.sqrt((squares + unknown) / time**2 + (ERRORS.shift_m * slope) ** 2)
+        return np.where(visible > 0, np.clip(found, np.minimum(least, 1.0), 1.0), np.nan)
+
+    def _slope(self, share: Floats) -> Floats:
+        """Return the steepest change of a share towards the tile before or after, a metre."""
+        change = np.zeros(len(share) + 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            steps = np.abs(np.diff(share)) / np.diff(self.s_m)
+        change[1:-1] = np.where(self.linked[1:-1], np.nan_to_num(steps), 0.0)
+        return np.maximum(change[:-1], change[1:])

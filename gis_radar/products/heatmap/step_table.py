@@ -1,0 +1,199 @@
+"""The table of steps of a heat map, and the view that shows it as a layer.
+
+A row of the table is a tile in an interval: whole steps, no polygon, so that a day of quarter hours
+takes a tenth of the room. Stored is what is mostly zero, the steps in which a tile was not observed
+and those in which it was observed but hidden; observed and visible ones are computed. The view
+of the name `by_interval` joins the polygons of the layer `tiles` and the times; QGIS and
+GDAL open it like any other layer.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from gis_radar.base import STEPS_PER_SECOND, Reporter, step_begin
+from gis_radar.products.heatmap.counting import Tally
+from gis_radar.products.heatmap.occupancy import ERROR_UNIT, error_roots
+from gis_radar.products.heatmap.registering import register_table
+from gis_radar.products.heatmap.wide_table import STEPS, TILES
+
+LONG = "by_interval"
+TIMES = "intervals"
+BEGIN, END = "begin", "end"
+ERROR = "occupancy_se"
+ROOT = "occupancy_se_root"  # of the standard error: a whole number of 2 bytes, a real one takes 8
+UNOBSERVED, HIDDEN = "unobserved", "hidden"
+HIT_COLUMNS = ("hit", "observed")
+OCCUPANCY_COLUMNS = ("occupied", "visible", ERROR)
+_STORED = {"observed": UNOBSERVED, "visible": HIDDEN, ERROR: ROOT}  # in place of what is computed
+
+# Seconds and shares are computed on reading: columns with types of their own, unlike expressions of
+# a view, whose types older SQLite does not know.
+_SHARES = """
+    "{part}_s" REAL GENERATED ALWAYS AS ("{part}" * 1.0 / {rate}) VIRTUAL,
+    "{whole}_s" REAL GENERATED ALWAYS AS ("{whole}" * 1.0 / {rate}) VIRTUAL,
+    "{share}" REAL GENERATED ALWAYS AS ("{part}" * 1.0 / nullif("{whole}", 0)) VIRTUAL
+"""
+_TIMES = f"""
+CREATE TABLE "{TIMES}" (
+    "interval" INTEGER PRIMARY KEY NOT NULL,
+    "{BEGIN}" DATETIME NOT NULL,
+    "{END}" DATETIME NOT NULL,
+    "first_row" INTEGER NOT NULL,
+    "last_row" INTEGER NOT NULL
+)
+"""
+
+
+def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) -> None:
+    """Write times, steps and the view beside the layer `tiles` of a GeoPackage.
+
+    Parameters
+    ----------
+    database : sqlite3.Connection
+        The GeoPackage.
+    tally : Tally
+        What was counted.
+    reporter : Reporter
+        Where progress goes.
+    """
+    columns = [*HIT_COLUMNS, *(() if tally.occupancy is None else OCCUPANCY_COLUMNS)]
+    database.execute(_TIMES)
+    database.execute(_steps_table(columns, tally))
+    times = f'INSERT INTO "{TIMES}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
+    database.executemany(times, _times(tally))
+    stored = ["fid", *(("tile_id",) if not _counts_up(tally.tiles["tile_id"]) else ())]
+    stored += [_STORED.get(name, name) for name in columns]
+    names = ", ".join(f'"{name}"' for name in stored)
+    marks = ", ".join("?" * len(stored))
+    insert = f'INSERT INTO "{STEPS}" ({names}) VALUES ({marks})'  # noqa: S608 - our own names
+    total = len(tally.timeline) * len(tally.tiles)
+    for interval in range(len(tally.timeline)):
+        database.executemany(insert, _rows(tally, interval))
+        done = (interval + 1) * len(tally.tiles)
+        reporter.progress("writing measures by interval", done, total)
+    _add_view(database, tally, columns)
+
+
+def _counts_up(tile_ids: Any) -> bool:
+    """Return whether tiles are numbered from 0 without a gap, so that the row gives the tile."""
+    return bool(np.array_equal(tile_ids, np.arange(len(tile_ids))))
+
+
+def _steps_table(columns: list[str], tally: Tally) -> str:
+    """Return the statement that makes the table of steps: what follows from others is computed."""
+    tile_ids = tally.tiles["tile_id"]
+    count, computed = len(tile_ids), "INTEGER NOT NULL GENERATED ALWAYS AS"
+    interval = f'{computed} (("fid" - 1) / {count}) VIRTUAL'
+    tile = (
+        f'{computed} (("fid" - 1) % {count}) VIRTUAL'
+        if _counts_up(tile_ids)
+        else "INTEGER NOT NULL"
+    )
+    formulas = {
+        "observed": f'INTEGER GENERATED ALWAYS AS (ifnull({_longest(tally)} - "{UNOBSERVED}", 0))',
+        "visible": f'INTEGER GENERATED ALWAYS AS (ifnull("observed" - "{HIDDEN}", 0))',
+        ERROR: f'REAL GENERATED ALWAYS AS ("{ROOT}" * "{ROOT}" * {ERROR_UNIT!r})',
+    }
+    kinds = ", ".join(
+        f'"{_STORED[name]}" INTEGER, "{name}" {formulas[name]} VIRTUAL'
+        if name in formulas
+        else f'"{name}" INTEGER'
+        for name in columns
+    )
+    measures = [("hit", "observed", "hit_share")]
+    if ERROR in columns:
+        measures.append(("occupied", "visible", "occupancy"))
+    shares = ", ".join(
+        _SHARES.format(part=part, whole=whole, share=share, rate=STEPS_PER_SECOND)
+        for part, whole, share in measures
+    )
+    return (
+        f'CREATE TABLE "{STEPS}" ("fid" INTEGER PRIMARY KEY NOT NULL, "interval" {interval}, '
+        f'"tile_id" {tile}, {kinds}, {shares})'
+    )
+
+
+def _longest(tally: Tally) -> int:
+    """Return the steps of the longest interval: most tiles are observed in all of them."""
+    return int((tally.timeline.end - tally.timeline.begin).max())
+
+
+def _times(tally: Tally) -> Iterator[tuple[int, str, str, int, int]]:
+    """Yield number, begin, end, first and last row of each interval."""
+    count = len(tally.tiles)
+    for number in range(len(tally.timeline)):
+        steps = int(tally.timeline.begin[number]), int(tally.timeline.end[number])
+        begin, end = (
+            step_begin(step).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+            for step in steps
+        )
+        yield number, begin, end, number * count + 1, (number + 1) * count
+
+
+def _rows(tally: Tally, interval: int) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of an interval: null where a tile was not observed, or not visible."""
+    count = len(tally.tiles)
+    hit, observed = (np.zeros(count, np.int64) for _ in range(2))
+    hit[tally.seen], observed[tally.seen] = tally.steps(interval)
+    columns = [_known(hit, observed), _known(_longest(tally) - observed, observed)]
+    if tally.occupancy is not None:
+        occupied, visible = (np.zeros(count, np.int64) for _ in range(2))
+        error = np.zeros(count)
+        occupied[tally.seen] = tally.occupancy.occupied[interval]
+        visible[tally.seen] = tally.occupancy.visible[interval]
+        error[tally.seen] = tally.occupancy.error[interval]
+        roots = error_roots(np.nan_to_num(error))
+        columns += [_known(values, visible) for values in (occupied, observed - visible, roots)]
+    first = interval * count + 1
+    numbers = range(first, first + count)
+    if _counts_up(tally.tiles["tile_id"]):
+        return zip(numbers, *columns, strict=True)
+    return zip(numbers, tally.tiles["tile_id"].tolist(), *columns, strict=True)
+
+
+def _known(values: Any, whole: Any) -> list[Any]:
+    """Return values as a list, None where there is no time that they are a part of."""
+    found = values.astype(object)
+    found[whole == 0] = None
+    return list(found)
+
+
+def _add_view(database: sqlite3.Connection, tally: Tally, columns: list[str]) -> None:
+    """Make the view and tell GeoPackage readers of it and of the tables."""
+    geometry = database.execute(
+        "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (TILES,)
+    ).fetchone()[0]
+    shown = ["hit_s", "observed_s", "hit_share"]
+    if ERROR in columns:
+        shown += ["visible_s", "occupied_s", "occupancy", ERROR]
+    values = ", ".join(f's."{name}" AS "{name}"' for name in shown)
+    # CROSS JOIN keeps the order: from the times to the rows of each, which follow each other.
+    database.execute(f"""
+        CREATE VIEW "{LONG}" AS
+        SELECT s."fid" AS "OGC_FID", t."{geometry}" AS "{geometry}", s."tile_id" AS "tile_id",
+            t."lanelet_id" AS "lanelet_id", i."{BEGIN}" AS "{BEGIN}", i."{END}" AS "{END}", {values}
+        FROM "{TIMES}" i
+        CROSS JOIN "{STEPS}" s ON s."fid" BETWEEN i."first_row" AND i."last_row"
+        CROSS JOIN "{TILES}" t ON t."tile_id" = s."tile_id"
+    """)  # noqa: S608 - our own names
+    every, times = len(tally.timeline) * len(tally.tiles), len(tally.timeline)
+    register_table(database, LONG, "features", like=TILES, rows=every)
+    register_table(database, TIMES, "attributes", like=TILES, rows=times)
+    register_table(database, STEPS, "attributes", like=TILES, rows=every)
+
+
+def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:
+    """Return begin and end of each interval, in order."""
+    query = f'SELECT "{BEGIN}", "{END}" FROM "{TIMES}" ORDER BY "interval"'  # noqa: S608
+    return database.execute(query).fetchall()
+
+
+def step_columns(database: sqlite3.Connection) -> list[str]:
+    """Return the columns of the table of steps that hold what was counted."""
+    known = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{STEPS}")')}
+    return [name for name in (*HIT_COLUMNS, *OCCUPANCY_COLUMNS) if name in known]

@@ -1,0 +1,325 @@
+"""The one look of all heat maps: colour ramp, class breaks, and QGIS and SLD styles of them.
+
+The QGIS styles are `occupancy.qml`, a pattern, and `ground.qml`. Everything here needs the
+standard library only, so that a Python without the geographic packages can load this file.
+
+The ramp runs from light yellow over red to near-black violet, in equal steps of lightness, so
+that it reads the same in grey and for colour-blind eyes; dark is high, as in the paper's
+section "Scalable Dynamic Occupancy Map". The breaks follow a 1-2-5 series, because occupancy
+is mostly small (0.5 to 30 %), and never depend on the data, so that maps compare.
+"""
+
+from __future__ import annotations
+
+import copy
+import struct
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, indent, parse, tostring
+
+BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # occupancy and hit share
+RAMP = (
+    "#f1dd88", "#f3be56", "#ef891a", "#df5028", "#ba1c4d", "#830460", "#480d58", "#18083b",
+)  # fmt: skip
+NEVER_HIT = "#f1f6fb"  # nearly paper: the one step that grey print would not show else
+NOT_OBSERVED = "#b9bdc1"  # for pictures; layers leave such tiles transparent
+UNCERTAIN = "uncertain"  # its label; drawn as a hatch over the colour of the class
+UNCERTAIN_FROM = 0.02  # a standard error as large as the occupancy, and over this, is uncertain
+UNCERTAIN_SEEN = 0.5  # so is what was visible for a smaller share of the longest visible time
+HATCH_DARK, HATCH_LIGHT = "#6b7278", "#ffffff"  # over pale colours and over deep ones
+_PALE = 4  # classes, from 0 up
+LEGEND_TITLE = "Share of the observed time"
+LEGEND_SUBTITLE = "in which a tile is hit"
+
+_QGIS_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
+_HERE = Path(__file__).parent
+
+
+class MeasureWords(NamedTuple):
+    """How maps call a measure: title of its legend and what follows it, zero, no data."""
+
+    title: str
+    subtitle: str
+    zero: str
+    unknown: str
+
+
+MAP_WORDS = {
+    "hit_share": MeasureWords(LEGEND_TITLE, LEGEND_SUBTITLE, "never hit", "not observed"),
+    "occupancy": MeasureWords(
+        "Occupancy", "share of time with a vehicle", "no vehicle", "not visible"
+    ),
+}
+
+
+OTHER_SHARE = MeasureWords("Share of time", "", "never", "no data")  # of a column of tile counts
+
+# A lane's name is shown as text: QGIS takes a tip for HTML.
+_LANE = "replace(replace(attribute('lane'), '&', '&amp;'), '<', '&lt;')"
+_SEEN = f"""([% format_number("{{}}_s", 0) %] s)[% coalesce('<br>' || {_LANE}, '') %]"""
+# What QGIS shows under the cursor, numbers as its language writes them.
+_TIPS = {
+    "hit_share": """<b>[% coalesce(format_number(100 * "hit_share", 1) || ' %', '\u2013') %]</b> """
+    + _SEEN.format("observed"),
+    "occupancy": """<b>[% coalesce(format_number(100 * "occupancy", 1) || ' \u00b1 ' ||"""
+    """ format_number(100 * "occupancy_se", 1) || ' %', '\u2013') %]</b> """
+    + _SEEN.format("visible"),
+}
+
+
+class ColourClass(NamedTuple):
+    """A class of a share: more than `lower` up to `upper`; the first is exactly 0."""
+
+    lower: float
+    upper: float
+    colour: str
+    label: str
+
+
+def colour_classes(measure: str = "hit_share") -> tuple[ColourClass, ...]:
+    """Return the classes of hit share or occupancy from 0 to 1, lowest first."""
+    bounds = zip(pairwise(BREAKS), RAMP, strict=True)
+    return (
+        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {MAP_WORDS.get(measure, OTHER_SHARE).zero}"),
+        *(ColourClass(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
+    )
+
+
+def legend(measure: str = "hit_share") -> tuple[tuple[str, str], ...]:
+    """Return colours with their labels, highest class first, not observed last.
+
+    Of occupancy the one before the last is what is uncertain: no colour but a hatch, `UNCERTAIN`.
+    """
+    classes = [(each.colour, each.label) for each in reversed(colour_classes(measure))]
+    unsure = ((UNCERTAIN, UNCERTAIN),) if measure == "occupancy" else ()
+    return (*classes, *unsure, (NOT_OBSERVED, MAP_WORDS[measure].unknown))
+
+
+def hatches() -> tuple[str, ...]:
+    """Return for each class, lowest first, the colour of the hatch of what is uncertain."""
+    classes = range(len(colour_classes()))
+    return tuple(HATCH_DARK if place < _PALE else HATCH_LIGHT for place in classes)
+
+
+def uncertain_rule(least_s: float) -> str:
+    """Return what is uncertain as an expression of QGIS; `least_s` is half the longest time."""
+    vague = f'"occupancy_se" >= {UNCERTAIN_FROM} AND "occupancy_se" >= "occupancy"'
+    return f'{vague} OR "visible_s" < {least_s:.10g}'
+
+
+def _label(lower: float, upper: float) -> str:
+    if lower == 0.0:
+        return f"up to {upper * 100:g} %"
+    return f"{lower * 100:g} to {upper * 100:g} %"
+
+
+def vector_qml(
+    *,
+    interval_s: float | None = None,
+    measure: str = "hit_share",
+    least_s: float = 0.0,
+    titles: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """Return the QGIS style of a layer of tiles.
+
+    Parameters
+    ----------
+    measure : str
+        The column that it shows, `hit_share` or `occupancy`.
+    interval_s : float, optional
+        Length of the interval of each row, seconds: the temporal controller shows a row for so
+        long from its `begin`. Without it, the layer holds the whole time.
+    least_s : float
+        Occupancy of tiles that were visible for less, seconds, is hatched as uncertain.
+    titles : mapping
+        Of fields, by name.
+
+    Returns
+    -------
+    str
+        QML text. Where tiles overlap, the busiest is on top.
+    """
+    without = ("pipe",) if interval_s is not None else ("pipe", "temporal")
+    root = _measure_style(measure, least_s, without=without)
+    if interval_s is not None:
+        _element(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
+    aliases = _element(root, "aliases")
+    for number, (name, title) in enumerate(titles.items()):
+        SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
+    return _document(root, _QGIS_DOCTYPE)
+
+
+def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
+    """Return the QGIS style of files that carry none: a GeoTIFF (first band) or a table.
+
+    QGIS loads it by itself where it has the name of the file and the ending `.qml`.
+    """
+    root = _measure_style(measure, least_s, without=("temporal", "layerGeometryType"))
+    root.set("styleCategories", "Symbology")
+    return _document(root, _QGIS_DOCTYPE)
+
+
+def ground_qml() -> str:
+    """Return the QGIS style of all tiles as the ground below a heat map, in one colour and hatched.
+
+    Where nothing is drawn above it, nothing was observed; on grey paper the hatch tells it from
+    classes as light as it is.
+    """
+    return (_HERE / "ground.qml").read_text(encoding="utf-8")
+
+
+def _measure_style(measure: str, least_s: float, *, without: tuple[str, ...]) -> Element:
+    """Return `occupancy.qml` with an entry for each class of a measure, without some parts."""
+    root = parse(_HERE / "occupancy.qml").getroot()  # noqa: S314 - our own file
+    for name in without:
+        root.remove(_element(root, name))
+    for parent in ("pipe//colorrampshader", "renderer-v2/ranges", "renderer-v2/symbols"):
+        if (entries := root.find(parent)) is not None:
+            _repeat_for_each_class(entries, measure)
+    if measure == "occupancy":
+        _hatch(_element(root, "renderer-v2"), least_s)
+    _element(root, "mapTip").text = _TIPS.get(measure, "")
+    _element(root, "renderer-v2").set("attr", measure)
+    _element(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
+    return root
+
+
+def _repeat_for_each_class(entries: Element, measure: str) -> None:
+    """Replace the only entry by one for each colour class."""
+    (pattern,) = entries
+    entries.remove(pattern)
+    for number, each in enumerate(colour_classes(measure)):
+        entry = copy.deepcopy(pattern)
+        entries.append(entry)
+        if entry.tag == "item":
+            value = f"{_single(each.upper):.17g}"
+            entry.attrib |= {"value": value, "color": each.colour, "label": each.label}
+        elif entry.tag == "range":
+            entry.attrib |= {"symbol": str(number), "label": each.label}
+            entry.attrib |= {"lower": f"{each.lower:.15f}", "upper": f"{each.upper:.15f}"}
+        else:
+            entry.set("name", str(number))
+            for name in ("color", "outline_color"):
+                _element(entry, f".//Option[@name='{name}']").set("value", _rgba(each.colour))
+
+
+def _hatch(renderer: Element, least_s: float) -> None:
+    """Hatch uncertain tiles in each class, and add an entry to the legend.
+
+    The entry is a class of its own, above all shares, that no tile is in.
+    """
+    pattern = _element(parse(_HERE / "hatch.qml").getroot(), "symbol")  # noqa: S314 - our own file
+    symbols = _element(renderer, "symbols")
+    for symbol, colour in zip(symbols, hatches(), strict=True):
+        layer = copy.deepcopy(_element(pattern, "layer"))
+        shown = f"if({uncertain_rule(least_s)}, 'solid', 'no')"
+        _element(layer, ".//Option[@name='expression']").set("value", shown)
+        _colour_lines(layer, colour)
+        symbol.append(layer)
+    entry = copy.deepcopy(pattern)
+    entry.set("name", str(len(symbols)))
+    line = _element(entry, "layer/symbol/layer")
+    line.remove(_element(line, "data_defined_properties"))
+    _element(line, ".//Option[@name='line_style']").set("value", "solid")
+    _colour_lines(_element(entry, "layer"), HATCH_DARK)
+    symbols.append(entry)
+    bounds = {"lower": "2.000000000000000", "upper": "2.000000000000000"}
+    named = {"symbol": entry.get("name", ""), "render": "true", "label": UNCERTAIN}
+    SubElement(_element(renderer, "ranges"), "range", named | bounds)
+
+
+def _colour_lines(layer: Element, colour: str) -> None:
+    for option in layer.iterfind(".//Option"):
+        if option.get("name") in {"color", "line_color"}:
+            option.set("value", _rgba(colour))
+
+
+def _element(root: Element, path: str) -> Element:
+    found = root.find(path)
+    if found is None:
+        raise LookupError(f"occupancy.qml: no {path}")
+    return found
+
+
+def _shown_ms(interval_s: float) -> int:
+    """Return how long a row is shown, a hundredth of a second less than its interval.
+
+    QGIS compares the times of a GeoPackage as text, one with a Z and one without, and so takes an
+    interval that ends at a moment for one that holds it. 10 ms are more than QGIS loses in
+    rounding, and less than a step.
+    """
+    return max(0, round(interval_s * 1000) - 10)
+
+
+def sld(layer: str, measure: str = "hit_share", *, least_s: float = 0.0) -> str:
+    """Return the style of a layer as Styled Layer Descriptor 1.0, for map servers.
+
+    Occupancy of tiles that were visible for less than `least_s` is hatched as uncertain.
+    """
+    root = Element("StyledLayerDescriptor", {
+        "version": "1.0.0",
+        "xmlns": "http://www.opengis.net/sld",
+        "xmlns:ogc": "http://www.opengis.net/ogc",
+    })  # fmt: skip
+    named = SubElement(root, "NamedLayer")
+    SubElement(named, "Name").text = layer
+    style = SubElement(SubElement(named, "UserStyle"), "FeatureTypeStyle")
+    for level in colour_classes(measure):
+        rule = SubElement(style, "Rule")
+        SubElement(rule, "Name").text = level.label
+        _add_filter(SubElement(rule, "ogc:Filter"), level, measure)
+        fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
+        SubElement(fill, "CssParameter", name="fill").text = level.colour
+    if measure == "occupancy":
+        _add_hatch_rule(style, least_s)
+    return _document(root, '<?xml version="1.0" encoding="UTF-8"?>')
+
+
+def _add_hatch_rule(style: Element, least_s: float) -> None:
+    rule = SubElement(style, "Rule")
+    SubElement(rule, "Name").text = UNCERTAIN
+    either = SubElement(SubElement(rule, "ogc:Filter"), "ogc:Or")
+    vague, least = SubElement(either, "ogc:And"), "ogc:PropertyIsGreaterThanOrEqualTo"
+    _add_comparison(vague, least, "occupancy_se", UNCERTAIN_FROM)
+    beside = SubElement(vague, least)
+    for name in ("occupancy_se", "occupancy"):
+        SubElement(beside, "ogc:PropertyName").text = name
+    _add_comparison(either, "ogc:PropertyIsLessThan", "visible_s", least_s)
+    fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
+    mark = SubElement(SubElement(SubElement(fill, "GraphicFill"), "Graphic"), "Mark")
+    SubElement(mark, "WellKnownName").text = "shape://backslash"
+    stroke = SubElement(mark, "Stroke")
+    SubElement(stroke, "CssParameter", name="stroke").text = HATCH_DARK
+
+
+def _add_filter(parent: Element, level: ColourClass, measure: str) -> None:
+    if level.upper == 0.0:
+        _add_comparison(parent, "ogc:PropertyIsEqualTo", measure, 0.0)
+        return
+    both = SubElement(parent, "ogc:And")
+    _add_comparison(both, "ogc:PropertyIsGreaterThan", measure, level.lower)
+    _add_comparison(both, "ogc:PropertyIsLessThanOrEqualTo", measure, level.upper)
+
+
+def _add_comparison(parent: Element, kind: str, measure: str, value: float) -> None:
+    comparison = SubElement(parent, kind)
+    SubElement(comparison, "ogc:PropertyName").text = measure
+    SubElement(comparison, "ogc:Literal").text = f"{value:g}"
+
+
+def _rgba(colour: str) -> str:
+    parts = bytes.fromhex(colour.removeprefix("#"))
+    return ",".join(map(str, [*parts, 255]))
+
+
+def _single(value: float) -> float:
+    """Return the value as a float32 pixel holds it, so that a pixel on a break stays below."""
+    return float(struct.unpack("f", struct.pack("f", value))[0])
+
+
+def _document(root: Element, heading: str) -> str:
+    indent(root)
+    return f"{heading}\n{tostring(root, encoding='unicode')}\n"

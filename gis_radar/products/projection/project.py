@@ -1,0 +1,462 @@
+"""Points of a recording in the map, as a table, or as GeoPackage, GeoParquet, LAS or LAZ."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import lazy_loader
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import shapely
+
+from gis_radar.base import (
+    QUIET,
+    WRITTEN,
+    Floats,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_write,
+    gps_seconds,
+    name_of,
+    refuse_inputs,
+    require_same,
+    require_true_scale,
+    write_stream,
+)
+from gis_radar.hdmap import LaneletMap
+from gis_radar.poses import Pose, PoseTrack, as_track
+from gis_radar.products.projection.on_lanes import LANE_COLUMNS, OnLanes
+from gis_radar.recordings import Detections, Recording, as_recording
+
+laspy = lazy_loader.load("laspy")  # 0.2 s, and most files written are no scans
+
+
+def project(
+    recording: str | Path | Recording,
+    pose: Pose | PoseTrack,
+    *,
+    roads: LaneletMap | None = None,
+    reporter: Reporter = QUIET,
+) -> gpd.GeoDataFrame:
+    """Return the detections of a recording as points in the map.
+
+    Parameters
+    ----------
+    recording : str, Path or Recording
+        What the sensor recorded.
+    pose : Pose or PoseTrack
+        Where it stood and looked.
+    roads : LaneletMap, optional
+        Adds where each detection lies on the lanes for vehicles: `lanelet_id`, `s_m` along it,
+        `d_m` left of its middle, and `speed_along` it, m/s, by its range rate (null where the lane
+        lies across the line of sight).
+    reporter : Reporter
+        Receives progress, and which columns are renamed.
+
+    Returns
+    -------
+    GeoDataFrame
+        A row a detection: Point Z in the pose's CRS, the recording's columns, `sensor`, and
+        `utc`, the time as a time stamp. A further column of the recording whose name is taken
+        ends in `_recorded`.
+    """
+    batches = _PointStream(as_recording(recording), as_track(pose), reporter, roads)
+    table = pa.Table.from_batches(batches, schema=batches.schema)
+    frame = table.drop_columns([GEOMETRY]).to_pandas()
+    points = shapely.from_wkb(table[GEOMETRY].to_numpy())
+    return gpd.GeoDataFrame(frame, geometry=points, crs=batches.pose.crs)
+
+
+def write_projection(
+    recording: str | Path | Recording,
+    pose: Pose | PoseTrack,
+    path: str | Path,
+    *,
+    roads: LaneletMap | None = None,
+    reporter: Reporter = QUIET,
+) -> int:
+    """Write the detections of a recording as points in the map, in bounded memory.
+
+    Parameters
+    ----------
+    recording, pose, roads, reporter
+        As for :func:`project`.
+    path : str or Path
+        GeoPackage (layer `hits`), LAZ or LAS, or GeoParquet, by its ending. What a format
+        cannot hold is left out with a warning. GeoParquet holds places to 4 mm, and is by far the
+        smallest; QGIS and GDAL read its points from GDAL 3.9 on.
+
+    Returns
+    -------
+    int
+        How many points were written.
+
+    Raises
+    ------
+    UsageError
+        If the ending names no known format.
+    InputError
+        If the recording is damaged.
+    OutputError
+        If the file cannot be written, or is the recording itself.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in WRITERS:
+        raise UsageError(
+            "{}: not a known format for points",
+            path,
+            hint=Text("known endings: {}", ", ".join(WRITERS)),
+        )
+    source = as_recording(recording)
+    refuse_inputs(path, source.path)
+    points = _PointStream(source, as_track(pose), reporter, roads)
+    with atomic_write(path) as part:
+        WRITERS[path.suffix.lower()](points, part)
+    return points.rows
+
+
+SUFFIX = "_recorded"
+GEOMETRY = "geometry"
+OWN = pa.schema(
+    [
+        ("sensor", pa.string()),
+        ("time", pa.float64()),
+        ("utc", pa.timestamp("us", tz="UTC")),
+        *((name, pa.float32()) for name in ("x", "y", "z", "range_rate", "rcs")),
+    ]
+)
+# GeoPackages have columns of these names themselves, and do not distinguish upper and lower case.
+TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
+
+
+def _distinct_names(
+    names: Iterable[str], taken: Collection[str], *, longest: int | None = None
+) -> dict[str, str]:
+    """Give each name one that differs from all others by more than upper and lower case.
+
+    `longest` is the most bytes that a name may have in UTF-8.
+    """
+    used = {name.lower() for name in taken}
+    given: dict[str, str] = {}
+    for name in names:
+        endings = ("", SUFFIX, *(f"{SUFFIX}_{number}" for number in range(2, len(used) + 3)))
+        fresh = next(
+            fitting
+            for ending in endings
+            if (fitting := _fitting(name or "unnamed", ending, longest)).lower() not in used
+        )
+        used.add(fresh.lower())
+        given[name] = fresh
+    return given
+
+
+def _fitting(name: str, ending: str, longest: int | None) -> str:
+    if longest is None:
+        return name + ending
+    room = longest - len(ending.encode())
+    return name.encode()[:room].decode(errors="ignore") + ending
+
+
+def _renamed(names: dict[str, str]) -> list[str]:
+    """Return which names changed, one text a name."""
+    return [f"{name!r} to {fresh!r}" for name, fresh in names.items() if name != fresh]
+
+
+def _plain(kind: pa.DataType) -> pa.DataType:
+    """Return the type of a column's values, without how they are stored."""
+    if pa.types.is_dictionary(kind):
+        return _plain(kind.value_type)
+    if pa.types.is_null(kind):
+        return pa.string()
+    return kind
+
+
+STAGE = "projecting"
+
+
+class _PointStream:
+    """A recording's detections as points in the map, computed while they are read, once.
+
+    All batches are of `schema`, with the geometry as WKB. `pose` is the first one: it names the
+    coordinate system and a place near the points. `rows` counts the points so far.
+    """
+
+    def __init__(
+        self, recording: Recording, track: PoseTrack, reporter: Reporter, roads: LaneletMap | None
+    ) -> None:
+        self._recording, self._track = recording, track
+        if roads is not None:
+            require_same(track.poses[0].crs, roads.crs, what=track.sensor, other_what="the map")
+        self._lanes = None if roads is None else OnLanes(roads)
+        placed = LANE_COLUMNS if self._lanes else pa.schema([])
+        self._batches = recording.read(further=True)
+        self._first = next(self._batches)
+        further = self._first.further.schema
+        self.names = _distinct_names(further.names, (*TAKEN, *placed.names))
+        kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
+        self.schema: pa.Schema = pa.schema([*OWN, *placed, *kept, pa.field(GEOMETRY, pa.binary())])
+        self.pose: Pose = track.poses[0]
+        for pose in track.poses:  # in degrees, in millimetres, with its axes swapped
+            whose = Text("pose of {}", pose.sensor)
+            require_true_scale(pose.crs, pose.easting, pose.northing, what=whose)
+        self.rows = 0
+        self.reporter = reporter
+        if not recording.measures_elevation():
+            level = "measures no elevation: its detections are placed at the height of the sensor"
+            reporter.warn("{}: {} {}", recording.path.name, track.sensor, level)
+        if changed := _renamed(self.names):
+            reporter.warn("{}: columns renamed: {}", recording.path.name, ", ".join(changed))
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        done = 0
+        for rows in chain([self._first], self._batches):
+            batch = self._batch(rows.take(rows.present))
+            self.rows += len(batch)
+            yield batch
+            done += len(rows)
+            self.reporter.progress(STAGE, done, self._recording.rows)
+
+    def _batch(self, detections: Detections) -> pa.RecordBatch:
+        micros = np.rint(detections.time * 1e6).astype(np.int64)
+        own = [
+            pa.array([self._track.sensor] * len(detections), pa.string()),
+            pa.array(detections.time),
+            pa.array(micros).cast(pa.timestamp("us", tz="UTC")),
+            *(_floats(detections.points[:, axis]) for axis in range(3)),
+            _floats(detections.range_rate),
+            _floats(detections.rcs),
+        ]
+        further = [
+            pc.cast(column, self.schema.field(self.names[name]).type)
+            for name, column in zip(
+                detections.further.schema.names, detections.further.columns, strict=True
+            )
+        ]
+        places, sensors = self._in_map(detections)
+        placed = []
+        if self._lanes is not None:
+            placed = self._lanes.columns(places, sensors, detections.range_rate)
+        geometry = pa.array(shapely.to_wkb(shapely.points(places)), pa.binary())
+        return pa.RecordBatch.from_arrays([*own, *placed, *further, geometry], schema=self.schema)
+
+    def _in_map(self, detections: Detections) -> tuple[Floats, Floats]:
+        """Return the places of detections in the map, and those of their sensor."""
+        places, sensors = np.empty_like(detections.points), np.empty_like(detections.points)
+        held = self._track.at(detections.time)
+        for pose_index in np.unique(held):
+            now = held == pose_index
+            places[now] = self._track.poses[pose_index].to_map(detections.points[now])
+            sensors[now] = self._track.poses[pose_index].position
+        return places, sensors
+
+
+def _floats(values: np.ndarray) -> pa.Array:
+    # A value too large for float32 becomes infinite, which readers of the file see.
+    with np.errstate(over="ignore"):
+        return pa.array(values.astype(np.float32))
+
+
+LAYER = "hits"
+PLACE_M = 1.0 / 128.0  # of places in GeoParquet: a radar resolves decimetres
+# GDAL reads it from 3.9 on, GeoPandas from 1.0; as WKB, points take 1.3 to 1.4 times as much.
+POINT = pa.struct([pa.field(axis, pa.float64(), nullable=False) for axis in "xyz"])
+SPLIT = "BYTE_STREAM_SPLIT"
+LEVEL = 14  # of zstd: from here on, split bytes take a sixth less than at 9
+NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
+NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
+
+
+def write_points_geopackage(points: _PointStream, path: Path) -> None:
+    """Write the layer `hits` of a GeoPackage."""
+    kept = [
+        field.name
+        for field in points.schema
+        if not any(is_kind(field.type) for is_kind in NOT_IN_GEOPACKAGE)
+    ]
+    if left := [name for name in points.schema.names if name not in kept]:
+        lost = Text("{}: a GeoPackage cannot hold {}: left out", path.name, ", ".join(left))
+        points.reporter.warn(lost)
+    write_stream(
+        (batch.select(kept) for batch in points),
+        pa.schema([points.schema.field(name) for name in kept]),
+        path,
+        layer=LAYER,
+        geometry_name=GEOMETRY,
+        geometry_type="Point Z",
+        crs=name_of(points.pose.crs),
+    )
+
+
+def write_points_geoparquet(points: _PointStream, path: Path) -> None:
+    """Write a GeoParquet file: points in its native encoding, a column an axis."""
+    crs = points.pose.crs.to_json_dict()
+    column = {"encoding": "point", "geometry_types": ["Point Z"], "crs": crs}
+    geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
+    place = points.schema.get_field_index(GEOMETRY)
+    schema = points.schema.set(place, pa.field(GEOMETRY, POINT))
+    batches = (_in_columns(batch, schema) for batch in points)
+    first = next(batches, None)
+    split = [f"{GEOMETRY}.{field.name}" for field in POINT]
+    split += [] if first is None else _scattered(first)
+    options: dict[str, Any] = {
+        "compression": "zstd", "compression_level": LEVEL, "write_page_checksum": True,
+        "use_dictionary": [name for name in schema.names if name not in {*split, GEOMETRY}],
+        "column_encoding": dict.fromkeys(split, SPLIT),
+    }  # fmt: skip
+    with pq.ParquetWriter(
+        path, schema.with_metadata({"geo": json.dumps(geo)}), **options
+    ) as writer:
+        for batch in chain([] if first is None else [first], batches):
+            writer.write_batch(batch)
+
+
+def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    """Return a batch with points as columns, on a grid whose last digits take no room."""
+    points = shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False))
+    places = shapely.get_coordinates(points, include_z=True)
+    rounded = (np.rint(places / PLACE_M) * PLACE_M).T
+    axes = pa.StructArray.from_arrays([pa.array(axis) for axis in rounded], fields=list(POINT))
+    place = schema.get_field_index(GEOMETRY)
+    columns = [*batch.columns[:place], axes, *batch.columns[place + 1 :]]
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def _scattered(batch: pa.RecordBatch) -> list[str]:
+    """Return the columns of reals that take less room split by bytes than with a dictionary."""
+    names = [field.name for field in batch.schema if pa.types.is_float32(field.type)]
+    return [
+        name
+        for name in names
+        if _size(batch.select([name]), column_encoding={name: SPLIT}, use_dictionary=False)
+        < _size(batch.select([name]), use_dictionary=True)
+    ]
+
+
+def _size(batch: pa.RecordBatch, **options: Any) -> int:
+    """Return how many bytes a batch takes."""
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(
+        sink, batch.schema, compression="zstd", compression_level=LEVEL, **options
+    ) as writer:
+        writer.write_batch(batch)
+    return int(sink.getvalue().size)
+
+
+SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
+POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
+TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
+LONGEST_NAME = 32  # bytes of an extra dimension in LAS
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Dimension:
+    """A column of the points as an extra dimension; `missing` stands for null in integers."""
+
+    column: str
+    name: str
+    kind: type[np.generic]
+    about: str = ""
+    missing: int | None = None
+
+    def params(self) -> Any:
+        about = self.about if self.missing is None else f"missing: {self.missing}"
+        return laspy.ExtraBytesParams(self.name, self.kind, about)
+
+    def values(self, batch: pa.RecordBatch) -> np.ndarray:
+        column = batch[self.column]
+        if self.missing is not None:
+            column = pc.fill_null(pc.cast(column, pa.from_numpy_dtype(self.kind)), self.missing)
+        elif not pa.types.is_floating(column.type):
+            column = pc.cast(column, pa.float64())
+        return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
+
+
+_OURS = (
+    _Dimension(column="time", name="time", kind=np.float64, about="UNIX seconds, UTC"),
+    _Dimension(column="range_rate", name="range_rate", kind=np.float32, about="m/s, receding > 0"),
+    _Dimension(column="rcs", name="rcs", kind=np.float32, about="dBm2"),
+    _Dimension(column="x", name="sensor_x", kind=np.float32, about="m forward of the sensor"),
+    _Dimension(column="y", name="sensor_y", kind=np.float32, about="m left of the sensor"),
+    _Dimension(column="z", name="sensor_z", kind=np.float32, about="m up from the sensor"),
+)
+# Smaller integers are widened: all their values are in use, and none is left for null.
+_INTEGERS: dict[pa.DataType, type[np.signedinteger[Any]]] = {
+    pa.bool_(): np.int8,
+    pa.int8(): np.int16,
+    pa.uint8(): np.int16,
+    pa.int16(): np.int32,
+    pa.uint16(): np.int32,
+    pa.int32(): np.int32,
+    pa.uint32(): np.int64,
+    pa.int64(): np.int64,
+}
+
+
+def write_points_las(points: _PointStream, path: Path) -> None:
+    """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
+    header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
+    header.offsets = np.floor(points.pose.position)
+    header.creation_date = WRITTEN
+    header.scales = np.full(3, SCALE_M)
+    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+    header.add_crs(points.pose.crs)
+    dimensions = _dimensions(points, path, list(header.point_format.dimension_names))
+    header.add_extra_dims([dimension.params() for dimension in dimensions])
+    with laspy.open(path, mode="w", header=header) as writer:
+        for batch in points:
+            writer.write_points(_scan_points(batch, header, dimensions))
+
+
+def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
+    further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
+    numeric = [f for f in further if any(is_kind(f.type) for is_kind in NUMERIC)]
+    taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
+    names = _distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
+    left = [field.name for field in further if field not in numeric]
+    remarks = [Text("left out, no numbers: {}", ", ".join(left))] * bool(left)
+    if changed := _renamed(names):
+        remarks.append(Text("renamed: {}", ", ".join(changed)))
+    if remarks:
+        points.reporter.warn("{}: columns {}", path.name, Text("; ").join(remarks))
+    return [*_OURS, *(_dimension(field, names[field.name]) for field in numeric)]
+
+
+def _dimension(field: pa.Field, name: str) -> _Dimension:
+    if integer := _INTEGERS.get(field.type):
+        lowest = int(np.iinfo(integer).min)
+        return _Dimension(column=field.name, name=name, kind=integer, missing=lowest)
+    if pa.types.is_uint64(field.type):
+        highest = int(np.iinfo(np.uint64).max)
+        return _Dimension(column=field.name, name=name, kind=np.uint64, missing=highest)
+    short = pa.types.is_floating(field.type) and field.type.bit_width <= 32
+    return _Dimension(column=field.name, name=name, kind=np.float32 if short else np.float64)
+
+
+def _scan_points(batch: pa.RecordBatch, header: Any, dimensions: list[_Dimension]) -> Any:
+    scan = laspy.ScaleAwarePointRecord.zeros(len(batch), header=header)
+    places: Floats = shapely.get_coordinates(
+        shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False)), include_z=True
+    )
+    scan.x, scan.y, scan.z = places.T
+    for dimension in dimensions:
+        scan[dimension.name] = dimension.values(batch)
+    scan.gps_time = gps_seconds(scan["time"]) - TIME_OFFSET_S
+    scan.return_number[:] = scan.number_of_returns[:] = 1
+    return scan
+
+
+WRITERS: dict[str, Callable[[_PointStream, Path], None]] = {
+    ".gpkg": write_points_geopackage,
+    ".laz": write_points_las,
+    ".las": write_points_las,
+    ".parquet": write_points_geoparquet,
+}

@@ -1,0 +1,1 @@
+"""QGIS projects that open ready to present, written without QGIS."""

@@ -1,0 +1,328 @@
+"""Write the QGIS project of a folder of results.
+
+The plugin makes its reports from the same `sheet.qpt`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+
+import pyogrio
+from pyproj import CRS
+
+from gis_radar.base import (
+    LANGUAGES,
+    QUIET,
+    Box,
+    Clock,
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+    metric_crs,
+    opened_package,
+    seconds_from_iso,
+    speaking,
+    zone_of,
+)
+from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.hdmap import LANES, STOP_LINES, lane_style
+from gis_radar.measures import sight_of_tiles
+from gis_radar.poses import (
+    SENSORS,
+    UNCERTAINTY,
+    VIEWS,
+    pose_from_dict,
+    read_style,
+    read_track,
+    write_sensors,
+)
+from gis_radar.products.footprints import (
+    FOOTPRINTS,
+    LAYER_DEFAULTS,
+    footprint_style,
+    write_footprints,
+)
+from gis_radar.products.heatmap import style
+from gis_radar.products.heatmap.layers import read_own_styles
+from gis_radar.products.heatmap.step_table import LONG, TIMES
+from gis_radar.products.heatmap.wide_table import WIDE
+from gis_radar.products.qgis.project_file import was_edited, write_project_file
+from gis_radar.products.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
+from gis_radar.scans import SIGHT_LAYER, SightTiles, write_sights
+
+MAP_MARGIN = 0.05
+"""Around what was observed, as a share of its size: the road goes on a little to each side."""
+
+_TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{TIMES}"'  # noqa: S608 - our own name
+
+
+def write_qgis_project(
+    path: str | Path,
+    *,
+    heatmap: str | Path,
+    sensors: str | Path | None = None,
+    sight: str | Path | None = None,
+    lanes: str | Path | None = None,
+    footprints: str | Path | None = None,
+    title: str = "",
+    timezone: str = "UTC",
+    source: str = "",
+    language: str = "en",
+) -> None:
+    """Write a QGIS project with a print layout: a heat map, and the sensors that made it.
+
+    Files are named relative to the project, so that a folder with all of them can be moved.
+
+    Parameters
+    ----------
+    path : str or Path
+        The project, ending in `.qgz`; it appears whole or not at all.
+    heatmap : str or Path
+        Folder of a heat map.
+    sensors : str or Path, optional
+        GeoPackage of :func:`gis_radar.write_sensors`.
+    sight : str or Path, optional
+        GeoPackage of :func:`gis_radar.write_sights`: what the sensors see, off at first.
+    lanes : str or Path, optional
+        GeoPackage with the layers `lanes` and `stop_lines`, as of :func:`gis_radar.write_tiles`.
+    footprints : str or Path, optional
+        GeoPackage of :func:`gis_radar.write_footprints`: the project then plays single vehicles,
+        half second by half second.
+    title : str
+        Of the project and the layout; by default the file's name.
+    timezone : str
+        Of the times on layout and map, such as `Europe/Berlin`.
+    source : str
+        Where the data come from, for the layout.
+    language : str
+        Of the names of layers, of legends and the layout: `en` or `de`.
+
+    Raises
+    ------
+    UsageError
+        If the name does not end in `.qgz`, or there is no such language.
+    InputError
+        If the folder holds no heat map.
+    OutputError
+        If there is a project that somebody has edited.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".qgz":
+        raise UsageError("{}: a QGIS project ends in .qgz", path, hint="end the name in .qgz")
+    if language not in LANGUAGES:
+        raise UsageError("language is {}, expected one of {}", repr(language), ", ".join(LANGUAGES))
+    if was_edited(path):
+        raise OutputError("{}: somebody has edited this project", path, hint="name another output")
+    package = Path(heatmap) / "heatmap.gpkg"
+    with opened_package(package, what="a heat map", hint=Text("make it with: gis-radar heatmap")):
+        crs, box = _observed_box(package)
+        played = _time_range(package)
+        measure = _measure(package)
+        layers = _heatmap_layers(Path(heatmap).resolve(), measure, played.step_s if played else 0.0)
+    if sensors is not None:
+        layers |= _sensor_layers(Path(sensors).resolve())
+    if sight is not None:
+        qml = files("gis_radar.scans.sight").joinpath("sight.qml").read_text(encoding="utf-8")
+        layers["gis_radar_sight"] = LayerSource(Path(sight).resolve(), qml, SIGHT_LAYER)
+    if lanes is not None:
+        layers |= _lane_layers(Path(lanes).resolve())
+    if footprints is not None:
+        layers["gis_radar_footprints"] = LayerSource(
+            Path(footprints).resolve(), footprint_style(), FOOTPRINTS
+        )
+        played = played and played._replace(step_s=LAYER_DEFAULTS.shown_s)
+    played = played and played._replace(timezone=timezone)
+    with speaking(language):
+        time = _local_time(*_recorded(package, played), timezone) if played else ""
+    content = ProjectContent(
+        title=title or path.stem, time=time,
+        source=source, crs=crs, box=box, layers=layers, played=played, measure=measure,
+        language=language,
+    )  # fmt: skip
+    write_project_file(path, project_xml(content, path.resolve().parent))
+
+
+def write_site_project(
+    folder: str | Path,
+    *,
+    footprints: bool = False,
+    title: str = "",
+    timezone: str = "UTC",
+    source: str = "",
+    language: str = "en",
+    reporter: Reporter = QUIET,
+) -> list[Path]:
+    """Write the layers of the sensors and the project into the folder of a site's results.
+
+    A project that somebody has edited stays as it is; the new one is put beside it.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Holds `heatmap/`, the poses as `sensors/NAME/pose.json` or `track.csv`, of which the last
+        pose counts, and `dataset/` of the sensors that the heat map shows; without it, all sensors
+        are shown.
+    footprints : bool
+        Whether the single vehicles of the dataset are written as a layer that the project plays;
+        without it, an earlier such layer is deleted.
+    title : str
+        Of the project; by default the folder's name.
+    timezone, source, language : str
+        As :func:`write_qgis_project` takes them.
+    reporter : Reporter
+        Receives a warning where an edited project is in the way.
+
+    Returns
+    -------
+    list of Path
+        `sensors.gpkg`, where there is a pose, `sight.gpkg`, where there is a dataset,
+        `footprints.gpkg`, where they are asked for and there are vehicles, and `site.qgz`;
+        `site_2.qgz` where that was edited.
+    """
+    folder = Path(folder)
+    place = folder / "dataset"
+    dataset = open_dataset(place) if place.is_dir() else None
+    poses = _poses(folder, dataset)
+    sensors = folder / "sensors.gpkg" if poses else None
+    if sensors is not None:
+        write_sensors([read_track(path).poses[-1] for path in poses], sensors)
+    sight = _write_sight(folder, dataset)
+    vehicles = _write_footprints(folder, dataset if footprints else None, reporter)
+    numbered = (folder / f"site_{number}.qgz" for number in itertools.count(2))
+    names = itertools.chain([folder / "site.qgz"], numbered)
+    project = next(name for name in names if not was_edited(name))
+    if project.name != "site.qgz":
+        reporter.warn("site.qgz was edited and stays as it is; the new project is {}", project.name)
+    tiles = folder / "tiles.gpkg"
+    write_qgis_project(
+        project, heatmap=folder / "heatmap", sensors=sensors, sight=sight, footprints=vehicles,
+        lanes=tiles if _lane_layers(tiles.resolve()) else None,
+        title=title or folder.resolve().name, timezone=timezone, source=source,
+        language=language,
+    )  # fmt: skip
+    return [path for path in (sensors, sight, vehicles, project) if path is not None]
+
+
+def _lane_layers(path: Path) -> dict[str, LayerSource]:
+    """Return the layers of lanes of a file of tiles; none where an older version wrote it."""
+    if not path.is_file():
+        return {}
+    return {
+        f"gis_radar_{table}": LayerSource(path, lane_style(table), table)
+        for table in _filled(path, (LANES, STOP_LINES))
+    }
+
+
+def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
+    """Write what the sensors see, as the dataset has it; None where there is none."""
+    if dataset is None:
+        return None
+    tiles, poses = dataset.tiles(), dataset.poses()
+    road, sights = SightTiles.of(tiles), []
+    for sensor in dataset.sensors:
+        document = poses.loc[poses["sensor"] == sensor, "document"].iloc[-1]
+        pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
+        sights.append(sight_of_tiles(dataset.sight_of(sensor), pose, road))
+    write_sights(sights, tiles, folder / "sight.gpkg")
+    return folder / "sight.gpkg"
+
+
+def _write_footprints(folder: Path, dataset: Dataset | None, reporter: Reporter) -> Path | None:
+    """Write the layer of single vehicles; None where it is not asked for, or there are none."""
+    path = folder / f"{FOOTPRINTS}.gpkg"
+    if dataset is None or not dataset.has_vehicles:
+        path.unlink(missing_ok=True)
+        return None
+    write_footprints(dataset, path, reporter=reporter)
+    return path
+
+
+def _poses(folder: Path, dataset: Dataset | None) -> list[Path]:
+    """Return the poses of the sensors that the heat map shows, by name."""
+    found = {path.parent.name: path for path in (folder / "sensors").glob("*/track.csv")}
+    found |= {path.parent.name: path for path in (folder / "sensors").glob("*/pose.json")}
+    shown = found.keys() if dataset is None else dataset.sensors
+    return [found[name] for name in sorted(found) if name in shown]
+
+
+def _observed_box(package: Path) -> tuple[CRS, Box]:
+    """Return the CRS, and the box around the tiles that were observed, or all where none was."""
+    info = pyogrio.read_info(package, layer=WIDE, force_total_bounds=True)
+    _, boxes = pyogrio.read_bounds(package, layer=WIDE, where="observed_s > 0")
+    crs = metric_crs(info["crs"], what=str(package))
+    west, south, east, north = (float(value) for value in info["total_bounds"])
+    if boxes.shape[1]:
+        west, south = (float(value) for value in boxes[:2].min(axis=1))
+        east, north = (float(value) for value in boxes[2:].max(axis=1))
+    margin = MAP_MARGIN * max(east - west, north - south)
+    return crs, (west - margin, south - margin, east + margin, north + margin)
+
+
+def _time_range(package: Path) -> TimeRange | None:
+    with closing(sqlite3.connect(f"{package.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        begin, first_end, end = database.execute(_TIMES).fetchone()
+    if begin is None:
+        return None
+    length_s = seconds_from_iso(first_end, what="end") - seconds_from_iso(begin, what="begin")
+    return TimeRange(begin, end, round(length_s, 3))
+
+
+def _recorded(package: Path, played: TimeRange) -> tuple[str, str]:
+    """Return begin and end of what was recorded: the last interval may end later."""
+    told = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
+    return told.get("begin", played.begin), told.get("end", played.end)
+
+
+def _local_time(since: str, until: str, timezone: str) -> str:
+    """Return a span of time by the site's clock, with its zone and offset."""
+    begin, end = (datetime.fromisoformat(text) for text in (since, until))
+    clock = Clock(zone=zone_of(timezone), first=begin, last=end)
+    return clock.whole_in_zone(begin, end)
+
+
+def _sensor_layers(path: Path) -> dict[str, LayerSource]:
+    """Return the layers of a file of sensors."""
+    return {
+        f"gis_radar_{table}": LayerSource(path, read_style(table), table)
+        for table in _filled(path, (SENSORS, UNCERTAINTY, VIEWS))
+    }
+
+
+def _filled(path: Path, tables: Sequence[str]) -> list[str]:
+    """Return those of the tables that are there with rows: legends name nothing that is not."""
+    there = {str(name) for name, _ in pyogrio.list_layers(path)}
+    return [
+        table for table in tables
+        if table in there
+        and pyogrio.read_info(path, layer=table, force_feature_count=True)["features"] > 0
+    ]  # fmt: skip
+
+
+def _measure(package: Path) -> str:
+    """Return what a heat map shows: occupancy, where it was made with vehicles."""
+    fields = pyogrio.read_info(package, layer=WIDE)["fields"]
+    return "occupancy" if "occupancy" in fields else "hit_share"
+
+
+def _heatmap_layers(folder: Path, measure: str, step_s: float) -> dict[str, LayerSource]:
+    """Return the layers of a heat map in our own styles, whatever styles its file holds."""
+    package = folder / "heatmap.gpkg"
+    raster = folder / ("heatmap.tif" if measure == "occupancy" else "hits.tif")
+    qml = read_own_styles(package, measure, step_s)
+    layers = {
+        "by_interval": LayerSource(package, qml[LONG], LONG),
+        "heatmap": LayerSource(package, qml[WIDE], WIDE),
+        "ground": LayerSource(package, style.ground_qml(), WIDE),
+    }
+    if raster.is_file():
+        layers["raster"] = LayerSource(raster, style.sidecar_qml(measure))
+    # No id may begin as another: QGIS's lists of layers would drop the wrong one.
+    return {f"gis_radar_{name}": layer for name, layer in layers.items()}

@@ -1,0 +1,198 @@
+"""Count frames by sensor and hour, from the table of frames of a dataset."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import LONGEST_CYCLE_S, Integers, Reporter
+from gis_radar.dataset import FRAMES, Dataset
+from gis_radar.measures import FrameTimes
+
+HOUR_S = 3600
+QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
+
+
+def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
+    """Return for each time the UTC second in which its hour of local time began.
+
+    Parameters
+    ----------
+    time_us : (n,) int64 array
+        Microseconds since the UNIX epoch.
+    zone : ZoneInfo
+        Whose hours. Where clocks are set back, the hour that comes twice is two hours.
+    """
+    quarter, place = np.unique(time_us // (QUARTER_S * 1_000_000), return_inverse=True)
+    local = pd.to_datetime(quarter * QUARTER_S, unit="s", utc=True).tz_convert(zone)
+    into_hour = local.minute.to_numpy(np.int64) * 60 + local.second.to_numpy(np.int64)
+    return np.asarray((quarter * QUARTER_S - into_hour)[place])
+
+
+STAGE = "data quality"
+Columns = dict[str, Integers]
+
+
+@dataclass(kw_only=True)
+class Count:
+    """Sums over the frames of a sensor in an hour.
+
+    Parameters
+    ----------
+    frames, dropped, doubled, repeated, high : int
+        Frames received; missing between them; less than half a cycle after the one before; equal
+        to the one before; with a high share of the seen tiles hit.
+    detections, moving, wild : int
+        Detections; those that move; those too fast for any vehicle.
+    hits, fewest, most : int
+        Tiles hit: the sum, the least and the most in a frame.
+    share : float
+        Sum of the shares of the seen tiles that were hit.
+    seen : int
+        The most tiles seen.
+    shift_us : int
+        Sum of the corrections of the clock.
+    """
+
+    frames: int = 0
+    dropped: int = 0
+    doubled: int = 0
+    repeated: int = 0
+    high: int = 0
+    detections: int = 0
+    moving: int = 0
+    wild: int = 0
+    hits: int = 0
+    fewest: int = 1 << 62
+    most: int = 0
+    share: float = 0.0
+    seen: int = 0
+    shift_us: int = 0
+
+    def add(self, rows: Columns, high: float) -> None:
+        """Add frames; over a share `high` of the seen tiles hit, a frame is high."""
+        self.frames += len(rows["time_us"])
+        for name in ("detections", "moving", "wild", "shift_us", "doubled", "repeated"):
+            setattr(self, name, getattr(self, name) + int(rows[name].sum()))
+        hit, seen = rows["tiles_hit"], rows["tiles_seen"]
+        share = hit / np.maximum(seen, 1)
+        self.hits += int(hit.sum())
+        self.fewest, self.most = min(self.fewest, int(hit.min())), max(self.most, int(hit.max()))
+        self.share += float(share.sum())
+        self.high += int((share > high).sum())
+        self.seen = max(self.seen, int(seen.max()))
+
+
+COLUMNS = (
+    "time_us", "detections", "moving", "wild", "tiles_hit", "tiles_seen", "checksum", "shift_us",
+)  # fmt: skip
+
+
+def _frames(dataset: Dataset) -> Iterator[tuple[int, Columns]]:
+    """Yield the frames of an hour, sensor by sensor, with the sensor's number among all."""
+    numbers = {name: number for number, name in enumerate(dataset.sensors)}
+    for rows in dataset.batches(FRAMES, columns=["sensor", *COLUMNS]):
+        sensors = rows["sensor"].to_pandas()
+        for name, places in sensors.groupby(sensors, sort=True).indices.items():
+            part = slice(int(places[0]), int(places[-1]) + 1)
+            columns = {each: rows[each].to_numpy().astype(np.int64)[part] for each in COLUMNS}
+            yield numbers[str(name)], columns
+
+
+def frame_times(dataset: Dataset) -> dict[int, FrameTimes]:
+    """Return when frames came, by the sensor's number among `dataset.sensors`."""
+    found: dict[int, FrameTimes] = defaultdict(FrameTimes)
+    for number, columns in _frames(dataset):
+        found[number].add(columns["time_us"])
+    return dict(found)
+
+
+Counts = dict[tuple[int, int], Count]
+Gap = tuple[int, int, int]  # the sensor's number, and when the gap begins and ends, us
+
+
+def count_frames(
+    dataset: Dataset, times: dict[int, FrameTimes], zone: ZoneInfo, high: float,
+    reporter: Reporter,
+) -> Counts:  # fmt: skip
+    """Count by sensor (its number) and hour (the UTC second of its begin).
+
+    Only hours in which some sensor has a frame count. In them frames are missing where a sensor's
+    next one comes over 1.5 cycles later, and before its first and after its last frame, from the
+    first to the last frame of all.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With its frames.
+    times : dict
+        When frames came, as from :func:`frame_times`.
+    zone : ZoneInfo
+        Whose hours.
+    high : float
+        Over this share of the seen tiles hit a frame is high.
+    reporter : Reporter
+        Receives the progress.
+    """
+    counts: Counts = defaultdict(Count)
+    begin_us = min(each.first_us for each in times.values())
+    end_us = max(each.last_us for each in times.values())
+    before: dict[int, Columns] = {}
+    done = 0
+    lost: list[Gap] = []
+    for number, mine in _frames(dataset):
+        lost += _compare(mine, before.get(number, mine), number, times[number].cycle_us)
+        before[number] = {name: column[-1:] for name, column in mine.items()}
+        hours = hour_begins(mine["time_us"], zone)
+        for hour in np.unique(hours).tolist():
+            part = {name: column[hours == hour] for name, column in mine.items()}
+            counts[number, hour].add(part, high)
+        done += len(mine["time_us"])
+        reporter.progress(STAGE, done, None)
+    for number, each in times.items():
+        # As if a frame came just beyond both ends: what is missing up to there counts too.
+        room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
+        lost.append((number, int(begin_us - room_us), each.first_us))
+        lost.append((number, each.last_us, int(end_us + room_us)))
+    _add_lost(counts, lost, times)
+    return dict(counts)
+
+
+def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> list[Gap]:
+    """Mark frames that are doubled or repeated; return the gaps in which frames are missing.
+
+    The first frame is compared with the row `before`; where that is itself, it is neither.
+    """
+    gap, of_sum, of_count = (
+        np.diff(mine[name], prepend=before[name][:1])
+        for name in ("time_us", "checksum", "detections")
+    )
+    later = np.ones(len(gap), np.bool_)
+    later[0] = before is not mine
+    same = (of_sum == 0) & (of_count == 0) & (mine["detections"] > 0)
+    mine["repeated"] = (later & same).astype(np.int64)
+    mine["doubled"] = (later & (gap < cycle_us / 2)).astype(np.int64)
+    wide = np.flatnonzero(gap > 1.5 * cycle_us)
+    time = mine["time_us"]
+    return [(number, int(time[i] - gap[i]), int(time[i])) for i in wide]
+
+
+def _add_lost(counts: Counts, lost: list[Gap], times: dict[int, FrameTimes]) -> None:
+    """Count the frames missing in gaps, in the hours in which any sensor has a frame."""
+    hours = np.unique([hour for _, hour in counts])
+    for number, begin_us, end_us in lost:
+        cycle_us = times[number].cycle_us
+        missing = round((end_us - begin_us) / cycle_us) - 1
+        if missing < 1 or not np.isfinite(cycle_us):
+            continue
+        low = np.searchsorted(hours, begin_us // 1_000_000 - HOUR_S)
+        for hour in hours[low : np.searchsorted(hours, end_us // 1_000_000 + 1)].tolist():
+            first = max(np.ceil((hour * 1e6 - begin_us) / cycle_us), 1)
+            last = min(np.ceil(((hour + HOUR_S) * 1e6 - begin_us) / cycle_us) - 1, missing)
+            if last >= first:
+                counts[number, hour].dropped += int(last - first + 1)

@@ -1,0 +1,413 @@
+"""Measure data quality: one row a sensor and hour, with a verdict in words.
+
+The verdicts are those that freeway operators use for loop detectors (PeMS), adapted to radar: no
+data, too few samples, never hit, hit too much, constant, and hits without motion.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import (
+    CLOCK_SET_S,
+    QUIET,
+    InputError,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_write,
+    axes_or_new,
+    csv_style,
+    seconds_from_iso,
+    table_card,
+    zone_of,
+)
+from gis_radar.dataset import Dataset
+from gis_radar.products.quality.counting import HOUR_S, Count, count_frames, frame_times
+
+GOOD = "good"
+NO_DATA = "no data"
+
+
+@dataclass(frozen=True, kw_only=True)
+class QualitySettings:
+    """Thresholds by which the hour of a sensor is at fault; those in effect are in the figures.
+
+    Shares are of the frames, if not stated else. The verdicts follow those of loop detectors (PeMS,
+    Chen et al. 2003); the thresholds are far from what the simulated sites give (no fault).
+
+    Parameters
+    ----------
+    least_share : float
+        Received of the frames expected, at least.
+    high, high_share : float
+        Share of the seen tiles hit in a frame that is high, and how many frames may be high.
+    least_moving : float
+        Share of the detections that move, at least: a street at night has some.
+    most_doubled, most_repeated : float
+        Frames that follow within half a cycle, or repeat the positions of the one before.
+    most_wild : float
+        Share of the detections faster than any vehicle: noise gives some.
+    frames_judged : int
+        Of fewer frames, 5 s at 20 Hz, only their number is judged.
+    clock_set_s : float
+        An earlier hour, UNIX seconds, is that of a clock that was never set.
+    """
+
+    least_share: float = 0.6
+    high: float = 0.7
+    high_share: float = 0.2
+    least_moving: float = 0.001
+    most_doubled: float = 0.05
+    most_repeated: float = 0.2
+    most_wild: float = 0.02
+    frames_judged: int = 100
+    clock_set_s: float = CLOCK_SET_S
+
+
+DEFAULTS = QualitySettings()
+
+
+def faults_of(count: Count, hour: int, settings: QualitySettings = DEFAULTS) -> Iterator[str]:
+    """Yield the faults of a sensor in an hour, worst first.
+
+    Parameters
+    ----------
+    count : Count
+        Its frames in that hour.
+    hour : int
+        UNIX second in which the hour began.
+    settings : QualitySettings
+        The thresholds.
+    """
+    if count.frames == 0:
+        yield NO_DATA
+        return
+    single = count.frames - count.doubled
+    expected = single + count.dropped
+    if single < settings.least_share * expected:
+        yield Text("{:.0f} % of the frames expected", 100 * single / expected)
+    if hour < settings.clock_set_s:
+        yield "clock not set"
+    if count.frames >= settings.frames_judged:
+        yield from _faults_of_frames(count, settings)
+
+
+def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
+    if count.doubled > settings.most_doubled * count.frames:
+        yield Text("{:.0f} % of the frames come twice", 100 * count.doubled / count.frames)
+    if count.repeated > settings.most_repeated * count.frames:
+        yield Text(
+            "frozen: {:.0f} % of the frames repeat the last", 100 * count.repeated / count.frames
+        )
+    if count.detections == 0:
+        yield "all frames are empty"
+        return
+    if count.seen == 0:
+        yield "sees no tile"
+    elif count.hits == 0:
+        yield "no tile is ever hit"
+    elif count.high > settings.high_share * count.frames:
+        yield Text(
+            "over {:.0f} % of its tiles hit in {:.0f} % of the frames",
+            100 * settings.high,
+            100 * count.high / count.frames,
+        )
+    elif count.fewest == count.most:
+        yield "hit share is constant"
+    if count.hits and count.moving < settings.least_moving * count.detections:
+        yield "hits without motion"
+    if count.wild > settings.most_wild * count.detections:
+        yield Text(
+            "{:.0f} % of the detections are absurdly fast", 100 * count.wild / count.detections
+        )
+
+
+MOST_NUMBERS = 24  # hours; beyond that numbers would overlap
+KINDS = {"good": "#a8c8e8", "at fault": "#d9641a", "no data": "#e5e7eb"}
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Quality:
+    """Data quality of a dataset, by sensor and hour.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a sensor and hour: `sensor`; `begin`, `end` (UTC); `date`, `hour`, `weekday`
+        of local time; `frames_expected`, `frames`, `dropped`, `doubled`, `repeated`;
+        `detections_per_frame`, `moving_share`, `wild_share`; `tiles_hit_share`, the mean share
+        of the seen tiles hit in a frame; `clock_offset_s`, by which the clock was corrected;
+        `pose`, `pose_age_h`; `verdict`, "good" or the faults.
+    timezone : str
+        Of the local hours.
+    settings : QualitySettings
+        Thresholds in effect.
+    without_elevation : frozenset of str
+        Sensors that measure no elevation.
+    verdicts : mapping
+        The verdicts as texts that can be translated, by what stands in the table.
+    """
+
+    table: pd.DataFrame
+    timezone: str
+    settings: QualitySettings = DEFAULTS
+    without_elevation: frozenset[str] = frozenset()
+    verdicts: Mapping[str, str] = field(default_factory=dict)
+
+    def verdict(self, told: str) -> str:
+        """Return a verdict of the table as a text that can be translated."""
+        return self.verdicts.get(told, told)
+
+    def figures(self) -> dict[str, Any]:
+        """Return a line a sensor, and the thresholds in effect."""
+        return {**self.lines(), "settings": asdict(self.settings)}
+
+    def lines(self) -> dict[str, str]:
+        """Return a line a sensor: how many hours are good, and the faults of the others."""
+        lines: dict[str, str] = {}
+        for sensor, rows in self.table.groupby("sensor"):
+            good = int((rows["verdict"] == GOOD).sum())
+            bad = rows.loc[rows["verdict"] != GOOD, "verdict"].value_counts()
+            wrong = [Text("{} ({} h)", self.verdict(str(t)), hours) for t, hours in bad.items()]
+            level = ["measures no elevation"] if sensor in self.without_elevation else []
+            hours_good = Text("{} of {} hours good", good, len(rows))
+            lines[str(sensor)] = Text("; ").join([hours_good, *level, *wrong])
+        return lines
+
+    def warnings(self) -> list[str]:
+        """Return one line for each sensor that is not good throughout."""
+        bad = self.table[self.table["verdict"] != GOOD]
+        return [
+            Text(
+                "{}: {} (in {} of its hours, first in that from {})",
+                sensor,
+                self.verdict(rows["verdict"].iloc[0]),
+                len(rows),
+                f"{rows['begin'].iloc[0]:%Y-%m-%dT%H:%MZ}",
+            )
+            for sensor, rows in bad.groupby("sensor")
+        ]
+
+    def write(self, path: str | Path, *, csv_locale: str = "en") -> Path:
+        """Write the table as CSV (times as ISO 8601 with Z) or Parquet, by the file's ending.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where.
+        csv_locale : str
+            `de` writes CSV as a German spreadsheet opens it: semicolons, decimal commas, and the
+            mark of UTF-8.
+
+        Raises
+        ------
+        UsageError
+            If the ending is another, or there is no such locale.
+        OutputError
+            If the place cannot be written.
+        """
+        path = Path(path)
+        require_table_name(path)
+        style = csv_style(csv_locale)
+        with atomic_write(path) as part:
+            if path.suffix.lower() == ".csv":
+                self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ", **style)
+            else:
+                self.table.to_parquet(part, index=False)
+        return path
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw sensors by hours: good, at fault, or without data, with the share of frames.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where; without it, on a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        from matplotlib.colors import ListedColormap  # noqa: PLC0415 - only who draws waits for it
+        from matplotlib.patches import Patch  # noqa: PLC0415
+
+        table, timezone = self.table, self.timezone
+        sensors, hours = table["sensor"].unique(), np.sort(table["begin"].unique())
+        ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * len(sensors)))
+        row = pd.Index(sensors).get_indexer(table["sensor"])
+        column = pd.Index(hours).get_indexer(table["begin"])
+        kind = np.full((len(sensors), len(hours)), 2)
+        bad = (table["verdict"] != GOOD).to_numpy(int)
+        kind[row, column] = np.where(table["verdict"] == NO_DATA, 2, bad)
+        ax.pcolormesh(kind, cmap=ListedColormap(list(KINDS.values())), vmin=0, vmax=2,
+                      edgecolors="white", linewidth=1.0)  # fmt: skip
+        if len(hours) <= MOST_NUMBERS:
+            expected = table["frames_expected"].clip(lower=1)
+            share = (100.0 * (table["frames"] - table["doubled"]) / expected).round()
+            for x, y, text in zip(column, row, share, strict=True):
+                ax.text(x + 0.5, y + 0.5, f"{text:.0f} %", ha="center", va="center", fontsize=8)
+        local = pd.DatetimeIndex(hours).tz_convert(timezone)
+        every = max(1, len(hours) // 12)
+        labels = [f"{t:%H:%M}" + (f"\n{t:%Y-%m-%d}" if i == 0 or t.hour == 0 else "")
+                  for i, t in enumerate(local)]  # fmt: skip
+        ax.set_xticks(np.arange(0, len(hours), every) + 0.5, labels[::every])
+        ax.set_yticks(np.arange(len(sensors)) + 0.5, sensors)
+        ax.invert_yaxis()
+        ax.tick_params(length=0)
+        ax.set(xlabel=f"hour ({timezone})", title="Data quality; share of the frames expected")
+        ax.legend(handles=[Patch(color=c, label=n) for n, c in KINDS.items()], frameon=False,
+                  loc="upper left", bbox_to_anchor=(1.0, 1.0))  # fmt: skip
+        return ax
+
+    def _repr_html_(self) -> str:
+        columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]
+        title = f"Quality by sensor and hour ({self.timezone})"
+        return table_card(title, columns, self.table[columns].to_numpy(object).tolist())
+
+    def __repr__(self) -> str:
+        lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.lines().items())
+        return f"Quality({lines})"
+
+
+def require_table_name(path: str | Path) -> None:
+    """Refuse a name that ends neither in CSV nor in Parquet, before the work and not after it."""
+    if Path(path).suffix.lower() not in {".csv", ".parquet"}:
+        raise UsageError("{}: not a known table format", path, hint="use .csv or .parquet")
+
+
+def measure_quality(
+    dataset: Dataset,
+    *,
+    timezone: str = "UTC",
+    settings: QualitySettings = DEFAULTS,
+    reporter: Reporter = QUIET,
+) -> Quality:
+    """Measure by sensor and hour which frames a dataset is made from, and judge them.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        As from :func:`gis_radar.open_dataset`.
+    timezone : str
+        Whose hours, days and weekdays: a name such as Europe/Berlin.
+    settings : QualitySettings
+        Thresholds of the verdicts.
+    reporter : Reporter
+        Receives the progress.
+
+    Raises
+    ------
+    UsageError
+        If there is no such time zone.
+    InputError
+        If the dataset holds no frame.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> pose = gr.read_pose(sample / "R1.json")
+    >>> ds = gr.measure([sample / "R1.parquet"], [pose], tiles, sample / "junction.osm", "site")
+    >>> gr.measure_quality(ds)
+    Quality(R1: 1 of 1 hours good)
+    """
+    zone = zone_of(timezone)
+    times = frame_times(dataset)
+    if not times:
+        raise InputError("{}: holds no frame", dataset.folder, hint="were the recordings empty?")
+    counts = count_frames(dataset, times, zone, settings.high, reporter)
+    poses = _poses(dataset.poses())
+    hours = sorted({hour for _, hour in counts})
+    rows = [
+        _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone, settings)
+        for number, sensor in enumerate(dataset.sensors)
+        if number in times
+        for hour in hours
+    ]
+    recordings = dataset.recordings()
+    level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
+    verdicts = {row["verdict"]: row["verdict"] for row in rows}
+    return Quality(
+        table=pd.DataFrame(rows), timezone=timezone, settings=settings,
+        without_elevation=frozenset(level), verdicts=verdicts,
+    )  # fmt: skip
+
+
+Poses = list[tuple[float, str]]
+
+
+def _poses(table: pd.DataFrame) -> dict[str, Poses]:
+    """Return by sensor when its poses were found (NaN where not known), and their text."""
+    found: dict[str, set[tuple[float, str]]] = {}
+    for document in table["document"]:
+        pose = json.loads(document)
+        text = ", ".join(
+            f"{pose[name]:.2f} {unit}"
+            for name, unit in (("easting", "E"), ("northing", "N"), ("height", "m"))
+        )
+        angles = " ".join(f"{name} {pose[name]:.2f}" for name in ("yaw", "pitch", "roll"))
+        found.setdefault(pose["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
+    return {  # those of known times first; two NaN do not compare
+        sensor: sorted(poses, key=lambda pose: (np.isnan(pose[0]), np.nan_to_num(pose[0]), pose[1]))
+        for sensor, poses in found.items()
+    }
+
+
+def _time_of(pose: dict[str, Any]) -> float:
+    try:
+        return seconds_from_iso(str(pose["time"]), what=Text("time of a pose"))
+    except (KeyError, InputError):
+        return float("nan")
+
+
+def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
+    """Return the pose that was in force, and its age in hours."""
+    if not poses:
+        return "", float("nan")
+    held = [pose for pose in poses if pose[0] < second + HOUR_S] or poses[:1]
+    since, text = held[-1]
+    return text, (second - since) / HOUR_S
+
+
+def _row(
+    sensor: str, hour: int, count: Count | None, poses: Poses, zone: ZoneInfo,
+    settings: QualitySettings = DEFAULTS,
+) -> dict[str, Any]:  # fmt: skip
+    count = count or Count()
+    begin = pd.Timestamp(hour, unit="s", tz=UTC)
+    local = begin.tz_convert(zone)
+    pose, age_h = _pose_at(poses, hour)
+    frames, detections = max(count.frames, 1), max(count.detections, 1)
+    nothing = count.frames == 0
+    return {
+        "sensor": sensor,
+        "begin": begin,
+        "end": pd.Timestamp(hour + HOUR_S, unit="s", tz=UTC),
+        "date": f"{local:%Y-%m-%d}",
+        "hour": local.hour,
+        "weekday": f"{local:%A}",
+        "frames_expected": count.frames - count.doubled + count.dropped,
+        "frames": count.frames,
+        "dropped": count.dropped,
+        "doubled": count.doubled,
+        "repeated": count.repeated,
+        "detections_per_frame": np.nan if nothing else count.detections / frames,
+        "moving_share": np.nan if count.detections == 0 else count.moving / detections,
+        "wild_share": np.nan if count.detections == 0 else count.wild / detections,
+        "tiles_hit_share": np.nan if nothing or count.seen == 0 else count.share / frames,
+        "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
+        "pose": pose,
+        "pose_age_h": age_h,
+        "verdict": Text("; ").join(faults_of(count, hour, settings)) or GOOD,
+    }

@@ -1,0 +1,400 @@
+"""What a report rests on: recorded time, road seen, tracks, poses; and what may be concluded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import (
+    NOTHING,
+    STEP_S,
+    STEPS_PER_SECOND,
+    Clock,
+    Text,
+    figure_text,
+    listed,
+    percent,
+    plural,
+    plus_minus,
+    seconds_text,
+    tr,
+)
+from gis_radar.measures import Runs
+from gis_radar.products.heatmap.occupancy import mean_occupancy
+from gis_radar.products.quality.quality import GOOD, Quality
+from gis_radar.products.report import names
+from gis_radar.products.report.content import Column, Fact, Table, text_rows
+from gis_radar.products.report.lanes import RANKS, LaneSums, shown_of
+from gis_radar.products.report.results import NOT_KNOWN, Results
+from gis_radar.scans import VIEW_ONLY
+
+SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
+DAY_S = 86_400.0
+MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
+
+
+class Findings(NamedTuple):
+    """What page, paper and tables are made of."""
+
+    results: Results
+    title: str
+    clock: Clock
+    quality: Quality | None  # what sensors delivered; None where that is not known
+    lanes: LaneSums
+    table: pd.DataFrame  # the lanes over the whole time, from `lane_table`
+
+
+def recorded_runs(results: Results) -> dict[str, Runs]:
+    """Return the steps in which frames of each sensor are valid; none where that is not known."""
+    if results.dataset is None:
+        return {}
+    return {name: results.dataset.frame_steps(name) for name in results.dataset.sensors}
+
+
+def recorded_s(results: Results) -> float:
+    """Return how long any sensor delivered frames, seconds; NaN where that is not known."""
+    if results.dataset is None:
+        return float("nan")
+    return results.dataset.frame_steps().steps * STEP_S
+
+
+def totals_of(found: Findings) -> dict[str, Any]:
+    """Count the totals of the whole time; the highest lane is None where none may be named."""
+    heat, table, measure = found.results.heat, found.table, found.results.heat.measure
+    shares, length_m = shown_of(heat), heat.tiles["length_m"].to_numpy(np.float64)
+    seen = shares.base_s > 0
+    base, touched = ("visible", "occupied") if measure == "occupancy" else ("observed", "hit")
+    seconds = recorded_s(found.results)
+    totals = {
+        "recorded_s": round(seconds, 2) if np.isfinite(seconds) else None,
+        "lanes": len(table),
+        f"lanes_{base}": int(table["share"].notna().sum()),
+        "lane_length_m": round(float(length_m.sum()), 2),
+        f"lane_length_{base}_m": round(float(length_m[seen].sum()), 2),
+        f"tiles_{base}": int(seen.sum()),
+        f"tiles_{touched}": int(np.count_nonzero(shares.part_s[seen])),
+    }
+    known = heat.occupancy_shares()
+    if known is None or not seen.any():
+        return totals
+    mean, error = mean_occupancy(heat.tiles, known)
+    top = table.iloc[0] if table["rank"].iloc[0] == 1 else None
+    return totals | {
+        "lanes_ranked": int(table["rank"].gt(0).sum()),
+        "highest_lane": None if top is None else int(top["lane"]),
+        "highest_lane_occupancy": None if top is None else round(float(top["share"]), 6),
+        "highest_lane_se": None if top is None else round(float(top["share_se"]), 6),
+        "highest_lane_tracks": None if top is None else int(top["tracks"]),
+        "mean_occupancy": round(mean, 6),
+        "mean_occupancy_se": round(error, 6),
+        **found.results.traffic,
+    }
+
+
+def facts_of(found: Findings) -> list[Fact]:
+    """Return the figures at the top, each with what it rests on."""
+    total, measure = totals_of(found), found.results.heat.measure
+    base = "visible" if measure == "occupancy" else "observed"
+    sensors, lasts = found.results.sensors, total["recorded_s"]
+    length, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
+    names = listed(sensors) if len(sensors) < 5 else ""
+    facts = [
+        Fact(tr("Recorded"), tr(NOT_KNOWN) if lasts is None else seconds_text(lasts),
+             _span_text(found)),
+        Fact(tr("Sensors"), str(len(sensors)) if sensors else tr(NOT_KNOWN), names),
+        Fact(
+            tr("Lane length visible" if measure == "occupancy" else "Lane length observed"),
+            tr("{part} of {all} m", part=figure_text(length), all=figure_text(whole)),
+            tr("{part} of {all} lanes", part=total[f"lanes_{base}"], all=total["lanes"]),
+        ),
+    ]  # fmt: skip
+    if "mean_occupancy" not in total:
+        return facts
+    if "vehicles" in total:
+        heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
+        facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
+    mean = percent(total["mean_occupancy"], off=total["mean_occupancy_se"])
+    facts.append(Fact(tr("Mean occupancy"), mean, tr("of all road that was visible")))
+    return [*facts, _highest(found)]
+
+
+def _span_text(found: Findings) -> str:
+    """Return how long the time is from begin to end."""
+    begin, end = found.results.heat.whole.span()
+    return tr("in {time} from begin to end", time=seconds_text((end - begin).total_seconds()))
+
+
+def _highest(found: Findings) -> Fact:
+    """Return the lane of the highest occupancy, where one may be named."""
+    name, top = tr("Highest lane"), found.table.iloc[0]
+    if top["rank"] != 1:
+        return Fact(name, tr("none to be named"), tr("see: Lanes"))
+    ranked = int((found.table["rank"] > 0).sum())
+    rests = tr(
+        "{tracks}, {share} of its length; first of {lanes}",
+        tracks=plural(int(top["tracks"]), "{n} track", "{n} tracks"),
+        lanes=plural(ranked, "{n} ranked lane", "{n} ranked lanes"),
+        share=percent(top["base_m"] / top["length_m"], 0),
+    )
+    share = percent(top["share"], off=top["share_se"])
+    return Fact(name, f"{int(top['lane'])}: {share}", rests)
+
+
+def as_high_as(table: pd.DataFrame) -> list[str]:
+    """Return the ranked lanes that may be as high as the first: within the error of both."""
+    ranked = table[table["rank"] > 0]
+    if len(ranked) < 2:
+        return []
+    top, others = ranked.iloc[0], ranked.iloc[1:]
+    apart = top["share"] - others["share"]
+    near = apart <= np.hypot(top["share_se"], others["share_se"].to_numpy(np.float64))
+    return [str(lane) for lane in others.loc[near, "lane"]]
+
+
+def basis_of(found: Findings) -> Table:
+    """Return what the report rests on: a row a thing, with what follows from it."""
+    rows = [
+        recorded_row(found), _seen(found), *_tracked(found), *_ranked(found),
+        _placed(found.results), _hidden(found.results), _delivered(found), _made_of(found.results),
+    ]  # fmt: skip
+    columns = (
+        Column(tr("What"), "", str, False),
+        Column(tr("Here"), "", str, False),
+        Column(tr("What follows"), "", str, False),
+    )
+    caption = tr("What the figures of this report rest on")
+    return Table(name="basis", caption=caption, columns=columns, rows=rows)
+
+
+def recorded_row(found: Findings) -> list[str]:
+    """Return how much was recorded, and what it holds for.
+
+    Parameters
+    ----------
+    found : Findings
+        What the report shows.
+
+    Returns
+    -------
+    list of str
+        Title, seconds by sensor, and what follows, in the language of who reads.
+    """
+    runs = recorded_runs(found.results)
+    each = [f"{name} {seconds_text(part.steps * STEP_S)}" for name, part in runs.items()]
+    seconds = recorded_s(found.results)
+    if not each:
+        here, follows = tr(NOT_KNOWN), tr("How much was recorded is not known.")
+    else:
+        here = seconds_text(seconds) + (f" ({', '.join(each)})" if len(each) < 13 else "")
+        follows = tr("Holds for this time, and not for other hours or days.")
+        if seconds < SHORT_S:
+            follows = tr("A few cycles of a signal: nothing about a usual hour or day.")
+        elif round(seconds) < DAY_S:  # the last frame ends a day some milliseconds early
+            follows = tr("Less than a day: nothing about the hours that were not recorded.")
+    return [tr("Recorded"), f"{here}; {found.clock.name}", follows]
+
+
+def _seen(found: Findings) -> list[str]:
+    total, measure = totals_of(found), found.results.heat.measure
+    base = "visible" if measure == "occupancy" else "observed"
+    part, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
+    here = tr(
+        "{part} of {all} m of lane ({share})",
+        part=figure_text(part), all=figure_text(whole), share=percent(part / whole, 0),
+    )  # fmt: skip
+    text = "Road that no sensor saw has no value: it is hatched in grey, and is not 0 %."
+    return [tr("Road seen"), here, tr(text)]
+
+
+def _tracked(found: Findings) -> list[list[str]]:
+    """Return what is known of vehicles, in reports of occupancy."""
+    if found.results.heat.measure != "occupancy":
+        return []
+    total = totals_of(found)
+    here, follows = tr(NOT_KNOWN), tr("How many vehicles the figures rest on is not known.")
+    if "vehicles" in total:
+        heavy = figure_text(total["heavy"])
+        tracks = plural(total["vehicles"], "{n} track", "{n} tracks")
+        here = tr("{tracks}, {heavy} of heavy vehicles", tracks=tracks, heavy=heavy)
+        follows = tr("No count of vehicles: a track may be a piece of a vehicle's way.")
+    return [[tr("Vehicles followed"), here, follows]]
+
+
+def _ranked(found: Findings) -> list[list[str]]:
+    """Return which lanes are compared, in reports of occupancy."""
+    if found.results.heat.measure != "occupancy":
+        text = "Hits compare one place over time; lanes are in the order of their numbers."
+        return [[tr("Lanes compared"), tr("none"), tr(text)]]
+    number, all_of_them = int(found.table["rank"].gt(0).sum()), len(found.table)
+    here = tr("{part} of {all} lanes are ranked", part=number, all=all_of_them)
+    rule = tr(
+        "Ranked is a lane with {tracks} tracks or more, {share} of its length visible or more, "
+        "and a standard error of at most half its occupancy.",
+        tracks=RANKS.least_tracks, share=percent(RANKS.least_seen, 0),
+    )  # fmt: skip
+    return [[tr("Lanes compared"), here, rule]]
+
+
+def _placed(results: Results) -> list[str]:
+    """Return how well it is known where the sensors stand."""
+    known = []
+    for pose in results.poses:
+        sigma = pose.parsed_evidence().sigma
+        if {"easting", "northing", "yaw"} <= set(sigma):
+            across = float(np.hypot(sigma["easting"], sigma["northing"]))
+            turned = plus_minus(sigma["yaw"], 2, "°")
+            known.append(f"{pose.sensor} {plus_minus(across, 2, ' m')}, {turned}")
+    here = "; ".join(known) or tr(NOT_KNOWN)
+    text = "What was measured may lie aside by that much; an angle of 1° is 1 m at 57 m."
+    return [tr("Where sensors stand"), here, tr(text)]
+
+
+def _hidden(results: Results) -> list[str]:
+    """Return whether what stands beside the road is known to hide it."""
+    if results.dataset is None:
+        return [tr("What hides road"), tr(NOT_KNOWN), ""]
+    if results.dataset.manifest.settings["sight"] == VIEW_ONLY:
+        text = "Road behind houses and trees counts as seen and reads as empty."
+        return [tr("What hides road"), tr("not known: no airborne scan"), tr(text)]
+    text = "Road behind houses and trees counts as not seen; other vehicles hide it for moments."
+    return [tr("What hides road"), tr("from an airborne scan"), tr(text)]
+
+
+def _delivered(found: Findings) -> list[str]:
+    """Return in how much of what sensors delivered no test found a fault."""
+    name = tr("What sensors delivered")
+    if found.quality is None:
+        return [name, tr(NOT_KNOWN), ""]
+    table = found.quality.table
+    good, hours = int(table["verdict"].eq(GOOD).sum()), len(table)
+    runs = sorted(recorded_runs(found.results).items())
+    times = [f"{sensor} {seconds_text(each.steps * STEP_S)}" for sensor, each in runs]
+    recorded = listed(times) or tr(NOT_KNOWN)
+    if good == hours:
+        here = tr("no fault in what was recorded: {recorded}", recorded=recorded)
+    else:
+        text = "faults in {bad} of {all} hours of sensors; recorded: {recorded}"
+        here = tr(text, bad=hours - good, all=hours, recorded=recorded)
+    text = "An hour counts as soon as some of it was recorded: see the seconds in the table."
+    return [name, here, tr(text)]
+
+
+def _made_of(results: Results) -> list[str]:
+    sources = "; ".join(results.credits) or tr(NOT_KNOWN)
+    return [
+        tr("Map and data"),
+        sources,
+        tr("The lanes are those of the map; an error in it stays."),
+    ]
+
+
+def remarks_of(found: Findings) -> list[str]:
+    """Return what to know before reading on: each a sentence of its own."""
+    results = found.results
+    return [
+        *(tr("No result for sensor {name}: {why}", name=name, why=why)
+          for name, why in results.lost.items()),
+        *(tr(each) for each in own_remarks(found)),
+        *results.warnings,
+        *(tr(each) for each in results.missing),
+    ]  # fmt: skip
+
+
+def own_remarks(found: Findings) -> list[Text]:
+    """Return what this report finds by itself: too short a time, faults of what was delivered."""
+    begin, end = found.results.heat.whole.span()
+    seconds = np.fmin(recorded_s(found.results), (end - begin).total_seconds())
+    remarks = []
+    if seconds < SHORT_S:
+        span = seconds_text(seconds)
+        remarks.append(
+            Text("Recorded were {} only: a few cycles of a signal, and no usual day", span)
+        )
+    if found.results.dataset is not None and not found.results.warnings:  # else a run says it
+        remarks += [Text("{}", doubt) for doubt in found.results.dataset.doubts]
+    if found.quality is not None:
+        remarks += [
+            Text("Sensor {}", found.clock.localised(line)) for line in found.quality.warnings()
+        ]
+    return remarks
+
+
+def quality_table(found: Findings) -> Table:
+    """Return what sensors delivered by hour, those with a fault first where there are many."""
+    columns, quality = _hour_columns(found), found.quality
+    note, rows = tr("What sensors delivered is not known."), []
+    if quality is not None:
+        table = quality.table.assign(recorded_s=_recorded_in(quality.table, found.results))
+        lines = [f"{sensor}: {text}." for sensor, text in _hours_in_words(table).items()]
+        if len(table) > MOST_HOURS:
+            faulty = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
+            table = table.loc[faulty].head(MOST_HOURS)
+            lines.append(tr(
+                "Here {part} of {all} rows, those with a fault first.",
+                part=MOST_HOURS, all=figure_text(len(quality.table)),
+            ))  # fmt: skip
+        note, rows = " ".join(lines), text_rows((row for _, row in table.iterrows()), columns)
+    return Table(
+        name="quality",
+        caption=tr("Measurements by sensor and hour ({zone})", zone=found.clock.name),
+        columns=columns, rows=rows, note=note,
+        files=[(names.QUALITY, tr("all sensors and hours"))] if quality is not None else [],
+    )  # fmt: skip
+
+
+def _recorded_in(table: pd.DataFrame, results: Results) -> list[float]:
+    """Return for each sensor and hour the seconds in which its frames are valid."""
+    runs = recorded_runs(results)
+    edges = [
+        (begin.timestamp() * STEPS_PER_SECOND, end.timestamp() * STEPS_PER_SECOND)
+        for begin, end in zip(table["begin"], table["end"], strict=True)
+    ]
+    return [
+        float(np.diff(runs[str(sensor)].before(np.array(edge, np.int64)))[0]) * STEP_S
+        for sensor, edge in zip(table["sensor"], edges, strict=True)
+    ]
+
+
+def _hour_columns(found: Findings) -> list[Column]:
+    """Return how an hour of a sensor is read."""
+    clock, quality = found.clock, found.quality
+
+    def number(name: str, digits: int = 0) -> Callable[[pd.Series], str]:
+        return lambda row: figure_text(row[name], digits)
+
+    def age(row: pd.Series) -> str:
+        return figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NOTHING
+
+    def begin(row: pd.Series) -> str:
+        return clock.stamp(row["begin"].to_pydatetime())
+
+    def verdict(row: pd.Series) -> str:
+        return tr(quality.verdict(row["verdict"])) if quality else NOTHING
+
+    return [
+        Column(tr("Sensor"), "", lambda row: str(row["sensor"]), False),
+        Column(tr("Hour from"), "", begin, False),
+        Column(tr("Time recorded"), "", lambda row: seconds_text(row["recorded_s"])),
+        Column(tr("Frames"), tr("received"), number("frames")),
+        Column(tr("Frames"), tr("expected"), number("frames_expected")),
+        Column(tr("Detections"), tr("a frame"), number("detections_per_frame", 1)),
+        Column(tr("Moving"), tr("of them"), lambda row: percent(row["moving_share"], 0)),
+        Column(tr("Clock"), tr("corrected by s"), number("clock_offset_s", 3)),
+        Column(tr("Pose age"), "h", age),
+        Column(tr("Verdict"), "", verdict, False),
+    ]
+
+
+def _hours_in_words(table: pd.DataFrame) -> dict[str, str]:
+    """Return by sensor in how many hours no test found fault, and how much of them was recorded."""
+    words = {}
+    for sensor, rows in table.groupby("sensor"):
+        good = int(rows["verdict"].eq(GOOD).sum())
+        hours = plural(len(rows), "{n} hour", "{n} hours")
+        recorded = seconds_text(float(rows["recorded_s"].sum()))
+        text = "no fault in {good} of {hours} with {time} recorded"
+        words[str(sensor)] = tr(text, good=figure_text(good), hours=hours, time=recorded)
+    return words

@@ -1,0 +1,211 @@
+"""Draw each lane over the time of a report: a strip a lane, on one scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from textwrap import shorten
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import (
+    Booleans,
+    Clock,
+    Floats,
+    direction,
+    figure_text,
+    percent,
+    street_label,
+    tr,
+)
+from gis_radar.products.heatmap.heatmap import HeatMap
+from gis_radar.products.report.content import Chart, Strip
+from gis_radar.products.report.lanes import LaneSums
+
+STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; as many charts
+TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # of the scale
+MOST_TICKS = 7
+ROUND_S = (
+    *(5, 10, 20, 30, 60, 120, 300, 600, 900, 1800),
+    *(hours * 3600 for hours in (1, 2, 3, 4, 6, 12, 24)),
+)  # between the times below a chart
+STREET_LETTERS = 20  # beside a strip
+ACROSS, UP = 1000, 100  # units of a strip on the page, to the right and upwards
+
+
+def draw_lanes_over_time(
+    heat: HeatMap, sums: LaneSums, table: pd.DataFrame, clock: Clock
+) -> list[Chart]:
+    """Draw the share of each lane by interval, with its standard error; nothing of one interval.
+
+    Parameters
+    ----------
+    heat : HeatMap
+        Whose intervals.
+    sums : LaneSums
+        Its sums by lane and interval.
+    table : DataFrame
+        From :func:`gis_radar.products.report.lanes.lane_table`: lanes with a share, in this order.
+    clock : Clock
+        Whose times stand below.
+    """
+    if len(heat.timeline) < 2:
+        return []
+    lanes = table[table["share"].notna()].head(STRIPS * MOST_CHARTS)
+    place = {lane.number: i for i, lane in enumerate(sums.lanes)}
+    rows = [place[int(number)] for number in lanes["lane"]]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share, error = sums.part_s / sums.base_s, sums.error_s / sums.base_s
+    if not rows or not np.isfinite(share[:, rows]).any():
+        return []
+    high = float(np.nanmax(share[:, rows]))
+    top = next((each for each in TOPS if each >= high), 1.0)
+    charts = []
+    for first in range(0, len(rows), STRIPS):
+        part = rows[first : first + STRIPS]
+        names = [_named(row) for _, row in lanes.iloc[first : first + STRIPS].iterrows()]
+        strips = [(name, share[:, i], error[:, i]) for name, i in zip(names, part, strict=True)]
+        charts.append(_chart(heat, strips, top, clock))
+    return charts
+
+
+def _named(row: pd.Series) -> str:
+    """Return how a strip is called."""
+    known = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
+    street = street_label(known, row.get("street_part"))
+    number = f"{row['lane']} {direction(row['east_m'], row['north_m'])}"
+    return f"{street}\n{number}" if street else number
+
+
+def _chart(
+    heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], top: float, clock: Clock
+) -> Chart:
+    edges = [begin for begin, _ in heat.timeline.spans()] + [heat.timeline.span(-1)[1]]
+    seconds = np.array([(each - edges[0]).total_seconds() for each in edges])
+    place = seconds / seconds[-1]
+    return Chart(
+        caption=_caption(heat.measure), alt=_described(heat, strips, clock),
+        heading=_heading(heat.measure), top=f"{top * 100:g}", below=clock.name,
+        strips=[strip_of(name, place, share / top, error / top) for name, share, error in strips],
+        times=[
+            (float(at / seconds[-1]), label) for at, label in times_below(edges, seconds, clock)
+        ],
+    )  # fmt: skip
+
+
+def strip_of(name: str, place: Floats, share: Floats, error: Floats) -> Strip:
+    """Return a strip as paths, of the place of each edge and shares of the scale.
+
+    Parameters
+    ----------
+    name : str
+        What it shows.
+    place : (n + 1,) array
+        Of the edges of the intervals, from 0 to 1.
+    share, error : (n,) array
+        Of each interval, of the scale; NaN where nothing was seen.
+
+    Returns
+    -------
+    Strip
+        Paths of SVG: the line, the band of the error, and begin and width of what was not seen.
+    """
+    seen = np.isfinite(share)
+    low, high = (np.clip(share + side * error, 0.0, 1.0) for side in (-1, 1))
+    unseen = [
+        (float(place[run.start]), float(place[run.stop] - place[run.start])) for run in _runs(~seen)
+    ]
+    return Strip(
+        name=name,
+        line="".join(f"M{_path(place, share, run)}" for run in _runs(seen)),
+        band="".join(
+            f"M{_path(place, high, run)}L{_path(place, low, run, back=True)}Z"
+            for run in _runs(np.isfinite(error))
+        ),
+        unseen=unseen,
+    )
+
+
+def _runs(which: Booleans) -> list[slice]:
+    """Return the runs of intervals that are meant."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
+    return [slice(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def _path(place: Floats, share: Floats, run: slice, *, back: bool = False) -> str:
+    """Return the steps of a run of intervals as points of a path, from left to right or back."""
+    x = np.repeat(np.rint(place[run.start : run.stop + 1] * ACROSS).astype(int), 2)[1:-1]
+    y = np.repeat(np.round((1.0 - share[run]) * UP, 1), 2)
+    points = [f"{right} {down:g}" for right, down in zip(x.tolist(), y.tolist(), strict=True)]
+    return " ".join(points[::-1] if back else points)
+
+
+def times_below(
+    edges: Sequence[datetime], seconds: Floats, clock: Clock
+) -> list[tuple[float, str]]:
+    """Return the times below a chart: round ones where there are enough of them.
+
+    Parameters
+    ----------
+    edges : sequence of datetime
+        Of the intervals.
+    seconds : (n,) array
+        The same, from the begin.
+    clock : Clock
+        By which they are shown.
+
+    Returns
+    -------
+    list of (float, str)
+        Seconds from the begin, and labels.
+    """
+    every = max(1, -(-(len(edges) - 1) // MOST_TICKS))
+    chosen = _round_times(edges, seconds, clock) or list(range(0, len(edges), every))
+    return [(float(seconds[i]), clock.tick(edges[i], edges[chosen[0]])) for i in chosen]
+
+
+def _round_times(edges: Sequence[datetime], seconds: Floats, clock: Clock) -> list[int]:
+    """Return the edges at round times of the day, as few as have room; none where none are."""
+    local = [each.astimezone(clock.zone) for each in edges]
+    of_day = [(each.hour * 60 + each.minute) * 60 + each.second for each in local]
+    for apart in ROUND_S:
+        chosen = [i for i, second in enumerate(of_day) if second % apart == 0]
+        if seconds[-1] / apart <= MOST_TICKS:
+            return chosen if len(chosen) > 1 else []
+    return []
+
+
+def _heading(measure: str) -> str:
+    if measure == "occupancy":
+        return tr("Lane; occupancy, percent of visible time; band: standard error")
+    return tr("Lane; radar hits, percent of observed time")
+
+
+def _caption(measure: str) -> str:
+    if measure == "occupancy":
+        text = (
+            "Each lane over the time, all on one scale: the mean occupancy of its tiles in each "
+            "interval, and in the band what its standard error leaves open. Hatched grey: not "
+            "visible."
+        )
+    else:
+        text = (
+            "Each lane over the time, all on one scale: the share of the observed time in which "
+            "radar hit its tiles. Compare a lane with itself only. Hatched grey: not observed."
+        )
+    return tr(text)
+
+
+def _described(heat: HeatMap, strips: Sequence[tuple[str, Floats, Floats]], clock: Clock) -> str:
+    """Return the chart in words: of each lane, its highest interval."""
+    lines = []
+    for name, share, _ in strips:
+        if np.isfinite(share).any():
+            best = int(np.nanargmax(share))
+            span = clock.span(*heat.timeline.span(best))
+            lines.append(f"{name}: {percent(float(share[best]), 0)}, {span}")
+    text = "Chart of {n} lanes over {intervals} intervals. Highest interval of each: {lines}."
+    return tr(
+        text, n=len(strips), intervals=figure_text(len(heat.timeline)), lines="; ".join(lines)
+    )

@@ -1,0 +1,236 @@
+"""Draw the pictures of a report: the map by interval, the lanes' numbers, how poses were found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from io import BytesIO
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure as MplFigure
+from matplotlib.patches import Patch
+from PIL import Image
+
+from gis_radar.base import (
+    FONTS,
+    Booleans,
+    Clock,
+    Floats,
+    Reporter,
+    figure_text,
+    name_of,
+    percent,
+    tr,
+)
+from gis_radar.hdmap import quads
+from gis_radar.measures import sight_of_tiles
+from gis_radar.products.heatmap.heatmap import HeatMap
+from gis_radar.products.heatmap.occupancy import OccupancyShares, mean_occupancy
+from gis_radar.products.heatmap.picture import (
+    NARROW_IN,
+    OVERLAY_IN,
+    MapPicture,
+    for_a_phone,
+    image_of_figure,
+    image_of_pixels,
+    map_extent,
+    map_picture,
+    png,
+)
+from gis_radar.products.report.content import WORDS, Figure, MapSeries
+from gis_radar.products.report.lanes import TileShares, hits_of, shown_of
+from gis_radar.products.report.results import Results
+from gis_radar.scans import (
+    COLOURS,
+    HIDDEN,
+    IN_SIGHT,
+    NAMES,
+    VIEW_ONLY,
+    Sight,
+    SightTiles,
+    draw_sight,
+)
+
+ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest
+MOST_FRAMES = 96  # pictures in time: a day of quarter hours
+MOST_PIXELS = 2_200_000  # of a picture
+ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
+STAGE = "drawing the maps"
+HITS = (
+    "For diagnosis, not for planning: in which share of the observed time radar hit each tile, in "
+    "the colours of the map (hit share, the measure of the paper). A lane that carries "
+    "vehicles on the map and hardly a hit here is one that the sensors see badly."
+)
+
+SIGHT_IN = 3.4  # width of a sensor's picture: alone on a phone's page its words can be read
+MOST_SIGHTS = 6  # sensors of which it is drawn what they see
+
+
+def lay_out(heat: HeatMap) -> MapPicture:
+    """Lay the picture of all maps of a report: the more maps, the coarser."""
+    maps = len(_groups(heat)) + 1
+    corners = quads(heat.tiles)
+    extent = map_extent(corners, heat.shares().observed_s > 0, ASPECT)
+    return map_picture(corners, extent, min(MOST_PIXELS, ALL_PIXELS // maps))
+
+
+def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Reporter) -> MapSeries:
+    """Draw the map over the whole time and by interval.
+
+    Parameters
+    ----------
+    results : Results
+        With the heat map, the sensors that it shows, and whose data they are.
+    picture : MapPicture
+        Its pixels.
+    clock : Clock
+        For the labels.
+    reporter : Reporter
+        Where progress goes.
+    """
+    heat, poses, sources = results.heat, results.poses, results.credits
+    groups, frames = _groups(heat), []
+    for done, group in enumerate(groups, start=1):
+        begin, end = heat.timeline.span(group.start)[0], heat.timeline.span(group.stop - 1)[1]
+        if len(heat.timeline) > 1:
+            label = clock.span(begin, end)
+            shown = shown_of(heat, group)
+            frames.append(_map(picture, shown, label, heat, heat.uncertain(group)))
+        reporter.progress(STAGE, done, len(groups))
+    size, note = groups[0].stop, ""
+    if size > 1:
+        text = "The heat map has {n} intervals; each picture shows {size} of them together."
+        note = tr(text, n=figure_text(len(heat.timeline)), size=size)
+    caption = [
+        tr("North is up on the grid of {crs}.", crs=f"{heat.crs.name} ({name_of(heat.crs)[:24]})")
+    ]
+    if poses:
+        caption.append(tr("Triangles: sensors; dashed: their range and opening angle."))
+    caption.append(tr("Where tiles overlap, the highest value is on top."))
+    if sources:
+        caption.append(tr("Sources: {sources}.", sources="; ".join(sources)))
+    with mpl.rc_context(FONTS):
+        overlay = png(picture.overlay(poses))
+        narrow = png(for_a_phone(picture.overlay(poses, NARROW_IN)))
+    return MapSeries(
+        whole=_map(picture, shown_of(heat), tr("Whole time"), heat, heat.uncertain()),
+        frames=frames,
+        overlay=overlay,
+        narrow=narrow,
+        caption=" ".join(caption),
+        note=note,
+    )
+
+
+def _groups(heat: HeatMap) -> list[slice]:
+    """Return the intervals as pictures show them: singly, or several at a time where many."""
+    total = len(heat.timeline)
+    size = -(-total // MOST_FRAMES)
+    return [slice(first, min(first + size, total)) for first in range(0, total, size)]
+
+
+def draw_hits(results: Results, picture: MapPicture) -> Figure:
+    """Draw what radar hit over the whole time, for diagnosis beside the map of occupancy."""
+    hits, certain = hits_of(results.heat), np.zeros(len(results.heat.tiles), np.bool_)
+    figure = _map(picture, hits, tr("Whole time"), results.heat, certain, measure="hit_share")
+    with Image.open(BytesIO(figure.png)) as tiles:
+        whole = tiles.convert("RGBA")
+    with mpl.rc_context(FONTS):
+        overlays = [picture.overlay(results.poses, each) for each in (OVERLAY_IN, NARROW_IN)]
+    wide, narrow = (Image.alpha_composite(whole, each.resize(whole.size)) for each in overlays)
+    return replace(
+        figure,
+        png=png(wide.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
+        narrow=png(for_a_phone(narrow.convert("RGB")).quantize(128, dither=Image.Dither.NONE)),
+        caption=f"{tr(HITS)} {figure.caption}",
+    )
+
+
+def _map(
+    picture: MapPicture, shares: TileShares, label: str, heat: HeatMap, uncertain: Booleans,
+    *, measure: str = "",
+) -> Figure:  # fmt: skip
+    measure = measure or heat.measure
+    text = _sentence(shares, heat, measure)
+    alt = "Map of occupancy, {time}. {text}"
+    if measure == "hit_share":
+        alt = "Map of radar hits, {time}. {text}"
+    return Figure(
+        png=png(image_of_pixels(picture.paint(shares.share, uncertain))),
+        width=picture.grid.width,
+        height=picture.grid.height,
+        title=label,
+        caption=text,
+        alt=tr(alt, time=label, text=text),
+    )
+
+
+def _sentence(shares: TileShares, heat: HeatMap, measure: str) -> str:
+    """Describe a map: the mean of what was seen, and how much was seen and hit or occupied."""
+    words = WORDS[measure]
+    seen, hit = int((shares.base_s > 0).sum()), int((shares.part_s > 0).sum())
+    if not seen:
+        return tr(words.nothing)
+    if not hit:
+        return tr(words.none, n=figure_text(seen))
+    text = tr(words.touched, share=percent(hit / seen, 0), n=figure_text(seen))
+    if measure == "hit_share":
+        return text
+    mean, error = mean_occupancy(heat.tiles, OccupancyShares(*_as_occupancy(shares)))
+    return f"{tr('Mean occupancy {share}.', share=percent(mean, off=error))} {text}"
+
+
+def _as_occupancy(shares: TileShares) -> tuple[Floats, Floats, Floats, Floats]:
+    return shares.base_s, shares.part_s, shares.share, shares.error
+
+
+def draw_sights(results: Results) -> list[Figure]:
+    """Draw what each sensor sees, side by side; nothing where that is not known."""
+    dataset, tiles = results.dataset, SightTiles.of(results.heat.tiles)
+    poses = [] if dataset is None else list(results.poses)[:MOST_SIGHTS]
+    if dataset is None or not poses:
+        return []
+    sights = [sight_of_tiles(dataset.sight_of(pose.sensor), pose, tiles) for pose in poses]
+    picture = _sight_picture(sights, tiles, columns=min(len(sights), 3))
+    narrow = _sight_picture(sights, tiles, columns=1)
+    how = tr(
+        "what stands in the airborne scan hides the tiles behind it"
+        if dataset.manifest.settings["sight"] != VIEW_ONLY
+        else "without an airborne scan, houses hide nothing here"
+    )
+    shares = "; ".join(
+        tr("{sensor} {n} tiles in sight, {hidden} hidden", sensor=sight.pose.sensor,
+           n=figure_text(int((sight.state == IN_SIGHT).sum())),
+           hidden=figure_text(int((sight.state == HIDDEN).sum())))
+        for sight in sights
+    )  # fmt: skip
+    return [
+        Figure(
+            png=png(picture),
+            narrow=png(narrow),
+            width=picture.width,
+            height=picture.height,
+            caption=tr("What each sensor sees of the lanes; {how}.", how=how) + f" {shares}.",
+            alt=tr("Maps of the tiles in sight of each sensor: {shares}.", shares=shares),
+        )
+    ]
+
+
+def _sight_picture(sights: Sequence[Sight], tiles: SightTiles, *, columns: int) -> Image.Image:
+    """Return what sensors see, so many side by side."""
+    rows = math.ceil(len(sights) / columns)
+    with mpl.rc_context(FONTS):
+        size_in = (SIGHT_IN * columns, SIGHT_IN * rows)
+        figure = MplFigure(figsize=size_in, dpi=150, layout="constrained")
+        for number, sight in enumerate(sights, start=1):
+            ax = figure.add_subplot(rows, columns, number)
+            draw_sight(ax, sight, tiles)
+            ax.set_title(sight.pose.sensor, fontsize=9)
+            ax.axis("off")
+        handles = [Patch(color=COLOURS[state], label=tr(NAMES[state])) for state in NAMES]
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=min(columns + 1, 3), frameon=False
+        )
+        return image_of_figure(figure).convert("RGB").quantize(64, dither=Image.Dither.NONE)

@@ -1,0 +1,97 @@
+"""Write a report's content as one HTML file with all inside."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined, Template
+from markupsafe import Markup
+
+from gis_radar.base import THIN, current_language, tr
+from gis_radar.products.heatmap import style
+from gis_radar.products.heatmap.picture import legend_in_words
+from gis_radar.products.report.content import WORDS, Content, MapSeries
+
+
+def page_of(content: Content) -> str:
+    """Return the page; all text of others is escaped, and the policy lets nothing else in."""
+    named = style.MAP_WORDS[content.measure]
+    hatched = {style.NOT_OBSERVED: "unseen", style.UNCERTAIN: "unsure"}
+    legend = [
+        (hatched.get(colour, f"class-{colour[1:]}"), colour, label)
+        for colour, label in legend_in_words(content.measure)
+    ]
+    classes = "".join(
+        f".{name} {{ background: {colour}; }}\n"
+        for name, colour, _ in legend
+        if colour not in hatched
+    )
+    css, script = _part("page.css") + classes + _sizes_and_foot(content.map), _part("page.js")
+    return _template().render(
+        report=content,
+        legend=legend,
+        legend_title=tr(named.title),
+        legend_subtitle=tr(named.subtitle),
+        words=WORDS[content.measure],
+        language=current_language(),
+        tr=tr,
+        css=Markup(css),  # noqa: S704 - our own file
+        script=Markup(script),  # noqa: S704 - our own file
+        policy=_policy(css, script),
+        data_uri=_data_uri,
+        share=lambda part: f"{part * 100:.6g}%",
+    )
+
+
+def _policy(css: str, script: str) -> str:
+    """Return the Content-Security-Policy: pictures in the page, our style, our script."""
+    return (
+        "default-src 'none'; img-src data:; "
+        f"style-src '{_hash(css)}'; script-src '{_hash(script)}'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def _hash(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _sizes_and_foot(part: MapSeries) -> str:
+    """Return how large the map may be, in the window and on paper, and the numbers of pages."""
+    shape = f"{part.whole.width} / {part.whole.height}"
+    page = tr("Page {n} of {all}", n='" counter(page) "', all='" counter(pages) "')
+    return (
+        "@media screen and (min-width: 52rem) { .plate { grid-template-columns: "
+        f"minmax(0, calc(max(22rem, min(58rem, 88vh)) * {shape})) 18rem; }} }}\n"
+        f"@media print {{ .large {{ flex: none; width: min(128mm, calc(165mm * {shape})); }} "
+        f'@page {{ @bottom-right {{ content: "{page}"; }} }} }}\n'
+    )
+
+
+def _data_uri(picture: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(picture).decode()
+
+
+@cache
+def _template() -> Template:
+    text = _part("page.html")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        finalize=bound,
+    )  # fmt: skip
+    return environment.from_string(text)
+
+
+def bound(value: Any) -> Any:
+    """Return a text in which no line ends between a number and its percent sign."""
+    is_plain = isinstance(value, str) and not isinstance(value, Markup)
+    return re.sub(r"(\d) %", rf"\1{THIN}%", value) if is_plain else value
+
+
+def _part(name: str) -> str:
+    return files("gis_radar.products.report").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,483 @@
+"""From a folder of results to a report of them: facts, lanes and quality in words and tables."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from gis_radar.base import (
+    NOTHING,
+    QUIET,
+    THIN,
+    Clock,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_writes,
+    card,
+    csv_for,
+    direction,
+    figure_text,
+    known_language,
+    listed,
+    output_errors,
+    percent,
+    plural,
+    speaking,
+    street_label,
+    tr,
+    write_csv,
+    zone_of,
+)
+from gis_radar.products.heatmap.heatmap import HeatMap
+from gis_radar.products.quality.quality import Quality, measure_quality
+from gis_radar.products.report import names
+from gis_radar.products.report.basis import (
+    Findings,
+    as_high_as,
+    basis_of,
+    facts_of,
+    own_remarks,
+    quality_table,
+    remarks_of,
+    totals_of,
+)
+from gis_radar.products.report.chart import draw_lanes_over_time
+from gis_radar.products.report.content import (
+    WORDS,
+    Chapter,
+    Chart,
+    Column,
+    Content,
+    Figure,
+    MapSeries,
+    Table,
+    Terms,
+    text_rows,
+    utc,
+)
+from gis_radar.products.report.lanes import (
+    RANKS,
+    WHY_NOT,
+    lane_table,
+    sum_by_lane,
+    tracks_of,
+    write_lane_intervals,
+    write_lanes,
+)
+from gis_radar.products.report.maps import draw_hits, draw_maps, draw_sights, lay_out
+from gis_radar.products.report.pages import page_of
+from gis_radar.products.report.paper import write_pdf
+from gis_radar.products.report.plan import draw_plan
+from gis_radar.products.report.results import (
+    Results,
+    pose_figures,
+    read_results,
+    sensor_table,
+    write_sensor_table,
+)
+from gis_radar.products.report.sources import made_by, settings_of, sources_of
+
+SUMMARY_LANES = 10
+MOST_LANES = 150  # rows of the table as read; the CSV file holds all
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """A written report: its files and figures.
+
+    Parameters
+    ----------
+    outputs : sequence of Path
+        The files: the page, the paper, and the tables.
+    summary : dict
+        Figures worth a look.
+    """
+
+    outputs: Sequence[Path]
+    summary: dict[str, Any]
+
+    def __repr__(self) -> str:
+        page = self.outputs[0]
+        return f"Report({self.summary['title']!r}, {len(self.outputs)} files: {page}, ...)"
+
+    def _repr_html_(self) -> str:
+        files = {"files": ", ".join(path.name for path in self.outputs)}
+        return card(f"Report in {self.outputs[0].parent}", self.summary | files)
+
+
+def write_report(
+    folder: str | Path,
+    *,
+    output: str | Path | None = None,
+    title: str | None = None,
+    timezone: str | None = None,
+    language: str | None = None,
+    csv_locale: str = "en",
+    dataset: str | Path | None = None,
+    reporter: Reporter = QUIET,
+) -> Report:
+    """Write a report for people without QGIS: `report.html`, `report.pdf`, and tables as CSV.
+
+    The page opens without a network and asks for nothing; it needs no script but for the slider.
+    What the folder does not hold is named as not known. The same results give the same files.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Results of `gis-radar run` or `gis-radar demo`, or the folder of a heat map.
+    output : str or Path, optional
+        Folder that the report goes to; by default `folder`.
+    title : str, optional
+        By default that of the site or heat map, or the name of the folder.
+    timezone : str, optional
+        Whose clocks the report's times follow, such as Europe/Berlin; by default the site's, or
+        those of the heat map's picture.
+    language : str, optional
+        `en` or `de`, of all that is read; by default the site's, or that of the heat map's picture.
+        The tables as CSV are the same in every language.
+    csv_locale : str
+        `de` writes them as a German spreadsheet opens them: semicolons, decimal commas, and the
+        mark of UTF-8.
+    dataset : str or Path, optional
+        What the heat map was made of, where it is not `dataset` in `folder`.
+    reporter : Reporter
+        Where progress goes.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    InputError
+        If the folder holds no heat map, or a damaged one.
+    UsageError
+        If there is no such time zone, language or locale.
+    OutputError
+        If the report cannot be written.
+    """
+    folder = Path(folder)
+    if title is not None and not title.strip():
+        raise UsageError("the title is empty", hint="leave it out, or give the name of the site")
+    results = read_results(folder, None if dataset is None else Path(dataset))
+    heat = results.heat
+    spoken = language or str(results.site.get("language") or heat.labels.language)
+    with csv_for(csv_locale), speaking(known_language(spoken)):
+        found = _find(results, title or _named(results, folder), timezone, reporter)
+        content = _content(found, _pictures(found, reporter))
+        outputs = _write(folder if output is None else Path(output), found, content, reporter)
+        return Report(outputs=outputs, summary=_summary(found, content))
+
+
+def _named(results: Results, folder: Path) -> str:
+    return str(results.site.get("title") or results.heat.labels.title or folder.resolve().name)
+
+
+def _find(results: Results, title: str, timezone: str | None, reporter: Reporter) -> Findings:
+    """Work out what page, paper and tables are made of."""
+    heat = results.heat
+    zone = timezone or results.timezone
+    sums = sum_by_lane(heat)
+    table = lane_table(heat, sums, tracks_of(results.dataset, sums.lanes))
+    known = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
+    table["street"], table["street_part"] = zip(*known, strict=True) if known else ((), ())
+    return Findings(
+        results=results,
+        title=title,
+        clock=_clock(heat, zone),
+        quality=_quality(results, zone, reporter),
+        lanes=sums,
+        table=table,
+    )
+
+
+class _Pictures(NamedTuple):
+    """The pictures of a report."""
+
+    maps: MapSeries
+    plan: Figure
+    over_time: Sequence[Chart]
+    hits: Sequence[Figure]
+
+
+def _pictures(found: Findings, reporter: Reporter) -> _Pictures:
+    """Draw the pictures of a report."""
+    results, picture = found.results, lay_out(found.results.heat)
+    occupied = results.heat.measure == "occupancy"
+    return _Pictures(
+        maps=draw_maps(results, picture, found.clock, reporter),
+        plan=draw_plan(results.heat.tiles, picture, found.lanes.lanes, found.table),
+        over_time=draw_lanes_over_time(results.heat, found.lanes, found.table, found.clock),
+        hits=[draw_hits(results, picture)] if occupied else [],
+    )
+
+
+def _clock(heat: HeatMap, timezone: str) -> Clock:
+    """Return the site's clock: to the second where an interval does not begin at a minute."""
+    edges = [each for span in heat.timeline.spans() for each in span]
+    fine = any(each.second or each.microsecond for each in edges)
+    begin, end = heat.whole.span()
+    return Clock(
+        zone=zone_of(timezone), first=min(edges[0], begin), last=max(edges[-1], end),
+        to_seconds=fine,
+    )  # fmt: skip
+
+
+def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | None:
+    if results.dataset is None:
+        return None
+    return measure_quality(results.dataset, timezone=timezone, reporter=reporter)
+
+
+def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
+    """Write all files, which appear together or not at all."""
+    with output_errors(place):
+        place.mkdir(parents=True, exist_ok=True)
+    writers = _writers(found, content)
+    before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
+    with atomic_writes(place / names.PAGE) as (private, places):
+        for done, (name, write) in enumerate(writers.items(), start=1):
+            write(private / name)
+            if (private / name).is_file():
+                places[private / name] = place / name
+            reporter.progress("writing the report", done, len(writers))
+    made = list(places.values())
+    for path in before:  # what the last report had and this one has not
+        if path not in made:
+            path.unlink(missing_ok=True)
+    if place / names.PAPER not in made:
+        reporter.warn(
+            "{} is not written: WeasyPrint, or Pango, which it calls, is missing (pip "
+            "install gis_radar[pdf]); a browser prints {} alike",
+            names.PAPER,
+            names.PAGE,
+        )
+    return made
+
+
+def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], object]]:
+    """Return the writer of each file."""
+    clock, heat, quality = found.clock, found.results.heat, found.quality
+    writers: dict[str, Callable[[Path], object]] = {
+        names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
+        names.PAPER: lambda path: write_pdf(content, path),
+        names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
+        names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
+        names.SENSORS: lambda path: write_sensor_table(path, found.results),
+    }
+    if quality is not None:
+        writers[names.QUALITY] = lambda path: _write_quality(path, quality)
+    return writers
+
+
+def _write_quality(path: Path, quality: Quality) -> None:
+    """Write the table of :func:`gis_radar.measure_quality`, a row a sensor and hour."""
+    rows = (
+        tuple(utc(cell) if isinstance(cell, pd.Timestamp) else cell for cell in row)
+        for row in quality.table.itertuples(index=False, name=None)
+    )
+    write_csv(path, list(quality.table.columns), rows)
+
+
+def _summary(found: Findings, content: Content) -> dict[str, Any]:
+    """Return the figures as numbers, None where not known; the page has them in words."""
+    begin, end = found.results.heat.whole.span()
+    return {
+        "title": content.title,
+        "begin": utc(begin),
+        "end": utc(end),
+        "timezone": str(found.clock.zone),
+        "pictures": len(content.map.frames) + 1,
+        "sensors": found.results.sensors,
+        **totals_of(found),
+        "facts": {fact.name: " ".join(filter(None, [fact.value, fact.rests and f"({fact.rests})"]))
+                  for fact in content.facts},
+        "basis": [[each.title for each in content.basis.columns], *map(list, content.basis.rows)],
+        "lanes_named": _top_lanes(found),
+        "found": _english_remarks(found),
+        "remarks": list(content.remarks),
+    }  # fmt: skip
+
+
+def _english_remarks(found: Findings) -> list[Text]:
+    """Return what it finds for a run's log: all there is English until the console translates."""
+    with speaking("en"):
+        return own_remarks(found)
+
+
+def _top_lanes(found: Findings) -> list[list[str]]:
+    """Return the head of the table of lanes and its ranked rows, as many as a summary holds."""
+    columns = lane_columns(found.clock, found.results.heat.measure)
+    ranked = found.table[found.table["rank"] > 0].head(SUMMARY_LANES)
+    if ranked.empty:
+        return []
+    heads = [f"{each.title}, {each.unit}" if each.unit else each.title for each in columns[:-1]]
+    return [heads, *text_rows((row for _, row in ranked.iterrows()), columns[:-1])]
+
+
+def _content(found: Findings, drawn: _Pictures) -> Content:
+    """Put the findings into words."""
+    results, clock = found.results, found.clock
+    begin, end = results.heat.whole.span()
+    return Content(
+        title=found.title,
+        subtitle=clock.whole(begin, end),
+        zone=clock.name,
+        until=end,
+        intro=tr(WORDS[results.heat.measure].intro),
+        facts=facts_of(found),
+        remarks=remarks_of(found),
+        basis=basis_of(found),
+        map=drawn.maps,
+        chapters=_chapters(found, drawn),
+        made_by=made_by(),
+        measure=results.heat.measure,
+    )
+
+
+def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
+    """Return what follows the map."""
+    results = found.results
+    figures = pose_figures(results)
+    lanes = _lanes(found, intervals=len(results.heat.timeline) > 1)
+    sensors = sensor_table(results, figures=len(figures))
+    sources = [settings_of(results), sources_of(results)]
+    over_time = tr("The lanes over time")
+    hits = tr("Diagnosis: radar hits")
+    return [
+        Chapter("lanes", tr("Lanes"), [drawn.plan, lanes]),
+        *([Chapter("time", over_time, drawn.over_time)] if drawn.over_time else []),
+        Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures]),
+        Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
+        *([Chapter("hits", hits, drawn.hits)] if drawn.hits else []),
+        Chapter("settings", tr("Settings and sources"), sources),
+        Chapter("words", tr("What the words mean"), [_terms(results.heat.measure)]),
+    ]
+
+
+def _terms(measure: str) -> Terms:
+    """Return what the words of a report mean, of occupancy only where it shows that."""
+    text = (
+        files("gis_radar.products.report").joinpath("definitions.toml").read_text(encoding="utf-8")
+    )
+    groups = tomllib.loads(text)
+    chosen = [name for name in groups if measure == "occupancy" or name != "occupancy"]
+    pairs = [pair for name in chosen for pair in groups[name].items()]
+    return Terms(tuple((tr(term), tr(meaning)) for term, meaning in pairs))
+
+
+def _lanes(found: Findings, *, intervals: bool) -> Table:
+    """Return the lanes with a share as they are read, from what `lane_table` returns."""
+    table, measure = found.table, found.results.heat.measure
+    seen, words = table[table["share"].notna()], WORDS[measure]
+    shown = seen.head(MOST_LANES)
+    columns = lane_columns(found.clock, measure)
+    columns = columns if intervals else columns[:-1]
+    notes = [] if measure == "hit_share" else [_ranking(table)]
+    if unseen := len(table) - len(seen):
+        notes.append(plural(unseen, words.unseen_one, words.unseen_many))
+    if len(seen) > len(shown):
+        text = tr("Here are {part} of {all} lanes.", part=len(shown), all=figure_text(len(seen)))
+        notes.append(text)
+    if measure == "occupancy":
+        notes.append(tr("± is the standard error."))
+    notes.append(tr("Where lanes cross, their tiles overlap, and a vehicle there counts on each."))
+    return Table(
+        name="lanes",
+        caption=tr("Lanes by occupancy")
+        if measure == "occupancy"
+        else tr("Lanes in the order of numbers"),
+        columns=columns,
+        rows=text_rows((row for _, row in shown.iterrows()), columns),
+        note=" ".join(notes),
+        files=_files((names.LANES, "all lanes"), *([_BY_INTERVAL] if intervals else [])),
+    )
+
+
+_BY_INTERVAL = (names.LANES_BY_INTERVAL, "each lane in each interval")
+
+
+def _files(*given: tuple[str, str]) -> list[tuple[str, str]]:
+    return [(name, tr(text)) for name, text in given]
+
+
+def _ranking(table: pd.DataFrame) -> str:
+    """Return in a sentence which lanes are ranked, and whether the first is the highest."""
+    ranked = table[table["rank"] > 0]
+    if ranked.empty:
+        return tr("No lane is known well enough to be ranked.")
+    lane, near = int(ranked["lane"].iloc[0]), as_high_as(table)
+    rule = tr(
+        "Ranked are lanes with {tracks} tracks or more and {share} of their length visible or "
+        "more, whose standard error is at most half their occupancy; the others say why not.",
+        tracks=RANKS.least_tracks, share=percent(RANKS.least_seen, 0),
+    )  # fmt: skip
+    if not near:
+        return rule
+    several = "Lane {lane} comes first, but lanes {others} may be as high: within the errors."
+    single = "Lane {lane} comes first, but lane {others} may be as high: within the errors."
+    first = tr(single if len(near) == 1 else several, lane=lane, others=listed(near))
+    return f"{rule} {first}"
+
+
+def lane_columns(clock: Clock, measure: str) -> list[Column]:
+    """Return how a lane is read; the last is of its highest interval.
+
+    Parameters
+    ----------
+    clock : Clock
+        Of the intervals.
+    measure : str
+        What lanes are compared by; those columns that only vehicles give are left out for others.
+
+    Returns
+    -------
+    list of Column
+        With titles in the language of who reads.
+    """
+    words = WORDS[measure]
+
+    def rank(row: pd.Series) -> str:
+        return str(row["rank"]) if row["rank"] else tr(WHY_NOT[row["why"]])
+
+    def interval(row: pd.Series) -> str:
+        apart = row["busiest_share"] - row["share"]
+        if pd.isna(row["busiest_begin"]) or not apart > (row["busiest_share_se"] or 0.0):
+            return NOTHING
+        span = clock.span(*(row[name].to_pydatetime() for name in ("busiest_begin", "busiest_end")))
+        return f"{span}: {percent(row['busiest_share'], 0, off=row['busiest_share_se'])}"
+
+    def spot(row: pd.Series) -> str:
+        place = f"{figure_text(row['busiest_spot_m'])}{THIN}m"
+        share = percent(row["busiest_spot"], 0, off=row["busiest_spot_se"])
+        text = tr("{share} at {place}", share=share, place=place)
+        return text.replace(f" {place}", f"{THIN}{place}")  # no line ends before it
+
+    def leads_to(row: pd.Series) -> str:
+        street = street_label(row["street"], row["street_part"])
+        return ", ".join(filter(None, [street, direction(row["east_m"], row["north_m"])]))
+
+    columns = [
+        Column(tr("Lane"), "", lambda row: str(row["lane"])),
+        Column(tr("Rank"), "", rank, False),
+        Column(tr("Leads to"), "", leads_to, False),
+        Column(tr(words.share), tr(words.base),
+               lambda row: percent(row["share"], off=row["share_se"])),
+        Column(tr("Tracks"), "",
+               lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NOTHING),
+        Column(tr("Length"), "m", lambda row: figure_text(row["length_m"])),
+        Column(tr(words.seen), tr("of length"),
+               lambda row: percent(row["base_m"] / row["length_m"], 0)),
+        Column(tr("Highest tile"), tr("and its place"), spot),
+        Column(tr("20 % or more"), "m", lambda row: figure_text(row["busy_m"], 1)),
+        Column(tr("Highest interval"), clock.name if clock else "", interval, False),
+    ]  # fmt: skip
+    of_vehicles = {tr("Rank"), tr("Tracks")}
+    return [each for each in columns if measure == "occupancy" or each.title not in of_vehicles]

@@ -1,0 +1,471 @@
+"""Read a folder of results: the heat map, its sensors, settings and sources, also as tables."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyogrio
+from PIL import Image
+
+from gis_radar.base import (
+    NOTHING,
+    PANELS,
+    THIN,
+    InputError,
+    Text,
+    direction,
+    figure_text,
+    name_of,
+    opened_package,
+    plus_minus,
+    read_json,
+    restored,
+    same_plane,
+    speaking,
+    tr,
+    warnings_once,
+    write_csv,
+)
+from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.hdmap import LANES
+from gis_radar.poses import ANGLES, POSITION, Pose, View, pose_from_dict, read_track
+from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
+from gis_radar.products.heatmap.layers import FILE as PACKAGE
+from gis_radar.products.heatmap.picture import png
+from gis_radar.products.report import names
+from gis_radar.products.report.content import Column, Figure, Table, how_found, text_rows
+
+DATASET = "dataset"
+RUN = "run.json"
+NOT_KNOWN = "not known here"
+FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
+COARSE_PIXELS, MOST_FIGURES = 1000, 20
+PAD, LEAST_PANEL = 6, 40  # pixels: around a panel, and what none is smaller than
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Results:
+    """The results that a report is made of.
+
+    Parameters
+    ----------
+    name : str
+        Of the heat map's folder.
+    heat : HeatMap
+        The heat map.
+    dataset : Dataset or None
+        What it was made of; None where it is not there.
+    poses : sequence of Pose
+        The last pose of each sensor that the heat map shows, by name, where it is in the map's
+        coordinate system.
+    streets : mapping
+        Name of a lane's street, and which of several of that name it is (else empty), by the lane's
+        number, where it is known.
+    figures : mapping
+        Picture of how a sensor's pose was found, by its name.
+    run : mapping
+        The `run.json` of `gis-radar run`; empty where the steps were made one by one.
+    missing : sequence of str
+        What is not there, in sentences.
+    """
+
+    name: str
+    heat: HeatMap
+    dataset: Dataset | None
+    poses: Sequence[Pose]
+    streets: Mapping[int, tuple[str, str]]
+    figures: Mapping[str, Path]
+    run: Mapping[str, Any]
+    missing: Sequence[str]
+
+    @property
+    def sensors(self) -> list[str]:
+        """The sensors that the heat map shows, as far as known."""
+        poses = [each.sensor for each in self.poses]
+        return poses if self.dataset is None else self.dataset.sensors
+
+    @property
+    def site(self) -> Mapping[str, Any]:
+        """The site file's content, empty where there was none."""
+        return dict(self.run.get("site") or {})
+
+    @property
+    def timezone(self) -> str:
+        """The site's time zone."""
+        stated = self.site.get("timezone")
+        return str(stated or self.heat.labels.timezone)
+
+    @property
+    def stages(self) -> list[dict[str, Any]]:
+        """How the stages of the run ended."""
+        return list(self.run.get("stages") or [])
+
+    @property
+    def traffic(self) -> dict[str, int]:
+        """How many vehicles the run followed; empty where that is not known."""
+        found = (each.get("figures") or {} for each in self.stages if each["name"] == "measure")
+        names = ("vehicles", "heavy", "passages")
+        return {n: int(each[n]) for each in found for n in names if n in each}
+
+    @property
+    def lost(self) -> dict[str, str]:
+        """The sensors of the site that the heat map does not show, and why."""
+        shown = self.run.get("sensors_in_heat_maps") or []
+        errors = {
+            str(stage["name"]).partition(" ")[2]: str(stage["error"])
+            for stage in reversed(self.stages)
+            if stage.get("error")
+        }
+        names = [str(each["name"]) for each in self.site.get("sensor") or []]
+        return {
+            name: errors.get(name, "see summary.md")
+            for name in names
+            if shown and name not in shown
+        }
+
+    @property
+    def warnings(self) -> list[str]:
+        """The warnings of the run, each once, after the stages that raised it."""
+        raised: dict[str, list[str]] = {}
+        for each in self.stages:
+            stage = tr(str(each["name"]))
+            texts = raised.setdefault(stage, [])
+            texts += [tr(text) for text in each.get("warnings") or []]
+        return warnings_once(raised)
+
+    @property
+    def credits(self) -> list[str]:
+        """The sources of map and scan and whom to name, each once."""
+        parts = [self.site.get("map"), self.site.get("scan")]
+        named = [str(part["source"]) for part in parts if part and part.get("source")]
+        named += map(str, self.site.get("attribution") or self.heat.labels.sources)
+        return list(dict.fromkeys(named))
+
+
+def read_results(folder: Path, dataset: Path | None = None) -> Results:
+    """Read the results of `gis-radar run`, or of the steps one by one.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds `heatmap.gpkg`, or a folder with it: `heatmap/`, or the only one that has one.
+    dataset : Path, optional
+        The dataset that it was made of, where it is not the folder `dataset` in it.
+
+    Raises
+    ------
+    InputError
+        If there is no heat map, or several, or something is damaged.
+    """
+    run, place = _run(folder), _heat_map(folder)
+    heat = read_heatmap(place)
+    measured, missing = _dataset(folder, heat, dataset)
+    if measured is None:
+        missing.append(
+            "The dataset that the heat map was made of is not in the folder: what the sensors "
+            "delivered, their poses and the filters are not known."
+        )
+    if not run:
+        missing.append("The folder is not that of a run: settings are listed only as far as known.")
+    poses = _poses(folder, measured)
+    missing += [
+        Text(
+            "The pose of sensor {} is in {}, the map in {}: it is left out.",
+            pose.sensor,
+            name_of(pose.crs)[:24],
+            name_of(heat.crs)[:24],
+        )
+        for pose in poses
+        if not same_plane(pose.crs, heat.crs)
+    ]
+    pictures = sorted((folder / "sensors").glob("*/localization.png"))
+    return Results(
+        name=place.name,
+        heat=heat,
+        dataset=measured,
+        poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
+        streets=_streets(folder),
+        figures={path.parent.name: path for path in pictures},
+        run=run,
+        missing=missing,
+    )
+
+
+def _heat_map(folder: Path) -> Path:
+    if not folder.is_dir():
+        raise InputError("{}: no such folder", folder, hint="name the folder of gis-radar run")
+    for place in (folder, folder / "heatmap"):
+        if (place / PACKAGE).is_file():
+            return place
+    found = sorted(path.parent for path in folder.glob(f"*/{PACKAGE}"))
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise InputError("{}: holds several heat maps: {}", folder, names, hint="name one of them")
+    if not found:
+        raise InputError(
+            "{}: holds no heat map", folder, hint="make one with: gis-radar run, gis-radar heatmap"
+        )
+    return found[0]
+
+
+def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset | None, list[str]]:
+    """Return the dataset of the heat map's tiles, and what to know of another one."""
+    place = given or folder / DATASET
+    if given is None and not place.is_dir():
+        return None, []
+    found = open_dataset(place)
+    if found.manifest.fingerprint == heat.fingerprint:
+        return found, []
+    if given is not None:
+        raise InputError(
+            "{}: the heat map was not made with the tiles of {}",
+            folder,
+            given,
+            hint="name the dataset that the heat map was made of",
+        )
+    return None, ["The dataset in the folder belongs to other tiles and is left out."]
+
+
+def _streets(folder: Path) -> dict[int, tuple[str, str]]:
+    """Return the streets of lanes by their numbers, as far as the run's tiles know them."""
+    path = folder / "tiles.gpkg"
+    if not path.is_file():
+        return {}
+    try:
+        with opened_package(path, what="a GeoPackage of tiles") as place:
+            table = pyogrio.read_dataframe(place, layer=LANES, read_geometry=False)
+    except InputError:
+        return {}  # `gr.write_tiles` without lanes
+    named = table.dropna(subset=["street"])
+    parts = named["street_part"].fillna("")
+    names = zip(named["street"].astype(str), parts.astype(str), strict=True)
+    return dict(zip(named["lane"].astype(int), names, strict=True))
+
+
+def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
+    """Return the pose that each sensor had last, by the dataset, or by the files beside."""
+    found: dict[str, Pose] = {}
+    if dataset is not None:
+        for document in dataset.poses()["document"]:
+            pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
+            before = found.get(pose.sensor)
+            if before is None or _since(before) <= _since(pose):
+                found[pose.sensor] = pose
+    elif (folder / "sensors").is_dir():
+        for path in sorted((folder / "sensors").glob("*/pose.json")):
+            found[path.parent.name] = read_track(path).poses[-1]
+    return [found[name] for name in sorted(found)]
+
+
+def _since(pose: Pose) -> str:
+    return str(pose.evidence.get("time") or "")
+
+
+def _run(folder: Path) -> dict[str, Any]:
+    path = folder / RUN
+    if not path.is_file():
+        return {}
+    document = read_json(path, what="the record of a run", hint=Text("run the site again"))
+    if not isinstance(document, dict):
+        raise InputError("{}: damaged: it is no table of settings", path, hint="run the site again")
+    return restored(document)
+
+
+def pose_figures(results: Results) -> list[Figure]:
+    """Return the pictures of how poses were found, of the sensors that are shown."""
+    found: list[Figure] = []
+    poses = [pose for pose in results.poses if pose.sensor in results.figures]
+    width = FIGURE_PIXELS if len(poses) <= FINE_FIGURES else COARSE_PIXELS
+    for pose in poses[:MOST_FIGURES]:
+        image = flat_picture(results.figures[pose.sensor], width)
+        if image is None:
+            continue
+        boxes = panels_of(results.figures[pose.sensor], image)
+        found.append(
+            Figure(
+                png=png(image),
+                width=image.width,
+                height=image.height,
+                panels=[png(image.crop(box)) for box in boxes],
+                caption=tr("Sensor {line}", line=f"{pose.sensor}: {how_found(pose.evidence)}."),
+                alt=tr(
+                    "How the pose of {sensor} was found: paths of vehicles on the map's lanes; "
+                    "{how}.",
+                    sensor=pose.sensor,
+                    how=how_found(pose.evidence),
+                ),
+            )
+        )
+    return found
+
+
+def flat_picture(path: Path, width: int) -> Image.Image | None:
+    """Return a picture file on white.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    width : int
+        The most pixels across; a wider picture is made smaller.
+
+    Returns
+    -------
+    Image or None
+        RGB; None where the file is no picture.
+    """
+    try:
+        with Image.open(path) as image:
+            image.load()
+            whole = image.convert("RGBA")
+    except (OSError, ValueError):
+        return None
+    if whole.getchannel("A").getextrema() != (255, 255):
+        whole = Image.alpha_composite(Image.new("RGBA", whole.size, "white"), whole)
+    flat = whole.convert("RGB")
+    flat.thumbnail((width, width * 4))
+    return flat
+
+
+def panels_of(path: Path, image: Image.Image) -> list[tuple[int, int, int, int]]:
+    """Return where the panels of a picture lie.
+
+    Parameters
+    ----------
+    path : Path
+        The picture file, with the shares of its panels in its text.
+    image : Image
+        The same picture, of any size.
+
+    Returns
+    -------
+    list of (int, int, int, int)
+        Left, top, right and base in pixels of the image; none where the file does not tell them.
+    """
+    with Image.open(path) as file:
+        told = file.info.get(PANELS)
+    try:
+        shares = np.array(json.loads(str(told)), np.float64).reshape(-1, 4)
+    except (TypeError, ValueError):
+        return []
+    if len(shares) < 2:
+        return []
+    size = np.array([image.width, image.height])
+    low, high = shares[:, :2] * size - PAD, (shares[:, :2] + shares[:, 2:]) * size + PAD
+    boxes = np.hstack([np.maximum(low, 0), np.minimum(high, size)])
+    if not np.isfinite(boxes).all() or (boxes[:, 2:] - boxes[:, :2] < LEAST_PANEL).any():
+        return []
+    return [(int(left), int(top), int(right), int(base)) for left, top, right, base in boxes]
+
+
+def sensor_table(results: Results, *, figures: int) -> Table:
+    """Return where sensors stand, how well that is known, and how it was found.
+
+    Parameters
+    ----------
+    results : Results
+        Whose sensors.
+    figures : int
+        How many pictures follow; the note says where there are more.
+    """
+    columns = _sensor_columns()
+    rows = text_rows(results.poses, columns)
+    rows += [
+        [name, *[NOTHING] * 6, tr("no result: {why}", why=tr(reason))]
+        for name, reason in results.lost.items()
+    ]
+    note = tr(
+        "± is one standard deviation. Bearings count clockwise from grid north; pitch over 0 "
+        "looks down. Width is the opening angle."
+    )
+    if figures < len(results.figures):
+        text = "Pictures follow of {part}; there are {all} in sensors/."
+        note += " " + tr(text, part=figures, all=len(results.figures))
+    if not rows:
+        note = tr("No pose is known here.")
+    return Table(
+        name="sensors", caption=tr("Sensors, and where they stand"), columns=columns, rows=rows,
+        note=note, files=[(names.SENSORS, tr("all poses"))],
+    )  # fmt: skip
+
+
+def _sensor_columns() -> list[Column]:
+    """Return how a pose is read."""
+
+    def angles(pose: Pose) -> str:
+        both = [_measured(pose, name, 1).replace(" ", THIN) for name in ("pitch", "roll")]
+        return ", ".join(both)
+
+    def sees(pose: Pose) -> str:
+        view = pose.view or View()
+        return f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°"
+
+    return [
+        Column(tr("Sensor"), "", lambda pose: str(pose.sensor), False),
+        Column(tr("Easting"), "m", lambda pose: _measured(pose, "easting", 2)),
+        Column(tr("Northing"), "m", lambda pose: _measured(pose, "northing", 2)),
+        Column(tr("Height"), "m", lambda pose: _measured(pose, "height", 2)),
+        Column(tr("Looks to"), tr("from grid north"), _looks_to),
+        Column(tr("Pitch, roll"), tr("degrees"), angles),
+        Column(tr("Sees"), tr("range, width"), sees),
+        Column(tr("How its pose was found"), "", lambda pose: how_found(pose.evidence), False),
+    ]
+
+
+def _measured(
+    pose: Pose, name: str, digits: int, value: float | None = None, unit: str = ""
+) -> str:
+    """Return a number of a pose, or another value for it, with its standard deviation."""
+    shown = figure_text(getattr(pose, name) if value is None else value, digits) + unit
+    known = _sigma(pose).get(name)
+    return shown if known is None else f"{shown} {plus_minus(known, 2, unit)}"
+
+
+def _looks_to(pose: Pose) -> str:
+    ahead = pose.R_map_sensor[:2, 0]
+    bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
+    return f"{direction(*ahead)}, {_measured(pose, 'yaw', 1, bearing, '°')}"
+
+
+def _sigma(pose: Pose) -> dict[str, float]:
+    """Return the standard deviations of a pose that are known."""
+    sigma = pose.evidence.get("sigma")
+    return {
+        name: float(value)
+        for name, value in (sigma if isinstance(sigma, dict) else {}).items()
+        if isinstance(value, int | float) and math.isfinite(value)
+    }
+
+
+def write_sensor_table(path: Path, results: Results) -> None:
+    """Write the poses with their standard deviations, and who has none, in English."""
+    with speaking("en"):
+        _write_sensor_table(path, results)
+
+
+def _write_sensor_table(path: Path, results: Results) -> None:
+    parts = (*POSITION, *ANGLES)
+    header = (
+        "sensor", "crs", *parts, *(f"sigma_{name}" for name in parts),
+        "azimuth_deg", "elevation_deg", "min_range_m", "max_range_m", "how_found",
+    )  # fmt: skip
+    rows = [
+        {
+            "sensor": pose.sensor,
+            "crs": pose.as_dict()["crs"],
+            "how_found": how_found(pose.evidence),
+            **{name: round(getattr(pose, name), 4) for name in parts},
+            **{f"sigma_{name}": round(value, 4) for name, value in _sigma(pose).items()},
+            **asdict(pose.view or View()),
+        }
+        for pose in results.poses
+    ]
+    lost = results.lost.items()
+    rows += [{"sensor": name, "how_found": Text("no result: {}", why)} for name, why in lost]
+    write_csv(path, header, ([row.get(name, "") for name in header] for row in rows))

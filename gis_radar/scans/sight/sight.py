@@ -1,0 +1,496 @@
+"""Sight: which tiles a sensor sees from one pose, and what hides the others.
+
+Sight depends on pose, tiles and scan alone. A ray goes from the sensor to each tile in its view,
+over the cells of the scan, and is hidden where it runs inside what stands, through the ground or
+through a deck. Without a scan, all that is in the view counts as seen: `view only`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from gis_radar.base import (
+    QUIET,
+    Booleans,
+    Box,
+    Floats,
+    Grid,
+    InputError,
+    Integers,
+    Reporter,
+    Text,
+    compiled,
+    metric_crs,
+)
+from gis_radar.hdmap import fingerprint, quads
+from gis_radar.poses import Pose, View
+from gis_radar.scans.columns import Columns, read_columns
+from gis_radar.scans.scan import Scan, box_with_margin, open_scan
+from gis_radar.scans.sight.obstacles import (
+    Obstacles,
+    RoadHeights,
+    cells_of,
+    find_obstacles,
+    road_heights,
+)
+from gis_radar.scans.sight.settings import SIGHT_DEFAULTS, SightSettings
+
+OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
+STATES = ("out of view", "in sight", "hidden")
+NOTHING, STANDING, GROUND, DECK, NOT_IN_SCAN = 0, 1, 2, 3, 4
+HIDERS = ("", "something that stands", "the ground", "a deck", "something not in the scan")
+VIEW_ONLY = "view only"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SightTiles:
+    """Tiles as sight needs them.
+
+    Parameters
+    ----------
+    tile_id, lanelet_id : (n,) int64 array
+        Their ids, and of what they are slices.
+    quads : (n, 4, 2) array
+        Their vertices in the map, metres.
+    height : (n,) array
+        Of the road, metres; NaN where not known.
+    crs : CRS
+        Of the map.
+    fingerprint : str
+        Of the tiles.
+    """
+
+    tile_id: Integers = field(repr=False)
+    lanelet_id: Integers = field(repr=False)
+    quads: Floats = field(repr=False)
+    height: Floats = field(repr=False)
+    crs: CRS
+    fingerprint: str
+
+    @classmethod
+    def of(cls, tiles: gpd.GeoDataFrame) -> SightTiles:
+        """Take them from a table as :func:`gis_radar.read_tiles` returns it."""
+        return cls(
+            tile_id=tiles["tile_id"].to_numpy(np.int64),
+            lanelet_id=tiles["lanelet_id"].to_numpy(np.int64),
+            quads=quads(tiles),
+            height=tiles["height_m"].to_numpy(np.float64),
+            crs=metric_crs(tiles.crs, what="tiles"),
+            fingerprint=fingerprint(tiles),
+        )
+
+    @cached_property
+    def centres(self) -> Floats:
+        """Centres in the map at the height of the road, (n, 3) metres."""
+        middle = shapely.get_coordinates(shapely.centroid(shapely.polygons(self.quads)))
+        return np.column_stack([middle, self.height])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """What a sensor sees of each tile from one pose.
+
+    Parameters
+    ----------
+    pose : Pose
+        Where the sensor stands and looks.
+    tile_id : (n,) int64 array
+        Ids of all tiles.
+    state : (n,) uint8 array
+        `OUT_OF_VIEW`, `IN_SIGHT` or `HIDDEN` for each.
+    hider : (n,) uint8 array
+        What hides a tile: `NOTHING`, `STANDING`, `GROUND`, `DECK`, or `NOT_IN_SCAN`, as a
+        recording shows.
+    hidden_at_m : (n,) array
+        Distance from the sensor in the plane at which that begins, metres; NaN where nothing does.
+    uncovered : (n,) bool array
+        Tiles in sight whose ray passes far over what the scan does not cover.
+    scan : str
+        Digest of the scan; `view only` without one.
+    """
+
+    pose: Pose
+    tile_id: Integers = field(repr=False)
+    state: NDArray[np.uint8] = field(repr=False)
+    hider: NDArray[np.uint8] = field(repr=False)
+    hidden_at_m: Floats = field(repr=False)
+    uncovered: Booleans = field(repr=False)
+    scan: str = VIEW_ONLY
+
+    @property
+    def seen(self) -> Integers:
+        """Ids of the tiles in sight, ascending as the tiles are."""
+        return np.asarray(self.tile_id[self.state == IN_SIGHT])
+
+    @property
+    def covered(self) -> float:
+        """Share of the tiles in the view that the scan decides, 0 to 1; 0 without a scan."""
+        in_view = np.count_nonzero(self.state != OUT_OF_VIEW)
+        if self.scan == VIEW_ONLY or in_view == 0:
+            return 0.0
+        return 1.0 - float(np.count_nonzero(self.uncovered) / in_view)
+
+    def figures(self) -> dict[str, Any]:
+        """Return how many tiles are in sight and hidden, and the share that the scan decides."""
+        counts = np.bincount(self.state, minlength=3)
+        return {
+            "in_sight": int(counts[IN_SIGHT]),
+            "hidden": int(counts[HIDDEN]),
+            "covered": round(self.covered, 3),
+        }
+
+    def __repr__(self) -> str:
+        counts = np.bincount(self.state, minlength=3)
+        return (
+            f"Sight({self.pose.sensor}: {counts[IN_SIGHT]} tiles in sight, "
+            f"{counts[HIDDEN]} hidden, {counts[OUT_OF_VIEW]} out of view)"
+        )
+
+
+class SightSource(Protocol):
+    """Where sight comes from: a scan, or a file of sight."""
+
+    settings: SightSettings
+
+    def read(self, poses: Sequence[Pose]) -> None:
+        """Read in one go what these poses need."""
+
+    def find(self, pose: Pose) -> Sight:
+        """Return what a sensor sees from a pose."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest holds about it."""
+
+
+class SightScan:
+    """Airborne scans of a place, and what stands in them around sensors.
+
+    Each window around a sensor is read once; the scans are streamed, and a bounded number of
+    windows is kept.
+
+    Parameters
+    ----------
+    scans : sequence of paths
+        LAS, LAZ or COPC, whole and not masked; classified or not.
+    tiles : SightTiles
+        Whose heights distinguish the levels of the road.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files without one.
+    settings : SightSettings
+        Choices of the algorithm.
+    reporter : Reporter
+        Where progress goes.
+
+    Raises
+    ------
+    InputError
+        If a scan is missing or damaged; CrsError if it has no projected, metric CRS.
+    """
+
+    def __init__(
+        self,
+        scans: Sequence[str | Path],
+        tiles: SightTiles,
+        *,
+        scan_crs: Any = None,
+        settings: SightSettings = SIGHT_DEFAULTS,
+        reporter: Reporter = QUIET,
+    ) -> None:
+        self.tiles, self.settings = tiles, settings
+        self.scans: list[Scan] = [open_scan(scan, crs=scan_crs) for scan in scans]
+        self._reporter = reporter
+        self._kept: dict[Box, Obstacles] = {}
+
+    @cached_property
+    def digest(self) -> str:
+        """A text that only scans of this content, in any order, have."""
+        contents = []
+        for scan in self.scans:
+            with scan.path.open("rb") as file:
+                contents.append(hashlib.file_digest(file, "blake2b").hexdigest())
+        return hashlib.blake2b("".join(sorted(contents)).encode(), digest_size=16).hexdigest()
+
+    def read(self, poses: Sequence[Pose]) -> None:
+        """Read the windows of all these poses in one pass; only the last few are kept."""
+        grids = {grid.bounds: grid for grid in map(self._window, poses)}
+        new = [grid for box, grid in grids.items() if box not in self._kept]
+        most = self.settings.windows_kept
+        for group in (new[k : k + most] for k in range(0, len(new), most)):
+            self._read(group, poses)
+
+    def around(self, pose: Pose) -> Obstacles:
+        """Return what hides around a pose; the same for all poses of a window.
+
+        Raises
+        ------
+        InputError
+            If no scan has a point there, or its heights are of another vertical system.
+        """
+        box = self._window(pose).bounds
+        if box not in self._kept:
+            self.read([pose])
+        return self._kept[box]
+
+    def find(self, pose: Pose) -> Sight:
+        """Return what a sensor sees from a pose.
+
+        Raises
+        ------
+        InputError
+            As of :meth:`around`.
+        """
+        return _find(pose, self.tiles, self.around(pose), self.digest, self.settings)
+
+    def describe(self) -> dict[str, Any]:
+        """Return digest and files of the scans, and the settings, as a manifest holds them."""
+        return {
+            "scan": self.digest,
+            "files": sorted(each.path.name for each in self.scans),
+            "settings": asdict(self.settings),
+        }
+
+    def _window(self, pose: Pose) -> Grid:
+        """Return the cells around a pose that its view may reach."""
+        view, side = pose.view or View(), self.settings.window_m
+        east, north = pose.position[:2]
+        reach_m = view.max_range_m + self.settings.widest_roof_m
+        low = (np.floor(np.array([east, north]) - reach_m) // side * side).tolist()
+        count = int(np.ceil(2.0 * (reach_m + side) / side) * side / self.settings.cell_m)
+        west, south = (round(edge / self.settings.cell_m) for edge in low)
+        cell_m = self.settings.cell_m
+        return Grid(cell_m=cell_m, west=west, south=south, columns=count, rows=count)
+
+    def _read(self, grids: Sequence[Grid], poses: Sequence[Pose]) -> None:
+        windows = [Columns(grid=grid) for grid in grids]
+        boxes = np.array([grid.bounds for grid in grids])
+        box = (*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 2:].max(axis=0).tolist())
+        crs = self.tiles.crs
+        ground = read_columns(
+            self.scans, windows, box_with_margin(box, 1.0), crs, reporter=self._reporter
+        )
+        for window in windows:
+            bounds = window.grid.bounds
+            if window.points == 0:
+                raise self._elsewhere(next(p for p in poses if self._window(p).bounds == bounds))
+            roads = road_heights(self.tiles.quads, self.tiles.height, window.grid)
+            self._refuse_other_heights(window, roads)
+            self._kept[bounds] = find_obstacles(
+                window, roads, classified=ground >= self.settings.least_ground,
+                settings=self.settings,
+            )  # fmt: skip
+            while len(self._kept) > max(self.settings.windows_kept, len(windows)):
+                self._kept.pop(next(iter(self._kept)))
+
+    def _refuse_other_heights(self, window: Columns, roads: RoadHeights) -> None:
+        """Refuse a scan whose heights of the road are not those of the tiles."""
+        both = roads.road & np.isfinite(window.low)
+        if not both.any():
+            return
+        levels = np.stack([roads.lowest[both], roads.highest[both]])
+        apart = window.low[both] - levels
+        nearest = np.where(np.abs(apart[0]) < np.abs(apart[1]), apart[0], apart[1])
+        offset_m = float(np.median(nearest))
+        if abs(offset_m) > self.settings.offset_m:
+            raise InputError(
+                "{}: its road is {:+.1f} m from the height of the tiles: two vertical "
+                "systems, or the road of another place",
+                self.scans[0].path,
+                offset_m,
+                hint=Text(
+                    "make the tiles with {} from this scan, or take the scan in their heights",
+                    "--road",
+                ),
+            )
+
+    def _elsewhere(self, pose: Pose) -> InputError:
+        names = ", ".join(str(scan.path) for scan in self.scans[:3])
+        more, reach_m = " ..." if len(self.scans) > 3 else "", (pose.view or View()).max_range_m
+        return InputError(
+            "{}{}: no point within {:.0f} m of {}",
+            names,
+            more,
+            reach_m,
+            pose.sensor,
+            hint=Text(
+                "it stands at {:.0f} {:.0f} in {}; take the scan of that place, whole and "
+                "not masked",
+                pose.easting,
+                pose.northing,
+                pose.crs.name,
+            ),
+        )
+
+
+def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None) -> Sight:
+    """Find which tiles a sensor sees from one pose.
+
+    A tile is in sight where its centre, `target_m` over the road, lies within range, azimuth and
+    elevation, and, with a scan, nothing that stands in it hides that point.
+
+    Parameters
+    ----------
+    pose : Pose
+        Where the sensor stands and looks; without a view, the usual one counts.
+    tiles : SightTiles
+        The tiles, in the pose's CRS. Where the road's height is not known, that of the scan's
+        ground counts; without a scan, any elevation is in view.
+    source : SightScan or SightFile, optional
+        What stands around, or a file that holds sight; without it, sight is the view alone.
+
+    Returns
+    -------
+    Sight
+
+    Raises
+    ------
+    InputError
+        If no scan has a point near the sensor, or the file is of another pose.
+    """
+    if source is None:
+        return _find(pose, tiles, None, VIEW_ONLY, SIGHT_DEFAULTS)
+    return source.find(pose)
+
+
+def _find(
+    pose: Pose,
+    tiles: SightTiles,
+    obstacles: Obstacles | None,
+    scan: str,
+    settings: SightSettings,
+) -> Sight:
+    """Return what a sensor sees among obstacles; without them, all that is in the view."""
+    place = tiles.centres.copy()
+    unknown = np.isnan(place[:, 2])
+    if obstacles is not None and unknown.any():
+        place[unknown, 2] = obstacles.ground[cells_of(obstacles.grid, place[unknown])]
+        unknown = np.isnan(place[:, 2])
+    place[:, 2] += settings.target_m
+    points = pose.to_sensor(np.where(np.isnan(place), pose.height, place))
+    points[unknown, 2] = np.nan
+    in_view = (pose.view or View()).sees(points)
+    state = np.where(in_view, IN_SIGHT, OUT_OF_VIEW).astype(np.uint8)
+    sight = Sight(
+        pose=pose,
+        tile_id=tiles.tile_id,
+        state=state,
+        hider=np.zeros(len(state), np.uint8),
+        hidden_at_m=np.full(len(state), np.nan),
+        uncovered=np.zeros(len(state), np.bool_),
+        scan=scan,
+    )
+    if obstacles is not None:
+        _hide(sight, np.flatnonzero(in_view), place, obstacles, settings)
+    return sight
+
+
+def report_uncovered(
+    sights: Iterable[Sight], reporter: Reporter, settings: SightSettings = SIGHT_DEFAULTS
+) -> None:
+    """Report what a scan does not cover of each sensor's views; as a warning where it is much."""
+    worst: dict[str, float] = {}
+    for sight in sights:
+        if sight.scan != VIEW_ONLY and sight.uncovered.any():
+            worst[sight.pose.sensor] = min(sight.covered, worst.get(sight.pose.sensor, 1.0))
+    for sensor, covered in worst.items():
+        reporter.log(
+            Text(
+                "the scan covers {}% of the view of {}: what it does not cover counts as in sight",
+                math.floor(100.0 * covered),
+                sensor,
+            ),
+            "info" if covered >= settings.least_covered else "warning",
+        )
+
+
+def _hide(
+    sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles, settings: SightSettings
+) -> None:
+    """Enter into a new sight which of its rows something hides."""
+    targets = np.where(np.isnan(place[rows]), sight.pose.height, place[rows])
+    west, south = obstacles.grid.corner
+    begin_m, hider, unknown_m = _follow_rays(
+        sight.pose.position - (west, south, 0.0),
+        targets - (west, south, 0.0),
+        obstacles.grid.cell_m,
+        obstacles.floor,
+        obstacles.solid,
+        obstacles.slab_low,
+        obstacles.slab_high,
+        obstacles.known,
+        settings.step_m,
+        settings.skip_near_m,
+        settings.skip_far_m,
+        settings.blocked_m,
+    )
+    hidden = hider != NOTHING
+    sight.state[rows[hidden]] = HIDDEN
+    sight.hider[rows] = hider
+    sight.hidden_at_m[rows] = begin_m
+    sight.uncovered[rows] = ~hidden & (unknown_m > settings.unknown_m)
+
+
+@compiled
+def _follow_rays(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    eye: Floats,
+    targets: Floats,
+    cell_m: float,
+    floor: Any,
+    solid: Any,
+    slab_low: Any,
+    slab_high: Any,
+    known: Booleans,
+    step_m: float,
+    skip_near_m: float,
+    skip_far_m: float,
+    blocked_m: float,
+) -> tuple[Floats, Any, Floats]:
+    """Return for each target where its ray is first blocked, by what, and how far not covered."""
+    count = len(targets)
+    begin_m, unknown_m = np.full(count, np.nan), np.zeros(count)
+    hider = np.zeros(count, np.uint8)
+    columns, rows = floor.shape
+    for i in range(count):
+        dx, dy, dz = targets[i] - eye
+        flat_m = np.hypot(dx, dy)
+        blocked, first, by = 0.0, np.nan, 0
+        for k in range(int(skip_near_m / step_m), int((flat_m - skip_far_m) / step_m) + 1):
+            share = k * step_m / flat_m
+            u = int(np.floor((eye[0] + share * dx) / cell_m))
+            v = int(np.floor((eye[1] + share * dy) / cell_m))
+            if u < 0 or v < 0 or u >= columns or v >= rows or not known[u, v]:
+                unknown_m[i] += step_m
+                continue
+            z = eye[2] + share * dz
+            kind = 0
+            if z < solid[u, v]:
+                kind = 1
+            elif z < floor[u, v]:
+                kind = 2
+            elif slab_low[u, v] < z < slab_high[u, v]:
+                kind = 3
+            if kind == 0:
+                continue
+            if blocked == 0.0:
+                first, by = k * step_m, kind
+            blocked += step_m
+            if blocked >= blocked_m:
+                begin_m[i], hider[i] = first, by
+                break
+    return begin_m, hider, unknown_m
+
+
+def describe_sight(source: SightSource | None) -> dict[str, Any] | str:
+    """Return what a manifest holds about sight: `view only`, or where it comes from."""
+    return VIEW_ONLY if source is None else source.describe()
