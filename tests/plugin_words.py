@@ -100,7 +100,10 @@ def _is_legend(node):
 def project_texts():
     """Return names of layers, of groups and of the layout, and labels of classes, of a project."""
     found = {"Source", "Made with gis_radar"}
-    for path in (PACKAGE / "qgis" / "project.qgs", PACKAGE / "qgis" / "sheet.qpt"):
+    for path in (
+        PACKAGE / "products" / "qgis" / "project.qgs",
+        PACKAGE / "products" / "qgis" / "sheet.qpt",
+    ):
         root = parse(path).getroot()  # noqa: S314 - our own files
         named = [root, *root.iter("layer-tree-layer"), *root.iter("layer-tree-group")]
         found |= {element.get("name", "") for element in named}

@@ -250,7 +250,7 @@ def test_layers_without_features_are_in_no_legend(results, tmp_path):
 
 def test_no_id_of_a_layer_begins_another():
     """QGIS's lists of layers find one by the beginning of its id; what they keep crashes it."""
-    text = files("gis_radar").joinpath("qgis/project.qgs").read_text(encoding="utf-8")
+    text = files("gis_radar").joinpath("products/qgis/project.qgs").read_text(encoding="utf-8")
     template = ET.fromstring(text)  # noqa: S314 - our own text
     ids = [node.text for node in template.iter("id")]
     assert len(ids) > 9

@@ -20,7 +20,7 @@ from gis_radar.cli.usage import CLICK_TEXTS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE, PLUGIN = ROOT / "gis_radar", ROOT / "qgis_plugin" / "gis_radar_plugin"
-GERMAN = PACKAGE / "languages" / "de" / "LC_MESSAGES" / "gis_radar.po"
+GERMAN = PACKAGE / "base" / "languages" / "de" / "LC_MESSAGES" / "gis_radar.po"
 HEADER = """# German of gis_radar and its QGIS plugin.
 msgid ""
 msgstr ""
@@ -149,7 +149,7 @@ def asked() -> dict[str, str]:
 
 def definitions() -> set[str]:
     """Return the words that the report explains, and their meanings."""
-    text = (PACKAGE / "report" / "definitions.toml").read_text(encoding="utf-8")
+    text = (PACKAGE / "products" / "report" / "definitions.toml").read_text(encoding="utf-8")
     return {each for group in tomllib.loads(text).values() for each in (*group, *group.values())}
 
 

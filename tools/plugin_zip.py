@@ -23,10 +23,10 @@ SOURCE = ROOT / "qgis_plugin" / NAME
 KINDS = (".py", ".svg", ".json")
 # Of the package, used by the plugin too.
 SHARED = (
-    "heatmap/ground.qml",
-    "qgis/sheet.qpt",
-    "languages/po.py",
-    "languages/de/LC_MESSAGES/gis_radar.po",
+    "products/heatmap/ground.qml",
+    "products/qgis/sheet.qpt",
+    "base/languages/po.py",
+    "base/languages/de/LC_MESSAGES/gis_radar.po",
 )
 REQUIRED = (
     "name", "qgisMinimumVersion", "description", "about", "version", "author", "email",

@@ -1,6 +1,6 @@
 """The plugin's words in the language of QGIS: English in the code, others from the catalogue.
 
-The catalogue is that of gis_radar: `languages` in the package, `resources/languages` in the zip.
+The catalogue is that of gis_radar: `base/languages` in the package, below `resources` in the zip.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ HERE = Path(__file__).resolve().parent
 @cache
 def dictionary(language: str) -> dict[str, str]:
     """Return the translations into a language (`de`), empty where there are none."""
-    folders = (HERE / "resources" / "languages", HERE.parents[1] / "gis_radar" / "languages")
-    folder = next(each for each in folders if each.is_dir())
+    folders = (HERE / "resources", HERE.parents[1] / "gis_radar")
+    folder = next(each for each in folders if each.is_dir()) / "base" / "languages"
     path = folder / language / "LC_MESSAGES" / "gis_radar.po"
     if not path.is_file():
         return {}

@@ -44,7 +44,7 @@ from qgis.PyQt.QtCore import QDateTime, QMetaType, QSize, Qt
 from qgis.PyQt.QtGui import QImage
 from test_results import STYLE, colours, drawn
 
-LANE_STYLE = ROOT / "gis_radar" / "lanelets" / "lanes.qml"
+LANE_STYLE = ROOT / "gis_radar" / "hdmap" / "lanes.qml"
 
 
 def test_the_project_of_a_run_opens(qgis_new_project, project):

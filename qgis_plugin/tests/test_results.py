@@ -25,7 +25,7 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QDateTime, QSize, Qt
 from qgis.PyQt.QtGui import QColor
 
-STYLE = runpy.run_path(str(ROOT / "gis_radar" / "heatmap" / "style.py"))
+STYLE = runpy.run_path(str(ROOT / "gis_radar" / "products" / "heatmap" / "style.py"))
 
 
 @pytest.fixture

@@ -60,7 +60,7 @@ def make_layout(
         Title and source.
     """
     layout = QgsPrintLayout(project)
-    layout.loadFromTemplate(shared_document("qgis/sheet.qpt"), QgsReadWriteContext())
+    layout.loadFromTemplate(shared_document("products/qgis/sheet.qpt"), QgsReadWriteContext())
     layout.setName(NAME)
     _drive_map(layout.itemById("map"), pages)
     _fill_legend(layout.itemById("legend"), legend)
