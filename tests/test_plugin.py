@@ -351,7 +351,9 @@ def test_the_zip(tmp_path):
     assert not [name for name in names if re.search(r"__pycache__|\.pyc$|/\.|tests?/", name)]
     for name in ("metadata.txt", "LICENSE", "__init__.py", f"worker/{wheel.name}"):
         assert f"gis_radar_plugin/{name}" in names
-    catalogue_files = ("po.py", "de/LC_MESSAGES/gis_radar.po")
+    catalogue_files = {
+        f"base/languages/{name}" for name in ("po.py", "de/LC_MESSAGES/gis_radar.po")
+    }
     shared = {name.partition("/resources/")[2] for name in names if "/resources/" in name}
     assert shared == documents_of_the_plugin() | {
         f"base/languages/{name}" for name in catalogue_files
