@@ -112,7 +112,7 @@ def project_texts():
             each.get("labelText") for each in root.iter("LayoutItem")
             if each.get("id", "").startswith("meaning")
         }  # fmt: skip
-    for words in style.WORDS.values():
+    for words in style.MAP_WORDS.values():
         found |= {words.title, words.subtitle}
     for path in PACKAGE.glob("*/*.qml"):
         root = parse(path).getroot()  # noqa: S314 - our own files

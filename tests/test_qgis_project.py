@@ -316,7 +316,7 @@ def test_a_guess_in_degrees_is_refused():
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("measure", style.WORDS)
+@pytest.mark.parametrize("measure", style.MAP_WORDS)
 def test_the_words_of_a_sheet_name_hatched_grey_as_its_legend_does(measure, language):
     with files("gis_radar.products.qgis").joinpath("sheet.qpt").open("rb") as template:
         sheet = ET.parse(template)  # noqa: S314 - our own text
