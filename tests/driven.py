@@ -9,7 +9,7 @@ from datasets import recordings_of, run_rows, write_dataset
 from maps import EAST, NORTH
 from sites import pose
 
-from gis_radar.dataset import EVERY, FRAMES, STEPS_PER_HOUR
+from gis_radar.dataset import FRAMES, STEPS_PER_HOUR, TRACK_EVERY_STEPS
 from gis_radar.hdmap import polygons
 
 FIRST = 34_000_000_000
@@ -65,7 +65,7 @@ def driven(folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continu
     step = tracks["step"]
     known = ends.loc[tracks["vehicle"]]
     at_end = (step == known["min"].to_numpy()) | (step == known["max"].to_numpy())
-    kept = tracks[(step % EVERY == 0) | at_end]
+    kept = tracks[(step % TRACK_EVERY_STEPS == 0) | at_end]
     steps = np.arange(step.min(), step.max() + 1)
     whole = {(tile, True): set(steps.tolist()) for tile in tiles["tile_id"]}
     frames = {"sensor": np.full(len(steps), "R1"), "time_us": steps * 50_000, "first_step": steps,

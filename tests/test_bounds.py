@@ -10,7 +10,7 @@ from shapely import LineString, Polygon
 from gis_radar.hdmap import (
     CannotMendError,
     at_fractions,
-    length,
+    bound_length,
     outline,
     rungs,
     slices,
@@ -202,7 +202,7 @@ def test_a_bay_is_divided_by_rungs_that_do_not_cross():
     assert sound(*rungs(left, right, n)).all()
     assert uncovered(left, right, n) < 0.005
     assert mend(left, right).repairs == ()
-    assert length(left) > length(right)
+    assert bound_length(left) > bound_length(right)
     assert len(even) == n + 1
 
 

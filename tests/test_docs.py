@@ -25,7 +25,7 @@ from sites import START, crossing, pose, recording
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.dataset import TILE_COUNTS
-from gis_radar.hdmap import COLUMNS as TILES
+from gis_radar.hdmap import TILE_COLUMNS as TILES
 from gis_radar.poses.files import TRACK_FIELDS
 from gis_radar.products.quality.counting import Count
 from gis_radar.products.quality.quality import faults_of

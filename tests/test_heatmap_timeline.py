@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gis_radar.measures import Runs, union
+from gis_radar.measures import Runs, union_of_runs
 from gis_radar.products.heatmap.intervals import aligned, aligned_with, intervals_with
 
 pieces = st.lists(st.tuples(st.integers(-50, 50), st.integers(0, 12)), max_size=12)
@@ -23,7 +23,7 @@ def as_set(parts: list[tuple[int, int]]) -> set[int]:
 
 @given(one=pieces, two=pieces)
 def test_union_is_that_of_sets(one, two):
-    runs = union([as_runs(one), as_runs(two)])
+    runs = union_of_runs([as_runs(one), as_runs(two)])
     steps = as_set(one) | as_set(two)
     assert runs.steps == len(steps)
     assert (runs.first[1:] > runs.last[:-1] + 1).all()
@@ -33,7 +33,7 @@ def test_union_is_that_of_sets(one, two):
 
 @given(parts=pieces.filter(bool), length=st.integers(1, 30))
 def test_intervals_with_frames(parts, length):
-    runs, steps = union([as_runs(parts)]), as_set(parts)
+    runs, steps = union_of_runs([as_runs(parts)]), as_set(parts)
     wanted = sorted({step // length for step in steps})
     assert intervals_with(runs, length) == len(wanted)
     timeline = aligned_with(runs, length)
@@ -43,7 +43,7 @@ def test_intervals_with_frames(parts, length):
 
 @given(parts=pieces.filter(bool), length=st.integers(1, 30))
 def test_aligned_intervals_are_contiguous_and_count_everything(parts, length):
-    runs, steps = union([as_runs(parts)]), as_set(parts)
+    runs, steps = union_of_runs([as_runs(parts)]), as_set(parts)
     timeline = aligned(min(steps), max(steps), length)
     assert (timeline.begin % length == 0).all()
     assert (timeline.begin[1:] == timeline.end[:-1]).all()
@@ -57,6 +57,6 @@ def test_aligned_intervals_are_contiguous_and_count_everything(parts, length):
 
 @given(parts=pieces.filter(bool), step=st.integers(-80, 80))
 def test_nearest_step(parts, step):
-    nearest = union([as_runs(parts)]).nearest(step)
+    nearest = union_of_runs([as_runs(parts)]).nearest(step)
     assert nearest in as_set(parts)
     assert abs(nearest - step) == min(abs(one - step) for one in as_set(parts))

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import gis_radar as gr
-from gis_radar.base import WRITTEN
+from gis_radar.base import FILE_DATE
 
 COMMANDS = [
     "tiles map.osm --road road.laz --streets streets.gpkg -o {}.gpkg",
@@ -74,7 +74,7 @@ def test_scans_are_of_one_day(places, tmp_path):
     gr.write_projection(places[0] / "R1.parquet", pose, tmp_path / "points.laz")
     for path in (tmp_path / "points.laz", places[0] / "road.laz"):
         with laspy.open(path) as reader:
-            assert reader.header.creation_date == WRITTEN, path
+            assert reader.header.creation_date == FILE_DATE, path
 
 
 BOTH = "{0}.parquet {1}.parquet --pose {0}.json --pose {1}.json --tiles tiles.gpkg"

@@ -13,8 +13,8 @@ from sites import EAST, NORTH, UTM, crossing, lane_quads, tiles_of
 
 from gis_radar.base import CrsError, InputError, OutputError, UsageError
 from gis_radar.hdmap import (
-    COLUMNS,
-    LANE,
+    LANE_COLUMN,
+    TILE_COLUMNS,
     LaneletMap,
     fingerprint,
     make_tiles,
@@ -81,7 +81,7 @@ def test_a_straight_lane_is_cut_at_half_metres(length_m, count):
     np.testing.assert_allclose(tiles["width_m"], 3.0)
     np.testing.assert_allclose(tiles.area.sum(), 3.0 * length_m)
     assert tiles["lanelet_id"].iloc[0] == 9_000_000_000_000_000_000
-    assert tuple(tiles.columns) == (*COLUMNS, LANE, "geometry")
+    assert tuple(tiles.columns) == (*TILE_COLUMNS, LANE_COLUMN, "geometry")
     assert shapely.is_ccw(shapely.get_exterior_ring(tiles.geometry.array)).all()
 
 

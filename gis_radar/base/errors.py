@@ -108,7 +108,7 @@ def first_line(error: Exception) -> str:
     return str(error).partition("\n")[0] or type(error).__name__
 
 
-LOCALIZE = Text("pip install gis_radar[localize]")
+INSTALL_LOCALIZE = Text("pip install gis_radar[localize]")
 PDF = "pip install gis_radar[pdf]"
-NOTEBOOKS = Text("pip install gis_radar[notebooks]")
-TRAJECTORIES = Text("pip install gis_radar[trajectories]")
+INSTALL_NOTEBOOKS = Text("pip install gis_radar[notebooks]")
+INSTALL_TRAJECTORIES = Text("pip install gis_radar[trajectories]")

@@ -30,7 +30,7 @@ from gis_radar.base.leftovers import (
 from gis_radar.base.progress import QUIET, Reporter
 from gis_radar.base.texts import Text
 
-WRITTEN = date(2000, 1, 1)
+FILE_DATE = date(2000, 1, 1)
 """The day on which all files were written that must name one: the same work, the same bytes."""
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

@@ -21,14 +21,14 @@ import shapely
 from pyproj.exceptions import ProjError
 
 from gis_radar.base.errors import InputError, OutputError, first_line
-from gis_radar.base.files import WRITTEN
+from gis_radar.base.files import FILE_DATE
 from gis_radar.base.progress import QUIET, Reporter
 from gis_radar.base.texts import Text
 
 GPKG_VERSION = "1.2"
 """The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
 
-_WRITTEN = f"{WRITTEN}T00:00:00.000Z"
+_WRITTEN = f"{FILE_DATE}T00:00:00.000Z"
 _DATE_OF_GDAL = "OGR_CURRENT_DATE"
 
 SQLITE = b"SQLite format 3\0"

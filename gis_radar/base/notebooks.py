@@ -100,7 +100,7 @@ SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
 MOST_TICKS = 5
 EDGE_IN = 0.1  # around a picture
 LABELS_IN = 0.42  # what ticks and label of an axis take
-PANELS = "Panels"  # of a picture: where its panels lie, for pages that lay them out anew
+PANELS_KEY = "Panels"  # of a picture: where its panels lie, for pages that lay them out anew
 FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
@@ -180,7 +180,7 @@ def picture_file(
         Pixels an inch.
     tight : bool
         Fit the picture to what is drawn, for axes true to scale outgrow a constrained layout; and
-        note in the file where each panel lies (:data:`PANELS`).
+        note in the file where each panel lies (:data:`PANELS_KEY`).
     letters_pt : float
         Size of its words.
     """
@@ -212,7 +212,7 @@ def _fitted(figure: Any) -> dict[str, Any]:
         left, top = (box.x0 - whole.x0) / whole.width, (whole.y1 - box.y1) / whole.height
         size = box.width / whole.width, box.height / whole.height
         panels.append([round(float(each), 4) for each in (left, top, *size)])
-    return {"bbox_inches": whole, "metadata": {PANELS: json.dumps(panels)}}
+    return {"bbox_inches": whole, "metadata": {PANELS_KEY: json.dumps(panels)}}
 
 
 def small_picture(draw: Callable[[Any], Any]) -> bytes:

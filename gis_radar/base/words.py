@@ -14,8 +14,8 @@ from gis_radar.base.errors import UsageError
 from gis_radar.base.languages import LANGUAGES, catalogue
 from gis_radar.base.texts import Text
 
-NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
-THIN = "\u202f"  # narrow, and no line ends there
+NO_FIGURE, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
+THIN_SPACE = "\u202f"  # narrow, and no line ends there
 WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 _MONTHS = (
     "January", "February", "March", "April", "May", "June", "July", "August", "September",
@@ -78,7 +78,7 @@ class _Speaker(Formatter):
             return tr(value)
         text = format(value, format_spec)
         if isinstance(value, float) or (isinstance(value, int) and format_spec):
-            return decimal(text.replace(",", THIN).replace("%", f"{THIN}%"))
+            return decimal(text.replace(",", THIN_SPACE).replace("%", f"{THIN_SPACE}%"))
         return text
 
 
@@ -95,8 +95,8 @@ def decimal(text: str) -> str:
 def figure_text(value: float, digits: int = 0) -> str:
     """Return a number with thousands set apart; a dash where there is none."""
     if not math.isfinite(value):
-        return NOTHING
-    text = decimal(f"{value:,.{digits}f}".replace(",", THIN))
+        return NO_FIGURE
+    text = decimal(f"{value:,.{digits}f}".replace(",", THIN_SPACE))
     return text.replace("-", MINUS) if float(f"{value:.{digits}f}") else text.replace("-", "")
 
 
@@ -107,16 +107,16 @@ def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
     """
     if math.isfinite(share) and math.isfinite(off):
         value, error = (figure_text(100 * each, digits) for each in (share, off))
-        return f"{value}{THIN}±{THIN}{error}{THIN}%"
+        return f"{value}{THIN_SPACE}±{THIN_SPACE}{error}{THIN_SPACE}%"
     if math.isfinite(share) and 0.0 < share * 100 < 0.5 * 10.0**-digits:
-        return tr("under {value}", value=decimal(f"{10.0**-digits:g}{THIN}%"))
-    return f"{figure_text(share * 100, digits)}{THIN}%" if math.isfinite(share) else NOTHING
+        return tr("under {value}", value=decimal(f"{10.0**-digits:g}{THIN_SPACE}%"))
+    return f"{figure_text(share * 100, digits)}{THIN_SPACE}%" if math.isfinite(share) else NO_FIGURE
 
 
 def plus_minus(value: float, digits: int, unit: str = "") -> str:
     """Return one standard deviation; a dash where it is not known."""
-    text = f"±{THIN}{figure_text(value, digits)}{unit.replace(' ', THIN)}"
-    return text if math.isfinite(value) else NOTHING
+    text = f"±{THIN_SPACE}{figure_text(value, digits)}{unit.replace(' ', THIN_SPACE)}"
+    return text if math.isfinite(value) else NO_FIGURE
 
 
 def wind_of(east_m: float, north_m: float) -> str:
@@ -128,7 +128,7 @@ def wind_of(east_m: float, north_m: float) -> str:
 
 def direction(east_m: float, north_m: float) -> str:
     """Return the wind of :func:`wind_of` in the reader's language; a dash where there is none."""
-    return tr(wind_of(east_m, north_m) or NOTHING)
+    return tr(wind_of(east_m, north_m) or NO_FIGURE)
 
 
 def street_label(street: object, part: object = None) -> str:
@@ -156,12 +156,12 @@ def seconds_text(seconds: float) -> str:
     left = round(seconds)
     parts: list[tuple[int, str]] = []
     if left < 120:
-        return f"{figure_text(seconds, 0 if seconds >= 10 else 1)}{THIN}s"
+        return f"{figure_text(seconds, 0 if seconds >= 10 else 1)}{THIN_SPACE}s"
     for unit, size_s in (("d", 86_400), ("h", 3600), ("min", 60), ("s", 1)):
         amount, left = divmod(left, size_s)
         if amount or parts:
             parts.append((amount, unit))
-    return " ".join(f"{amount}{THIN}{unit}" for amount, unit in parts[:2] if amount)
+    return " ".join(f"{amount}{THIN_SPACE}{unit}" for amount, unit in parts[:2] if amount)
 
 
 def long_day(moment: datetime) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gis_radar.base import LOCALIZE, Floats, InputError, Integers, NoAnswerError, Reporter
+from gis_radar.base import INSTALL_LOCALIZE, Floats, InputError, Integers, NoAnswerError, Reporter
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.calibration.result import STAGE, Localization, Problem, common
 from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, IcpSettings, LocalizationSettings
@@ -198,7 +198,9 @@ def _open3d() -> Any:
     try:
         import open3d  # noqa: PLC0415 - large, and only this method needs it
     except ImportError as error:
-        raise InputError("the method icp needs Open3D, which is missing", hint=LOCALIZE) from error
+        raise InputError(
+            "the method icp needs Open3D, which is missing", hint=INSTALL_LOCALIZE
+        ) from error
     return open3d
 
 

@@ -18,7 +18,7 @@ from gis_radar.base import CELL_M, QUIET, Booleans, Floats, Grid, Integers, Repo
 from gis_radar.poses import Pose
 from gis_radar.recordings import RangeCounts, Recording, RollingWindow, as_recording
 from gis_radar.scans import (
-    Columns,
+    ScanColumns,
     box_with_margin,
     ground_under,
     nearest_known,
@@ -346,7 +346,7 @@ def read_structure(
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     half = int(np.ceil(reach_m / CELL_M))
     grid = Grid(cell_m=CELL_M, west=-half, south=-half, columns=2 * half, rows=2 * half)
-    window = Columns(grid=grid, from_map=level.from_map)
+    window = ScanColumns(grid=grid, from_map=level.from_map)
     east, north, _ = level.pose.position
     box = box_with_margin((east, north, east, north), reach_m * np.sqrt(2.0))
     grounds = read_columns(opened, [window], box, level.pose.crs, reporter=reporter)
@@ -355,7 +355,7 @@ def read_structure(
     return _structure(window, settings, classified=grounds >= LEAST_GROUND)
 
 
-def _structure(tops: Columns, settings: ScanCheckSettings, *, classified: bool) -> Structure:
+def _structure(tops: ScanColumns, settings: ScanCheckSettings, *, classified: bool) -> Structure:
     tall_m, jump = settings.tall_m, JUMP_CELLS
     away, index = nearest_known(np.isfinite(tops.top))
     top, plants, building = (

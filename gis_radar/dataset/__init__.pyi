@@ -17,18 +17,18 @@ from .parts import (
 from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .states import no_states, states_of
-from .tables import EVERY, FRAMES, PASSAGES, TILE_COUNTS, TableSchema
+from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
 from .tile_counts import RUN_ERRORS, STEPS_PER_QUARTER, HourSpans, count_spans, update_counts
 from .upkeep import relink, withdraw
 
 __all__ = [
-    "EVERY",
     "FRAMES",
     "PASSAGES",
     "RUN_ERRORS",
     "STEPS_PER_HOUR",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
+    "TRACK_EVERY_STEPS",
     "Dataset",
     "HourSpans",
     "HourWriter",

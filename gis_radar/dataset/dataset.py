@@ -51,8 +51,8 @@ from gis_radar.dataset.tables import (
 )
 from gis_radar.dataset.tile_counts import check_counts, read_counts
 from gis_radar.dataset.units import for_people
-from gis_radar.hdmap import LANES, LAYER, STOP_LINES, fingerprint, read_tiles
-from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union
+from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
+from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs
 
 Moment: TypeAlias = str | datetime | int | None
 """A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
@@ -192,8 +192,8 @@ class Dataset:
                 raise InputError(
                     "{}: frames are valid for too long", self.folder, hint=MEASURE_AGAIN
                 )
-            parts.append(union([Runs(first=first, last=last if valid else first)]))
-        found = union(parts) if parts else None
+            parts.append(union_of_runs([Runs(first=first, last=last if valid else first)]))
+        found = union_of_runs(parts) if parts else None
         if found is None or not len(found):
             raise InputError("{}: holds no frame", self.folder, hint="were the recordings empty?")
         return found
@@ -206,15 +206,15 @@ class Dataset:
         InputError
             If they are not those that the dataset was made from.
         """
-        return self.layer(LAYER)
+        return self.layer(TILES_LAYER)
 
     def lanes(self) -> gpd.GeoDataFrame:
         """Read the lanes."""
-        return self.layer(LANES)
+        return self.layer(LANES_LAYER)
 
     def stop_lines(self) -> gpd.GeoDataFrame:
         """Read the stop lines."""
-        return self.layer(STOP_LINES)
+        return self.layer(STOP_LINES_LAYER)
 
     def recordings(self) -> pd.DataFrame:
         """Read which recordings it was made from."""
@@ -393,7 +393,7 @@ class Dataset:
         """Read a layer of the tiles: `tiles`, `lanes` or `stop_lines`; each is read once."""
         if name not in self._layers:
             tiles = self._tiles()  # no layer of a file with other tiles
-            self._layers[name] = tiles if name == LAYER else self._other_layer(name)
+            self._layers[name] = tiles if name == TILES_LAYER else self._other_layer(name)
         return self._layers[name].copy()
 
     def _tiles(self) -> gpd.GeoDataFrame:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from gis_radar.base import Floats, Integers, ranges
 from gis_radar.dataset.dataset import Dataset
 from gis_radar.dataset.reading import Span
-from gis_radar.dataset.tables import EVERY, TRACKS, VEHICLES
+from gis_radar.dataset.tables import TRACK_EVERY_STEPS, TRACKS, VEHICLES
 
 CM = 0.01  # metres
 VehicleStates = tuple[pd.DataFrame, pd.DataFrame]
@@ -45,7 +45,7 @@ def states_of(
         `speed` (m/s), `lanelet_id, s_m, d_m` (null off the lanes), `seen`; by step and vehicle.
     """
     # Read one state beyond each end, to interpolate.
-    wide = None if span is None else (span[0] - EVERY, span[1] + EVERY)
+    wide = None if span is None else (span[0] - TRACK_EVERY_STEPS, span[1] + TRACK_EVERY_STEPS)
     tables = (dataset.batches(table, wide) for table in (TRACKS, VEHICLES))
     ahead = dict(dataset.continued().astype(np.int64).itertuples(index=False, name=None))
     first = first_numbers(ahead)

@@ -1,6 +1,14 @@
-from .bounds import CannotMendError, at_fractions, length, rungs, slices, sound, sound_rungs
-from .graph import MARGIN_M, FieldArrays, LaneGraph, lane_graph, lanes_at
-from .lanes import EXIT_M, LANES, STOP_LINES, chain_lanelets, lane_style, lanes, stop_lines
+from .bounds import CannotMendError, at_fractions, bound_length, rungs, slices, sound, sound_rungs
+from .graph import LANE_MARGIN_M, FieldArrays, LaneGraph, lane_graph, lanes_at
+from .lanes import (
+    LANE_EXIT_M,
+    LANES_LAYER,
+    STOP_LINES_LAYER,
+    chain_lanelets,
+    lane_style,
+    lanes,
+    stop_lines,
+)
 from .mending import outline
 from .osm import read_osm
 from .reader import LaneletMap, read_map
@@ -17,10 +25,10 @@ from .tile_lookup import (
     with_road_heights,
 )
 from .tiles import (
-    COLUMNS,
-    FIELDS,
-    LANE,
-    LAYER,
+    LANE_COLUMN,
+    TILE_COLUMNS,
+    TILE_FIELDS,
+    TILES_LAYER,
     fingerprint,
     make_tiles,
     own_columns,
@@ -31,15 +39,15 @@ from .tiles import (
 )
 
 __all__ = [
-    "COLUMNS",
-    "EXIT_M",
-    "FIELDS",
-    "LANE",
-    "LANES",
-    "LAYER",
-    "MARGIN_M",
+    "LANES_LAYER",
+    "LANE_COLUMN",
+    "LANE_EXIT_M",
+    "LANE_MARGIN_M",
     "ON_FOOT_OR_BICYCLE",
-    "STOP_LINES",
+    "STOP_LINES_LAYER",
+    "TILES_LAYER",
+    "TILE_COLUMNS",
+    "TILE_FIELDS",
     "CannotMendError",
     "FieldArrays",
     "Lane",
@@ -51,6 +59,7 @@ __all__ = [
     "TileGrid",
     "TileTree",
     "at_fractions",
+    "bound_length",
     "cell_at",
     "chain_lanelets",
     "fingerprint",
@@ -60,7 +69,6 @@ __all__ = [
     "lanes",
     "lanes_at",
     "lanes_of",
-    "length",
     "make_tiles",
     "outline",
     "own_columns",

@@ -47,7 +47,7 @@ def without_repeats(bound: Floats) -> Floats:
     return kept
 
 
-def length(bound: Floats) -> float:
+def bound_length(bound: Floats) -> float:
     """Return the horizontal length of a bound in metres."""
     return float(arc_lengths(bound)[-1])
 
@@ -61,7 +61,7 @@ def at_fractions(bound: Floats, fractions: Floats) -> Floats:
 
 def slices(left: Floats, right: Floats, slice_m: float = _SOUND_M) -> int:
     """Return into how many slices of about `slice_m` metres a lanelet is cut, at least one."""
-    return max(1, round((length(left) + length(right)) / 2.0 / slice_m))
+    return max(1, round((bound_length(left) + bound_length(right)) / 2.0 / slice_m))
 
 
 def drawn_direction(left: Floats, right: Floats) -> Drawn:

@@ -14,7 +14,7 @@ import shapely
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled, ranges
 
 STEP_M = 1.0  # of the samples: on a curve of 10 m radius their chord is 1 cm off the arc
-MARGIN_M = 1.0  # beyond a lane's edge: a vehicle's middle is rarely so far outside
+LANE_MARGIN_M = 1.0  # beyond a lane's edge: a vehicle's middle is rarely so far outside
 CELL_M = 1.0
 JOIN_M = 1.5  # ends of lanelets that share no nodes: half a lane
 JOIN_RAD = np.radians(30.0)
@@ -198,7 +198,7 @@ class LaneField:
     first, segment : int64 arrays
         Where the segments of each cell begin, and the segments by cell: positions of samples.
     columns, rows : int
-        Size of the grid, which begins at the graph's origin less `MARGIN_M`.
+        Size of the grid, which begins at the graph's origin less `LANE_MARGIN_M`.
     lane_of : (m,) int64 array
         Lanelet of each sample.
     """
@@ -218,12 +218,12 @@ class LaneField:
     def of(cls, graph: LaneGraph) -> LaneField:
         """Lay the segments of a graph into a grid."""
         lane_of = np.repeat(np.arange(len(graph.lanelet_id)), np.diff(graph.first))
-        shift = float(graph.half_width_m.max()) + MARGIN_M
+        shift = float(graph.half_width_m.max()) + LANE_MARGIN_M
         size = graph.points[:, :2].max(axis=0) + 2.0 * shift
         columns, rows = (int(side / CELL_M) + 1 for side in size)
         heads = np.flatnonzero(np.diff(lane_of) == 0)
         ends = np.stack([graph.points[heads, :2], graph.points[heads + 1, :2]])
-        reach = np.maximum(graph.half_width_m[heads], graph.half_width_m[heads + 1]) + MARGIN_M
+        reach = np.maximum(graph.half_width_m[heads], graph.half_width_m[heads + 1]) + LANE_MARGIN_M
         low = np.floor((ends.min(axis=0) - reach[:, None] + shift) / CELL_M).astype(np.int64)
         high = np.floor((ends.max(axis=0) + reach[:, None] + shift) / CELL_M).astype(np.int64)
         low, high = np.maximum(low, 0), np.minimum(high, [columns - 1, rows - 1])
@@ -276,7 +276,7 @@ def lanes_at(
 ) -> int:  # pragma: no cover - compiled
     """Fill rows (lane, s, d, heading, half width, height) of the lanes at a point; return how many.
 
-    A lane is at a point within its width and `MARGIN_M`, between its ends.
+    A lane is at a point within its width and `LANE_MARGIN_M`, between its ends.
     """
     first, segment, size, lane_of, samples = field
     shift = samples[0, 6]

@@ -23,10 +23,10 @@ from gis_radar.hdmap.reader import LaneletMap
 from gis_radar.hdmap.streets import name_streets
 from gis_radar.hdmap.tagging import STREET, TURN_TAG
 
-LANES, STOP_LINES = "lanes", "stop_lines"
+LANES_LAYER, STOP_LINES_LAYER = "lanes", "stop_lines"
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other: drawn twice, to the digit
 SHAPE_M = 0.01  # of lines as drawn: far below a pixel, and a tenth of the points
-EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
+LANE_EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
 STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
 BACK_RAD = math.radians(150.0)
 SHARP_M = 50.0  # mean radius of a turn; roads that only bend have more
@@ -237,7 +237,10 @@ def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
 
 def _exit_of(line: shapely.LineString) -> tuple[float, float]:
     """Return east and north of the last metres of a line."""
-    end, before = line.interpolate(line.length), line.interpolate(max(line.length - EXIT_M, 0.0))
+    end, before = (
+        line.interpolate(line.length),
+        line.interpolate(max(line.length - LANE_EXIT_M, 0.0)),
+    )
     return end.x - before.x, end.y - before.y
 
 

@@ -16,7 +16,7 @@ from gis_radar.hdmap.bounds import (
     CannotMendError,
     arc_lengths,
     at_fractions,
-    length,
+    bound_length,
     matched,
     rungs,
     signed_area,
@@ -114,14 +114,14 @@ def is_sound(left: Floats, right: Floats) -> bool:
 
 def _require_extent(left: Floats, right: Floats) -> None:
     for side, bound in (("left", left), ("right", right)):
-        if len(bound) < 2 or length(bound) < NO_LENGTH_M:
+        if len(bound) < 2 or bound_length(bound) < NO_LENGTH_M:
             raise CannotMendError(Text("the {} bound has no length", Text(side)))
-        if length(bound) > MOST_LENGTH_M:
-            far = Text("{:.0f} km long", length(bound) / 1000.0)
+        if bound_length(bound) > MOST_LENGTH_M:
+            far = Text("{:.0f} km long", bound_length(bound) / 1000.0)
             raise CannotMendError(
                 Text("the {} bound is {}: a node is in the wrong place", Text(side), far)
             )
-    mean_length = (length(left) + length(right)) / 2.0
+    mean_length = (bound_length(left) + bound_length(right)) / 2.0
     if abs(signed_area(left, right)) < NO_WIDTH_M * mean_length:
         raise CannotMendError(Text("it has no width: its bounds lie on each other, or cross"))
 
@@ -236,7 +236,7 @@ def _unfolded(
     The part behind the rung at the turning point is skipped until the bound is ahead of it
     again; where it never is, the part ahead of the last rung is skipped instead.
     """
-    fractions = arc_lengths(bound) / length(bound)
+    fractions = arc_lengths(bound) / bound_length(bound)
     tip = at_fractions(bound, wrong[:1])
     foot = at_fractions(other, np.interp(wrong[:1], on_bound, on_other))
     behind = turn(foot[:, :2], tip[:, :2], bound[:, :2])

@@ -9,7 +9,7 @@ import numpy as np
 
 from gis_radar.base import Integers
 from gis_radar.hdmap.lanes import chain_lanelets
-from gis_radar.hdmap.tiles import LANE, quads
+from gis_radar.hdmap.tiles import LANE_COLUMN, quads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,10 +51,10 @@ def lanes_of(tiles: gpd.GeoDataFrame) -> list[Lane]:
     corners = quads(tiles) - quads(tiles).min(axis=(0, 1))
     starts = np.array([corners[part[0]][[3, 0]].ravel() for part in rows.values()])
     ends = np.array([corners[part[-1]][[2, 1]].ravel() for part in rows.values()])
-    if LANE not in tiles:
+    if LANE_COLUMN not in tiles:
         chains = {min(chain): chain for chain in chain_lanelets(ids, starts, ends)}
     else:
-        numbers = ordered.groupby("lanelet_id")[LANE].first().to_numpy(np.int64)
+        numbers = ordered.groupby("lanelet_id")[LANE_COLUMN].first().to_numpy(np.int64)
         chains = {}
         for number in np.unique(numbers).tolist():
             mine = np.flatnonzero(numbers == number)

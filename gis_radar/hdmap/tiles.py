@@ -35,7 +35,7 @@ from gis_radar.base import (
     opened_package,
 )
 from gis_radar.hdmap.bounds import CannotMendError, slices, sound_rungs
-from gis_radar.hdmap.lanes import LANES, STOP_LINES, lane_numbers, lane_style
+from gis_radar.hdmap.lanes import LANES_LAYER, STOP_LINES_LAYER, lane_numbers, lane_style
 from gis_radar.hdmap.mending import outline
 from gis_radar.hdmap.reader import LaneletMap, problem_table
 from gis_radar.hdmap.tagging import ON_FOOT_OR_BICYCLE
@@ -43,15 +43,15 @@ from gis_radar.hdmap.tagging import ON_FOOT_OR_BICYCLE
 LENGTH_M = 0.5  # of the contract and the paper
 LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
 MOST_TILES = 2_500_000  # each takes 1.4 kB of memory when it is made and written: 3.5 GB
-LAYER = "tiles"
+TILES_LAYER = "tiles"
 PROBLEMS = "problems"
 _COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
 _MAKE_ONE = Text("make one with: gis-radar tiles")
-COLUMNS = (
+TILE_COLUMNS = (
     "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
 )  # fmt: skip
 IDS = ("tile_id", "lanelet_id", "index")
-LANE = "lane"  # number of the lane; tiles of older versions have none
+LANE_COLUMN = "lane"  # number of the lane; tiles of older versions have none
 
 
 def make_tiles(
@@ -82,8 +82,8 @@ def make_tiles(
     Returns
     -------
     GeoDataFrame
-        A row a tile in the order of (lanelet_id, index), with the columns `COLUMNS`, `lane` (the
-        number of its lane, as :func:`gis_radar.lanes` has it) and the map's CRS. `height_m` is NaN
+        A row a tile in the order of (lanelet_id, index), with the columns `TILE_COLUMNS`, `lane`
+        (the number of its lane, as :func:`gis_radar.lanes` has it) and the CRS. `height_m` is NaN
         where the map has no heights.
 
     Raises
@@ -106,11 +106,11 @@ def make_tiles(
     _say_left_out(roads.lanelets, lanelets, reporter)
     tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
     numbers = tiles["lanelet_id"].map(lane_numbers(roads.lanelets)).astype(np.int64)
-    tiles.insert(len(COLUMNS), LANE, numbers)
+    tiles.insert(len(TILE_COLUMNS), LANE_COLUMN, numbers)
     return tiles
 
 
-FIELDS = {
+TILE_FIELDS = {
     "tile_id": ("Tile", "from 0, in the order of lanelet and index"),
     "lanelet_id": ("Lanelet", "of the map"),
     "index": ("Place in the lanelet", "0 at the lanelet's start"),
@@ -119,7 +119,7 @@ FIELDS = {
     "width_m": ("Width (m)", "mean of both ends, across"),
     "height_m": ("Height (m)", "of the road; null where unknown"),
     "subtype": ("Kind", "subtype of the lanelet"),
-    LANE: ("Lane", "number of the lane: its smallest lanelet id"),
+    LANE_COLUMN: ("Lane", "number of the lane: its smallest lanelet id"),
 }
 """Titles and meaning of the columns of tiles."""
 _LANES: dict[str, Any] = {
@@ -133,7 +133,7 @@ _STOPS: dict[str, Any] = {
 
 def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
     """Return the columns of tiles that are not somebody else's."""
-    return [*COLUMNS, *((LANE,) if LANE in tiles else ())]
+    return [*TILE_COLUMNS, *((LANE_COLUMN,) if LANE_COLUMN in tiles else ())]
 
 
 def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd.GeoDataFrame:
@@ -242,23 +242,26 @@ def write_tiles(
     seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
     if problems is None:
         problems = problem_table([], tiles.crs)
-    layers = [(LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")]
+    layers = [(TILES_LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")]
     if lanes is not None:
         # GeoPackage has no lists
         texts = lanes["lanelets"].map(lambda refs: " ".join(map(str, refs)))
-        layers.append((LANES, lanes.assign(lanelets=texts), "LineString"))
+        layers.append((LANES_LAYER, lanes.assign(lanelets=texts), "LineString"))
     if stop_lines is not None:
-        layers.append((STOP_LINES, stop_lines, "LineString"))
+        layers.append((STOP_LINES_LAYER, stop_lines, "LineString"))
     with atomic_write(path) as part:
         for layer, table, kind in layers:
-            metadata = seal if layer == LAYER else None
+            metadata = seal if layer == TILES_LAYER else None
             options = {"geometry_type": kind, "layer_metadata": metadata}
             add_layer(table, part, layer, use_arrow=True, **options)
         styles = {name: (lane_style(name), "") for name, _, _ in layers[2:]}
-        about = LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", FIELDS)
+        about = LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", TILE_FIELDS)
         with closing(sqlite3.connect(part)) as database, database:
-            notes = {LANES: about._replace(**_LANES), STOP_LINES: about._replace(**_STOPS)}
-            describe_layers(database, {LAYER: about} | {name: notes[name] for name in styles})
+            notes = {
+                LANES_LAYER: about._replace(**_LANES),
+                STOP_LINES_LAYER: about._replace(**_STOPS),
+            }
+            describe_layers(database, {TILES_LAYER: about} | {name: notes[name] for name in styles})
             if styles:
                 add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
         if styles:
@@ -271,7 +274,7 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
     Returns
     -------
     GeoDataFrame
-        Ascending by `tile_id`, with the columns `COLUMNS`.
+        Ascending by `tile_id`, with the columns `TILE_COLUMNS`.
 
     Raises
     ------
@@ -280,9 +283,11 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
         :func:`write_tiles` left it; CrsError if its coordinate system is missing or not metric.
     """
     tiles, seal = _layer(path)
-    missing = [name for name in COLUMNS if name not in tiles.columns]
+    missing = [name for name in TILE_COLUMNS if name not in tiles.columns]
     if missing or not isinstance(tiles, gpd.GeoDataFrame):
-        raise InputError("{}: layer {} lacks {}", path, LAYER, ", ".join(missing) or "geometry")
+        raise InputError(
+            "{}: layer {} lacks {}", path, TILES_LAYER, ", ".join(missing) or "geometry"
+        )
     tiles = tiles.set_crs(metric_crs(tiles.crs, what=str(path)), allow_override=True)
     _refuse_odd_tiles(tiles, path)
     try:
@@ -297,8 +302,8 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
 def _layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
     """Return the layer of tiles as it is, and what :func:`write_tiles` noted about it."""
     with opened_package(path, what="a GeoPackage of tiles", hint=_MAKE_ONE) as place:
-        tiles = pyogrio.read_dataframe(place, layer=LAYER, use_arrow=True)
-        seal = pyogrio.read_info(place, layer=LAYER)["layer_metadata"] or {}
+        tiles = pyogrio.read_dataframe(place, layer=TILES_LAYER, use_arrow=True)
+        seal = pyogrio.read_info(place, layer=TILES_LAYER)["layer_metadata"] or {}
     return tiles, seal
 
 
@@ -315,7 +320,7 @@ def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str
     raise InputError(
         "{}: layer {} was damaged or edited after gis_radar wrote it: it has {}",
         path,
-        LAYER,
+        TILES_LAYER,
         wrong,
         hint="make it again with: gis-radar tiles; a changed table of your own: write_tiles",
     )
@@ -323,7 +328,7 @@ def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str
 
 def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
     if tiles.empty:
-        raise InputError("{}: layer {} is empty", path, LAYER)
+        raise InputError("{}: layer {} is empty", path, TILES_LAYER)
     for column in IDS:
         if not pd.api.types.is_integer_dtype(tiles[column]) or tiles[column].hasnans:
             raise InputError("{}: column {} holds something else than whole numbers", path, column)

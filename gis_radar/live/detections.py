@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.base import Floats, InputError, Integers, compiled
-from gis_radar.hdmap import MARGIN_M, TileGrid
+from gis_radar.hdmap import LANE_MARGIN_M, TileGrid
 from gis_radar.live.payload import MOST_FRAMES, POSE_BYTES, Numbers, varint
 from gis_radar.measures import NO_FURTHER
 from gis_radar.poses import Pose
@@ -101,7 +101,7 @@ class DetectionSelector:
         self, road: SightTiles, settings: DetectionSettings = VEHICLE_DEFAULTS.detections
     ) -> None:
         self._height, self._settings = road.height, settings
-        self._grid = TileGrid(_widened(road.quads, MARGIN_M))
+        self._grid = TileGrid(_widened(road.quads, LANE_MARGIN_M))
         self._rates: list[Floats] = []
         self._begun = self._learned = np.nan
         self.still_mps = settings.slow_mps  # till it is learned: what stands must not seem to move

@@ -34,20 +34,12 @@ from gis_radar.live.payload import POSE_BYTES
 from gis_radar.measures import rows_of
 from gis_radar.poses import Pose
 from gis_radar.tracking import (
-    FRONT,
-    HEADING,
-    HITS,
-    LAST,
-    NUMBER,
-    REAR,
-    SPEED,
     VEHICLE_DEFAULTS,
     ForwardFilter,
     MapDetections,
     VehicleSettings,
-    X,
-    Y,
     are_persons,
+    columns,
     map_detections,
     usual_rcs,
 )
@@ -192,7 +184,7 @@ class NowFilter:
             rows = number == each
             found = self._known.pop(each, None) or _Known(rcs=deque(maxlen=RCS_KEPT))
             found.rcs.extend(detections.rcs[rows].tolist())
-            found.fast = max(found.fast, float(states[rows, SPEED].max()))
+            found.fast = max(found.fast, float(states[rows, columns.SPEED].max()))
             self._known[each] = found  # the latest last
         while len(self._known) > JUDGED:
             del self._known[next(iter(self._known))]
@@ -210,17 +202,16 @@ class NowFilter:
     def _show(self) -> None:
         """Take in the bodies of the filter, and whom it has lost since."""
         bodies = self._filter.bodies
-        sure = (bodies[:, HITS] >= SURE_HITS) & (bodies[:, LAST] > self._reached - 60)
+        late = bodies[:, columns.LAST] <= self._reached - 60
+        sure = (bodies[:, columns.HITS] >= SURE_HITS) & ~late
         persons = self._persons() if len(bodies) else set()
         alive: dict[int, Floats] = {}
         for body in bodies[sure]:
-            if (number := int(body[NUMBER])) not in persons:
-                ahead = 0.5 * (body[FRONT] - body[REAR])
-                way = np.array([np.cos(body[HEADING]), np.sin(body[HEADING])])
-                place = body[[X, Y]] + ahead * way
-                alive[number] = np.array(
-                    [*place, body[HEADING], body[SPEED], body[FRONT] + body[REAR]]
-                )
+            if (number := int(body[columns.NUMBER])) not in persons:
+                front, rear, heading = body[[columns.FRONT, columns.REAR, columns.HEADING]]
+                way = np.array([np.cos(heading), np.sin(heading)])
+                centre = body[[columns.X, columns.Y]] + 0.5 * (front - rear) * way
+                alive[number] = np.array([*centre, heading, body[columns.SPEED], front + rear])
         places = np.array([each[:2] for each in alive.values()]).reshape(-1, 2)
         for number, row in self._shown.items():
             if number not in alive and row[3] < GONE_MPS:

@@ -16,7 +16,7 @@ from .pose_sights import (
 )
 from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
 from .settings import HIT_DEFAULTS, Filters, HitSettings
-from .validity import FrameTimes, Runs, union, valid_steps, validity_of
+from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 
 __all__ = [
     "HIT_DEFAULTS",
@@ -49,7 +49,7 @@ __all__ = [
     "sight_of_tiles",
     "sorted_hits",
     "standing_for",
-    "union",
+    "union_of_runs",
     "valid_runs",
     "valid_steps",
     "validity_of",

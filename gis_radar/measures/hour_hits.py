@@ -15,7 +15,7 @@ from gis_radar.measures.counting_loop import DETECTIONS, MOVING, SHIFT_US, TILES
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, STEPS_PER_HOUR, HourWindow
 from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
-from gis_radar.measures.validity import Runs, union
+from gis_radar.measures.validity import Runs, union_of_runs
 
 NEVER = np.iinfo(np.int64).min // 2
 ROOM = 1 << 19  # pairs at once, 8 MiB; more than a tile can have
@@ -112,7 +112,7 @@ def valid_runs(
         name = np.array([each.name for each in sensor.sights], object)[sensor.place]
         for sight in sorted(set(name.tolist())):
             mine = each_once(step[name == sight])
-            runs = union([Runs(first=mine, last=frames.until_of(mine))])
+            runs = union_of_runs([Runs(first=mine, last=frames.until_of(mine))])
             first, last = runs.first, np.minimum(runs.last, window.span[1] - 1)
             tables.append(pd.DataFrame({"sight": sight, "first_step": first, "last_step": last}))
     whole = pd.concat(tables, ignore_index=True)
@@ -151,7 +151,7 @@ def observed_runs(
         if rows.empty:
             continue
         first, last = (rows[name].to_numpy(np.int64) for name in ("first_step", "last_step"))
-        runs = union([Runs(first=first, last=last)]).within(window.begin, window.end - 1)
+        runs = union_of_runs([Runs(first=first, last=last)]).within(window.begin, window.end - 1)
         mine = np.flatnonzero(kind.ravel() == number)
         tile = np.repeat(mine, len(runs))
         parts.append((tile, np.tile(runs.first, len(mine)), np.tile(runs.last, len(mine))))

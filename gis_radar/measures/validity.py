@@ -166,7 +166,7 @@ class Runs:
         return int(inside[np.argmin(np.abs(inside - step))])
 
 
-def union(parts: Sequence[Runs]) -> Runs:
+def union_of_runs(parts: Sequence[Runs]) -> Runs:
     """Return the steps that are in any of the sets, each of them once."""
     first = np.concatenate([part.first for part in parts])
     order = np.argsort(first, kind="stable")

@@ -30,7 +30,7 @@ from gis_radar.base import (
     keep_styles,
     write_stream,
 )
-from gis_radar.dataset import EVERY, Dataset, states_of
+from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, states_of
 from gis_radar.tracking import HEAVY, Footprints, OccupancySettings, PathBook, footprints_of
 
 FOOTPRINTS = "footprints"
@@ -156,7 +156,9 @@ class _Rows:
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         hours = len(self._dataset.records())
         book = PathBook(settings=OccupancySettings())
-        every = math.gcd(EVERY, self._settings.every_steps)  # rows, and where paths bend
+        every = math.gcd(
+            TRACK_EVERY_STEPS, self._settings.every_steps
+        )  # rows, and where paths bend
         states_by_hour = states_of(self._dataset, every=every)
         for done, (table, states) in enumerate(states_by_hour, start=1):
             level_m = np.full(len(states), np.nan)  # shapes need no heights

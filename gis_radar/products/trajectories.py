@@ -14,9 +14,9 @@ import pandas as pd
 from pyproj import CRS, Transformer
 
 from gis_radar.base import (
+    INSTALL_TRAJECTORIES,
     QUIET,
     STEP_US,
-    TRAJECTORIES,
     Floats,
     InputError,
     Reporter,
@@ -126,7 +126,7 @@ def to_trajectories(dataset: Dataset, **options: Any) -> movingpandas.Trajectory
             import movingpandas as mpd  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise InputError(
-            "trajectories need movingpandas, which is missing", hint=TRAJECTORIES
+            "trajectories need movingpandas, which is missing", hint=INSTALL_TRAJECTORIES
         ) from error
     points = track_points(dataset, **options)
     if points.empty:

@@ -1,11 +1,11 @@
-from .columns import Columns, ground_under, nearest_known, read_columns
+from .columns import ScanColumns, ground_under, nearest_known, read_columns
 from .mask import RoadMask, mask_road, require_road_name
 from .pdal import find_pdal
 from .roads import Roads, read_roads
 from .scan import box_with_margin, open_scan, read_road, road_crs
 from .sight.gaps import find_gaps, gap_warning
 from .sight.layers import SIGHT_LAYER, SightFile, open_sight, write_sights
-from .sight.picture import COLOURS, NAMES, draw_sight
+from .sight.picture import SIGHT_COLOURS, SIGHT_NAMES, draw_sight
 from .sight.recorded import (
     REFLECTION_M,
     MovementCounter,
@@ -29,20 +29,20 @@ from .sight.sight import (
 )
 
 __all__ = [
-    "COLOURS",
     "HIDDEN",
     "IN_SIGHT",
-    "NAMES",
     "OUT_OF_VIEW",
     "REFLECTION_M",
+    "SIGHT_COLOURS",
     "SIGHT_DEFAULTS",
     "SIGHT_LAYER",
+    "SIGHT_NAMES",
     "VIEW_ONLY",
-    "Columns",
     "MovementCounter",
     "MovingHits",
     "RoadMask",
     "Roads",
+    "ScanColumns",
     "Sight",
     "SightFile",
     "SightScan",

@@ -21,7 +21,7 @@ Heights: TypeAlias = NDArray[np.float32]  # to 0.03 mm at 400 m; a window has ma
 
 
 @dataclass(kw_only=True)
-class Columns:
+class ScanColumns:
     """Heights over the cells of a grid, gathered from batches of a scan.
 
     Arrays are (columns, rows): the first index counts along x. A cell without such a point has
@@ -80,7 +80,7 @@ class Columns:
 
 def read_columns(
     scans: Sequence[Scan],
-    windows: Sequence[Columns],
+    windows: Sequence[ScanColumns],
     box: Box,
     crs: CRS,
     *,
@@ -92,7 +92,7 @@ def read_columns(
     ----------
     scans : sequence of Scan
         Airborne scans; those that do not touch the box are not read.
-    windows : sequence of Columns
+    windows : sequence of ScanColumns
         Where the points go.
     box : (float, float, float, float)
         West, south, east, north of all windows in the map, metres.

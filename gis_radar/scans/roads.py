@@ -34,7 +34,7 @@ from gis_radar.base import (
     read_vector,
     utm_zone,
 )
-from gis_radar.hdmap import ON_FOOT_OR_BICYCLE, LaneletMap, at_fractions, length, read_map
+from gis_radar.hdmap import ON_FOOT_OR_BICYCLE, LaneletMap, at_fractions, bound_length, read_map
 from gis_radar.scans.settings import DEFAULTS, RoadSettings
 
 
@@ -102,7 +102,7 @@ def _levels_of(
 def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: float) -> Floats:
     """Return points on both bounds and between them, (n, 3)."""
     bounds = [shapely.get_coordinates(line, include_z=True) for line in (left, right)]
-    count = max(2, round(max(length(bound) for bound in bounds) / spacing_m) + 1)
+    count = max(2, round(max(bound_length(bound) for bound in bounds) / spacing_m) + 1)
     fractions = np.linspace(0.0, 1.0, count)
     on_left, on_right = (at_fractions(bound, fractions) for bound in bounds)
     return np.concatenate([on_left, (on_left + on_right) / 2.0, on_right])

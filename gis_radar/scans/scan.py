@@ -16,8 +16,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError as ProjError
 
 from gis_radar.base import (
+    FILE_DATE,
     QUIET,
-    WRITTEN,
     Box,
     CrsError,
     Floats,
@@ -182,7 +182,7 @@ def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings =
         With which they were made: a record of the header, as JSON.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.creation_date = WRITTEN
+    header.creation_date = FILE_DATE
     header.scales = np.full(3, 0.001)
     header.offsets = np.floor(points.min(axis=0))
     header.add_crs(crs)

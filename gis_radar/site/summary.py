@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment
 
 from gis_radar.base import (
-    NOTHING,
+    NO_FIGURE,
     Clock,
     GisRadarError,
     InputError,
@@ -183,13 +183,13 @@ def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
     for name, facts in sensors_of(outcomes, site).items():
         state = tr("good") if facts["state"] == "ok" else tr(str(facts["state"]))
         if "yaw" not in facts:
-            rows.append([name, *[NOTHING] * 6, state])
+            rows.append([name, *[NO_FIGURE] * 6, state])
             continue
         yaw = math.radians(facts["yaw"])
         place = [figure_text(facts[each], 2) for each in ("easting", "northing", "height")]
         bearing = f"{figure_text((90.0 - facts['yaw']) % 360.0, 1)}°"
         angles = ", ".join(f"{figure_text(facts[each], 1)}°" for each in ("pitch", "roll"))
         looks = f"{direction(math.cos(yaw), math.sin(yaw))}, {bearing}"
-        look = tr(str(facts.get("scan_check") or NOTHING))
+        look = tr(str(facts.get("scan_check") or NO_FIGURE))
         rows.append([name, *place, looks, angles, look, state])
     return rows

@@ -1,6 +1,6 @@
+from . import columns
 from .batches import warn_of_poses
 from .bodies import are_persons, usual_rcs
-from .columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
 from .detections import MapDetections, map_detections, still_rate
 from .footprints import Footprints, PathBook, footprints_of
 from .forward import ForwardFilter
@@ -11,15 +11,8 @@ from .passages import HEAVY
 from .settings import VEHICLE_DEFAULTS, DetectionSettings, VehicleSettings
 
 __all__ = [
-    "FRONT",
-    "HEADING",
     "HEAVY",
-    "HITS",
-    "LAST",
-    "NUMBER",
     "OCCUPANCY_DEFAULTS",
-    "REAR",
-    "SPEED",
     "VEHICLE_DEFAULTS",
     "DetectionSettings",
     "Footprints",
@@ -29,9 +22,8 @@ __all__ = [
     "OccupancySettings",
     "PathBook",
     "VehicleSettings",
-    "X",
-    "Y",
     "are_persons",
+    "columns",
     "footprints_of",
     "map_detections",
     "map_of_tiles",

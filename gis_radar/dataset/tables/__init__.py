@@ -7,7 +7,7 @@ from gis_radar.dataset.tables.runs import OBSERVED, OCCUPIED, VISIBLE
 from gis_radar.dataset.tables.site import POSES, RECORDINGS, SIGHTS
 from gis_radar.dataset.tables.table import TableColumn, TableSchema
 from gis_radar.dataset.tables.tile_counts import TILE_COUNTS
-from gis_radar.dataset.tables.tracks import EVERY, TRACKS
+from gis_radar.dataset.tables.tracks import TRACK_EVERY_STEPS, TRACKS
 from gis_radar.dataset.tables.vehicles import CONTINUED, VEHICLES
 
 SCHEMA = 1
@@ -21,7 +21,7 @@ HOUR_TABLES = (*HIT_TABLES, *VEHICLE_TABLES)
 TABLES = {table.name: table for table in (*HOUR_TABLES, TILE_COUNTS, RECORDINGS, POSES, SIGHTS)}
 
 __all__ = [
-    "CONTINUED", "EVERY", "FRAMES", "HITS", "HIT_TABLES", "HOUR_TABLES", "OBSERVED", "OCCUPIED",
+    "CONTINUED", "FRAMES", "HITS", "HIT_TABLES", "HOUR_TABLES", "OBSERVED", "OCCUPIED",
     "PASSAGES", "POSES", "RECORDINGS", "SCHEMA", "SIGHTS", "TABLES", "TILE_COUNTS", "TRACKS",
-    "VEHICLES", "VEHICLE_TABLES", "VISIBLE", "TableColumn", "TableSchema",
+    "TRACK_EVERY_STEPS", "VEHICLES", "VEHICLE_TABLES", "VISIBLE", "TableColumn", "TableSchema",
 ]  # fmt: skip

@@ -4,7 +4,7 @@ import pyarrow as pa
 
 from gis_radar.dataset.tables.table import STEP, VEHICLE, TableColumn, TableSchema
 
-EVERY = 4
+TRACK_EVERY_STEPS = 4
 """Steps between two states: `step` is divisible by it but for a vehicle's first and last."""
 
 _CM = pa.int32()

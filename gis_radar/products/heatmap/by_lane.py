@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import Floats, Integers
-from gis_radar.hdmap import LANE, Lane, lanes_of
+from gis_radar.hdmap import LANE_COLUMN, Lane, lanes_of
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.intervals import When
 
@@ -64,7 +64,7 @@ def table_by_lane(
         `observed_s`, `hit_s` and `hit_share`: the same of hits, for which no error is known.
     """
     tiled, lane_of_tile = lanes_with_tiles(tally.tiles)
-    index = pd.Index([lane.number for lane in tiled], name=LANE)
+    index = pd.Index([lane.number for lane in tiled], name=LANE_COLUMN)
     chosen = tally.chosen(interval, begin=begin, end=end)
     if not each:
         table = _sums(tally, chosen, lane_of_tile, index)
@@ -79,9 +79,11 @@ def table_by_lane(
         ).iloc[: len(rows) * len(index)]
     if lanes is None:
         return table
-    known = lanes.set_index(LANE)
+    known = lanes.set_index(LANE_COLUMN)
     known = known[[name for name in known.columns if name not in table.columns]]
-    return gpd.GeoDataFrame(table.join(known, on=LANE), geometry=known.geometry.name, crs=lanes.crs)
+    return gpd.GeoDataFrame(
+        table.join(known, on=LANE_COLUMN), geometry=known.geometry.name, crs=lanes.crs
+    )
 
 
 def _sums(

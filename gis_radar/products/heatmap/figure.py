@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 
 from gis_radar.base import (
     FONTS,
-    NOTEBOOKS,
+    INSTALL_NOTEBOOKS,
     Clock,
     Floats,
     InputError,
@@ -467,5 +467,5 @@ def show_in_browser(
         raise InputError(
             "explore needs folium and mapclassify: {} is missing",
             error.name or "one",
-            hint=NOTEBOOKS,
+            hint=INSTALL_NOTEBOOKS,
         ) from error

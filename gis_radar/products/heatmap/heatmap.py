@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from gis_radar.base import (
-    NOTEBOOKS,
+    INSTALL_NOTEBOOKS,
     QUIET,
     STEP_US,
     InputError,
@@ -337,7 +337,9 @@ def _require_xarray() -> Any:
     try:
         import xarray  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise InputError("a Dataset needs xarray, which is missing", hint=NOTEBOOKS) from error
+        raise InputError(
+            "a Dataset needs xarray, which is missing", hint=INSTALL_NOTEBOOKS
+        ) from error
     return xarray
 
 

@@ -31,7 +31,7 @@ from gis_radar.base import (
     step_of,
     zone_of,
 )
-from gis_radar.measures import Runs, union
+from gis_radar.measures import Runs, union_of_runs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ def aligned(first: int, last: int, steps: int) -> Timeline:
 
 def _numbers_with(runs: Runs, steps: int) -> Runs:
     """Return the numbers of the aligned intervals that hold a step of the set, as runs."""
-    return union([Runs(first=runs.first // steps, last=runs.last // steps)])
+    return union_of_runs([Runs(first=runs.first // steps, last=runs.last // steps)])
 
 
 def intervals_with(runs: Runs, steps: int) -> int:

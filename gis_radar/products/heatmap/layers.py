@@ -30,7 +30,7 @@ from gis_radar.base import (
     seconds_from_iso,
     step_of,
 )
-from gis_radar.hdmap import COLUMNS, FIELDS, LANE, fingerprint, own_columns
+from gis_radar.hdmap import LANE_COLUMN, TILE_COLUMNS, TILE_FIELDS, fingerprint, own_columns
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.intervals import MapLabels, Timeline
@@ -176,7 +176,7 @@ def own_styles(measure: str, length_s: float, least_s: Mapping[str, float]) -> d
         name: title for name, title in _TITLES.items()
         if measure == "occupancy" or name in _OF_HITS
     }  # fmt: skip
-    titles = {name: title for name, (title, _) in FIELDS.items()}
+    titles = {name: title for name, (title, _) in TILE_FIELDS.items()}
     return {
         layer: style.vector_qml(
             interval_s=shown_s, measure=measure, least_s=least_s[layer],
@@ -207,13 +207,13 @@ def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
     about = f"{tally.definitions[tally.measure]}. Sensors {', '.join(tally.sensors)}"
     title = tally.labels.title or "Heat map"
     return {
-        TILES: LayerNotes("Tiles", "slices of lanes that the heat map counts on", FIELDS),
+        TILES: LayerNotes("Tiles", "slices of lanes that the heat map counts on", TILE_FIELDS),
         WIDE: LayerNotes(
-            f"{title}: {tally.measure}", f"{about}, {begin} to {end}", FIELDS | measured
+            f"{title}: {tally.measure}", f"{about}, {begin} to {end}", TILE_FIELDS | measured
         ),
         LONG: LayerNotes(
             f"{title}: {tally.measure} by interval", f"{about}, {begin} to {end}",
-            FIELDS | times | measured,
+            TILE_FIELDS | times | measured,
         ),
     }  # fmt: skip
 
@@ -241,7 +241,9 @@ def read_package(path: Path) -> dict[str, Any]:
 
 def _fields(place: Path, path: Path) -> dict[str, Any]:
     """Return the fields of a tally from the GeoPackage at `place`, which messages call `path`."""
-    tiles = pyogrio.read_dataframe(place, layer=WIDE, columns=[*COLUMNS, LANE], use_arrow=True)
+    tiles = pyogrio.read_dataframe(
+        place, layer=WIDE, columns=[*TILE_COLUMNS, LANE_COLUMN], use_arrow=True
+    )
     notes = pyogrio.read_info(place, layer=WIDE)["layer_metadata"] or {}
     whole = _checked_whole(tiles, notes, path)
     with closing(sqlite3.connect(f"{place.as_uri()}?mode=ro", uri=True)) as database:
@@ -293,7 +295,7 @@ def _occupancy_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Occu
 
 def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -> Timeline:
     """Return the whole time; refuse a table that is not what was written."""
-    missing = [name for name in COLUMNS if name not in tiles]
+    missing = [name for name in TILE_COLUMNS if name not in tiles]
     missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
     if missing or not isinstance(tiles, gpd.GeoDataFrame):
         lacking = ", ".join(missing) or "geometry"

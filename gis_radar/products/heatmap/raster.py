@@ -24,7 +24,7 @@ from rasterio.transform import Affine
 from gis_radar.base import Floats, Integers, OutputError, Reporter, iso_from_step, ranges
 from gis_radar.dataset import TILE_COUNTS
 from gis_radar.hdmap import TileGrid, quads
-from gis_radar.measures import Runs, union
+from gis_radar.measures import Runs, union_of_runs
 from gis_radar.products.heatmap.counting import Tally
 from gis_radar.products.heatmap.intervals import SETTINGS
 
@@ -89,7 +89,7 @@ class PixelGrid:
         tall = np.where(wide > 0, np.maximum(tall, 0), 0)
         # A box is a run of pixels in each of its rows.
         first = ranges(north, tall) * self.width + np.repeat(west, tall)
-        rows = union([Runs(first=first, last=first + np.repeat(wide, tall) - 1)])
+        rows = union_of_runs([Runs(first=first, last=first + np.repeat(wide, tall) - 1)])
         return ranges(rows.first, rows.last - rows.first + 1)
 
 

@@ -18,8 +18,8 @@ import pyarrow.parquet as pq
 import shapely
 
 from gis_radar.base import (
+    FILE_DATE,
     QUIET,
-    WRITTEN,
     Floats,
     Reporter,
     Text,
@@ -405,7 +405,7 @@ def write_points_las(points: _PointStream, path: Path) -> None:
     """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
     header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
     header.offsets = np.floor(points.pose.position)
-    header.creation_date = WRITTEN
+    header.creation_date = FILE_DATE
     header.scales = np.full(3, SCALE_M)
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.add_crs(points.pose.crs)

@@ -33,7 +33,7 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset import Dataset, open_dataset
-from gis_radar.hdmap import LANES, STOP_LINES, lane_style
+from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, lane_style
 from gis_radar.measures import sight_of_tiles
 from gis_radar.poses import (
     SENSORS,
@@ -217,7 +217,7 @@ def _lane_layers(path: Path) -> dict[str, LayerSource]:
         return {}
     return {
         f"gis_radar_{table}": LayerSource(path, lane_style(table), table)
-        for table in _filled(path, (LANES, STOP_LINES))
+        for table in _filled(path, (LANES_LAYER, STOP_LINES_LAYER))
     }
 
 

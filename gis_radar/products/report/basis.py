@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import (
-    NOTHING,
+    NO_FIGURE,
     STEP_S,
     STEPS_PER_SECOND,
     Clock,
@@ -366,13 +366,13 @@ def _hour_columns(found: Findings) -> list[Column]:
         return lambda row: figure_text(row[name], digits)
 
     def age(row: pd.Series) -> str:
-        return figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NOTHING
+        return figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NO_FIGURE
 
     def begin(row: pd.Series) -> str:
         return clock.stamp(row["begin"].to_pydatetime())
 
     def verdict(row: pd.Series) -> str:
-        return tr(quality.verdict(row["verdict"])) if quality else NOTHING
+        return tr(quality.verdict(row["verdict"])) if quality else NO_FIGURE
 
     return [
         Column(tr("Sensor"), "", lambda row: str(row["sensor"]), False),

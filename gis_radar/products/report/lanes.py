@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import NOTHING, Clock, Floats, Integers, wind_of, write_csv
+from gis_radar.base import NO_FIGURE, Clock, Floats, Integers, wind_of, write_csv
 from gis_radar.dataset import Dataset
-from gis_radar.hdmap import EXIT_M, Lane, quads
+from gis_radar.hdmap import LANE_EXIT_M, Lane, quads
 from gis_radar.products.heatmap.by_lane import lane_totals, lanes_with_tiles
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.occupancy import surest
@@ -169,7 +169,7 @@ def lane_table(heat: HeatMap, sums: LaneSums, tracks: Integers | None = None) ->
         mine, long = whole.share[lane.rows], length[lane.rows]
         seen = np.isfinite(mine)
         top = surest(mine, error[lane.rows]) if seen.any() else -1
-        before = int(np.searchsorted(np.cumsum(long[::-1]), EXIT_M))
+        before = int(np.searchsorted(np.cumsum(long[::-1]), LANE_EXIT_M))
         east, north = centre[lane.rows[-1]] - centre[lane.rows[max(len(long) - 1 - before, 0)]]
         rows.append(
             {
@@ -293,7 +293,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
                 row["subtype"],
                 row.get("street", ""),
                 row.get("street_part", ""),
-                wind_of(row["east_m"], row["north_m"]) or NOTHING,
+                wind_of(row["east_m"], row["north_m"]) or NO_FIGURE,
                 *(round(float(row[name]), number) for name, number in digits.items()),
                 *times,
                 *(round(float(row[name]), 6) for name in busiest),

@@ -43,10 +43,10 @@ from gis_radar.products.report.content import WORDS, Figure, MapSeries
 from gis_radar.products.report.lanes import TileShares, hits_of, shown_of
 from gis_radar.products.report.results import Results
 from gis_radar.scans import (
-    COLOURS,
     HIDDEN,
     IN_SIGHT,
-    NAMES,
+    SIGHT_COLOURS,
+    SIGHT_NAMES,
     VIEW_ONLY,
     Sight,
     SightTiles,
@@ -229,7 +229,9 @@ def _sight_picture(sights: Sequence[Sight], tiles: SightTiles, *, columns: int) 
             draw_sight(ax, sight, tiles)
             ax.set_title(sight.pose.sensor, fontsize=9)
             ax.axis("off")
-        handles = [Patch(color=COLOURS[state], label=tr(NAMES[state])) for state in NAMES]
+        handles = [
+            Patch(color=SIGHT_COLOURS[state], label=tr(SIGHT_NAMES[state])) for state in SIGHT_NAMES
+        ]
         figure.legend(
             handles=handles, loc="outside lower center", ncols=min(columns + 1, 3), frameon=False
         )

@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 
-from gis_radar.base import THIN, current_language, tr
+from gis_radar.base import THIN_SPACE, current_language, tr
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.picture import legend_in_words
 from gis_radar.products.report.content import WORDS, Content, MapSeries
@@ -90,7 +90,7 @@ def _template() -> Template:
 def bound(value: Any) -> Any:
     """Return a text in which no line ends between a number and its percent sign."""
     is_plain = isinstance(value, str) and not isinstance(value, Markup)
-    return re.sub(r"(\d) %", rf"\1{THIN}%", value) if is_plain else value
+    return re.sub(r"(\d) %", rf"\1{THIN_SPACE}%", value) if is_plain else value
 
 
 def _part(name: str) -> str:

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from gis_radar.base import (
-    NOTHING,
+    NO_FIGURE,
     QUIET,
-    THIN,
+    THIN_SPACE,
     Clock,
     Reporter,
     Text,
@@ -450,15 +450,15 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
     def interval(row: pd.Series) -> str:
         apart = row["busiest_share"] - row["share"]
         if pd.isna(row["busiest_begin"]) or not apart > (row["busiest_share_se"] or 0.0):
-            return NOTHING
+            return NO_FIGURE
         span = clock.span(*(row[name].to_pydatetime() for name in ("busiest_begin", "busiest_end")))
         return f"{span}: {percent(row['busiest_share'], 0, off=row['busiest_share_se'])}"
 
     def spot(row: pd.Series) -> str:
-        place = f"{figure_text(row['busiest_spot_m'])}{THIN}m"
+        place = f"{figure_text(row['busiest_spot_m'])}{THIN_SPACE}m"
         share = percent(row["busiest_spot"], 0, off=row["busiest_spot_se"])
         text = tr("{share} at {place}", share=share, place=place)
-        return text.replace(f" {place}", f"{THIN}{place}")  # no line ends before it
+        return text.replace(f" {place}", f"{THIN_SPACE}{place}")  # no line ends before it
 
     def leads_to(row: pd.Series) -> str:
         street = street_label(row["street"], row["street_part"])
@@ -471,7 +471,7 @@ def lane_columns(clock: Clock, measure: str) -> list[Column]:
         Column(tr(words.share), tr(words.base),
                lambda row: percent(row["share"], off=row["share_se"])),
         Column(tr("Tracks"), "",
-               lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NOTHING),
+               lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NO_FIGURE),
         Column(tr("Length"), "m", lambda row: figure_text(row["length_m"])),
         Column(tr(words.seen), tr("of length"),
                lambda row: percent(row["base_m"] / row["length_m"], 0)),

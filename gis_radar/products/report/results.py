@@ -14,9 +14,9 @@ import pyogrio
 from PIL import Image
 
 from gis_radar.base import (
-    NOTHING,
-    PANELS,
-    THIN,
+    NO_FIGURE,
+    PANELS_KEY,
+    THIN_SPACE,
     InputError,
     Text,
     direction,
@@ -33,7 +33,7 @@ from gis_radar.base import (
     write_csv,
 )
 from gis_radar.dataset import Dataset, open_dataset
-from gis_radar.hdmap import LANES
+from gis_radar.hdmap import LANES_LAYER
 from gis_radar.poses import ANGLES, POSITION, Pose, View, pose_from_dict, read_track
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
 from gis_radar.products.heatmap.layers import FILE as PACKAGE
@@ -239,7 +239,7 @@ def _streets(folder: Path) -> dict[int, tuple[str, str]]:
         return {}
     try:
         with opened_package(path, what="a GeoPackage of tiles") as place:
-            table = pyogrio.read_dataframe(place, layer=LANES, read_geometry=False)
+            table = pyogrio.read_dataframe(place, layer=LANES_LAYER, read_geometry=False)
     except InputError:
         return {}  # `gr.write_tiles` without lanes
     named = table.dropna(subset=["street"])
@@ -349,7 +349,7 @@ def panels_of(path: Path, image: Image.Image) -> list[tuple[int, int, int, int]]
         Left, top, right and base in pixels of the image; none where the file does not tell them.
     """
     with Image.open(path) as file:
-        told = file.info.get(PANELS)
+        told = file.info.get(PANELS_KEY)
     try:
         shares = np.array(json.loads(str(told)), np.float64).reshape(-1, 4)
     except (TypeError, ValueError):
@@ -377,7 +377,7 @@ def sensor_table(results: Results, *, figures: int) -> Table:
     columns = _sensor_columns()
     rows = text_rows(results.poses, columns)
     rows += [
-        [name, *[NOTHING] * 6, tr("no result: {why}", why=tr(reason))]
+        [name, *[NO_FIGURE] * 6, tr("no result: {why}", why=tr(reason))]
         for name, reason in results.lost.items()
     ]
     note = tr(
@@ -399,7 +399,7 @@ def _sensor_columns() -> list[Column]:
     """Return how a pose is read."""
 
     def angles(pose: Pose) -> str:
-        both = [_measured(pose, name, 1).replace(" ", THIN) for name in ("pitch", "roll")]
+        both = [_measured(pose, name, 1).replace(" ", THIN_SPACE) for name in ("pitch", "roll")]
         return ", ".join(both)
 
     def sees(pose: Pose) -> str:

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from gis_radar.base import THIN, figure_text, listed, name_of, plural, tr
+from gis_radar.base import THIN_SPACE, figure_text, listed, name_of, plural, tr
 from gis_radar.products.report.content import Column, Table
 from gis_radar.products.report.results import NOT_KNOWN, Results
 
@@ -122,10 +122,10 @@ def _filters_in_words(filters: Mapping[str, Any]) -> str:
         text = "{low} to {high} m over the road (elevation error {error}°)"
         words.append(tr(text, low=low, high=high, error=error))
     if filters.get("min_speed") is not None:
-        speed = f"{figure_text(float(filters['min_speed']), 1)}{THIN}m/s"
+        speed = f"{figure_text(float(filters['min_speed']), 1)}{THIN_SPACE}m/s"
         words.append(tr("faster than {speed}", speed=speed))
     if filters.get("min_rcs") is not None:
-        rcs = f"{figure_text(float(filters['min_rcs']), 1)}{THIN}dBm²"
+        rcs = f"{figure_text(float(filters['min_rcs']), 1)}{THIN_SPACE}dBm²"
         words.append(tr("cross section over {rcs}", rcs=rcs))
     return "; ".join(words) or tr("all, standing and moving")
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from gis_radar.base import Booleans, Floats, Grid, Integers
-from gis_radar.scans.columns import Columns, Heights, ground_under, nearest_known
+from gis_radar.scans.columns import Heights, ScanColumns, ground_under, nearest_known
 from gis_radar.scans.sight.settings import SIGHT_DEFAULTS, SightSettings
 
 
@@ -97,7 +97,7 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
 
 
 def find_obstacles(
-    columns: Columns,
+    columns: ScanColumns,
     roads: RoadHeights,
     *,
     classified: bool,
@@ -112,7 +112,7 @@ def find_obstacles(
 
     Parameters
     ----------
-    columns : Columns
+    columns : ScanColumns
         Highest and lowest points of the scan.
     roads : RoadHeights
         Heights of the tiles.

@@ -11,8 +11,8 @@ from gis_radar.poses import draw_sensor
 from gis_radar.scans.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight, SightTiles
 
 # Of the palette of Okabe and Ito, as the layer `sight` has them.
-COLOURS = {OUT_OF_VIEW: "#d8dade", HIDDEN: "#753d28", IN_SIGHT: "#56b4e9"}
-NAMES = {IN_SIGHT: "in sight", HIDDEN: "hidden", OUT_OF_VIEW: "outside the view"}
+SIGHT_COLOURS = {OUT_OF_VIEW: "#d8dade", HIDDEN: "#753d28", IN_SIGHT: "#56b4e9"}
+SIGHT_NAMES = {IN_SIGHT: "in sight", HIDDEN: "hidden", OUT_OF_VIEW: "outside the view"}
 MARGIN_M = 15.0
 
 
@@ -34,13 +34,13 @@ def draw_sight(ax: Any, sight: Sight, tiles: SightTiles) -> None:
     near = (tiles.quads.max(axis=1) > low).all(axis=1) & (tiles.quads.min(axis=1) < high).all(
         axis=1
     )
-    for state, colour in COLOURS.items():
+    for state, colour in SIGHT_COLOURS.items():
         rows = near & (sight.state == state)
         if rows.any():
             ax.add_collection(
                 PolyCollection(
                     list(tiles.quads[rows]), facecolors=colour, edgecolors=colour, linewidths=0.2,
-                    label=tr(NAMES[state]), zorder=state,
+                    label=tr(SIGHT_NAMES[state]), zorder=state,
                 )
             )  # fmt: skip
     ahead = sight.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0

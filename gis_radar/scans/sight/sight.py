@@ -36,7 +36,7 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap import fingerprint, quads
 from gis_radar.poses import Pose, View
-from gis_radar.scans.columns import Columns, read_columns
+from gis_radar.scans.columns import ScanColumns, read_columns
 from gis_radar.scans.scan import Scan, box_with_margin, open_scan
 from gis_radar.scans.sight.obstacles import (
     Obstacles,
@@ -273,7 +273,7 @@ class SightScan:
         return Grid(cell_m=cell_m, west=west, south=south, columns=count, rows=count)
 
     def _read(self, grids: Sequence[Grid], poses: Sequence[Pose]) -> None:
-        windows = [Columns(grid=grid) for grid in grids]
+        windows = [ScanColumns(grid=grid) for grid in grids]
         boxes = np.array([grid.bounds for grid in grids])
         box = (*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 2:].max(axis=0).tolist())
         crs = self.tiles.crs
@@ -293,7 +293,7 @@ class SightScan:
             while len(self._kept) > max(self.settings.windows_kept, len(windows)):
                 self._kept.pop(next(iter(self._kept)))
 
-    def _refuse_other_heights(self, window: Columns, roads: RoadHeights) -> None:
+    def _refuse_other_heights(self, window: ScanColumns, roads: RoadHeights) -> None:
         """Refuse a scan whose heights of the road are not those of the tiles."""
         both = roads.road & np.isfinite(window.low)
         if not both.any():
