@@ -281,7 +281,8 @@ def private_in(node, own):
 def test_tests_use_public_names():
     found = [
         f"{path.name}:{line}"
-        for path in sorted(Path(__file__).parent.rglob("*.py"))
+        for folder in (Path(__file__).parent, PACKAGE.parent / "qgis_plugin" / "tests")
+        for path in sorted(folder.rglob("*.py"))
         for line in past_the_public(path.read_text(encoding="utf-8"))
     ]
     assert found == []

@@ -18,7 +18,7 @@ OLDEST = (3, 11)
 BUNDLED = Path(__file__).parent / "worker"
 _NAMES = ("python3.13", "python3.12", "python3.11", "python3", "python")
 _ASK = "import sys; print('%d.%d' % sys.version_info[:2])"
-_GRACE_S = 0.3  # pip and venv do not notice that they are let go: they are ended
+GRACE_S = 0.3  # pip and venv do not notice that they are let go: they are ended
 _PACKAGES = 45  # about as many as gis_radar brings along; only the progress bar counts them
 
 
@@ -207,7 +207,7 @@ def _run(command: Sequence[str], listener: Listener, *, counted: bool = False) -
             percent = 8 + min(84.0, 84.0 * seen / (2 * _PACKAGES))
             listener.progress("Fetching gis_radar and what it needs", percent, 100.0)
 
-    code, _ = run_command(command, on_line, listener.cancelled, grace_s=_GRACE_S, merged=True)
+    code, _ = run_command(command, on_line, listener.cancelled, grace_s=GRACE_S, merged=True)
     if code != 0:
         raise WorkerError("{reason}", reason=_why(command[0], last, code))
 

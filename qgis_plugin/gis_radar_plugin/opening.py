@@ -25,7 +25,7 @@ def open_file(path: Path) -> None:
 
     That asks first where the present one is not saved; `addProject` replaces it without a question.
     """
-    window = _window()
+    window = qgis_window()
     if path.suffix in (".qgz", ".qgs") and window is not None:
         QMetaObject.invokeMethod(window.mainWindow(), "openFile", Q_ARG(str, str(path)))
     else:
@@ -70,7 +70,8 @@ def offer(algorithm: str, made: Sequence[Opened]) -> Any:
     return bar.pushWidget(message, Qgis.MessageLevel.Success)
 
 
-def _window() -> Any:
+def qgis_window() -> Any:
+    """Return the interface of QGIS with a window, None without one."""
     try:
         from qgis.utils import iface  # noqa: PLC0415 - there once QGIS has a window
     except ImportError:
@@ -89,5 +90,5 @@ def _bar(algorithm: str) -> Any:
             shown = widget.algorithm()
             if shown is not None and shown.name() == algorithm:
                 return widget.messageBar()
-    window = _window()
+    window = qgis_window()
     return window.messageBar() if window is not None else None

@@ -19,12 +19,12 @@ class Feedback(QgsProcessingFeedback):
     def __init__(self, cancel_after=None):
         super().__init__(False)
         self.percents, self.stages, self.errors, self.infos = [], [], [], []
-        self._cancel_after = cancel_after
-        self.progressChanged.connect(self._progressed)
+        self.cancel_after = cancel_after
+        self.progressChanged.connect(self.progressed)
 
-    def _progressed(self, percent):
+    def progressed(self, percent):
         self.percents.append(percent)
-        if self._cancel_after is not None and len(self.percents) >= self._cancel_after:
+        if self.cancel_after is not None and len(self.percents) >= self.cancel_after:
             self.cancel()
 
     def setProgressText(self, text):

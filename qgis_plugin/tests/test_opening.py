@@ -28,7 +28,7 @@ def test_buttons_open_what_was_made(provider, site, tmp_path, monkeypatch):
     from gis_radar_plugin import opening
 
     window, desktop = Window(), []
-    monkeypatch.setattr(opening, "_window", lambda: window)
+    monkeypatch.setattr(opening, "qgis_window", lambda: window)
     monkeypatch.setattr(
         opening.QDesktopServices, "openUrl", lambda url: desktop.append(url.toLocalFile())
     )
@@ -50,5 +50,5 @@ def test_buttons_open_what_was_made(provider, site, tmp_path, monkeypatch):
 def test_without_a_window_nothing_is_offered(provider, tmp_path, monkeypatch):
     from gis_radar_plugin import opening
 
-    monkeypatch.setattr(opening, "_window", lambda: None)
+    monkeypatch.setattr(opening, "qgis_window", lambda: None)
     assert opening.offer("x", [("there", tmp_path)]) is None

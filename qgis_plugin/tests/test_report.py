@@ -325,10 +325,12 @@ def test_a_picture_among_those_of_a_report_is_left_alone(run, earlier_report, si
 
 
 def test_places_whose_files_would_be_one(qgis_app):
-    from gis_radar_plugin.report.pages import Page, Place, _distinct
+    from gis_radar_plugin.report.pages import Page, Place, with_distinct_names
 
     frame, time = QgsGeometry(), QDateTime.currentDateTimeUtc()
-    places = _distinct([Place(name, frame) for name in ("Ost/West", "Ost West", "ost west", "Süd")])
+    places = with_distinct_names(
+        [Place(name, frame) for name in ("Ost/West", "Ost West", "ost west", "Süd")]
+    )
     files = [Page(place, time, time, whole=True).file_name().lower() for place in places]
     assert len(set(files)) == 4
 

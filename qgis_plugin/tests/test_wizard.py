@@ -129,7 +129,7 @@ def test_from_the_map_to_a_run(wizard, place):
     assert len(other.recordings) == 1
     radars.list.setCurrentRow(0)
     assert radars.wind.text() == "east"  # 68 degrees
-    assert len(wizard._items) == 2
+    assert len(wizard.sensor_items) == 2
     assert [colour_at(wizard, each) for each in (one, other)] == ["#1d4ed8", "#60a5fa"]
     wizard.next()
     wizard.result_page.zone_box.setCurrentText("Nowhere/Land")
@@ -312,9 +312,9 @@ def test_radars_are_drawn_until_another_project_is_there(wizard):
     wizard.lanes.crs = QgsCoordinateReferenceSystem("EPSG:25832")
     wizard.draft.sensors = [SensorDraft("R1", easting=690356.0, northing=5336183.0)]
     wizard.draw_sensors(None)
-    assert len(wizard._items) == 1
+    assert len(wizard.sensor_items) == 1
     QgsProject.instance().clear()
-    assert wizard._items == []
+    assert wizard.sensor_items == []
 
 
 OPENED = """\
@@ -377,7 +377,7 @@ def test_a_site_that_was_opened_keeps_what_the_wizard_leaves_out(wizard, old_sit
     wizard.map_page.boxes["map_source"].setText("City")
     wizard.radar_page.east_box.setValue(690357.0)
     wizard.radar_page.range_box.setValue(250.0)
-    wizard.check_page._save()
+    wizard.check_page.save()
     text = old_site.read_text(encoding="utf-8")
     changed = {
         "# by hand\n": "", '"Old"': '"New"', "690356.0": "690357.0",
@@ -396,7 +396,7 @@ def test_a_site_that_was_opened_keeps_what_the_wizard_leaves_out(wizard, old_sit
     said = wizard.check_page.found.toPlainText()
     assert "Comments are in SITE_1.toml only; all its other keys are kept." in said
     wizard.check_page.site_box.setFilePath(str(old_site.parent.parent / "SITE.toml"))
-    assert not wizard.check_page._save()
+    assert not wizard.check_page.save()
     assert "A site that was opened stays in" in wizard.check_page.found.toPlainText()
 
 

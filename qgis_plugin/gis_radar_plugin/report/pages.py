@@ -109,7 +109,7 @@ def places_of(
     if not places:
         text = tr("The layer '{layer}' holds nothing, or nothing in it is selected.")
         raise QgsProcessingException(text.format(layer=source.sourceName()))
-    return _distinct(places)
+    return with_distinct_names(places)
 
 
 def junction_places(layer: QgsVectorLayer, radius_m: float) -> list[Place]:
@@ -137,7 +137,7 @@ def _file_form(name: str) -> str:
     return re.sub(r"[^\w-]+", "_", name).strip("_") or "page"
 
 
-def _distinct(places: Sequence[Place]) -> list[Place]:
+def with_distinct_names(places: Sequence[Place]) -> list[Place]:
     """Give places of one name a number, so that no page takes another's file."""
     seen: dict[str, int] = {}
     named = []

@@ -98,7 +98,7 @@ class CheckPage(Page):
     def check(self) -> None:
         """Write the site file and check it in the worker."""
         self.let_go()
-        if not self._save():
+        if not self.save():
             return
         self.check_button.setEnabled(False)
         self.bar.setVisible(True)
@@ -110,7 +110,7 @@ class CheckPage(Page):
         self._task.progressChanged.connect(lambda percent: self._progressed(number, percent))
         QgsApplication.taskManager().addTask(self._task)
 
-    def _save(self) -> bool:
+    def save(self) -> bool:
         """Write the site file; one that says something else is kept beside it."""
         path = Path(self.site_box.filePath())
         draft = self.draft
@@ -161,7 +161,7 @@ class CheckPage(Page):
             sensor.measured = measured
             self.say(f"<b>{html.escape(sensor.name)}</b>: {self._recorded(found)}", "")
         if changed:
-            self._save()
+            self.save()
         for line in warnings:
             self.say(line, ODD)
         self.say(tr("The site can be run."), GOOD)

@@ -51,7 +51,7 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         self.draft = SiteDraft(language="de" if language() == "de" else "en")
         self.written: dict[str, str] = {}  # site files that this wizard wrote
         self.lanes = Lanes(self)
-        self._items: list[SensorItem] = []
+        self.sensor_items: list[SensorItem] = []
         self._tool: PlaceTool | None = None
         self._tool_before: Any = None
         QgsProject.instance().cleared.connect(self.forget_drawing)
@@ -151,11 +151,11 @@ class SiteWizard(QWizard):  # type: ignore[misc]
     def _draw(self, sensors: list[SensorDraft], chosen: SensorDraft | None) -> None:
         if self.lanes.crs is None:
             return
-        while len(self._items) < len(sensors):
-            self._items.append(SensorItem(self.canvas, self.lanes.crs))
-        while len(self._items) > len(sensors):
-            self.canvas.scene().removeItem(self._items.pop())
-        for item, sensor in zip(self._items, sensors):
+        while len(self.sensor_items) < len(sensors):
+            self.sensor_items.append(SensorItem(self.canvas, self.lanes.crs))
+        while len(self.sensor_items) > len(sensors):
+            self.canvas.scene().removeItem(self.sensor_items.pop())
+        for item, sensor in zip(self.sensor_items, sensors):
             item.show_sensor(sensor, chosen=sensor is chosen)
 
     def move_sensors(
@@ -187,8 +187,8 @@ class SiteWizard(QWizard):  # type: ignore[misc]
 
     def forget_drawing(self) -> None:
         """Take the radars off the map."""
-        while self._items:
-            self.canvas.scene().removeItem(self._items.pop())
+        while self.sensor_items:
+            self.canvas.scene().removeItem(self.sensor_items.pop())
 
     def accept(self) -> None:
         """Run the site in QGIS's own dialog, which shows how far it is, and end."""
