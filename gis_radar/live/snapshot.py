@@ -17,9 +17,9 @@ from pyproj import CRS, Transformer
 
 from gis_radar.base import Booleans, Floats, Integers, transformer, zone_of
 from gis_radar.hdmap import fingerprint, lanes, read_map
+from gis_radar.live.now_filter import VehiclesNow
 from gis_radar.live.quarters import Lately
 from gis_radar.live.settings import LiveSite
-from gis_radar.live.vehicles_now import VehiclesNow
 from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
