@@ -1,5 +1,6 @@
 """The vehicles of now: where the batch has them, by a process that may be killed."""
 
+import itertools
 import multiprocessing
 import time
 
@@ -84,7 +85,7 @@ def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph, mo
     vehicles.make_ready().result()
     for name in NAMES:
         vehicles.place(name, KEY, POSES[name], np.nan)
-    sent = iter(messages() * 2)
+    sent = itertools.cycle(messages())
 
     def follows():
         for _ in range(40):
