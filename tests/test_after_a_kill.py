@@ -40,7 +40,7 @@ def killed(code, *words, when="ready"):
 
 
 BEGIN = (
-    "import sys, time; from pathlib import Path; from gis_radar import files\n"
+    "import sys, time; from pathlib import Path; from gis_radar.base import files\n"
     "place = Path(sys.argv[1])\n"
     "def stop():\n    print('ready', flush=True); time.sleep(60)\n"
 )
@@ -297,7 +297,7 @@ def test_names_of_every_legal_length(tmp_path, length):
 
 
 LOOP = (
-    "import sys; from pathlib import Path; from gis_radar import files\n"
+    "import sys; from pathlib import Path; from gis_radar.base import files\n"
     "place = Path(sys.argv[1])\nprint('ready', flush=True)\nnumber = 0\n"
     "while True:\n"
     "    number += 1\n"

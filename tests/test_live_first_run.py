@@ -16,7 +16,7 @@ from gis_radar.live import first_run
 from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
 from gis_radar.live.sources import frames_of_recording
 from gis_radar.measures.hit_counter import FrameCounter
-from gis_radar.sight import SightTiles
+from gis_radar.scans import SightTiles
 from numba.core.dispatcher import Dispatcher
 import gc
 
@@ -48,7 +48,7 @@ print(sorted(before))
 OF_VEHICLES = (
     BEGIN
     + """
-from gis_radar.lanelets.graph import lane_graph
+from gis_radar.hdmap import lane_graph
 from gis_radar.live.vehicles_now import VehicleFollower, run_vehicles_once
 run_vehicles_once()
 following = VehicleFollower(lane_graph(gr.read_map(sample / "junction.osm").lanelets))

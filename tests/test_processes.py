@@ -40,7 +40,7 @@ def test_a_worker_that_is_let_go_stops(tmp_path):
 
 INTERRUPTED = """
 import os, signal, subprocess, sys, tempfile
-from gis_radar.processes import run_child
+from gis_radar.base import run_child
 told = []
 
 def interrupting(call):
@@ -90,7 +90,7 @@ def test_an_interrupt_amid_a_call_of_the_standard_library_ends_the_child(moment)
 
 TWICE = """
 import os, subprocess, sys, tempfile, time
-from gis_radar.processes import run_child
+from gis_radar.base import run_child
 
 class Popen(subprocess.Popen):
     def kill(self):
@@ -193,7 +193,7 @@ def test_without_a_watchdog_the_input_does_not_matter(tmp_path):
 POOL = """
 import multiprocessing, os, pathlib, subprocess, sys, time
 from concurrent.futures import ProcessPoolExecutor
-from gis_radar.processes import stop_workers, watch_parent
+from gis_radar.base import stop_workers, watch_parent
 
 def work(note):
     child = subprocess.Popen(["sleep", "600"])
