@@ -1,6 +1,8 @@
 """The dataset of a site: tables as Parquet by hour, written whole, read lazily."""
 
 from gis_radar.dataset.dataset import Dataset, open_dataset
+from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
+from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import (
     Manifest,
     create_dataset,
@@ -23,11 +25,7 @@ from gis_radar.dataset.records import (
     record_path,
     write_record,
 )
-from gis_radar.dataset.tile_counts import (
-    RUN_ERRORS,
-    STEPS_PER_QUARTER,
-    update_counts,
-)
+from gis_radar.dataset.tile_counts import RUN_ERRORS, update_counts
 
 __all__ = [
     "RUN_ERRORS",
@@ -36,6 +34,7 @@ __all__ = [
     "Dataset",
     "HourRecord",
     "HourWriter",
+    "LaneTraffic",
     "Manifest",
     "Origin",
     "clear_unfinished",

@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 import pyogrio
 
 from gis_radar.arrays import Integers
+from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import TILES, Manifest
 from gis_radar.dataset.parts import (
     MEASURE_AGAIN,
@@ -29,6 +30,7 @@ from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, read_hours
 from gis_radar.dataset.tables import (
     CONTINUED,
+    DAY_TABLES,
     FRAMES,
     HITS,
     HOUR_TABLES,
@@ -157,18 +159,21 @@ class Dataset:
         Parameters
         ----------
         table : TableSchema
-            A table of hours, or the tile counts; these come with a further column `first_step`,
-            in which the interval begins.
+            A table of hours, or of dates: tile counts, lane measures and turns. These come with a
+            further column `first_step`, in which the interval begins.
         span : (int, int), optional
-            Only rows with steps from the first to the last. Runs of tiles are cut to it; tile
-            counts are those of intervals that begin in it.
+            Only rows with steps from the first to the last. Runs of tiles are cut to it; of tables
+            of dates, intervals that begin in it.
         columns : sequence of str, optional
             Which columns; all without it.
         """
         records = self.records(span)
+        tiles = self.manifest.fingerprint
         if table is TILE_COUNTS:
-            tiles = self.manifest.fingerprint
             return read_counts(self.folder, tiles, records, span, columns)
+        if table in DAY_TABLES:
+            traffic = LaneTraffic(folder=self.folder, fingerprint=tiles)
+            return traffic.read(table, records, span, columns)
         return read_rows(self.folder, table, records, span, columns)
 
     def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:

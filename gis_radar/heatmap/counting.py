@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import STEPS_PER_QUARTER, Dataset
 from gis_radar.dataset.parts import STEPS_PER_HOUR
 from gis_radar.dataset.tables import TILE_COUNTS
-from gis_radar.dataset.tile_counts import STEPS_PER_QUARTER, HourSpans, count_spans
+from gis_radar.dataset.tile_counts import HourSpans, count_spans
 from gis_radar.errors import InputError, UsageError
 from gis_radar.heatmap.intervals import SETTINGS, MapLabels, Timeline, When, intervals_at
 from gis_radar.heatmap.occupancy import (
