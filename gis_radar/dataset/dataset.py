@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -34,6 +33,7 @@ from gis_radar.dataset.tables import (
     FRAMES,
     HITS,
     HOUR_TABLES,
+    LANE_MEASURES,
     OBSERVED,
     OCCUPIED,
     PASSAGES,
@@ -43,11 +43,13 @@ from gis_radar.dataset.tables import (
     TABLES,
     TILE_COUNTS,
     TRACKS,
+    TURNS,
     VEHICLES,
     VISIBLE,
     TableSchema,
 )
 from gis_radar.dataset.tile_counts import check_counts, read_counts
+from gis_radar.dataset.traffic import Moment, TrafficTables
 from gis_radar.dataset.units import for_people
 from gis_radar.errors import InputError, UsageError
 from gis_radar.geopackage import opened_package
@@ -59,14 +61,12 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import step_at, zone_of
 from gis_radar.tiles.tiles import LAYER, fingerprint, read_tiles
 
-Moment: TypeAlias = str | datetime | int | None
-"""A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
 _LAST_STEP = 1 << 62
 TIMEOUT_S, MEMORY = 60.0, "2GB"  # of a question in SQL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset:
+class Dataset(TrafficTables):
     """What was measured at a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -295,6 +295,14 @@ class Dataset:
     def tile_counts(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the counts by tile and quarter of an hour; `begin` is that of the quarter."""
         return self._read(TILE_COUNTS, begin, end)
+
+    def lane_measures(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the measures of lanes by quarter of an hour as they are stored, in m/s."""
+        return self._read(LANE_MEASURES, begin, end)
+
+    def turn_volumes(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the volumes of turns by quarter of an hour as they are stored."""
+        return self._read(TURNS, begin, end)
 
     def query(
         self, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY

@@ -117,9 +117,7 @@ class LaneTraffic:
         Hours without vehicles have none, nor those whose exact tables were deleted before there
         were lane measures.
         """
-        keys = {
-            hour: self._key(each) for hour, each in records.items() if TRACKS.name in each.parts
-        }
+        keys = {hour: self._key(each) for hour, each in _with_tracks(records).items()}
         gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
         known = [day.made(table) for table in TRAFFIC_TABLES] if gone else []
         return {
@@ -185,7 +183,8 @@ class LaneTraffic:
         return _tables(found, first)
 
     def _measured(
-        self, record: HourRecord, steps: int, tile: Integers, interval: Integers, counts: Sequence[Any]
+        self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
+        counts: Sequence[Any],
     ) -> Measured:  # fmt: skip
         begin = record.hour * STEPS_PER_HOUR
         vehicles = self._part(VEHICLES, record, ["vehicle", "length_m", "p_heavy", "p_exists"])
@@ -216,11 +215,9 @@ class LaneTraffic:
         if before is not None and TRACKS.name not in before.dropped:
             pairs = self._part(CONTINUED, record, CONTINUED.names)
             earlier = self._part(TRACKS, before, columns)
-            earlier = earlier.filter(
-                pc.is_in(earlier["vehicle"], pairs["vehicle"].combine_chunks())
-            )
             at = pc.index_in(earlier["vehicle"], pairs["vehicle"].combine_chunks())
             earlier = earlier.set_column(0, earlier.field(0), pairs["next"].take(at))
+            earlier = earlier.filter(at.is_valid())
             rows = pa.concat_tables([earlier, rows])
             rows = rows.sort_by([("vehicle", "ascending"), ("step", "ascending")])
         known = rows["lanelet_id"].is_valid().to_numpy()

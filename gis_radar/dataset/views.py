@@ -125,10 +125,8 @@ class _Views:
                 odd.update(mine)
         names = [*table.names, "first_step"]
         empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
-        if table is TILE_COUNTS:
-            made = read_counts(folder, tiles, odd)
-        else:
-            made = traffic.read(table, odd)
+        counted = table is TILE_COUNTS
+        made = read_counts(folder, tiles, odd) if counted else traffic.read(table, odd)
         held = f"_made_{table.name}"
         self._asked.register(held, pa.concat_tables([empty, *made]))
         source = _select(names, held)
