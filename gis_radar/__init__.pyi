@@ -40,6 +40,7 @@ from .measures import (
 from .poses import Pose, PoseTrack, View, read_pose, read_track, write_pose, write_track
 from .poses.layers import write_sensors
 from .products.footprints import write_footprints
+from .products.traffic import Traffic, make_traffic
 from .products.trajectories import to_trajectories, track_points, write_trajectories
 from .projection import project, write_projection
 from .qgis import write_qgis_project, write_site_project
@@ -107,6 +108,7 @@ __all__ = [
     "TileGrid",
     "TileTree",
     "Track",
+    "Traffic",
     "UsageError",
     "View",
     "check_against_scan",
@@ -123,6 +125,7 @@ __all__ = [
     "localize_together",
     "make_heatmap",
     "make_tiles",
+    "make_traffic",
     "mask_road",
     "measure",
     "measure_clocks",

@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow as pa
 
 from gis_radar.arrays import Floats
-from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
+from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import SETTINGS, LaneTraffic
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_text
@@ -252,7 +252,8 @@ class TrafficReader:
             rows = _rolled_up(rows, steps, zone, self.traffic.network)
         rows = rows.assign(**{name: rows[name].dt.tz_convert(zone) for name in ("begin", "end")})
         keys = _WITH_LANE if table is LANE_MEASURES else _WITH_TURN
-        return rows.sort_values([*keys, "begin"], ignore_index=True)
+        ordered: pd.DataFrame = rows.sort_values([*keys, "begin"], ignore_index=True)
+        return ordered
 
     def _quarters(self, table: TableSchema) -> Iterator[pa.Table]:
         yield from self.traffic.read(table, self.dataset.records(self.span), self.span)
@@ -329,8 +330,7 @@ def _rolled_up(
     groups = rows.groupby([*keys, "begin", "end"], sort=True)
     sums = groups[["visible_share", "known", "variance"]].sum()
     volume = groups["volume"].sum(min_count=1)
-    begin, end = (sums.index.get_level_values(name) for name in ("begin", "end"))
-    quarters = np.asarray((end - begin) / _length(STEPS_PER_QUARTER), np.float64)
+    quarters = _hours(sums.index) * QUARTERS
     more = quarters / np.maximum(sums["known"].to_numpy(np.float64), 1e-9)
     enough = sums["known"].to_numpy() >= SETTINGS.least_share * quarters
     error = np.sqrt(more**2 * sums["variance"] + (volume + 0.5) * (more**2 - more))
@@ -370,7 +370,7 @@ def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.Data
     )
     for name in ("counted", "stops"):
         counts = total(rows[name].to_numpy(np.float64, na_value=np.nan))
-        found[name] = pd.array(counts, "Int64")
+        found[name] = pd.Series(counts, ends.index).astype("Int64")
     found["heavy"] = total(rows["heavy"])
     found["queue_max_m"] = groups["queue_max_m"].max().to_numpy()
     found["speed_counts"] = [
@@ -381,11 +381,16 @@ def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.Data
     return pd.DataFrame(found, index=ends.index)
 
 
+def _hours(index: pd.MultiIndex | pd.Index) -> Floats:
+    """Return the lengths of intervals in hours."""
+    begin, end = (pd.DatetimeIndex(index.get_level_values(name)) for name in ("begin", "end"))
+    return np.asarray((end - begin).total_seconds(), np.float64) / 3600.0
+
+
 def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -> dict[str, Any]:
     """Return mean speed, travel time and delay of lanes over longer intervals."""
-    lane, begin, end = (ends.index.get_level_values(name) for name in ("lane", "begin", "end"))
-    at = np.searchsorted(network.lane, np.asarray(lane, np.int64))
-    hours = np.asarray((end - begin) / pd.Timedelta(hours=1), np.float64)
+    at = np.searchsorted(network.lane, np.asarray(ends.index.get_level_values("lane"), np.int64))
+    hours = _hours(ends.index)
     length, free = network.length_m[at], network.free_speed[at]
     with np.errstate(divide="ignore", invalid="ignore"):
         speed = np.where(found["density"] > 0.0, found["flow"] / found["density"] / 3.6, np.nan)

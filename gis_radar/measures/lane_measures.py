@@ -172,7 +172,10 @@ def measure_lanes(
         _stops(states, stopped, network, visible, grid), areas.visible_steps == 0.0
     )
     rows = np.flatnonzero(areas.known)
-    lanes = {"lane": network.lane[rows // grid.count], "interval": rows % grid.count}
+    lanes: dict[str, Any] = {
+        "lane": network.lane[rows // grid.count],
+        "interval": rows % grid.count,
+    }
     lanes |= {name: values[rows] for name, values in columns.items()}
     lanes["speed_counts"] = _lists(counts.speeds[rows], columns["counted"].mask[rows])
     lanes["visible_km_h"] = areas.visible_km_h[rows]

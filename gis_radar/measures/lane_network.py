@@ -181,7 +181,7 @@ class LaneNetwork:
         """Return the turns, by start and end."""
         connector, found = self.connector, dict[tuple[int, int], Turn]()
         for start in np.flatnonzero(~connector).tolist():
-            ways = [(each, ()) for each in self.after[start]]
+            ways: list[tuple[int, tuple[int, ...]]] = [(each, ()) for each in self.after[start]]
             seen = {start}
             while ways:
                 at, via = ways.pop(0)

@@ -183,7 +183,7 @@ class Crossings(NamedTuple):
 
     def taken(self, which: Booleans) -> Crossings:
         """Return some of them."""
-        return Crossings(*(each[which] for each in self))
+        return Crossings._make(each[which] for each in self)
 
 
 def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: StepGrid) -> Crossings:
@@ -248,7 +248,7 @@ def driven(
     last[states.pairs] |= states.step[states.pairs + 1] >= grid.end
     i, end = states.pairs, np.flatnonzero(last)
     kept = ~last[i]
-    i, moves = i[kept], Moves(*(each[kept] for each in moves))
+    i, moves = i[kept], Moves._make(each[kept] for each in moves)
     share = moves.left_m / np.maximum(moves.left_m + states.along_m[i + 1], 1e-9)
     share = np.where(moves.follows, np.nan_to_num(share), 1.0)
     steps = (states.step[i + 1] - states.step[i]).astype(np.float64)
@@ -265,4 +265,5 @@ def driven(
     tile = network.tile_at(lane, along)
     seen = visible.at(network.tile_id[tile], step) if len(lane) else mine[:0]
     cell, size = (lane * grid.count + grid.of(step))[seen], len(network.lane) * grid.count
-    return Driven(np.bincount(cell, lasts[seen] * STEP_S, size), np.bincount(cell, far[seen], size))
+    seconds = np.bincount(cell, lasts[seen] * STEP_S, size).astype(np.float64)
+    return Driven(seconds, np.bincount(cell, far[seen], size).astype(np.float64))

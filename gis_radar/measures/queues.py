@@ -125,8 +125,8 @@ def queues(
     joined = _unbroken(front - ahead <= settings.joined_m, new)
     line = network.tile_at(stop, network.line_m[stop]) if len(stop) else stop
     joined &= visible.at(network.tile_id[line], step) if len(stop) else joined
-    stop, step, rear, begins = (each[joined] for each in (stop, step, rear, new))
-    first = np.flatnonzero(begins)
+    stop, step, rear = stop[joined], step[joined], rear[joined]
+    first = np.flatnonzero(new[joined])
     back = np.maximum.reduceat(rear, first) if len(first) else rear
     cell = stop[first] * grid.count + grid.of(step[first])
     most = np.zeros(size)
