@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,7 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
     for _, states in traffic.states.groupby("vehicle"):
         way = lane_way(lanes, tree, states, network)
         seen = set[int]()
-        for (row, lane, at), (later, other, reached) in zip(way[:-1], way[1:], strict=True):
+        for (row, lane, at), (later, other, reached) in pairwise(way):
             for passed in {lane, other} - seen:
                 line = float(network.line_m[passed])
                 before = at if lane == passed else reached - (network.length_m[lane] - at) - reached

@@ -114,16 +114,16 @@ class LaneTraffic:
     def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
         """Return what the rows of each hour of a date follow from.
 
-        Hours without vehicles have none, nor those whose exact tables were deleted before there
-        were lane measures.
+        Hours without vehicles have none. Of those whose exact tables were deleted, the rows stay as
+        they were made, if they were.
         """
         keys = {hour: self._key(each) for hour, each in _with_tracks(records).items()}
         gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
-        known = [day.made(table) for table in TRAFFIC_TABLES] if gone else []
+        known = day.made(LANE_MEASURES) if gone and day.made(TURNS) else {}
         return {
-            hour: key
+            hour: known[hour] if hour in gone else key
             for hour, key in keys.items()
-            if hour not in gone or all(hour in of for of in known)
+            if hour not in gone or hour in known
         }
 
     def _key(self, record: HourRecord) -> list[str | int]:

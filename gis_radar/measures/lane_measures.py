@@ -150,8 +150,7 @@ def measure_lanes(
     moves = states.moves(network)
     crossed = crossings(states, moves, network, grid)
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
-    seen = visible.at(line[crossed.lane], crossed.step) if len(line) else crossed.seen[:0]
-    crossed = crossed.taken(seen)
+    crossed = crossed.taken(visible.at(line[crossed.lane], crossed.step))
     areas = _areas(network, grid, tiles, settings)
     share = _share_at(line, grid, tiles)
     counts = _Counts.of(crossed, vehicles, network, grid, settings)
@@ -309,8 +308,6 @@ def _stops(
     """Count the vehicles that come to stand on visible tiles."""
     row = np.flatnonzero(stopped & (states.lane >= 0))
     size = len(network.lane) * grid.count
-    if not len(row):
-        return np.zeros(size)
     tile = network.tile_id[network.tile_at(states.lane[row], states.along_m[row])]
     row = row[visible.at(tile, states.step[row])]
     cell = states.lane[row] * grid.count + grid.of(states.step[row])

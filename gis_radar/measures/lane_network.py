@@ -112,7 +112,7 @@ class LaneNetwork:
         lanes = lanes_of(tiles)
         s_m, long = (tiles[name].to_numpy(np.float64) for name in ("s_m", "length_m"))
         lanelet = tiles["lanelet_id"].to_numpy(np.int64)
-        rows = np.concatenate([each.rows for each in lanes] or [np.empty(0, np.int64)])
+        rows = np.concatenate([each.rows for each in lanes])
         of = np.repeat(np.arange(len(lanes)), [len(each.rows) for each in lanes])
         ends = pd.Series((s_m + long)[rows]).groupby(lanelet[rows]).max()
         offset = _offsets([each.lanelets for each in lanes], ends)
@@ -137,8 +137,6 @@ class LaneNetwork:
 
         -1 and NaN for lanelets that are none of the site's.
         """
-        if not len(self.lanelet_id):
-            return np.full(len(lanelet_id), -1), np.full(len(lanelet_id), np.nan)
         at = np.minimum(np.searchsorted(self.lanelet_id, lanelet_id), len(self.lanelet_id) - 1)
         known = (self.lanelet_id[at] == lanelet_id) & np.isfinite(s_m)
         lane = np.where(known, self.lanelet_lane[at], -1)
@@ -147,7 +145,7 @@ class LaneNetwork:
 
     def tile_at(self, lane: Integers, along_m: Floats) -> Integers:
         """Return the position among the tiles of places on lanes; -1 where `lane` is -1."""
-        room = float(self.length_m.max(initial=0.0)) + 1.0
+        room = float(self.length_m.max()) + 1.0
         inside = np.nan_to_num(along_m)
         keys = self.tile_lane * room + self.tile_m
         found = np.searchsorted(keys, np.maximum(lane, 0) * room + inside, side="right") - 1
@@ -238,8 +236,6 @@ def _known(lane: Integers, values: Mapping[int, float] | None) -> Floats:
 
 def _after(tiles: gpd.GeoDataFrame, rows: Sequence[Integers]) -> list[tuple[int, ...]]:
     """Return the positions of the lanes that begin where each ends, and as it is headed."""
-    if not rows:
-        return []
     corners = quads(tiles)
     first, last = (np.array([each[k] for each in rows]) for k in (0, -1))
     begin, end = corners[first][:, [0, 3]], corners[last][:, [1, 2]]

@@ -128,7 +128,7 @@ class FrontStates:
         one, other = self.lane[i], self.lane[j]
         driven = (self.speed[i] + self.speed[j]) / 2.0 * (self.step[j] - self.step[i]) * STEP_S
         same = (one == other) & (one >= 0)
-        left = network.length_m[one] - self.along_m[i] if len(network.lane) else driven * np.nan
+        left = network.length_m[one] - self.along_m[i]
         with np.errstate(invalid="ignore"):
             follows = (one != other) & (one >= 0) & (other >= 0)
             follows &= (left <= driven + FOLLOWS_M) & (self.along_m[j] <= driven + FOLLOWS_M)
@@ -194,21 +194,18 @@ def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: Ste
     step counts in the latter.
     """
     i = states.pairs
-    parts = []
-    if len(network.lane):
-        one, other = states.lane[i], states.lane[i + 1]
-        line_one, line_other = network.line_m[one], network.line_m[other]
-        with np.errstate(invalid="ignore"):
-            left = moves.follows & (states.along_m[i] < line_one)
-            came = (other >= 0) & (moves.before_m < line_other)
-            came &= line_other <= states.along_m[i + 1]
-        gone = moves.left_m + states.along_m[i + 1]
-        parts.append((left, one, (line_one - states.along_m[i]) / np.maximum(gone, 1e-9)))
-        gone = states.along_m[i + 1] - moves.before_m
-        parts.append((came, other, (line_other - moves.before_m) / np.maximum(gone, 1e-9)))
-    k = np.concatenate([np.flatnonzero(flag) for flag, _, _ in parts] or [np.empty(0, np.int64)])
-    lane = np.concatenate([of[flag] for flag, of, _ in parts] or [np.empty(0, np.int64)])
-    part = np.concatenate([share[flag] for flag, _, share in parts] or [np.empty(0)])
+    one, other = states.lane[i], states.lane[i + 1]
+    line_one, line_other = network.line_m[one], network.line_m[other]
+    reached = states.along_m[i + 1]
+    with np.errstate(invalid="ignore"):
+        left = moves.follows & (states.along_m[i] < line_one)
+        came = (other >= 0) & (moves.before_m < line_other) & (line_other <= reached)
+        of_left = (line_one - states.along_m[i]) / np.maximum(moves.left_m + reached, 1e-9)
+        of_came = (line_other - moves.before_m) / np.maximum(reached - moves.before_m, 1e-9)
+    parts = ((left, one, of_left), (came, other, of_came))
+    k = np.concatenate([np.flatnonzero(flag) for flag, _, _ in parts])
+    lane = np.concatenate([of[flag] for flag, of, _ in parts])
+    part = np.concatenate([share[flag] for flag, _, share in parts])
     first, last = states.step[i[k]], states.step[i[k] + 1]
     time = first + part * (last - first)
     order = np.lexsort((time, lane, states.vehicle[i[k]]))
@@ -263,7 +260,7 @@ def driven(
     mine = (lane >= 0) & (step >= grid.begin) & (step < grid.end)
     lane, along, step, lasts, far = (each[mine] for each in (lane, along, step, lasts, far))
     tile = network.tile_at(lane, along)
-    seen = visible.at(network.tile_id[tile], step) if len(lane) else mine[:0]
+    seen = visible.at(network.tile_id[tile], step)
     cell, size = (lane * grid.count + grid.of(step))[seen], len(network.lane) * grid.count
     seconds = np.bincount(cell, lasts[seen] * STEP_S, size).astype(np.float64)
     return Driven(seconds, np.bincount(cell, far[seen], size).astype(np.float64))

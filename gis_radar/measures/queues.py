@@ -123,11 +123,11 @@ def queues(
     new[1:] = (np.diff(stop) != 0) | (np.diff(step) != 0)
     ahead = np.where(new, 0.0, np.concatenate([[0.0], rear])[: len(rear)])
     joined = _unbroken(front - ahead <= settings.joined_m, new)
-    line = network.tile_at(stop, network.line_m[stop]) if len(stop) else stop
-    joined &= visible.at(network.tile_id[line], step) if len(stop) else joined
+    line = network.tile_id[network.tile_at(stop, network.line_m[stop])]
+    joined &= visible.at(line, step)
     stop, step, rear = stop[joined], step[joined], rear[joined]
     first = np.flatnonzero(new[joined])
-    back = np.maximum.reduceat(rear, first) if len(first) else rear
+    back = np.maximum.reduceat(rear, first) if len(first) else rear  # it takes no empty array
     cell = stop[first] * grid.count + grid.of(step[first])
     most = np.zeros(size)
     np.maximum.at(most, cell, back)
