@@ -8,10 +8,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
+from forks import APPROACH, LEFT, STRAIGHT, fork, strip
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from maps import EAST, NORTH, UTM
-from shapely import Polygon
+from maps import UTM
 
 from gis_radar.measures.lane_measures import (
     DEFAULTS,
@@ -24,35 +24,8 @@ from gis_radar.measures.lane_network import LaneNetwork, Turn
 from gis_radar.measures.lane_traffic import FrontStates, StepGrid, VisibleRuns
 from gis_radar.measures.queues import standing
 
-APPROACH, STRAIGHT, LEFT = 10, 20, 30  # lanes, each of one lanelet of that number
-LENGTH = {APPROACH: 60.0, STRAIGHT: 40.0, LEFT: 40.0}
 BEGIN, QUARTER = 34_000_020_000, 1_200
 BEGIN -= BEGIN % 4
-
-
-def strip(lanelet, place, turn_deg, length, first_tile):
-    """Lay the tiles of a lanelet from a place, headed so."""
-    way = np.array([math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))])
-    side = 1.5 * np.array([-way[1], way[0]])
-    rows = []
-    for i in range(round(length / 0.5)):
-        begin, end = (np.array(place) + (EAST, NORTH) + way * 0.5 * k for k in (i, i + 1))
-        ring = Polygon([begin - side, end - side, end + side, begin + side])
-        rows.append({
-            "tile_id": first_tile + i, "lanelet_id": lanelet, "index": i, "s_m": 0.5 * i,
-            "length_m": 0.5, "width_m": 3.0, "lane": lanelet, "geometry": ring,
-        })  # fmt: skip
-    return rows
-
-
-def fork():
-    """An approach that forks at its stop line: straight on, or 25 degrees to the left."""
-    rows = strip(APPROACH, (0, 0), 0, 60, 0)
-    rows += strip(STRAIGHT, (60, 0), 0, 40, len(rows))
-    rows += strip(LEFT, (60, 0), 25, 40, len(rows))
-    return gpd.GeoDataFrame(rows, crs=UTM)
-
-
 TILES = fork()
 NETWORK = LaneNetwork.of(TILES, {APPROACH: 60.0}, {APPROACH: 36.0})
 
