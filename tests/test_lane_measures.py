@@ -22,7 +22,7 @@ from gis_radar.measures.lane_measures import (
 )
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 from gis_radar.measures.lane_traffic import FrontStates, StepGrid, VisibleRuns
-from gis_radar.measures.queues import standing
+from gis_radar.measures.queues import standing_states
 
 BEGIN, QUARTER = 34_000_020_000, 1_200
 BEGIN -= BEGIN % 4
@@ -304,7 +304,7 @@ def test_who_stood_when_first_found_has_not_stopped_and_slow_for_less_than_1_s_i
     assert lanes.loc[(APPROACH, 0), "stops"] == 0.0
     assert lanes.loc[(APPROACH, 0), "queue_max_m"] == pytest.approx(14.5)
     brief = states_of([(STRAIGHT, BEGIN, np.array([0, 2, 4, 4, 4, 4, 6, 8], float))])
-    assert not standing(brief).stands.any()
+    assert not standing_states(brief).stands.any()
 
 
 def test_a_front_that_wavers_over_the_line_counts_once():

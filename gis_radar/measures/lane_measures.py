@@ -31,7 +31,7 @@ from gis_radar.measures.lane_traffic import (
     crossings,
     driven,
 )
-from gis_radar.measures.queues import QUEUES, QueueSettings, queues, standing
+from gis_radar.measures.queues import QUEUES, QueueSettings, queues, standing_states
 from gis_radar.steps import STEPS_PER_SECOND
 
 SPEED_CLASS_KMH = 5.0
@@ -155,7 +155,7 @@ def measure_lanes(
     share = _share_at(line, grid, tiles)
     counts = _Counts.of(crossed, vehicles, network, grid, settings)
     edie = driven(states, moves, network, visible, grid)
-    stand = standing(states, settings.queues)
+    stand = standing_states(states, settings.queues)
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
     backs = queues(states, stand.stands, length_m, network, visible, grid, settings.queues)
     columns: dict[str, Any] = _volumes(counts, share, settings)

@@ -42,7 +42,7 @@ class QueueSettings:
 QUEUES = QueueSettings()
 
 
-class Standing(NamedTuple):
+class StandingStates(NamedTuple):
     """States of vehicles that stand.
 
     Parameters
@@ -58,7 +58,7 @@ class Standing(NamedTuple):
     stops: Booleans
 
 
-def standing(states: FrontStates, settings: QueueSettings = QUEUES) -> Standing:
+def standing_states(states: FrontStates, settings: QueueSettings = QUEUES) -> StandingStates:
     """Tell the states in which vehicles stand."""
     slow = states.speed < settings.slow
     new = np.ones(len(slow), np.bool_)
@@ -69,7 +69,7 @@ def standing(states: FrontStates, settings: QueueSettings = QUEUES) -> Standing:
     stands = slow & (states.step - states.step[run] >= settings.slow_steps)
     stops = stands & ~new[run]
     stops[1:] &= ~stands[:-1] | new[1:]
-    return Standing(stands, stops)
+    return StandingStates(stands, stops)
 
 
 class QueueBacks(NamedTuple):
