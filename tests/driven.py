@@ -55,9 +55,12 @@ def drive(vehicle, first_step, fronts, *, speed=10.0, lanelet_id=7, length=4.5, 
     )
 
 
-def driven(folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continued=None):
+def driven(
+    folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continued=None, **options
+):  # fmt: skip
     """Write a dataset of tracks, states of which are every step; give it.
 
+    What else `write_dataset` takes it may be given, too.
     Vehicles that drive on in another hour have another number in it, as `continued` says.
     """
     tracks = tracks.sort_values(["vehicle", "step"], ignore_index=True)
@@ -82,7 +85,7 @@ def driven(folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continu
             "vehicles": _vehicles(tracks, ends, length, width, p_heavy),
         },
         tiles=tiles, recordings=recordings_of({"R1"}), poses=[pose()], continued=continued,
-        sights={"pose": np.full(len(ids), "R1"), "tile_id": ids},
+        sights={"pose": np.full(len(ids), "R1"), "tile_id": ids}, **options,
     )  # fmt: skip
     assert hours_of(tracks) == len(dataset.records())
     return dataset

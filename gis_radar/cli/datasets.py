@@ -1,4 +1,4 @@
-"""The commands about a dataset: query, dataset."""
+"""The commands about a dataset: traffic, query, dataset."""
 
 from __future__ import annotations
 
@@ -8,9 +8,46 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, refuse_inputs
+from gis_radar.base import Reporter, Text, refuse_inputs
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import DURATION, FILE
+from gis_radar.cli.options import DURATION, FILE, csv_locale, output
+from gis_radar.cli.options import dataset as dataset_argument
+
+TOO_SHORT = Text(
+    "no interval was visible for a fifth of its length, which a volume needs: "
+    "take a shorter --interval"
+)
+
+
+@command(example="gis-radar traffic dataset/ --interval 15min -o traffic/")
+@dataset_argument
+@output
+@click.option(
+    "--interval", default="15min", show_default=True,
+    help="Length of the intervals: 1min, 5min, 15min, 1h, 24h; they follow the site's clocks.",
+)  # fmt: skip
+@click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
+@click.option("--end", help="Only before this time.")
+@click.option(
+    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
+    help="Of the lanes' names and the titles.",
+)  # fmt: skip
+@csv_locale
+def traffic(
+    *, folder: Path, output: Path, language: str, csv_locale: str, reporter: Reporter,
+    **options: Any,
+) -> Result:  # fmt: skip
+    """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
+    from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
+
+    refuse_inputs(output, folder)
+    measured = gr.open_dataset(folder, reporter=reporter)
+    made = gr.make_traffic(measured, language=language, **options)
+    with csv_for(csv_locale):
+        outputs = made.write(output, language=language, reporter=reporter)
+    figures = made.figures()
+    advice = "" if figures["rows_with_volume"] else TOO_SHORT
+    return Result(outputs=outputs, summary=figures, advice=advice, timezone=measured.timezone)
 
 
 @command(

@@ -1,5 +1,7 @@
 from .dataset import Dataset, open_dataset
+from .day_tables import STEPS_PER_QUARTER
 from .hour_job import MeasureSettings
+from .lane_measures import LaneTraffic
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
 from .measure import manifest_of, measure
 from .parts import (
@@ -18,7 +20,7 @@ from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .states import no_states, states_of
 from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
-from .tile_counts import RUN_ERRORS, STEPS_PER_QUARTER, HourSpans, count_spans, update_counts
+from .tile_counts import RUN_ERRORS, HourSpans, count_spans, update_counts
 from .upkeep import relink, withdraw
 
 __all__ = [
@@ -32,6 +34,7 @@ __all__ = [
     "Dataset",
     "HourSpans",
     "HourWriter",
+    "LaneTraffic",
     "Manifest",
     "MeasureSettings",
     "Origin",

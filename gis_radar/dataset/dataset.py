@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -27,15 +26,18 @@ from gis_radar.base import (
     step_at,
     zone_of,
 )
+from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import TILES, Manifest
 from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
 from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, read_hours
 from gis_radar.dataset.tables import (
     CONTINUED,
+    DAY_TABLES,
     FRAMES,
     HITS,
     HOUR_TABLES,
+    LANE_MEASURES,
     OBSERVED,
     OCCUPIED,
     PASSAGES,
@@ -45,23 +47,23 @@ from gis_radar.dataset.tables import (
     TABLES,
     TILE_COUNTS,
     TRACKS,
+    TURNS,
     VEHICLES,
     VISIBLE,
     TableSchema,
 )
 from gis_radar.dataset.tile_counts import check_counts, read_counts
+from gis_radar.dataset.traffic import Moment, TrafficTables
 from gis_radar.dataset.units import for_people
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
 from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs
 
-Moment: TypeAlias = str | datetime | int | None
-"""A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
 _LAST_STEP = 1 << 62
 TIMEOUT_S, MEMORY = 60.0, "2GB"  # of a question in SQL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset:
+class Dataset(TrafficTables):
     """What was measured at a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -154,18 +156,21 @@ class Dataset:
         Parameters
         ----------
         table : TableSchema
-            A table of hours, or the tile counts; these come with a further column `first_step`,
-            in which the interval begins.
+            A table of hours, or of dates: tile counts, lane measures and turns. These come with a
+            further column `first_step`, in which the interval begins.
         span : (int, int), optional
-            Only rows with steps from the first to the last. Runs of tiles are cut to it; tile
-            counts are those of intervals that begin in it.
+            Only rows with steps from the first to the last. Runs of tiles are cut to it; of tables
+            of dates, intervals that begin in it.
         columns : sequence of str, optional
             Which columns; all without it.
         """
         records = self.records(span)
+        tiles = self.manifest.fingerprint
         if table is TILE_COUNTS:
-            tiles = self.manifest.fingerprint
             return read_counts(self.folder, tiles, records, span, columns)
+        if table in DAY_TABLES:
+            traffic = LaneTraffic(folder=self.folder, fingerprint=tiles)
+            return traffic.read(table, records, span, columns)
         return read_rows(self.folder, table, records, span, columns)
 
     def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:
@@ -287,6 +292,14 @@ class Dataset:
     def tile_counts(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
         """Read the counts by tile and quarter of an hour; `begin` is that of the quarter."""
         return self._read(TILE_COUNTS, begin, end)
+
+    def lane_measures(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the measures of lanes by quarter of an hour as they are stored, in m/s."""
+        return self._read(LANE_MEASURES, begin, end)
+
+    def turn_volumes(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the volumes of turns by quarter of an hour as they are stored."""
+        return self._read(TURNS, begin, end)
 
     def query(
         self, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY

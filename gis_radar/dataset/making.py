@@ -25,6 +25,7 @@ from gis_radar.base import (
     watch_parent,
 )
 from gis_radar.dataset.hour_job import HourSite, MadeHour, make_hour, read_sensors
+from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import clear_unfinished, days_of, hour_text, part_path
 from gis_radar.dataset.records import HourRecord, read_hours, remove_record
@@ -234,9 +235,12 @@ def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
 
 
 def _count(registry: Registry, hours: Iterable[int]) -> None:
-    """Bring the tile counts of all dates up to date."""
+    """Bring the tables of all dates up to date."""
+    traffic = LaneTraffic(folder=registry.folder, fingerprint=registry.fingerprint)
+    records = read_hours(registry.folder)
     for day in days_of(hours):
-        update_counts(registry.folder, registry.fingerprint, day)
+        update_counts(registry.folder, registry.fingerprint, day, records)
+        traffic.update(day, records)
 
 
 def _made(

@@ -2,45 +2,27 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from gis_radar.base import (
-    STEPS_PER_SECOND,
-    Booleans,
-    Floats,
-    InputError,
-    Integers,
-    compiled,
-    ranges,
-)
-from gis_radar.dataset.parts import (
-    HOURS_PER_DAY,
-    STEPS_PER_HOUR,
-    days_of,
-    hour_text,
-    opened_part,
-    part_path,
-    rename_whole,
-    unfinished,
-    whole_metadata,
-    write_part,
-)
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, compiled, ranges
+from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, Maker, days_with
+from gis_radar.dataset.parts import HOURS_PER_DAY, STEPS_PER_HOUR
 from gis_radar.dataset.reading import Span
-from gis_radar.dataset.records import HourRecord, read_hours
-from gis_radar.dataset.tables import HITS, OBSERVED, OCCUPIED, TILE_COUNTS, VISIBLE, TableSchema
-
-QUARTERS = 4  # of an hour
-STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
-_HOURS = "hours"  # in the metadata of a day: what each hour was when it was counted
+from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.tables import (
+    DAY_TABLES,
+    HITS,
+    OBSERVED,
+    OCCUPIED,
+    TILE_COUNTS,
+    VISIBLE,
+    TableSchema,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,7 +253,9 @@ def _count_hits(  # pragma: no cover - compiled
     reached[0], reached[1] = place, run
 
 
-def update_counts(folder: Path, fingerprint: str, hour: int) -> None:
+def update_counts(
+    folder: Path, fingerprint: str, hour: int, known: Mapping[int, HourRecord] | None = None
+) -> None:
     """Bring the tile counts of a date up to date; the caller is the only writer of that date.
 
     Rows of hours that were not made again are carried over.
@@ -284,6 +268,8 @@ def update_counts(folder: Path, fingerprint: str, hour: int) -> None:
         Of its tiles.
     hour : int
         Any hour of the date, since 1970.
+    known : mapping, optional
+        The records of all complete hours; read without it.
 
     Raises
     ------
@@ -292,93 +278,33 @@ def update_counts(folder: Path, fingerprint: str, hour: int) -> None:
     OutputError
         If the counts cannot be written.
     """
-    (day,) = days_of([hour])
-    records = read_hours(folder, day, day + HOURS_PER_DAY - 1)
-    path = part_path(folder, TILE_COUNTS, day)
-    if not records:
-        path.unlink(missing_ok=True)
-        return
-    if counted_hours(folder, fingerprint, day).match(records.values()):
-        return
-    rows = _day_rows(folder, fingerprint, day, records.values())
-    metadata = whole_metadata(TILE_COUNTS, fingerprint) | {
-        "hour": hour_text(day),
-        _HOURS: json.dumps({hour: _made(each) for hour, each in records.items()}),
-    }
-    write_part(TILE_COUNTS, path, rows, metadata)
-    rename_whole(unfinished(path), path)
+    day = Day.of(folder, fingerprint, hour)
+    records = day.records(known)
+    day.update((TILE_COUNTS,), count_keys(records), _maker(folder, records))
 
 
-def _made(record: HourRecord) -> list[str | int]:
-    return [record.origin.method, record.origin.inputs]
+def count_keys(records: Mapping[int, HourRecord]) -> Keys:
+    """Return what the counts of each hour follow from."""
+    return {hour: [each.origin.method, each.origin.inputs] for hour, each in records.items()}
 
 
-@dataclass(frozen=True, kw_only=True)
-class CountedHours:
-    """What the hours of a date were when they were counted.
-
-    Parameters
-    ----------
-    made : dict
-        Method and inputs of each hour since 1970.
-    """
-
-    made: Mapping[int, list[str | int]]
-
-    def has(self, record: HourRecord) -> bool:
-        """Return whether an hour was counted as it is now."""
-        return self.made.get(record.hour) == _made(record)
-
-    def match(self, records: Collection[HourRecord]) -> bool:
-        """Return whether just these hours were counted, as they are now."""
-        return len(records) == len(self.made) and all(map(self.has, records))
-
-
-def counted_hours(folder: Path, fingerprint: str, day: int) -> CountedHours:
-    """Read which hours of a date were counted, none where the counts are missing or damaged.
-
-    They follow from the tables of the hours, and are counted again where these are there.
-    """
-    with suppress(InputError, ValueError, KeyError), _opened_day(folder, fingerprint, day) as file:
-        known = json.loads(file.metadata.metadata[_HOURS.encode()])
-        return CountedHours(made={int(hour): made for hour, made in known.items()})
-    return CountedHours(made={})
+def _maker(folder: Path, records: Mapping[int, HourRecord]) -> Maker:
+    return lambda hour: (count_hour(folder, records[hour]),)
 
 
 def check_counts(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
-    """Read the tile counts of the dates of some hours, where they are written.
+    """Read the tables of the dates of some hours, where they are written.
 
     Raises
     ------
     InputError
         If they are damaged.
     """
-    for day in days_of(hours):
-        if part_path(folder, TILE_COUNTS, day).is_file():
-            with _opened_day(folder, fingerprint, day) as file:
-                file.read()
-
-
-def _opened_day(folder: Path, fingerprint: str, day: int) -> AbstractContextManager[pq.ParquetFile]:
-    metadata = whole_metadata(TILE_COUNTS, fingerprint) | {"hour": hour_text(day)}
-    return opened_part(TILE_COUNTS, part_path(folder, TILE_COUNTS, day), metadata)
-
-
-def _day_rows(folder: Path, fingerprint: str, day: int, records: Iterable[HourRecord]) -> pa.Table:
-    """Return the rows of some hours of a date: as they were counted, else counted now."""
-    records = list(records)
-    known = counted_hours(folder, fingerprint, day)
-    kept = [record for record in records if known.has(record)]
-    parts = [count_hour(folder, record) for record in records if not known.has(record)]
-    if kept:
-        with _opened_day(folder, fingerprint, day) as file:
-            table = file.read(columns=TILE_COUNTS.names)
-        if known.match(records):
-            return table
-        hours = pa.array([record.hour % HOURS_PER_DAY for record in kept], pa.int32())
-        hour = pc.divide(table["interval"], pa.scalar(QUARTERS, pa.int32()))
-        parts.append(table.filter(pc.is_in(hour, hours)))
-    return pa.concat_tables(parts).sort_by([(name, "ascending") for name in TILE_COUNTS.order])
+    for day, _ in days_with(folder, fingerprint, list(hours)):
+        for table in DAY_TABLES:
+            if day.path(table).is_file():
+                with day.opened(table) as file:
+                    file.read()
 
 
 def read_counts(
@@ -411,14 +337,7 @@ def read_counts(
         Rows of a date by tile and interval, with a further column `first_step`, in which the
         interval begins.
     """
-    for day in days_of(records):
-        mine = [each for hour, each in records.items() if 0 <= hour - day < HOURS_PER_DAY]
-        rows = _day_rows(folder, fingerprint, day, mine)
-        first = rows["interval"].to_numpy().astype(np.int64) * STEPS_PER_QUARTER
-        rows = rows.append_column("first_step", pa.array(first + day * STEPS_PER_HOUR))
-        if span is not None:
-            begin = rows["first_step"]
-            rows = rows.filter(
-                pc.and_(pc.greater_equal(begin, span[0]), pc.less_equal(begin, span[1]))
-            )
-        yield rows.select(list(columns)) if columns is not None else rows
+    for day, hours in days_with(folder, fingerprint, list(records)):
+        keys = count_keys({hour: records[hour] for hour in hours})
+        (rows,) = day.rows((TILE_COUNTS,), keys, _maker(folder, records))
+        yield day.timed(rows, span, columns)

@@ -11,11 +11,14 @@ import geopandas as gpd
 import pyarrow as pa
 
 from gis_radar.base import STEPS_PER_SECOND
+from gis_radar.dataset.day_tables import STEPS_PER_QUARTER, days_with
+from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
-from gis_radar.dataset.parts import HOURS_PER_DAY, days_of, part_path
+from gis_radar.dataset.parts import part_path
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.statement import LAYERS
 from gis_radar.dataset.tables import (
+    DAY_TABLES,
     HOUR_TABLES,
     POSES,
     RECORDINGS,
@@ -23,7 +26,7 @@ from gis_radar.dataset.tables import (
     TILE_COUNTS,
     TableSchema,
 )
-from gis_radar.dataset.tile_counts import STEPS_PER_QUARTER, counted_hours, read_counts
+from gis_radar.dataset.tile_counts import count_keys, read_counts
 from gis_radar.dataset.units import UNITS
 
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
@@ -78,8 +81,9 @@ def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str
     for table in HOUR_TABLES:
         if table.name in names:
             paths += views.hours(table, records)
-    if TILE_COUNTS.name in names:
-        paths += views.counts(records)
+    for table in DAY_TABLES:
+        if table.name in names:
+            paths += views.days(table, records)
     for table in (RECORDINGS, POSES, SIGHTS):
         if table.name in names:
             views.held(table, dataset.whole(table))
@@ -107,26 +111,30 @@ class _Views:
             self.held(table, table.empty())
         return paths
 
-    def counts(self, records: Mapping[int, HourRecord]) -> list[Path]:
-        """Make the view of tile counts; dates that are not up to date are counted now."""
+    def days(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
+        """Make the view of a table of dates; dates that are not up to date are made now."""
         folder, tiles = self._dataset.folder, self._dataset.manifest.fingerprint
+        traffic = LaneTraffic(folder=folder, fingerprint=tiles)
         paths, odd = [], {}
-        for day in days_of(records):
-            mine = {h: r for h, r in records.items() if 0 <= h - day < HOURS_PER_DAY}
-            if counted_hours(folder, tiles, day).match(mine.values()):
-                paths.append(part_path(folder, TILE_COUNTS, day))
+        for day, hours in days_with(folder, tiles, list(records)):
+            mine = {hour: records[hour] for hour in sorted(hours)}
+            keys = count_keys(mine) if table is TILE_COUNTS else traffic.keys(day, mine)
+            if keys and day.is_made((table,), keys):
+                paths.append(day.path(table))
             else:
                 odd.update(mine)
-        names = [*TILE_COUNTS.names, "first_step"]
-        empty = TILE_COUNTS.empty().append_column("first_step", pa.array([], pa.int64()))
-        counted = pa.concat_tables([empty, *read_counts(folder, tiles, odd)])
-        self._asked.register("_counted", counted)
-        source = _select(names, "_counted")
+        names = [*table.names, "first_step"]
+        empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
+        counted = table is TILE_COUNTS
+        made = read_counts(folder, tiles, odd) if counted else traffic.read(table, odd)
+        held = f"_made_{table.name}"
+        self._asked.register(held, pa.concat_tables([empty, *made]))
+        source = _select(names, held)
         if paths:
             files = f"read_parquet([{_list(paths)}], hive_types = {{'date': DATE}})"
-            begins = [*TILE_COUNTS.names, f"{_BEGIN} AS first_step"]
+            begins = [*table.names, f"{_BEGIN} AS first_step"]
             source = f"{source} UNION ALL {_select(begins, files)}"
-        self._view(TILE_COUNTS.name, names, f"({source})")
+        self._view(table.name, names, f"({source})")
         return paths
 
     def held(self, table: TableSchema, rows: pa.Table) -> None:

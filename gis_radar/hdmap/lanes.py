@@ -177,7 +177,9 @@ def lanes(
         (of eight compass winds of the map's grid, where its last 5 m lead to); `turn` (`left`,
         `straight`, `right`, `back`, joined by `;`: what it or the lanes that it leads to do in a
         junction, by the map's tags, else by their geometry; None elsewhere); `stop_line_m` (metres
-        along the lane, NaN where the map has none); `length_m`; its centre line as geometry.
+        along the lane, NaN where the map has none); `length_m`; `speed_limit_kmh` (the mean speed
+        of who drives it at the limits, NaN where the map does not state them all); its centre line
+        as geometry.
 
     Raises
     ------
@@ -214,6 +216,7 @@ def lanes(
             "turn": turns,
             "stop_line_m": [float(stop_m.get(min(chain), math.nan)) for chain in chains],
             "length_m": [float(line.length) for line in lines],
+            "speed_limit_kmh": [_limit_along(table, chain) for chain in chains],
         },
         geometry=lines,
         crs=roads.crs,
@@ -251,6 +254,13 @@ def _tagged_street(table: gpd.GeoDataFrame, chain: tuple[int, ...]) -> str | Non
         if name := table.at[ref, STREET]:
             lengths[name] += table.at[ref, "centre"].length
     return lengths.most_common(1)[0][0] if lengths else None
+
+
+def _limit_along(table: gpd.GeoDataFrame, chain: tuple[int, ...]) -> float:
+    """Return the mean speed over a lane at its limits, km/h; NaN where one is unknown."""
+    lengths = np.array([table.at[ref, "centre"].length for ref in chain])
+    limits = np.array([float(table.at[ref, "speed_limit_kmh"]) for ref in chain])
+    return float(lengths.sum() / (lengths / limits).sum())
 
 
 # Turns.

@@ -93,6 +93,7 @@
     <alias index="6" field="turn" name="Turns" />
     <alias index="7" field="stop_line_m" name="Stop line after (m)" />
     <alias index="8" field="length_m" name="Length (m)" />
+    <alias index="9" field="speed_limit_kmh" name="Speed limit (km/h)" />
   </aliases>
   <previewExpression>"lane"</previewExpression>
   <!-- Texts of the file are shown as text: QGIS takes a tip for HTML. -->

@@ -3,6 +3,17 @@ from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .hit_counter import FrameCounter
 from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
+from .lane_measures import (
+    SPEED_CLASS_KMH,
+    LaneMeasureSettings,
+    Measured,
+    TileSteps,
+    VehicleTable,
+    measure_lanes,
+)
+from .lane_names import lane_names, turn_lines
+from .lane_network import LaneNetwork
+from .lane_traffic import FrontStates, StepGrid, VisibleRuns
 from .placing import PoseNumbers
 from .pose_sights import (
     PlacedRecording,
@@ -23,14 +34,19 @@ __all__ = [
     "LONGEST_VALID_STEPS",
     "MARGIN_STEPS",
     "NO_FURTHER",
+    "SPEED_CLASS_KMH",
     "Filters",
     "FrameCounter",
     "FrameIndex",
     "FrameTimes",
+    "FrontStates",
     "HashedFrames",
     "HitSettings",
     "HitTarget",
     "HourWindow",
+    "LaneMeasureSettings",
+    "LaneNetwork",
+    "Measured",
     "PlacedRecording",
     "PoseNumbers",
     "PoseSight",
@@ -38,8 +54,14 @@ __all__ = [
     "Runs",
     "SensorHour",
     "SightBook",
+    "StepGrid",
+    "TileSteps",
     "ValidFrames",
+    "VehicleTable",
+    "VisibleRuns",
     "frame_columns",
+    "lane_names",
+    "measure_lanes",
     "observed_runs",
     "places_of",
     "pose_names",
@@ -49,6 +71,7 @@ __all__ = [
     "sight_of_tiles",
     "sorted_hits",
     "standing_for",
+    "turn_lines",
     "union_of_runs",
     "valid_runs",
     "valid_steps",

@@ -9,6 +9,7 @@ from .qgis.project_file import was_edited
 from .quality.quality import Quality, QualitySettings, measure_quality, require_table_name
 from .report.names import REPORT_FILES
 from .report.report import Report, write_report
+from .traffic import Traffic, make_traffic
 from .trajectories import to_trajectories, track_points, write_trajectories
 
 __all__ = [
@@ -22,10 +23,12 @@ __all__ = [
     "Quality",
     "QualitySettings",
     "Report",
+    "Traffic",
     "colour_classes",
     "lane_totals",
     "lanes_with_tiles",
     "make_heatmap",
+    "make_traffic",
     "measure_quality",
     "project",
     "read_heatmap",

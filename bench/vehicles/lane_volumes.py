@@ -1,0 +1,157 @@
+"""Volumes, speeds and turns of lanes beside the true ones, minute by minute.
+
+    python bench/vehicles/lane_volumes.py SCENE [--dataset DATASET]
+
+SCENE is one of the bench's scenes, or `sample`. Without a dataset the scene is measured with its
+true poses. True crossings are found apart from the package: along the likeliest chain of lanelets
+of each true vehicle (`passages.py`), one vehicle and one tile at a time. Only lanes count whose
+counting line lies within 100 m of a radar, and minutes in which it is visible for a fifth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import shapely
+from passages import Lanes, followed, lanes_of
+from scenes import SceneFiles, scene
+from scipy.spatial import cKDTree
+
+import gis_radar as gr
+from gis_radar.base import Floats, step_begin
+from gis_radar.dataset import LaneTraffic
+from gis_radar.measures import LaneNetwork
+
+WITHIN_M = 100.0  # of a radar, for which accuracy is stated
+LEAST_SHARE = 0.2
+
+
+def main() -> None:
+    """Measure where that is needed, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene")
+    parser.add_argument("--dataset", type=Path)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as kept:
+        if options.scene == "sample":
+            site = SceneFiles(name="sample", folder=gr.sample_folder(), kept=Path(kept))
+        else:
+            site = scene(options.scene)
+        folder = options.dataset or Path(kept) / "dataset"
+        if options.dataset is None:
+            gr.measure(
+                site.recordings, site.poses, site.tiles(), site.map, folder, scans=[site.scan],
+                check=False,
+            )  # fmt: skip
+        print(options.scene, *(f"{k} {v}" for k, v in score(site, gr.open_dataset(folder)).items()))
+
+
+def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
+    """Return what lanes and turns are off, over all minutes that are visible."""
+    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    network = traffic.network
+    true = true_crossings(site, network)
+    near = network.lane[near_lines(site, network)]
+    lanes = dataset.traffic("1min")
+    lanes = lanes[lanes["lane"].isin(near) & (lanes["visible_share"] >= LEAST_SHARE)]
+    lanes = lanes.join(by_minute(true, ["lane"]), on=["lane", "begin"])
+    count, speed = lanes["true"].fillna(0.0), lanes["true_speed"]
+    # what passed while nothing of the minute was recorded belongs to no estimate of it
+    whole = lanes["visible_share"] > 0.95
+    error = (lanes["volume"] - count)[whole]
+    spread = lanes["volume_se"][whole]
+    by_lane = lanes[whole].assign(true=count[whole]).groupby("lane")[["volume", "true"]].sum()
+    off = (by_lane["volume"] - by_lane["true"]).abs().sum()
+    both = whole & (lanes["counted"] > 0) & (count > 0)
+    faster = lanes["speed_time_mean_kmh"][both] - 3.6 * speed[both]
+    turns = dataset.turns("1min")
+    turns = turns[turns["from_lane"].isin(near) & (turns["visible_share"] > 0.95)]
+    turns = turns.dropna(subset="volume").join(
+        by_minute(true[true["to_lane"] >= 0], ["lane", "to_lane"]),
+        on=["from_lane", "to_lane", "begin"],
+    )
+    pairs = turns.assign(true=turns["true"].fillna(0.0)).groupby(["from_lane", "to_lane"])
+    sums = pairs[["volume", "true"]].sum()
+    return {
+        "lanes": f"{len(by_lane)}",
+        "true": f"{int(by_lane['true'].sum())}",
+        "found": f"{by_lane['volume'].sum():.1f}",
+        "off": f"{off / max(by_lane['true'].sum(), 1.0):.1%}",
+        "within_2_se": f"{(error.abs() <= 2.0 * spread + 1e-9).mean():.0%} of {len(error)}",
+        "speed_off_kmh": f"{faster.abs().mean():.1f} (bias {faster.mean():+.1f})",
+        "turns": f"{len(sums)}",
+        "turns_off": f"{(sums['volume'] - sums['true']).abs().sum() / sums['true'].sum():.1%}",
+    }
+
+
+def by_minute(true: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """Return `true` and `true_speed` by lane or turn and minute."""
+    groups = true.assign(begin=true["time"].dt.floor("min")).groupby([*keys, "begin"])["speed"]
+    return groups.agg(true="size", true_speed="mean")
+
+
+def near_lines(site: SceneFiles, network: LaneNetwork) -> list[int]:
+    """Return the lanes whose counting line lies near a radar and truly in sight."""
+    tiles = site.tiles().set_index("tile_id").geometry
+    line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
+    eyes = shapely.MultiPoint([pose.position[:2] for pose in site.poses])
+    seen = set(site.truth().tile_id.tolist())
+    return [
+        k for k, tile in enumerate(line.tolist())
+        if tile in seen and eyes.distance(tiles[tile].centroid) < WITHIN_M
+    ]  # fmt: skip
+
+
+def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
+    """Return the fronts over the lines of lanes: `lane to_lane time speed`, -1 without an exit."""
+    lanes, rows = lanes_of(site.tiles(), gr.read_map(site.map)), []
+    tree, truth = cKDTree(lanes.middle), site.truth()
+    exits: dict[int, set[int]] = {}
+    for turn in network.turns():
+        exits.setdefault(turn.start, set()).add(turn.end)
+    traffic = site.traffic().within(
+        truth.first_step, truth.first_step + truth.occupied.shape[1] - 1
+    )
+    for _, states in traffic.states.groupby("vehicle"):
+        way = lane_way(lanes, tree, states, network)
+        seen = set[int]()
+        for (row, lane, at), (later, other, reached) in pairwise(way):
+            for passed in {lane, other} - seen:
+                line = float(network.line_m[passed])
+                before = at if lane == passed else reached - (network.length_m[lane] - at) - reached
+                after = reached if other == passed else network.length_m[lane] + reached
+                if lane != other and other not in network.after[lane]:
+                    continue
+                if before < line <= after:
+                    part = (line - before) / max(after - before, 1e-9)
+                    k = round(row + part * (later - row))
+                    seen.add(passed)
+                    ahead = [each for r, each, _ in way if r >= later]
+                    to = next((e for e in ahead if e in exits.get(passed, ())), None)
+                    rows.append((
+                        int(network.lane[passed]), -1 if to is None else int(network.lane[to]),
+                        step_begin(int(states["step"].iloc[k])), float(states["speed"].iloc[k]),
+                    ))  # fmt: skip
+    found = pd.DataFrame(rows, columns=["lane", "to_lane", "time", "speed"])
+    return found.assign(time=pd.to_datetime(found["time"], utc=True))
+
+
+def lane_way(
+    lanes: Lanes, tree: cKDTree, states: pd.DataFrame, network: LaneNetwork
+) -> list[tuple[int, int, float]]:
+    """Return rows, lanes and metres along them of a vehicle, a metre apart."""
+    front: Floats = states[["front_e", "front_n"]].to_numpy()
+    rows, chain = followed(lanes, tree, front, states["heading"].to_numpy())
+    refs = np.array([lanelet for lanelet, _ in chain], np.int64)
+    index = np.array([place for _, place in chain], np.float64)
+    at, metres = network.place(refs, index * 0.5 + 0.25)
+    return list(zip(rows.tolist(), at.tolist(), metres.tolist(), strict=True))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,247 @@
+"""Lane measures and turns: traffic by lane and quarter of an hour, from the tracks of each hour.
+
+The rows of an hour follow from its own parts and from the tracks of those vehicles in the hour
+before that go on in it: who has crossed a line already, and who has been standing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyogrio
+
+from gis_radar.base import Integers, opened_package
+from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, days_with
+from gis_radar.dataset.manifest import TILES
+from gis_radar.dataset.parts import HOURS_PER_DAY, STEPS_PER_HOUR
+from gis_radar.dataset.reading import Span
+from gis_radar.dataset.records import HourRecord, read_hour
+from gis_radar.dataset.tables import (
+    CONTINUED,
+    LANE_MEASURES,
+    TRACKS,
+    TURNS,
+    VEHICLES,
+    VISIBLE,
+    TableSchema,
+)
+from gis_radar.dataset.tile_counts import RUN_ERRORS, HourSpans, count_spans, read_counts
+from gis_radar.hdmap import LANES_LAYER, read_tiles
+from gis_radar.measures import (
+    FrontStates,
+    LaneMeasureSettings,
+    LaneNetwork,
+    Measured,
+    StepGrid,
+    TileSteps,
+    VehicleTable,
+    VisibleRuns,
+    measure_lanes,
+)
+
+METHOD = 1
+"""Raised whenever the same parts would give other lane measures or turns."""
+
+SETTINGS = LaneMeasureSettings(
+    counting_seen=RUN_ERRORS.false_share, counting_inferred=RUN_ERRORS.inferred_share
+)
+TRAFFIC_TABLES = (LANE_MEASURES, TURNS)
+_TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_variance")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LaneTraffic:
+    """Makes and reads the lane measures and turns of a dataset.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    fingerprint : str
+        Of its tiles.
+    """
+
+    folder: Path
+    fingerprint: str
+    _before: dict[int, HourRecord | None] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def network(self) -> LaneNetwork:
+        """The lanes, read when they are first needed."""
+        tiles, known = read_tiles(self.folder / TILES), {}
+        with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
+            if LANES_LAYER in pyogrio.list_layers(place)[:, 0]:
+                known = pyogrio.read_dataframe(
+                    place, layer=LANES_LAYER, read_geometry=False
+                ).to_dict("series")
+        lane = known.get("lane", [])
+        stops, limits = (
+            dict(zip(lane, known.get(name, ()), strict=False))
+            for name in ("stop_line_m", "speed_limit_kmh")
+        )
+        return LaneNetwork.of(tiles, stops, limits)
+
+    def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
+        """Bring the tables of the date of an hour up to date; the caller is its only writer.
+
+        Parameters
+        ----------
+        hour : int
+            Any hour of the date, since 1970.
+        known : mapping, optional
+            The records of all complete hours; read without it.
+
+        Raises
+        ------
+        InputError
+            If a part of an hour is not what it should be.
+        OutputError
+            If a table cannot be written.
+        """
+        day = Day.of(self.folder, self.fingerprint, hour)
+        records = day.records(known)
+        self._before.update(_with_tracks(known or {}))
+        keys = self.keys(day, records)
+        day.update(TRAFFIC_TABLES, keys, lambda each: self._quarters(records[each]))
+
+    def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
+        """Return what the rows of each hour of a date follow from.
+
+        Hours without vehicles have none. Of those whose exact tables were deleted, the rows stay as
+        they were made, if they were.
+        """
+        keys = {hour: self._key(each) for hour, each in _with_tracks(records).items()}
+        gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
+        known = day.made(LANE_MEASURES) if gone and day.made(TURNS) else {}
+        return {
+            hour: known[hour] if hour in gone else key
+            for hour, key in keys.items()
+            if hour not in gone or hour in known
+        }
+
+    def _key(self, record: HourRecord) -> list[str | int]:
+        before = self._hour_before(record.hour)
+        inputs = "" if before is None else before.origin.inputs
+        return [METHOD, record.origin.method, record.origin.inputs, inputs]
+
+    def _hour_before(self, hour: int) -> HourRecord | None:
+        """Return the record of the hour before, if it has tracks."""
+        if hour - 1 not in self._before:
+            found = read_hour(self.folder, hour - 1)
+            self._before[hour - 1] = None
+            self._before.update(_with_tracks({} if found is None else {hour - 1: found}))
+        return self._before[hour - 1]
+
+    def read(
+        self, table: TableSchema, records: Mapping[int, HourRecord], span: Span | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> Iterator[pa.Table]:  # fmt: skip
+        """Read lane measures or turns day by day; hours that are not made yet are made.
+
+        Parameters, and the further column `first_step`, as of
+        :func:`gis_radar.dataset.tile_counts.read_counts`.
+        """
+        place = TRAFFIC_TABLES.index(table)
+        for day, hours in days_with(self.folder, self.fingerprint, list(records)):
+            keys = self.keys(day, {hour: records[hour] for hour in sorted(hours)})
+            rows = day.rows(TRAFFIC_TABLES, keys, lambda hour: self._quarters(records[hour]))
+            yield day.timed(rows[place], span, columns)
+
+    def finer(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:
+        """Measure an hour by intervals of so many steps, which divide a quarter of an hour.
+
+        `interval` is then the number of the interval in the hour.
+
+        Raises
+        ------
+        InputError
+            If its exact tables were deleted.
+        """
+        begins = np.arange(0, STEPS_PER_HOUR, steps, dtype=np.int64)
+        spans = HourSpans(first=begins, last=begins + steps - 1)
+        tiles, sums = count_spans(self.folder, record, spans)
+        rows = np.flatnonzero(sums["observed_steps"])
+        place, interval = np.divmod(rows, len(begins))
+        counts = [sums[name][rows] for name in _TILE_COLUMNS]
+        found = self._measured(record, steps, tiles[place], interval, counts)
+        return _tables(found, 0)
+
+    def _quarters(self, record: HourRecord) -> tuple[pa.Table, pa.Table]:
+        """Return the rows of an hour."""
+        first = record.hour % HOURS_PER_DAY * QUARTERS
+        columns = ["tile_id", "interval", *_TILE_COLUMNS]
+        counts = read_counts(self.folder, self.fingerprint, {record.hour: record}, None, columns)
+        tile, interval, *steps = (each.to_numpy() for each in next(counts).columns)
+        found = self._measured(record, STEPS_PER_QUARTER, tile, interval - first, steps)
+        return _tables(found, first)
+
+    def _measured(
+        self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
+        counts: Sequence[Any],
+    ) -> Measured:  # fmt: skip
+        begin = record.hour * STEPS_PER_HOUR
+        vehicles = self._part(VEHICLES, record, ["vehicle", "length_m", "p_heavy", "p_exists"])
+        known = {name: vehicles[name].to_numpy() for name in vehicles.column_names}
+        runs = self._part(VISIBLE, record, ["tile_id", "first_step", "last_step"])
+        visible, occupied, inferred, variance = (each.astype(np.float64) for each in counts)
+        return measure_lanes(
+            self.network,
+            StepGrid(begin=begin, steps=steps, count=STEPS_PER_HOUR // steps),
+            self._states(record),
+            VehicleTable(**known),
+            VisibleRuns(
+                tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
+                last=runs["last_step"].to_numpy(),
+            ),
+            TileSteps(
+                tile_id=tile, interval=interval.astype(np.int64), visible=visible,
+                occupied=occupied, inferred=inferred, variance=variance,
+            ),
+            SETTINGS,
+        )  # fmt: skip
+
+    def _states(self, record: HourRecord) -> FrontStates:
+        """Return the states of an hour, and before them those of vehicles that go on in it."""
+        columns = ["vehicle", "step", "speed_cms", "lanelet_id", "s_cm", "seen"]
+        rows = self._part(TRACKS, record, columns)
+        before = self._hour_before(record.hour)
+        if before is not None and TRACKS.name not in before.dropped:
+            pairs = self._part(CONTINUED, record, CONTINUED.names)
+            earlier = self._part(TRACKS, before, columns)
+            at = pc.index_in(earlier["vehicle"], pairs["vehicle"].combine_chunks())
+            earlier = earlier.set_column(0, earlier.field(0), pairs["next"].take(at))
+            earlier = earlier.filter(at.is_valid())
+            rows = pa.concat_tables([earlier, rows])
+            rows = rows.sort_by([("vehicle", "ascending"), ("step", "ascending")])
+        known = rows["lanelet_id"].is_valid().to_numpy()
+        lanelet = rows["lanelet_id"].fill_null(0).to_numpy()
+        s_m = np.where(known, rows["s_cm"].fill_null(0).to_numpy() / 100.0, np.nan)
+        lane, along = self.network.place(lanelet, s_m)
+        return FrontStates(
+            vehicle=rows["vehicle"].to_numpy(), step=rows["step"].to_numpy(), lane=lane,
+            along_m=along, speed=rows["speed_cms"].to_numpy() / 100.0,
+            seen=rows["seen"].to_numpy(),
+        )  # fmt: skip
+
+    def _part(self, table: TableSchema, record: HourRecord, columns: Sequence[str]) -> pa.Table:
+        with record.opened(self.folder, table) as file:
+            return file.read(columns=list(columns), use_threads=False)
+
+
+def _with_tracks(records: Mapping[int, HourRecord]) -> dict[int, HourRecord]:
+    return {hour: each for hour, each in records.items() if TRACKS.name in each.parts}
+
+
+def _tables(found: Measured, first: int) -> tuple[pa.Table, pa.Table]:
+    lanes, turns = (
+        table.to_arrow(values | {"interval": values["interval"] + first})
+        for table, values in zip(TRAFFIC_TABLES, found, strict=True)
+    )
+    return lanes, turns

@@ -1,0 +1,420 @@
+"""Traffic by lane for people: tidy tables with names, local times, km/h and vehicles an hour."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+from zoneinfo import ZoneInfo
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.base import (
+    STEP_S,
+    STEP_US,
+    STEPS_PER_SECOND,
+    Floats,
+    InputError,
+    UsageError,
+    interval_steps,
+    speaking,
+    zone_of,
+)
+from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER
+from gis_radar.dataset.lane_measures import SETTINGS, LaneTraffic
+from gis_radar.dataset.manifest import Manifest
+from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_text
+from gis_radar.dataset.reading import Span
+from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS, TableSchema
+from gis_radar.hdmap import LANES_LAYER
+from gis_radar.measures import SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
+
+LEAST_STEPS = 60 * STEPS_PER_SECOND  # of an interval: in less a lane has no volume to speak of
+_DAY_STEPS = 24 * STEPS_PER_HOUR
+_WITH_LANE = ["lane"]
+_WITH_TURN = ["from_lane", "to_lane"]
+
+
+Moment: TypeAlias = str | datetime | int | None
+"""A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
+
+
+class Source(Protocol):
+    """What traffic is read from: a dataset."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies."""
+
+    @property
+    def has_vehicles(self) -> bool:
+        """Whether vehicles were looked for."""
+
+    def span(self, begin: Moment = None, end: Moment = None) -> Span | None:
+        """Return the first and the last step between two times."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """Its zone and coordinate system."""
+
+    def records(self, span: Span | None = None) -> dict[int, HourRecord]:
+        """Return the records of its complete hours."""
+
+    def layer(self, name: str) -> gpd.GeoDataFrame:
+        """Read a layer of its tiles."""
+
+
+class TrafficTables:
+    """The traffic of a dataset, as its methods."""
+
+    def traffic(
+        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+        language: str | None = None,
+    ) -> gpd.GeoDataFrame:  # fmt: skip
+        """Return the traffic of lanes, a row a lane and interval.
+
+        Parameters
+        ----------
+        interval : str
+            Its length, such as `15min` or `1h`: a multiple of 15 min that divides a day, or a part
+            of 15 min of 1 min and more. Intervals follow the clocks of the site.
+        begin, end : str, datetime or step, optional
+            Only what begins between these times.
+        language : str, optional
+            Of the lanes' names, `en` or `de`; English without it, or what is spoken now.
+
+        Returns
+        -------
+        GeoDataFrame
+            By lane and time: `lane` (its number), `name`; `begin`, `end` in the site's zone;
+            `visible_share`, `counted`, `volume` (vehicles in the interval), `volume_se`,
+            `volume_veh_h`, `heavy`; `speed_kmh` (space mean), `speed_time_mean_kmh`,
+            `speed_85_kmh`; `occupancy`, `occupancy_se`, `density_veh_km`, `flow_veh_h`,
+            `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `stops`; the lane's line.
+            Null where nothing is visible. Lanes that no sensor observes have no rows.
+
+        Raises
+        ------
+        UsageError
+            If there is no such interval.
+        InputError
+            If vehicles were not looked for, or the interval is under 15 min and exact tables were
+            deleted.
+        """
+        return _reader(self, interval, begin, end, language).lanes()
+
+    def turns(
+        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+        language: str | None = None,
+    ) -> gpd.GeoDataFrame:  # fmt: skip
+        """Return the volumes of turns, a row a turn and interval; as of :meth:`traffic`.
+
+        Returns
+        -------
+        GeoDataFrame
+            `from_lane`, `to_lane`, `from_name`, `to_name`, `turn` (`left`, `straight`, `right` or
+            `back`), `begin`, `end`, `visible_share`, `volume`, `volume_se`, `volume_veh_h`; the way
+            from the stop line to the exit.
+        """
+        return _reader(self, interval, begin, end, language).turns()
+
+    def queues(
+        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
+        language: str | None = None,
+    ) -> gpd.GeoDataFrame:  # fmt: skip
+        """Return the queues at stop lines: rows of :meth:`traffic` of lanes that have one.
+
+        Returns
+        -------
+        GeoDataFrame
+            `lane`, `name`, `begin`, `end`, `visible_share`, `queue_max_m`, `queue_mean_m`, `stops`,
+            `delay_s`; the lane's line.
+        """
+        found = _reader(self, interval, begin, end, language).lanes()
+        found = found[found["queue_max_m"].notna()].reset_index(drop=True)
+        return found[
+            ["lane", "name", "begin", "end", "visible_share", "queue_max_m", "queue_mean_m",
+             "stops", "delay_s", "geometry"]
+        ]  # fmt: skip
+
+
+def _reader(
+    dataset: Source, interval: str, begin: Moment, end: Moment, language: str | None
+) -> TrafficReader:
+    if not dataset.has_vehicles:
+        raise InputError(
+            "{}: holds no vehicles, of which traffic is counted",
+            dataset.folder,
+            hint="measure it again, with vehicles",
+        )
+    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    return TrafficReader(
+        dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),
+        language=language,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrafficReader:
+    """Reads lane measures and turns by intervals of any allowed length.
+
+    Parameters
+    ----------
+    dataset : Source
+        Its complete hours.
+    traffic : LaneTraffic
+        Of the dataset.
+    interval : str
+        Length of the intervals: `1min`, `5min`, `15min`, `1h`, `24h`. They follow the clocks of the
+        site, whole days of 23 and 25 hours among them. Under 15 min they are measured from the
+        exact tables.
+    span : (int, int), optional
+        Only what begins from the first to the last of these steps.
+    language : str, optional
+        Of the names; the current one without it.
+    """
+
+    dataset: Source
+    traffic: LaneTraffic
+    interval: str = "15min"
+    span: Span | None = None
+    language: str | None = None
+
+    def lanes(self) -> gpd.GeoDataFrame:
+        """Return a row a lane and interval, as of :meth:`gis_radar.Dataset.traffic`."""
+        table, network = self._rows(LANE_MEASURES), self.traffic.network
+        layer = self._layer(LANES_LAYER)
+        with self._speaking():
+            names = lane_names(layer, network)
+        at = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
+        lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[at]
+        hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
+        shown = pd.DataFrame({"lane": table["lane"], "name": np.array(names, object)[at]})
+        shown = shown.join(table[["begin", "end", "visible_share", "counted"]])
+        shown = shown.join(table[["volume", "volume_se"]])
+        shown["volume_veh_h"] = table["volume"] / hours
+        shown["heavy"] = table["heavy"]
+        for name, of in (("speed", "speed_mean"), ("speed_time_mean", "speed_time_mean")):
+            shown[f"{name}_kmh"] = table[of] * 3.6
+        shown["speed_85_kmh"] = [_percentile(each, 0.85) for each in table["speed_counts"]]
+        shown = shown.join(table[["occupancy", "occupancy_se"]])
+        shown["density_veh_km"], shown["flow_veh_h"] = table["density"], table["flow"]
+        rest = ["travel_time_s", "delay_s", "queue_max_m", "queue_mean_m", "stops"]
+        return gpd.GeoDataFrame(
+            shown.join(table[rest]), geometry=lines, crs=self.dataset.manifest.crs
+        )
+
+    def turns(self) -> gpd.GeoDataFrame:
+        """Return a row a turn and interval, as of :meth:`gis_radar.Dataset.turns`."""
+        table, network = self._rows(TURNS), self.traffic.network
+        ways, layer = network.turns(), self._layer(LANES_LAYER)
+        with self._speaking():
+            names = np.array(lane_names(layer, network), object)
+        words, lines = turn_lines(layer, network, ways)
+        pairs = {
+            (int(network.lane[way.start]), int(network.lane[way.end])): k
+            for k, way in enumerate(ways)
+        }
+        keys = zip(table["from_lane"].tolist(), table["to_lane"].tolist(), strict=True)
+        at = np.array([pairs[key] for key in keys], np.int64)
+        start, end = (
+            np.searchsorted(network.lane, table[name].to_numpy(np.int64)) for name in _WITH_TURN
+        )
+        hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
+        shown = table[_WITH_TURN].assign(from_name=names[start], to_name=names[end])
+        shown["turn"] = np.array(words, object)[at]
+        shown = shown.join(table[["begin", "end", "visible_share", "volume", "volume_se"]])
+        shown["volume_veh_h"] = table["volume"] / hours
+        lines_at = gpd.GeoSeries(lines, crs=self.dataset.manifest.crs).array[at]
+        return gpd.GeoDataFrame(shown, geometry=lines_at, crs=self.dataset.manifest.crs)
+
+    def _speaking(self) -> AbstractContextManager[None]:
+        return speaking(self.language) if self.language else nullcontext()
+
+    def _layer(self, name: str) -> gpd.GeoDataFrame:
+        return self.dataset.layer(name)
+
+    def _rows(self, table: TableSchema) -> pd.DataFrame:
+        """Return rows with `begin` and `end` by the clocks of the site."""
+        steps = _allowed(self.interval)
+        zone = zone_of(self.dataset.manifest.timezone)
+        parts = self._finer(table, steps) if steps < STEPS_PER_QUARTER else self._quarters(table)
+        empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
+        rows = pa.concat_tables([empty, *parts]).drop_columns(["interval"]).to_pandas()
+        begin = pd.to_datetime(rows.pop("first_step") * STEP_US, unit="us", utc=True)
+        rows = rows.assign(begin=begin, end=begin + _length(min(steps, STEPS_PER_QUARTER)))
+        for name in ("counted", "stops"):
+            if name in rows:
+                rows[name] = rows[name].astype("Int64")
+        if steps > STEPS_PER_QUARTER:
+            rows = _rolled_up(rows, steps, zone, self.traffic.network)
+        rows = rows.assign(**{name: rows[name].dt.tz_convert(zone) for name in ("begin", "end")})
+        keys = _WITH_LANE if table is LANE_MEASURES else _WITH_TURN
+        ordered: pd.DataFrame = rows.sort_values([*keys, "begin"], ignore_index=True)
+        return ordered
+
+    def _quarters(self, table: TableSchema) -> Iterator[pa.Table]:
+        yield from self.traffic.read(table, self.dataset.records(self.span), self.span)
+
+    def _finer(self, table: TableSchema, steps: int) -> Iterator[pa.Table]:
+        for hour, record in self.dataset.records(self.span).items():
+            if TRACKS.name not in record.parts:
+                continue
+            if TRACKS.name in record.dropped:
+                raise InputError(
+                    "{}: {} has no exact tables any more, which intervals under 15 min are "
+                    "measured from",
+                    self.traffic.folder,
+                    hour_text(hour),
+                    hint="ask for 15min or more, or for a later time",
+                )
+            rows = self.traffic.finer(record, steps)[table is TURNS]
+            first = hour * STEPS_PER_HOUR + rows["interval"].to_numpy().astype(np.int64) * steps
+            low, high = self.span or (first.min(initial=0), first.max(initial=0))
+            inside = pa.array((first >= low) & (first <= high))
+            yield rows.append_column("first_step", pa.array(first)).filter(inside)
+
+
+def _allowed(interval: str) -> int:
+    """Return the length of an interval in steps; refuse what is no part or multiple of 15 min.
+
+    Raises
+    ------
+    UsageError
+        If it is none, under a minute, or no part of a day.
+    """
+    steps = interval_steps(interval)
+    part = steps >= LEAST_STEPS and STEPS_PER_QUARTER % steps == 0
+    if not part and (steps % STEPS_PER_QUARTER or _DAY_STEPS % steps):
+        raise UsageError(
+            "interval {} is neither a part of 15 min nor a multiple of it that divides a day",
+            repr(interval),
+            hint="such as 1min, 5min, 15min, 1h or 24h",
+        )
+    return steps
+
+
+def _length(steps: int) -> pd.Timedelta:
+    return pd.Timedelta(seconds=steps * STEP_S)
+
+
+def _local_intervals(begin: pd.Series, steps: int, zone: ZoneInfo) -> pd.DataFrame:
+    """Return begin and end of the intervals that quarters lie in, by the clocks of the site.
+
+    Up to an hour they have their length; longer ones end when the clock says so.
+    """
+    wall = begin.dt.tz_convert(zone).dt.tz_localize(None)
+    floor = wall.dt.floor(_length(steps))
+    if steps <= STEPS_PER_HOUR:
+        first = begin - (wall - floor)
+        return pd.DataFrame({"begin": first, "end": first + _length(steps)})
+    edges = {
+        name: (floor + after)
+        .dt.tz_localize(zone, ambiguous=np.ones(len(floor), np.bool_), nonexistent="shift_forward")
+        .dt.tz_convert("UTC")
+        for name, after in (("begin", pd.Timedelta(0)), ("end", _length(steps)))
+    }
+    return pd.DataFrame(edges)
+
+
+def _rolled_up(
+    rows: pd.DataFrame, steps: int, zone: ZoneInfo, network: LaneNetwork
+) -> pd.DataFrame:
+    """Sum quarters of an hour; what is missing of an interval is estimated as what is known."""
+    keys = [name for name in (*_WITH_LANE, *_WITH_TURN) if name in rows]
+    rows = rows.assign(**_local_intervals(rows["begin"], steps, zone))
+    known = rows["volume"].notna()
+    rows = rows.assign(known=known, variance=rows["volume_se"].astype(np.float64) ** 2)
+    groups = rows.groupby([*keys, "begin", "end"], sort=True)
+    sums = groups[["visible_share", "known", "variance"]].sum()
+    volume = groups["volume"].sum(min_count=1)
+    quarters = _hours(sums.index) * QUARTERS
+    more = quarters / np.maximum(sums["known"].to_numpy(np.float64), 1e-9)
+    enough = sums["known"].to_numpy() >= SETTINGS.least_share * quarters
+    error = np.sqrt(more**2 * sums["variance"] + (volume + 0.5) * (more**2 - more))
+    found = pd.DataFrame(
+        {
+            "visible_share": sums["visible_share"] / quarters,
+            "volume": np.where(enough, volume * more, np.nan),
+            "volume_se": np.where(enough, error, np.nan),
+        },
+        index=sums.index,
+    )
+    if "lane" in rows:
+        found = found.join(_lane_sums(rows, groups, network))
+    return found.reset_index()
+
+
+def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.DataFrame:
+    """Return the other measures of lanes, each by its own weight."""
+    weights = {
+        "occupancy": "visible_km_h", "density": "visible_km_h", "flow": "visible_km_h",
+        "speed_time_mean": "counted", "queue_mean_m": "visible_share",
+    }  # fmt: skip
+    index = groups.ngroup()
+    ends = groups[["visible_km_h"]].sum()
+
+    def total(values: Any, least: int = 1) -> Floats:
+        summed = pd.Series(np.asarray(values, np.float64)).groupby(index.to_numpy())
+        return summed.sum(min_count=least).to_numpy(np.float64)
+
+    found: dict[str, Any] = {}
+    for name, by in weights.items():
+        weight = rows[by].astype(np.float64).where(rows[name].notna())
+        found[name] = total(rows[name] * weight) / total(weight)
+    spread = rows["occupancy_se"] * rows["visible_km_h"]
+    found["occupancy_se"] = np.sqrt(total(spread**2)) / total(
+        rows["visible_km_h"].where(spread.notna())
+    )
+    for name in ("counted", "stops"):
+        counts = total(rows[name].to_numpy(np.float64, na_value=np.nan))
+        found[name] = pd.Series(counts, ends.index).astype("Int64")
+    found["heavy"] = total(rows["heavy"])
+    found["queue_max_m"] = groups["queue_max_m"].max().to_numpy()
+    found["speed_counts"] = [
+        np.sum(list(each), axis=0) if len(each) else None
+        for each in groups["speed_counts"].apply(lambda lists: lists.dropna().tolist())
+    ]
+    found |= _times(found, ends, network)
+    return pd.DataFrame(found, index=ends.index)
+
+
+def _hours(index: pd.MultiIndex | pd.Index) -> Floats:
+    """Return the lengths of intervals in hours."""
+    begin, end = (pd.DatetimeIndex(index.get_level_values(name)) for name in ("begin", "end"))
+    return np.asarray((end - begin).total_seconds(), np.float64) / 3600.0
+
+
+def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -> dict[str, Any]:
+    """Return mean speed, travel time and delay of lanes over longer intervals."""
+    at = np.searchsorted(network.lane, np.asarray(ends.index.get_level_values("lane"), np.int64))
+    hours = _hours(ends.index)
+    length, free = network.length_m[at], network.free_speed[at]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        speed = np.where(found["density"] > 0.0, found["flow"] / found["density"] / 3.6, np.nan)
+        enough = ends["visible_km_h"] >= SETTINGS.least_share * length / 1000.0 * hours
+        travel_s = np.where(enough & (speed > 0.0), length / speed, np.nan)
+    return {
+        "speed_mean": speed,
+        "travel_time_s": travel_s,
+        "delay_s": np.maximum(travel_s - length / free, 0.0),
+    }
+
+
+def _percentile(counts: Any, share: float) -> float:
+    """Return a percentile of speeds counted by classes, km/h; even within a class."""
+    if counts is None or not np.sum(counts):
+        return float("nan")
+    below = np.concatenate([[0.0], np.cumsum(counts)])
+    edges = np.arange(len(below)) * SPEED_CLASS_KMH
+    wanted = share * below[-1]
+    k = int(np.searchsorted(below, wanted, side="left"))
+    part = (wanted - below[k - 1]) / (below[k] - below[k - 1])
+    return float(edges[k - 1] + part * SPEED_CLASS_KMH)

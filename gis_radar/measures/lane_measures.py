@@ -1,0 +1,400 @@
+"""Measures of lanes and turns by interval: volumes, speeds, density, occupancy, delays, queues.
+
+Definitions are Edie's (:mod:`gis_radar.measures.lane_traffic`) and, of stops, queues and delay,
+those of the Highway Capacity Manual (TRB, 7th edition, chapters 4 and 31).
+
+The variance of a volume has three sources, which are independent:
+
+- *counting*: a vehicle that was counted may be none, or another one may be missing;
+- *existence*: a vehicle with a known probability p to exist adds p (1 - p);
+- *not visible*: of n vehicles counted in a share p of the time, arrivals being a Poisson process,
+  the whole interval has n / p with variance (n + 1/2) (1 - p) / p^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
+from gis_radar.measures.lane_network import LaneNetwork
+from gis_radar.measures.lane_traffic import (
+    Crossings,
+    FrontStates,
+    StepGrid,
+    VisibleRuns,
+    crossings,
+    driven,
+)
+from gis_radar.measures.queues import QUEUES, QueueSettings, queues, standing_states
+
+SPEED_CLASS_KMH = 5.0
+SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneMeasureSettings:
+    """Constants of the measures of lanes.
+
+    Parameters
+    ----------
+    least_share : float
+        Share of an interval that must be visible for an estimate of all of it: from less, its
+        error is that of a guess.
+    counting_seen : float
+        Root of the variance that a counted vehicle adds, where it was measured: 5 % are none, and
+        as many are missing.
+    counting_inferred : float
+        The same where it was inferred: 25 % of each kind. Hidden parts of the visible time have
+        this error, too.
+    least_occupied_s : float
+        Least error of the occupied time of a tile, seconds: two steps.
+    queues : QueueSettings
+        What stands, and what is a queue.
+    """
+
+    least_share: float = 0.2
+    counting_seen: float = 0.3
+    counting_inferred: float = 0.7
+    least_occupied_s: float = 0.1
+    queues: QueueSettings = QUEUES
+
+
+DEFAULTS = LaneMeasureSettings()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TileSteps:
+    """Steps of tiles by interval, as `tile_counts` has them.
+
+    Parameters
+    ----------
+    tile_id, interval : (n,) int64 arrays
+        Which; the interval as a number of the grid.
+    visible, occupied, inferred, variance : (n,) arrays
+        Steps visible, occupied while visible, visible while hidden by vehicles, and the variance of
+        those occupied, steps^2.
+    """
+
+    tile_id: Integers
+    interval: Integers
+    visible: Floats
+    occupied: Floats
+    inferred: Floats
+    variance: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VehicleTable:
+    """What is known of vehicles.
+
+    Parameters
+    ----------
+    vehicle : (n,) int64 array
+        Numbers, ascending, among them those of all states.
+    length_m, p_heavy, p_exists : (n,) arrays
+        Length; probabilities that it is heavy, and that it exists (NaN: not known).
+    """
+
+    vehicle: Integers
+    length_m: Floats
+    p_heavy: Floats
+    p_exists: Floats
+
+    def of(self, vehicle: Integers) -> Integers:
+        """Return the rows of vehicles."""
+        return np.asarray(np.searchsorted(self.vehicle, vehicle), np.int64)
+
+
+class Measured(NamedTuple):
+    """Columns of `lane_measures` and of `turns`, `interval` as a number of the grid."""
+
+    lanes: dict[str, Any]
+    turns: dict[str, Any]
+
+
+def measure_lanes(
+    network: LaneNetwork,
+    grid: StepGrid,
+    states: FrontStates,
+    vehicles: VehicleTable,
+    visible: VisibleRuns,
+    tiles: TileSteps,
+    settings: LaneMeasureSettings = DEFAULTS,
+) -> Measured:
+    """Measure lanes and turns.
+
+    Parameters
+    ----------
+    network : LaneNetwork
+        The lanes.
+    grid : StepGrid
+        The intervals.
+    states : FrontStates
+        Of all vehicles in them; earlier states of the same vehicles may stand before.
+    vehicles : VehicleTable
+        Those vehicles.
+    visible : VisibleRuns
+        Of all tiles in the grid.
+    tiles : TileSteps
+        Steps of tiles; a lane has a row in the intervals in which one of its tiles does.
+    settings : LaneMeasureSettings
+        Constants.
+    """
+    moves = states.moves(network)
+    crossed = crossings(states, moves, network, grid)
+    line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
+    crossed = crossed.taken(visible.at(line[crossed.lane], crossed.step))
+    areas = _areas(network, grid, tiles, settings)
+    share = _share_at(line, grid, tiles)
+    counts = _Counts.of(crossed, vehicles, network, grid, settings)
+    edie = driven(states, moves, network, visible, grid)
+    stand = standing_states(states, settings.queues)
+    length_m = vehicles.length_m[vehicles.of(states.vehicle)]
+    backs = queues(states, stand.stands, length_m, network, visible, grid, settings.queues)
+    columns: dict[str, Any] = _volumes(counts, share, settings)
+    columns |= _speeds(counts, edie.seconds, edie.metres, share)
+    columns |= _occupancies(areas)
+    columns |= _flows(network, grid, areas, edie.seconds, edie.metres, settings)
+    looks = share * grid.steps / settings.queues.every_steps
+    stop = np.repeat(network.has_stop_line, grid.count) & (share > 0.0)
+    columns["queue_max_m"] = np.where(stop, backs.most_m, np.nan)
+    columns["queue_mean_m"] = np.where(stop, _quotient(backs.sum_m, looks), np.nan)
+    stopped = stand.stops & (states.step >= grid.begin) & (states.step < grid.end)
+    columns["stops"] = _masked(
+        _stops(states, stopped, network, visible, grid), areas.visible_steps == 0.0
+    )
+    rows = np.flatnonzero(areas.known)
+    lanes: dict[str, Any] = {
+        "lane": network.lane[rows // grid.count],
+        "interval": rows % grid.count,
+    }
+    lanes |= {name: values[rows] for name, values in columns.items()}
+    lanes["speed_counts"] = _lists(counts.speeds[rows], columns["counted"].mask[rows])
+    lanes["visible_km_h"] = areas.visible_km_h[rows]
+    turns = _turns(network, grid, states, crossed, columns, areas, tiles, settings)
+    return Measured(lanes, turns)
+
+
+class _Areas(NamedTuple):
+    """Sums over the tiles of lanes, by cells of lane and interval."""
+
+    known: Booleans
+    visible_steps: Floats
+    occupied_steps: Floats
+    error_steps: Floats
+    visible_km_h: Floats
+
+
+def _areas(
+    network: LaneNetwork, grid: StepGrid, tiles: TileSteps, settings: LaneMeasureSettings
+) -> _Areas:
+    order = np.argsort(network.tile_id, kind="stable")
+    at = order[np.searchsorted(network.tile_id, tiles.tile_id, sorter=order)]
+    cell, size = network.tile_lane[at] * grid.count + tiles.interval, len(network.lane) * grid.count
+    share = _quotient(tiles.occupied, tiles.visible)
+    hidden = (settings.counting_inferred * tiles.inferred) ** 2 * np.nan_to_num(share * (1 - share))
+    least = settings.least_occupied_s * STEPS_PER_SECOND
+    error = np.where(tiles.visible > 0, np.maximum(np.sqrt(tiles.variance + hidden), least), 0.0)
+    metre_hours = tiles.visible * network.tile_length_m[at] / STEPS_PER_SECOND / 3.6e6
+    sums = (
+        np.bincount(cell, values, size).astype(np.float64)
+        for values in (tiles.visible, tiles.occupied, error, metre_hours)
+    )
+    return _Areas(np.bincount(cell, minlength=size) > 0, *sums)
+
+
+def _share_at(tile_id: Integers, grid: StepGrid, tiles: TileSteps) -> Floats:
+    """Return the share of each interval in which each of some tiles is visible, row by row."""
+    wanted, place = np.unique(tile_id, return_inverse=True)
+    found = np.zeros(len(wanted) * grid.count)
+    at = np.minimum(np.searchsorted(wanted, tiles.tile_id), max(len(wanted) - 1, 0))
+    mine = wanted[at] == tiles.tile_id if len(wanted) else np.zeros(len(at), np.bool_)
+    found[at[mine] * grid.count + tiles.interval[mine]] = tiles.visible[mine] / grid.steps
+    return np.asarray(found.reshape(-1, grid.count)[place].ravel(), np.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Counts:
+    """Sums over crossings, by cells of lane and interval."""
+
+    counted: Floats
+    heavy: Floats
+    variance: Floats
+    speed: Floats
+    speeds: Integers
+
+    @classmethod
+    def of(
+        cls, crossed: Crossings, vehicles: VehicleTable, network: LaneNetwork, grid: StepGrid,
+        settings: LaneMeasureSettings,
+    ) -> _Counts:  # fmt: skip
+        size, row = len(network.lane) * grid.count, vehicles.of(crossed.vehicle)
+        cell = crossed.lane * grid.count + grid.of(crossed.step)
+        error = np.where(crossed.seen, settings.counting_seen, settings.counting_inferred)
+        exists = np.nan_to_num(vehicles.p_exists[row], nan=1.0)
+        variance = error**2 + exists * (1.0 - exists)
+        kmh = np.maximum(crossed.speed, 0.0) * 3.6
+        group = np.minimum((kmh // SPEED_CLASS_KMH).astype(np.int64), SPEED_CLASSES - 1)
+        counted, heavy, spread, speed = (
+            np.bincount(cell, values, size).astype(np.float64)
+            for values in (np.ones(len(cell)), vehicles.p_heavy[row], variance, crossed.speed)
+        )
+        speeds = np.bincount(cell * SPEED_CLASSES + group, minlength=size * SPEED_CLASSES)
+        return cls(
+            counted=counted, heavy=heavy, variance=spread, speed=speed,
+            speeds=speeds.reshape(size, SPEED_CLASSES),
+        )  # fmt: skip
+
+
+def _volumes(counts: _Counts, share: Floats, settings: LaneMeasureSettings) -> dict[str, Any]:
+    """Return what was counted, and the estimates for whole intervals."""
+    estimated = share >= settings.least_share
+    whole = np.where(estimated, share, 1.0)
+    unseen = (counts.counted + 0.5) * (1.0 - whole)
+    return {
+        "visible_share": share,
+        "counted": _masked(counts.counted, share == 0.0),
+        "volume": np.where(estimated, counts.counted / whole, np.nan),
+        "volume_se": np.where(estimated, np.sqrt(counts.variance + unseen) / whole, np.nan),
+        "heavy": np.where(share > 0.0, counts.heavy, np.nan),
+    }
+
+
+def _speeds(counts: _Counts, seconds: Floats, metres: Floats, share: Floats) -> dict[str, Any]:
+    """Return space-mean and time-mean speed, m/s."""
+    mean = _quotient(counts.speed, counts.counted)
+    return {
+        "speed_mean": np.maximum(_quotient(metres, seconds), 0.0),
+        "speed_time_mean": np.where(share > 0.0, mean, np.nan),
+    }
+
+
+def _occupancies(areas: _Areas) -> dict[str, Any]:
+    """Return the mean occupancy of tiles; their errors go together, as in heat maps."""
+    return {
+        "occupancy": _quotient(areas.occupied_steps, areas.visible_steps),
+        "occupancy_se": _quotient(areas.error_steps, areas.visible_steps),
+    }
+
+
+def _flows(
+    network: LaneNetwork, grid: StepGrid, areas: _Areas, seconds: Floats, metres: Floats,
+    settings: LaneMeasureSettings,
+) -> dict[str, Any]:  # fmt: skip
+    """Return density, flow, travel time and delay."""
+    length, free = (np.repeat(each, grid.count) for each in (network.length_m, network.free_speed))
+    whole_km_h = length * grid.steps / STEPS_PER_SECOND / 3.6e6
+    enough = areas.visible_km_h >= settings.least_share * whole_km_h
+    pace = np.where(enough & (metres > 0.0), _quotient(seconds, metres), np.nan)
+    return {
+        "density": _quotient(seconds / 3600.0, areas.visible_km_h),
+        "flow": np.maximum(_quotient(metres / 1000.0, areas.visible_km_h), 0.0),
+        "travel_time_s": pace * length,
+        "delay_s": np.maximum(pace * length - length / free, 0.0),
+    }
+
+
+def _stops(
+    states: FrontStates, stopped: Booleans, network: LaneNetwork, visible: VisibleRuns,
+    grid: StepGrid,
+) -> Floats:  # fmt: skip
+    """Count the vehicles that come to stand on visible tiles."""
+    row = np.flatnonzero(stopped & (states.lane >= 0))
+    size = len(network.lane) * grid.count
+    tile = network.tile_id[network.tile_at(states.lane[row], states.along_m[row])]
+    row = row[visible.at(tile, states.step[row])]
+    cell = states.lane[row] * grid.count + grid.of(states.step[row])
+    return np.bincount(cell, minlength=size).astype(np.float64)
+
+
+def _turns(
+    network: LaneNetwork, grid: StepGrid, states: FrontStates, crossed: Crossings,
+    lanes: Mapping[str, Any], areas: _Areas, tiles: TileSteps, settings: LaneMeasureSettings,
+) -> dict[str, Any]:  # fmt: skip
+    """Share the volume of each approach among its turns, by the vehicles whose exit is known.
+
+    Where an exit is not visible, vehicles without a known one may have taken it: then only the
+    known share of the volume goes to the others.
+    """
+    ways = np.array([(each.start, each.end) for each in network.turns()], np.int64).reshape(-1, 2)
+    known = _known_turns(states, crossed, ways, grid, len(network.lane))
+    entry = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
+    by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
+    share = np.minimum(by_lane["visible_share"], _share_at(entry, grid, tiles))
+    start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
+        np.arange(grid.count), len(ways)
+    )
+    size, seen = len(network.lane) * grid.count, share >= settings.least_share
+    total = np.bincount(start, known * seen, size)[start]
+    blind = np.bincount(start, ~seen, size)[start] > 0
+    counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)
+    base = np.where(blind, np.maximum(counted, total), total)
+    part = np.where(counted + total > 0.0, _quotient(known, base), 0.0)
+    part = np.where(seen, part, np.nan)
+    volume, error = by_lane["volume"], by_lane["volume_se"]
+    unknown = np.maximum(volume - known, 0.0) * (base < volume)
+    rows = np.flatnonzero(areas.known[start])
+    columns = {
+        "visible_share": share,
+        "volume": volume * part,
+        "volume_se": np.sqrt(error**2 * part + unknown * part * (1.0 - part)),
+    }
+    return {
+        "from_lane": network.lane[start[rows] // grid.count],
+        "to_lane": network.lane[np.repeat(ways[:, 1], grid.count)[rows]],
+        "interval": rows % grid.count,
+    } | {name: values[rows] for name, values in columns.items()}
+
+
+_OF_APPROACH = ("visible_share", "counted", "volume", "volume_se")
+
+
+def _known_turns(
+    states: FrontStates, crossed: Crossings, ways: Integers, grid: StepGrid, lanes: int
+) -> Floats:
+    """Count the vehicles that crossed an approach's line and came to an exit, by way and interval.
+
+    Each takes the first exit of its approach that it comes to.
+    """
+    changes = np.flatnonzero(np.diff(states.lane, prepend=-2) != 0)
+    came = pd.DataFrame(
+        {"vehicle": states.vehicle[changes], "row": changes, "end": states.lane[changes]}
+    )
+    left = pd.DataFrame(
+        {
+            "vehicle": crossed.vehicle, "row": crossed.row, "start": crossed.lane,
+            "interval": grid.of(crossed.step),
+        }
+    )  # fmt: skip
+    pairs = left.merge(came, on="vehicle", suffixes=("", "_end"))
+    pairs = pairs[pairs["row_end"] > pairs["row"]]
+    keys = ways[:, 0] * lanes + ways[:, 1]  # ascending
+    key = (pairs["start"] * lanes + pairs["end"]).to_numpy(np.int64)
+    at = np.minimum(np.searchsorted(keys, key), max(len(keys) - 1, 0))
+    mine = keys[at] == key if len(keys) else np.zeros(len(key), np.bool_)
+    pairs = pairs.assign(way=at)[mine].sort_values(["vehicle", "start", "row_end"])
+    pairs = pairs.drop_duplicates(["vehicle", "start"])
+    cell = (pairs["way"] * grid.count + pairs["interval"]).to_numpy(np.int64)
+    return np.bincount(cell, minlength=len(ways) * grid.count).astype(np.float64)
+
+
+def _quotient(part: Floats, whole: Floats) -> Floats:
+    """Return quotients, NaN where there is nothing to divide by."""
+    found: Floats = np.full(len(whole), np.nan)
+    return np.divide(part, whole, out=found, where=whole > 0.0)
+
+
+def _masked(values: Floats, missing: Booleans) -> Any:
+    return np.ma.masked_array(values.astype(np.int64), missing)
+
+
+def _lists(rows: Integers, missing: Booleans) -> pa.Array:
+    """Return rows as lists, null where missing."""
+    lists = [None if gone else row for row, gone in zip(rows, missing, strict=True)]
+    return pa.array(lists, pa.list_(pa.int32()))

@@ -1,0 +1,140 @@
+"""Names of lanes as people use them: street, direction, number from the kerb, turn.
+
+`Ostring northbound, lane 2 (left)`: the street by the map or the city's layer, the direction by the
+compass at the stop line, numbers from the right, where the kerb is, and what the lane does in the
+junction. Lanes that would share a name are told apart as sections, in driving order. Ids stay the
+key; names are for people.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import geopandas as gpd
+import numpy as np
+import shapely
+import shapely.ops
+
+from gis_radar.base import Floats, Text, listed, street_label, tr, wind_of
+from gis_radar.measures.lane_network import LaneNetwork, Turn
+
+BEFORE_M = 5.0  # before the stop line a lane is looked at, where lanes beside still are lanes
+BESIDE_M = 5.5  # between the middles of lanes side by side, at most
+ABREAST_M = 30.0  # over which lanes of one direction may lie
+PARALLEL = math.cos(math.radians(30.0))
+STRAIGHT_RAD, BACK_RAD = math.radians(35.0), math.radians(150.0)  # as of turns in the layer `lanes`
+_BOUND = {
+    "north": Text("northbound"), "north-east": Text("north-eastbound"),
+    "east": Text("eastbound"), "south-east": Text("south-eastbound"),
+    "south": Text("southbound"), "south-west": Text("south-westbound"),
+    "west": Text("westbound"), "north-west": Text("north-westbound"),
+}  # fmt: skip
+_TURNS = {
+    "left": Text("left turn"), "straight": Text("straight ahead"),
+    "right": Text("right turn"), "back": Text("U-turn"),
+}  # fmt: skip
+
+
+def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
+    """Name the lanes of a network, in the current language, each unlike all others.
+
+    Parameters
+    ----------
+    lanes : GeoDataFrame
+        The layer `lanes`: of all lanes of the network, perhaps of more.
+    network : LaneNetwork
+        Of the site.
+    """
+    known = lanes.set_index("lane").loc[network.lane.tolist()]
+    lines = list(known.geometry.array)
+    stop = np.where(network.has_stop_line, network.line_m - BEFORE_M, network.line_m)
+    at = [float(np.clip(m, 0.0, line.length)) for m, line in zip(stop, lines, strict=True)]
+    points, ways = (np.array(each) for each in zip(*map(_place, lines, at), strict=True))
+    connector = network.connector
+    beside = [line for line, inside in zip(lines, connector, strict=True) if not inside]
+    names = []
+    for k, (_, row) in enumerate(known.iterrows()):
+        if connector[k]:
+            way, place = _place(lines[k], 0.0)[1], tr("in the junction")
+        else:
+            way = ways[k]
+            place = tr("lane {number}", number=_number(points[k], way, beside))
+        street = street_label(row["street"], row.get("street_part")) or tr("Road")
+        name = f"{street} {tr(_BOUND[wind_of(*way) or 'north'])}, {place}"
+        leads = connector[k] or network.has_stop_line[k] or connector[[*network.after[k]]].any()
+        turns = str(row["turn"]).split(";") if leads and isinstance(row["turn"], str) else []
+        words = listed([tr(_TURNS[each]) for each in turns if each in _TURNS])
+        names.append(f"{name} ({words})" if words else name)
+    return _unlike(names, points, ways)
+
+
+def _place(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:
+    """Return a point of a line, and its direction there."""
+    low, high = max(along_m - 1.0, 0.0), min(along_m + 1.0, line.length)
+    before, point, after = (line.interpolate(m).coords[0][:2] for m in (low, along_m, high))
+    way = np.subtract(after, before)
+    return np.array(point), way / max(float(np.hypot(*way)), 1e-9)
+
+
+def _number(point: Floats, way: Floats, lines: Sequence[shapely.LineString]) -> int:
+    """Return the number of a lane, counted from the right over lanes side by side."""
+    right = np.array([way[1], -way[0]])
+    across = shapely.LineString([point, point + ABREAST_M * right])
+    found = []
+    for line in lines:
+        for met in shapely.get_coordinates(shapely.intersection(line, across)):
+            toward = _place(line, line.project(shapely.Point(met)))[1]
+            if toward @ way > PARALLEL:
+                found.append(float((met - point) @ right))
+    number, reached = 1, 0.0
+    for away in sorted(found):
+        if away - reached > BESIDE_M:
+            break
+        if away - reached > 1.0:  # not the lane itself, nor one that runs into it
+            number, reached = number + 1, away
+    return number
+
+
+def _unlike(names: list[str], points: Floats, ways: Floats) -> list[str]:
+    """Tell the lanes of one name apart by the number of their section, in driving order."""
+    told = list(names)
+    for name in sorted({each for each in names if names.count(each) > 1}):
+        mine = [k for k, each in enumerate(names) if each == name]
+        way = ways[mine].sum(axis=0)
+        order = sorted(mine, key=lambda k: (float(points[k] @ way), k))
+        for section, k in enumerate(order, start=1):
+            told[k] = tr("{name}, section {section}", name=name, section=section)
+    return told
+
+
+def turn_lines(
+    lanes: gpd.GeoDataFrame, network: LaneNetwork, turns: Sequence[Turn]
+) -> tuple[list[str], list[shapely.LineString]]:
+    """Return which way each turn leads (`left`, `straight`, `right`, `back`), and its line.
+
+    The line leads from the stop line, else from the approach's end, to the begin of the exit.
+    """
+    lines = lanes.set_index("lane").geometry
+    found = []
+    for turn in turns:
+        start, end, *via = (lines[network.lane[k]] for k in (turn.start, turn.end, *turn.via))
+        stop = network.has_stop_line[turn.start]
+        line_m = float(network.line_m[turn.start] if stop else start.length)
+        rest = shapely.ops.substring(start, min(line_m, start.length - 1.0), start.length)
+        entry = shapely.ops.substring(end, 0.0, min(1.0, end.length))
+        points = np.concatenate([shapely.get_coordinates(each) for each in (rest, *via, entry)])
+        new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-3)
+        way, toward = _place(start, max(line_m - BEFORE_M, 0.0))[1], _place(end, 0.0)[1]
+        turned = math.atan2(way[0] * toward[1] - way[1] * toward[0], float(way @ toward))
+        found.append((_way_of(turned), shapely.LineString(points[new])))
+    return [each for each, _ in found], [line for _, line in found]
+
+
+def _way_of(turned: float) -> str:
+    """Return the word for a turn of so many radians to the left."""
+    if abs(turned) < STRAIGHT_RAD:
+        return "straight"
+    if abs(turned) > BACK_RAD:
+        return "back"
+    return "left" if turned > 0.0 else "right"

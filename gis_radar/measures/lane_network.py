@@ -1,0 +1,256 @@
+"""The lanes of a site as measures need them: where vehicles are counted, and which lane follows.
+
+Junctions are told by how lanes follow each other. A *connector* leads from a branch to a merge and
+has no stop line. A *turn* leads from a lane to the next one that is no connector: over connectors,
+or at once where the lane has a stop line (its lanelets then reach through the junction) or where
+roads branch and merge without one. The lanes that fan out before a stop line are no turns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from scipy.spatial import cKDTree
+
+from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.hdmap import lanes_of, quads
+
+JOIN_M = 0.5  # between the middles of ends that follow each other: a tenth of a lane's width
+JOIN_RAD = math.radians(30.0)  # so that the opposite direction, which ends there too, does not
+QUEUE_REACH_M = 500.0  # up to which queues are followed into the lanes before
+
+
+class Turn(NamedTuple):
+    """A way from a lane to the next, by positions of lanes: over the connectors `via`."""
+
+    start: int
+    end: int
+    via: tuple[int, ...]
+
+
+class QueueStrips(NamedTuple):
+    """Lanes on which a queue at a stop line may stand, sorted by `lane`.
+
+    Parameters
+    ----------
+    lane, stop_lane : (k,) int64 arrays
+        Positions of the lane, and of the one with the stop line.
+    to_line_m : (k,) array
+        From the begin of the lane to the stop line.
+    """
+
+    lane: Integers
+    stop_lane: Integers
+    to_line_m: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LaneNetwork:
+    """Lanes with their tiles.
+
+    Parameters
+    ----------
+    lane : (n,) int64 array
+        Numbers of the lanes, ascending.
+    length_m : (n,) array
+        Along the middle.
+    line_m : (n,) array
+        Where vehicles are counted: the stop line, else the middle of the lane.
+    has_stop_line : (n,) bool array
+        Which of them it is.
+    free_speed : (n,) array
+        Speed without other traffic, m/s; NaN where unknown.
+    lanelet_id, lanelet_lane : (m,) int64 arrays
+        Lanelets, ascending, and the positions of their lanes.
+    offset_m : (m,) array
+        Where along its lane a lanelet begins.
+    tile_id, tile_lane : (t,) int64 arrays
+        Tiles in the order of lanes and along them, and the positions of their lanes.
+    tile_m, tile_length_m : (t,) arrays
+        Where along its lane a tile begins, and its length.
+    after : sequence of tuples of int
+        Positions of the lanes that follow each.
+    """
+
+    lane: Integers
+    length_m: Floats
+    line_m: Floats
+    has_stop_line: Booleans
+    free_speed: Floats
+    lanelet_id: Integers
+    lanelet_lane: Integers
+    offset_m: Floats
+    tile_id: Integers
+    tile_lane: Integers
+    tile_m: Floats
+    tile_length_m: Floats
+    after: Sequence[tuple[int, ...]]
+
+    @classmethod
+    def of(
+        cls,
+        tiles: gpd.GeoDataFrame,
+        stop_line_m: Mapping[int, float] | None = None,
+        free_speed_kmh: Mapping[int, float] | None = None,
+    ) -> LaneNetwork:
+        """Return the network of tiles.
+
+        Parameters
+        ----------
+        tiles : GeoDataFrame
+            All tiles.
+        stop_line_m, free_speed_kmh : mapping, optional
+            By number of the lane: where its stop line is, m along it, and its speed without other
+            traffic; NaN and lanes left out are none.
+        """
+        lanes = lanes_of(tiles)
+        s_m, long = (tiles[name].to_numpy(np.float64) for name in ("s_m", "length_m"))
+        lanelet = tiles["lanelet_id"].to_numpy(np.int64)
+        rows = np.concatenate([each.rows for each in lanes])
+        of = np.repeat(np.arange(len(lanes)), [len(each.rows) for each in lanes])
+        ends = pd.Series((s_m + long)[rows]).groupby(lanelet[rows]).max()
+        offset = _offsets([each.lanelets for each in lanes], ends)
+        length = np.array([sum(ends[ref] for ref in each.lanelets) for each in lanes], np.float64)
+        number = np.array([each.number for each in lanes], np.int64)
+        stop = _known(number, stop_line_m)
+        ids = np.array(sorted(offset), np.int64)
+        lane_of = dict(zip(lanelet[rows].tolist(), of.tolist(), strict=True))
+        return cls(
+            lane=number, length_m=length, has_stop_line=np.isfinite(stop),
+            line_m=np.clip(np.where(np.isfinite(stop), stop, length / 2.0), 0.0, length),
+            free_speed=_known(number, free_speed_kmh) / 3.6,
+            lanelet_id=ids, lanelet_lane=np.array([lane_of[ref] for ref in ids.tolist()], np.int64),
+            offset_m=np.array([offset[ref] for ref in ids.tolist()], np.float64),
+            tile_id=tiles["tile_id"].to_numpy(np.int64)[rows], tile_lane=of,
+            tile_m=s_m[rows] + np.array([offset[ref] for ref in lanelet[rows].tolist()]),
+            tile_length_m=long[rows], after=_after(tiles, [each.rows for each in lanes]),
+        )  # fmt: skip
+
+    def place(self, lanelet_id: Integers, s_m: Floats) -> tuple[Integers, Floats]:
+        """Return position of the lane and metres along it of places along lanelets.
+
+        -1 and NaN for lanelets that are none of the site's.
+        """
+        at = np.minimum(np.searchsorted(self.lanelet_id, lanelet_id), len(self.lanelet_id) - 1)
+        known = (self.lanelet_id[at] == lanelet_id) & np.isfinite(s_m)
+        lane = np.where(known, self.lanelet_lane[at], -1)
+        along = np.clip(self.offset_m[at] + s_m, 0.0, self.length_m[lane])
+        return lane, np.where(known, along, np.nan)
+
+    def tile_at(self, lane: Integers, along_m: Floats) -> Integers:
+        """Return the position among the tiles of places on lanes; -1 where `lane` is -1."""
+        room = float(self.length_m.max()) + 1.0
+        inside = np.nan_to_num(along_m)
+        keys = self.tile_lane * room + self.tile_m
+        found = np.searchsorted(keys, np.maximum(lane, 0) * room + inside, side="right") - 1
+        first = np.searchsorted(self.tile_lane, np.maximum(lane, 0))
+        return np.where(lane >= 0, np.maximum(found, first), -1)
+
+    @property
+    def connector(self) -> Booleans:
+        """Which lanes lead from a branch to a merge, and have no stop line."""
+        before = self.before
+        return np.array(
+            [
+                not self.has_stop_line[k]
+                and any(len(self.after[each]) > 1 for each in before[k])
+                and any(len(before[each]) > 1 for each in self.after[k])
+                for k in range(len(self.lane))
+            ],
+            np.bool_,
+        )
+
+    @property
+    def before(self) -> list[list[int]]:
+        """Positions of the lanes that lead to each."""
+        found: list[list[int]] = [[] for _ in self.lane]
+        for k, following in enumerate(self.after):
+            for each in following:
+                found[each].append(k)
+        return found
+
+    def turns(self) -> list[Turn]:
+        """Return the turns, by start and end."""
+        connector, found = self.connector, dict[tuple[int, int], Turn]()
+        for start in np.flatnonzero(~connector).tolist():
+            ways: list[tuple[int, tuple[int, ...]]] = [(each, ()) for each in self.after[start]]
+            seen = {start}
+            while ways:
+                at, via = ways.pop(0)
+                if connector[at] and at not in seen:
+                    seen.add(at)
+                    ways += [(each, (*via, at)) for each in self.after[at]]
+                elif not connector[at] and (via or self._is_turn(start, at)):
+                    found.setdefault((start, at), Turn(start, at, via))
+        return [found[key] for key in sorted(found)]
+
+    def _is_turn(self, start: int, end: int) -> bool:
+        """Return whether a lane that follows at once is a turn, and no lane before a stop line."""
+        return bool(self.has_stop_line[start] or not self.has_stop_line[end])
+
+    def queue_strips(self) -> QueueStrips:
+        """Return the lanes on which queues may stand: up to the stop lines before, or 500 m."""
+        before, rows = self.before, list[tuple[int, int, float]]()
+        for stop in np.flatnonzero(self.has_stop_line).tolist():
+            waiting, seen = [(stop, float(self.line_m[stop]))], set[int]()
+            while waiting:
+                at, to_line = waiting.pop(0)
+                if at in seen:
+                    continue
+                seen.add(at)
+                rows.append((at, stop, to_line))
+                if to_line < QUEUE_REACH_M:
+                    waiting += [
+                        (k, to_line + float(self.length_m[k]))
+                        for k in before[at]
+                        if not self.has_stop_line[k]
+                    ]
+        rows.sort()
+        lane, stop_lane, metres = zip(*rows, strict=True) if rows else ((), (), ())
+        return QueueStrips(
+            np.array(lane, np.int64), np.array(stop_lane, np.int64), np.array(metres, np.float64)
+        )
+
+
+def _offsets(chains: Sequence[Sequence[int]], ends: pd.Series) -> dict[int, float]:
+    """Return where along its lane each lanelet begins."""
+    found = {}
+    for chain in chains:
+        gone = 0.0
+        for ref in chain:
+            found[ref] = gone
+            gone += float(ends[ref])
+    return found
+
+
+def _known(lane: Integers, values: Mapping[int, float] | None) -> Floats:
+    known = values or {}
+    return np.array([known.get(each, math.nan) for each in lane.tolist()], np.float64)
+
+
+def _after(tiles: gpd.GeoDataFrame, rows: Sequence[Integers]) -> list[tuple[int, ...]]:
+    """Return the positions of the lanes that begin where each ends, and as it is headed."""
+    corners = quads(tiles)
+    first, last = (np.array([each[k] for each in rows]) for k in (0, -1))
+    begin, end = corners[first][:, [0, 3]], corners[last][:, [1, 2]]
+    heading = [
+        np.arctan2(*(away[:, 1] + away[:, 0])[:, ::-1].T)
+        for away in (corners[each][:, [1, 2]] - corners[each][:, [0, 3]] for each in (first, last))
+    ]
+    near = cKDTree(begin.mean(axis=1)).query_ball_point(end.mean(axis=1), JOIN_M)
+    return [
+        tuple(
+            sorted(
+                other
+                for other in found
+                if other != k and math.cos(heading[0][other] - heading[1][k]) > math.cos(JOIN_RAD)
+            )
+        )
+        for k, found in enumerate(near)
+    ]

@@ -1,0 +1,265 @@
+"""Fronts of vehicles along lanes: where they cross lines, and how long and far they drive.
+
+Tracks hold a state each 0.2 s. Between two of them a vehicle drives on evenly, so that the moment
+in which its front crosses a line is interpolated. On a lane of length L, seen for a time T,
+Edie's definitions (L. C. Edie, Discussion of traffic stream measurements and definitions, 1963)
+hold for all vehicles in it: flow q = sum of distances / (L T), density k = sum of times / (L T),
+space-mean speed u = q / k = sum of distances / sum of times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from gis_radar.base import STEP_S, Booleans, Floats, Integers
+from gis_radar.measures.lane_network import LaneNetwork
+
+FOLLOWS_M = 2.0  # beyond what a vehicle drove, to the end of a lane or from the begin of the next
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepGrid:
+    """Equal intervals of steps, one after the other.
+
+    Parameters
+    ----------
+    begin : int
+        First step.
+    steps : int
+        Of each interval.
+    count : int
+        How many.
+    """
+
+    begin: int
+    steps: int
+    count: int
+
+    @property
+    def end(self) -> int:
+        """First step after them."""
+        return self.begin + self.steps * self.count
+
+    def of(self, step: Integers) -> Integers:
+        """Return the interval of each step, which lies in one."""
+        return (step - self.begin) // self.steps
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VisibleRuns:
+    """In which steps tiles are visible.
+
+    Parameters
+    ----------
+    tile_id, first, last : (n,) int64 arrays
+        Disjoint runs of steps, sorted by tile and step.
+    """
+
+    tile_id: Integers
+    first: Integers
+    last: Integers
+
+    @cached_property
+    def _room(self) -> tuple[int, int]:
+        """First step, and steps from one tile to the next on a common axis."""
+        if not len(self.first):
+            return 0, 1
+        return int(self.first.min()), int(self.last.max() - self.first.min()) + 2
+
+    @cached_property
+    def _axis(self) -> tuple[Integers, Integers, Integers]:
+        """Tiles, and runs on the common axis."""
+        begin, room = self._room
+        tiles, at = np.unique(self.tile_id, return_inverse=True)
+        return tiles, at * room + self.first - begin, at * room + self.last - begin
+
+    def at(self, tile_id: Integers, step: Integers) -> Booleans:
+        """Return whether tiles are visible in steps."""
+        tiles, first, last = self._axis
+        if not len(first):
+            return np.zeros(len(step), np.bool_)
+        begin, room = self._room
+        place = np.minimum(np.searchsorted(tiles, tile_id), len(tiles) - 1)
+        inside = (step >= begin) & (step < begin + room - 1)
+        key = place * room + np.clip(step - begin, 0, room - 2)
+        run = np.maximum(np.searchsorted(first, key, side="right") - 1, 0)
+        hit = (first[run] <= key) & (key <= last[run])
+        return np.asarray(hit & inside & (tiles[place] == tile_id))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrontStates:
+    """States of the fronts of vehicles, by vehicle and step.
+
+    Parameters
+    ----------
+    vehicle, step : (n,) int64 arrays
+        At the begin of which step.
+    lane : (n,) int64 array
+        Position of the lane, -1 off the lanes.
+    along_m : (n,) array
+        Metres along it, NaN off the lanes.
+    speed : (n,) array
+        m/s.
+    seen : (n,) bool array
+        Measured within 0.5 s, else inferred.
+    """
+
+    vehicle: Integers
+    step: Integers
+    lane: Integers
+    along_m: Floats
+    speed: Floats
+    seen: Booleans
+
+    @cached_property
+    def pairs(self) -> Integers:
+        """Rows whose next row is the next state of the same vehicle."""
+        return np.flatnonzero(self.vehicle[1:] == self.vehicle[:-1])
+
+    def moves(self, network: LaneNetwork) -> Moves:
+        """Return how vehicles move between states that follow each other."""
+        i, j = self.pairs, self.pairs + 1
+        one, other = self.lane[i], self.lane[j]
+        driven = (self.speed[i] + self.speed[j]) / 2.0 * (self.step[j] - self.step[i]) * STEP_S
+        same = (one == other) & (one >= 0)
+        left = network.length_m[one] - self.along_m[i]
+        with np.errstate(invalid="ignore"):
+            follows = (one != other) & (one >= 0) & (other >= 0)
+            follows &= (left <= driven + FOLLOWS_M) & (self.along_m[j] <= driven + FOLLOWS_M)
+        before = np.where(same, self.along_m[i], self.along_m[j] - driven)
+        return Moves(same, follows, np.where(follows, -left, before), left, driven)
+
+
+class Moves(NamedTuple):
+    """Vehicles between two states, a row for each of :attr:`FrontStates.pairs`.
+
+    Parameters
+    ----------
+    same, follows : (k,) bool arrays
+        The lane stays, or the next one begins where the last one ended; else it is one beside, or
+        none.
+    before_m : (k,) array
+        Where the first state is on the lane of the second one, m; below 0 before it begins.
+    left_m : (k,) array
+        What is left of the first lane, m.
+    driven_m : (k,) array
+        By the speeds, m.
+    """
+
+    same: Booleans
+    follows: Booleans
+    before_m: Floats
+    left_m: Floats
+    driven_m: Floats
+
+
+class Crossings(NamedTuple):
+    """Fronts over the lines of lanes, each vehicle and lane once, by vehicle, lane and time.
+
+    Parameters
+    ----------
+    row : (k,) int64 array
+        Row of the last state before.
+    vehicle, lane, step : (k,) int64 arrays
+        Which, where, and in which step.
+    speed : (k,) array
+        m/s.
+    seen : (k,) bool array
+        Whether the vehicle was measured then.
+    """
+
+    row: Integers
+    vehicle: Integers
+    lane: Integers
+    step: Integers
+    speed: Floats
+    seen: Booleans
+
+    def taken(self, which: Booleans) -> Crossings:
+        """Return some of them."""
+        return Crossings._make(each[which] for each in self)
+
+
+def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: StepGrid) -> Crossings:
+    """Find the fronts that cross the line of a lane within the grid.
+
+    A vehicle that changes lanes while it crosses counts on the lane that it reaches. States before
+    the grid tell who has crossed already; a crossing between the last of them and the grid's first
+    step counts in the latter.
+    """
+    i = states.pairs
+    one, other = states.lane[i], states.lane[i + 1]
+    line_one, line_other = network.line_m[one], network.line_m[other]
+    reached = states.along_m[i + 1]
+    with np.errstate(invalid="ignore"):
+        left = moves.follows & (states.along_m[i] < line_one)
+        came = (other >= 0) & (moves.before_m < line_other) & (line_other <= reached)
+        of_left = (line_one - states.along_m[i]) / np.maximum(moves.left_m + reached, 1e-9)
+        of_came = (line_other - moves.before_m) / np.maximum(reached - moves.before_m, 1e-9)
+    parts = ((left, one, of_left), (came, other, of_came))
+    k = np.concatenate([np.flatnonzero(flag) for flag, _, _ in parts])
+    lane = np.concatenate([of[flag] for flag, of, _ in parts])
+    part = np.concatenate([share[flag] for flag, _, share in parts])
+    first, last = states.step[i[k]], states.step[i[k] + 1]
+    time = first + part * (last - first)
+    order = np.lexsort((time, lane, states.vehicle[i[k]]))
+    k, lane, part, time, last = k[order], lane[order], part[order], time[order], last[order]
+    row = i[k]
+    speed = states.speed[row] + part * (states.speed[row + 1] - states.speed[row])
+    new = np.ones(len(k), np.bool_)
+    new[1:] = (np.diff(states.vehicle[row]) != 0) | (np.diff(lane) != 0)
+    step = np.clip(np.floor(time).astype(np.int64), grid.begin, np.maximum(last - 1, grid.begin))
+    found = Crossings(row, states.vehicle[row], lane, step, speed, states.seen[row + 1])
+    return found.taken(new & (last >= grid.begin) & (step < grid.end))
+
+
+class Driven(NamedTuple):
+    """Times and distances of fronts on lanes, by cells of lane and interval.
+
+    Parameters
+    ----------
+    seconds, metres : (lanes * intervals,) arrays
+        Sums over all vehicles, while their fronts are on visible tiles.
+    """
+
+    seconds: Floats
+    metres: Floats
+
+
+def driven(
+    states: FrontStates, moves: Moves, network: LaneNetwork, visible: VisibleRuns, grid: StepGrid
+) -> Driven:
+    """Sum the times and distances of all vehicles, for Edie's definitions.
+
+    What lies between two states belongs to the first one's lane; where the vehicle goes on to the
+    next lane, it is split where that begins. A vehicle's last state lasts one step.
+    """
+    last = np.ones(len(states.step), np.bool_)
+    last[states.pairs] = False
+    last[states.pairs] |= states.step[states.pairs + 1] >= grid.end
+    i, end = states.pairs, np.flatnonzero(last)
+    kept = ~last[i]
+    i, moves = i[kept], Moves._make(each[kept] for each in moves)
+    share = moves.left_m / np.maximum(moves.left_m + states.along_m[i + 1], 1e-9)
+    share = np.where(moves.follows, np.nan_to_num(share), 1.0)
+    steps = (states.step[i + 1] - states.step[i]).astype(np.float64)
+    metres = np.where(moves.same, states.along_m[i + 1] - states.along_m[i], moves.driven_m)
+    metres = np.where(moves.follows, moves.left_m, metres)
+    on = moves.follows
+    lane = np.concatenate([states.lane[i], states.lane[i + 1][on], states.lane[end]])
+    along = np.concatenate([states.along_m[i], np.zeros(on.sum()), states.along_m[end]])
+    step = np.concatenate([states.step[i], states.step[i + 1][on] - 1, states.step[end]])
+    lasts = np.concatenate([steps * share, (steps * (1.0 - share))[on], np.ones(len(end))])
+    far = np.concatenate([metres, states.along_m[i + 1][on], states.speed[end] * STEP_S])
+    mine = (lane >= 0) & (step >= grid.begin) & (step < grid.end)
+    lane, along, step, lasts, far = (each[mine] for each in (lane, along, step, lasts, far))
+    tile = network.tile_at(lane, along)
+    seen = visible.at(network.tile_id[tile], step)
+    cell, size = (lane * grid.count + grid.of(step))[seen], len(network.lane) * grid.count
+    seconds = np.bincount(cell, lasts[seen] * STEP_S, size).astype(np.float64)
+    return Driven(seconds, np.bincount(cell, far[seen], size).astype(np.float64))

@@ -1,0 +1,140 @@
+"""Vehicles that stand, and the queues that they make before stop lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, ranges
+from gis_radar.measures.lane_network import LaneNetwork
+from gis_radar.measures.lane_traffic import FrontStates, StepGrid, VisibleRuns
+
+
+@dataclass(frozen=True, kw_only=True)
+class QueueSettings:
+    """What stands, and what is a queue.
+
+    Parameters
+    ----------
+    slow : float
+        A slower vehicle stands, m/s: 5 km/h, as traffic engineering counts stops (HCM, chapter 31).
+    slow_steps : int
+        After so many steps: 1 s.
+    joined_m : float
+        Largest gap to the vehicle before, or to the stop line: the length of two cars.
+    over_line_m : float
+        By how much who waits may stand over the line.
+    every_steps : int
+        Steps from one look to the next, those of absolute time that so many divide: all tracks
+        have a state then.
+    """
+
+    slow: float = 5.0 / 3.6
+    slow_steps: int = STEPS_PER_SECOND
+    joined_m: float = 10.0
+    over_line_m: float = 2.0
+    every_steps: int = 4
+
+
+QUEUES = QueueSettings()
+
+
+class StandingStates(NamedTuple):
+    """States of vehicles that stand.
+
+    Parameters
+    ----------
+    stands : (n,) bool array
+        Which states: slow for 1 s.
+    stops : (n,) bool array
+        In which of them a vehicle has come to stand; one that stood when it was first found has
+        not.
+    """
+
+    stands: Booleans
+    stops: Booleans
+
+
+def standing_states(states: FrontStates, settings: QueueSettings = QUEUES) -> StandingStates:
+    """Tell the states in which vehicles stand."""
+    slow = states.speed < settings.slow
+    new = np.ones(len(slow), np.bool_)
+    new[1:] = np.diff(states.vehicle) != 0
+    begins = new.copy()
+    begins[1:] |= slow[1:] != slow[:-1]
+    run = np.maximum.accumulate(np.where(begins, np.arange(len(slow)), 0))
+    stands = slow & (states.step - states.step[run] >= settings.slow_steps)
+    stops = stands & ~new[run]
+    stops[1:] &= ~stands[:-1] | new[1:]
+    return StandingStates(stands, stops)
+
+
+class QueueBacks(NamedTuple):
+    """Backs of queues, by cells of lane and interval.
+
+    Parameters
+    ----------
+    most_m : (cells,) array
+        The farthest one from the stop line, m; 0 where there is no queue.
+    sum_m : (cells,) array
+        Sum over all looks at which the stop line is visible, m.
+    """
+
+    most_m: Floats
+    sum_m: Floats
+
+
+def queues(
+    states: FrontStates, stands: Booleans, length_m: Floats, network: LaneNetwork,
+    visible: VisibleRuns, grid: StepGrid, settings: QueueSettings = QUEUES,
+) -> QueueBacks:  # fmt: skip
+    """Find the queues at stop lines: vehicles that stand, from the line back, without a large gap.
+
+    Parameters
+    ----------
+    states : FrontStates
+        All states.
+    stands : (n,) bool array
+        Which of them stand.
+    length_m : (n,) array
+        Lengths of their vehicles.
+    network, visible, grid
+        As for :func:`gis_radar.measures.lane_traffic.driven`.
+    settings : QueueSettings
+        Constants.
+    """
+    size = len(network.lane) * grid.count
+    strips = network.queue_strips()
+    looked = stands & (states.lane >= 0) & (states.step % settings.every_steps == 0)
+    row = np.flatnonzero(looked & (states.step >= grid.begin) & (states.step < grid.end))
+    low = np.searchsorted(strips.lane, states.lane[row])
+    count = np.searchsorted(strips.lane, states.lane[row], side="right") - low
+    at, row = ranges(low, count), np.repeat(row, count)
+    stop, step = strips.stop_lane[at], states.step[row]
+    front = strips.to_line_m[at] - states.along_m[row]
+    order = np.lexsort((front, step, stop))
+    order = order[front[order] >= -settings.over_line_m]
+    stop, step, front = stop[order], step[order], front[order]
+    rear = front + length_m[row[order]]
+    new = np.ones(len(stop), np.bool_)
+    new[1:] = (np.diff(stop) != 0) | (np.diff(step) != 0)
+    ahead = np.where(new, 0.0, np.concatenate([[0.0], rear])[: len(rear)])
+    joined = _unbroken(front - ahead <= settings.joined_m, new)
+    line = network.tile_id[network.tile_at(stop, network.line_m[stop])]
+    joined &= visible.at(line, step)
+    stop, step, rear = stop[joined], step[joined], rear[joined]
+    first = np.flatnonzero(new[joined])
+    back = np.maximum.reduceat(rear, first) if len(first) else rear  # it takes no empty array
+    cell = stop[first] * grid.count + grid.of(step[first])
+    most = np.zeros(size)
+    np.maximum.at(most, cell, back)
+    return QueueBacks(most, np.bincount(cell, back, size).astype(np.float64))
+
+
+def _unbroken(good: Booleans, new: Booleans) -> Booleans:
+    """Return the values of each group up to its first that is not good."""
+    bad: Integers = np.cumsum(~good)
+    first = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
+    return np.asarray(bad == bad[first] - (~good)[first], np.bool_)

@@ -1,0 +1,279 @@
+"""Traffic for those who count it: tables, a spreadsheet, layers for QGIS, files for SUMO."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+
+from gis_radar.base import (
+    QUIET,
+    InputError,
+    LayerNotes,
+    Reporter,
+    Text,
+    add_layer,
+    add_styles,
+    atomic_folder,
+    current_language,
+    describe_layers,
+    keep_styles,
+    output_errors,
+    speaking,
+    tr,
+    write_csv,
+    writing_errors,
+)
+from gis_radar.dataset import Dataset
+from gis_radar.products.traffic_style import VOLUMES, traffic_style
+
+LANES, TURNS = "lanes", "turns"
+OWNED = ("traffic.", "turns.", "sumo.")
+TITLES = {
+    "lane": Text("Lane (id)"), "name": Text("Lane"),
+    "from_lane": Text("From lane (id)"), "to_lane": Text("To lane (id)"),
+    "from_name": Text("From"), "to_name": Text("To"), "turn": Text("Turn"),
+    "begin": Text("Begin"), "end": Text("End"),
+    "visible_share": Text("Visible share [0-1]"), "counted": Text("Counted [veh]"),
+    "volume": Text("Volume, estimated [veh]"), "volume_se": Text("Its standard error [veh]"),
+    "volume_veh_h": Text("Volume [veh/h]"), "heavy": Text("Heavy among counted [veh]"),
+    "speed_kmh": Text("Mean speed on the lane [km/h]"),
+    "speed_time_mean_kmh": Text("Mean speed at the line [km/h]"),
+    "speed_85_kmh": Text("85 % drive up to [km/h]"),
+    "occupancy": Text("Occupancy [0-1]"),
+    "occupancy_se": Text("Standard error of the occupancy [0-1]"),
+    "density_veh_km": Text("Density [veh/km]"), "flow_veh_h": Text("Flow on the lane [veh/h]"),
+    "travel_time_s": Text("Travel time [s]"), "delay_s": Text("Delay [s]"),
+    "queue_max_m": Text("Longest queue [m]"), "queue_mean_m": Text("Mean queue [m]"),
+    "stops": Text("Stops [veh]"),
+}  # fmt: skip
+"""Titles of all columns, with units."""
+_KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
+_IDS = ("lane", "from_lane", "to_lane")
+_TIMES = ("begin", "end")
+_WAYS = {
+    "left": Text("left turn"), "straight": Text("straight ahead"),
+    "right": Text("right turn"), "back": Text("U-turn"),
+}  # fmt: skip
+_DIGITS = 4  # of numbers in tables for people: far below their errors
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Traffic:
+    """Traffic of lanes and turns by intervals.
+
+    Parameters
+    ----------
+    lanes, turns : GeoDataFrame
+        As of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+    """
+
+    lanes: gpd.GeoDataFrame
+    turns: gpd.GeoDataFrame
+
+    def figures(self) -> dict[str, Any]:
+        """Return how many lanes, turns and intervals there are, and what was counted."""
+        rows = self.lanes
+        return {
+            "lanes": int(rows["lane"].nunique()),
+            "turns": len(self.turns[["from_lane", "to_lane"]].drop_duplicates()),
+            "intervals": int(rows["begin"].nunique()),
+            "begin": rows["begin"].min().isoformat(),
+            "end": rows["end"].max().isoformat(),
+            "vehicles_at_stop_lines": int(rows.loc[rows["queue_max_m"].notna(), "counted"].sum()),
+            "rows_with_volume": int(rows["volume"].notna().sum()),
+            "rows": len(rows),
+        }
+
+    def write(
+        self, folder: str | Path, *, language: str | None = None, reporter: Reporter = QUIET
+    ) -> list[Path]:
+        """Write all files into a folder, which appears whole or not at all.
+
+        `traffic.csv` and `turns.csv`; `traffic.xlsx` with a sheet each; `traffic.gpkg` with the
+        layers `lanes` and `turns`, which QGIS shows in our style; `sumo.edgedata.xml`,
+        `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane with its number.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Where; an earlier result there is replaced.
+        language : str, optional
+            Of titles in sheets and layers, `en` or `de`; the current one without it.
+        reporter : Reporter
+            Receives warnings.
+
+        Returns
+        -------
+        list of Path
+            The files.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written, or holds other files.
+        """
+        folder = Path(folder)
+        writers: dict[str, Callable[[Path], object]] = {
+            "traffic.csv": partial(_write_table, self.lanes),
+            "turns.csv": partial(_write_table, self.turns),
+            "traffic.xlsx": self._write_workbook,
+            "traffic.gpkg": self._write_package,
+            "sumo.edgedata.xml": partial(_write_mean_data, self.lanes, by_lane=False),
+            "sumo.lanedata.xml": partial(_write_mean_data, self.lanes, by_lane=True),
+            "sumo.turns.xml": partial(_write_turn_counts, self.turns),
+        }
+        with (
+            speaking(language or current_language()),
+            atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh,
+        ):
+            for done, (name, write) in enumerate(writers.items(), start=1):
+                with output_errors(folder / name), writing_errors(folder / name):
+                    write(fresh / name)
+                reporter.progress("writing traffic", done, len(writers))
+            keep_styles(fresh / "traffic.gpkg", earlier=folder / "traffic.gpkg")
+        return [folder / name for name in writers]
+
+    def _write_workbook(self, path: Path) -> None:
+        for sheet, table in ((tr("Lanes"), self.lanes), (tr("Turns"), self.turns)):
+            zone = str(table["begin"].dt.tz)
+            shown = _for_people(table)
+            if "turn" in shown:
+                shown["turn"] = [tr(_WAYS[each]) for each in shown["turn"]]
+            for name in _TIMES:  # spreadsheets know no zones
+                shown[name] = shown[name].dt.tz_localize(None)
+            titles = {str(name): tr(TITLES[str(name)]) for name in shown}
+            titles |= {name: f"{titles[name]} ({zone})" for name in _TIMES}
+            pyogrio.write_dataframe(
+                shown.rename(columns=titles), path, layer=sheet, driver="XLSX", append=path.exists()
+            )
+
+    def _write_package(self, path: Path) -> None:
+        titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
+        for layer, table in ((LANES, self.lanes), (TURNS, self.turns)):
+            shown = table.assign(
+                **{name: table[name].dt.tz_convert("UTC") for name in _TIMES},
+            )
+            add_layer(shown, path, layer, geometry_type="LineString", layer_metadata=_KEPT)
+        interval = (self.lanes["end"] - self.lanes["begin"]).min()
+        styles = {
+            name: (traffic_style(interval.total_seconds(), wide=name == TURNS), "")
+            for name in (LANES, TURNS)
+        }
+        notes = {
+            LANES: LayerNotes(tr("Lanes"), tr("Traffic of lanes by interval"), titles),
+            TURNS: LayerNotes(tr("Turns"), tr("Volumes of turns by interval"), titles),
+        }
+        with closing(sqlite3.connect(path)) as database, database:
+            describe_layers(database, notes)
+            add_styles(database, styles, name="traffic", about="volumes by lane and turn")
+
+
+def make_traffic(
+    dataset: Dataset,
+    *,
+    interval: str = "15min",
+    begin: Any = None,
+    end: Any = None,
+    language: str | None = None,
+) -> Traffic:
+    """Return the traffic of a dataset by lane and turn.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With vehicles, from :func:`gis_radar.open_dataset`.
+    interval, begin, end, language
+        As for :meth:`gis_radar.Dataset.traffic`.
+
+    Raises
+    ------
+    InputError
+        If vehicles were not looked for, or none of its lanes is observed in that time.
+    UsageError
+        If there is no such interval.
+    """
+    options = {"begin": begin, "end": end, "language": language or current_language()}
+    lanes = dataset.traffic(interval, **options)
+    if lanes.empty:
+        raise InputError(
+            "{}: no lane is observed in that time",
+            dataset.folder,
+            hint="gis-radar dataset shows from when to when it was measured",
+        )
+    return Traffic(lanes=lanes, turns=dataset.turns(interval, **options))
+
+
+def _for_people(table: gpd.GeoDataFrame) -> pd.DataFrame:
+    """Return a table without geometry: ids as text, numbers rounded."""
+    shown = pd.DataFrame(table.drop(columns="geometry"))
+    for name in shown:
+        if name in _IDS:
+            shown[name] = shown[name].astype(str)
+        elif pd.api.types.is_float_dtype(shown[name]):
+            shown[name] = shown[name].astype(np.float64).round(_DIGITS)
+    return shown
+
+
+def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
+    """Write CSV: columns by their names, times by the clocks of the site with their offset."""
+    shown = _for_people(table)
+    for name in _TIMES:
+        shown[name] = [each.isoformat() for each in shown[name]]
+    rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)
+    write_csv(path, [*shown.columns], rows)
+
+
+def _intervals(table: pd.DataFrame, root: Element) -> list[tuple[Element, pd.DataFrame]]:
+    """Add an element for each interval, in seconds from the first; return it with its rows."""
+    zero = table["begin"].min()
+    found = []
+    for begin, rows in table.groupby("begin", sort=True):
+        edges = (pd.Timestamp(begin), rows["end"].iloc[0])  # type: ignore[arg-type]
+        seconds = (f"{(each - zero).total_seconds():.2f}" for each in edges)
+        stated = dict(zip(_TIMES, seconds, strict=True)) | {"id": edges[0].isoformat()}
+        found.append((SubElement(root, "interval", stated), rows))
+    return found
+
+
+def _write_mean_data(table: gpd.GeoDataFrame, path: Path, *, by_lane: bool) -> None:
+    """Write SUMO's edgeData or laneData: what is not known has no attribute."""
+    root = Element("meandata")
+    columns = {
+        "entered": ("volume", 1.0), "speed": ("speed_kmh", 1 / 3.6),
+        "occupancy": ("occupancy", 100.0), "density": ("density_veh_km", 1.0),
+        "traveltime": ("travel_time_s", 1.0), "timeLoss": ("delay_s", 1.0),
+    }  # fmt: skip
+    for element, rows in _intervals(table, root):
+        for row in rows.to_dict("records"):
+            edge = SubElement(element, "edge", {"id": str(row["lane"])})
+            place = SubElement(edge, "lane", {"id": f"{row['lane']}_0"}) if by_lane else edge
+            for name, (of, factor) in columns.items():
+                if pd.notna(row[of]):
+                    place.set(name, f"{row[of] * factor:.2f}")
+    _write_xml(root, path)
+
+
+def _write_turn_counts(table: gpd.GeoDataFrame, path: Path) -> None:
+    """Write edge relations, which SUMO's jtrrouter and routeSampler read as turn counts."""
+    root = Element("edgeRelations")
+    for element, rows in _intervals(table, root):
+        for row in rows[rows["volume"].notna()].to_dict("records"):
+            ends = {"from": str(row["from_lane"]), "to": str(row["to_lane"])}
+            SubElement(element, "edgeRelation", ends | {"count": f"{row['volume']:.2f}"})
+    _write_xml(root, path)
+
+
+def _write_xml(root: Element, path: Path) -> None:
+    indent(root)
+    ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

@@ -1,0 +1,278 @@
+"""Lane measures and turns of a date: kept up to date, over the edges of hours, and for people."""
+
+import shutil
+from dataclasses import replace
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from datasets import write_dataset
+from driven import drive, driven, straight_tiles
+from shapely import LineString
+
+from gis_radar.base import InputError, UsageError
+from gis_radar.dataset import (
+    STEPS_PER_HOUR,
+    STEPS_PER_QUARTER,
+    TILE_COUNTS,
+    LaneTraffic,
+    open_dataset,
+    part_path,
+    read_hour,
+    read_hours,
+    record_path,
+    write_record,
+)
+from gis_radar.dataset.tables import HOUR_TABLES, LANE_MEASURES, TURNS, VISIBLE
+
+HOUR = 472_222  # 2023-11-14, 22 h
+EDGE = (HOUR + 1) * STEPS_PER_HOUR
+NEXT = (HOUR + 1) * 1_000_000
+TILES = straight_tiles(120)
+LANES = gpd.GeoDataFrame(
+    {
+        "lane": [7], "lanelets": [[7]], "subtype": ["road"], "street": ["=Ring"],
+        "street_part": [None], "turn": ["left"], "stop_line_m": [50.0], "speed_limit_kmh": [36.0],
+        "length_m": [60.0],
+    },
+    geometry=[LineString([(0, 0), (60, 0)])], crs="EPSG:25832",
+)  # fmt: skip
+
+
+def dataset_of(folder, tracks, **options):
+    return driven(folder, TILES, pd.concat(tracks), lanes=LANES, **options)
+
+
+def over_the_edge(vehicle, begin, fronts, **options):
+    """Drive over the hour's edge: states in both hours, under two numbers."""
+    one = drive(vehicle, begin, fronts, **options)
+    later = one["step"] >= EDGE
+    return [one[~later], one[later].assign(vehicle=NEXT + vehicle)]
+
+
+def car(vehicle, begin, low=0.0, high=59.0):
+    """Drive at 10 m/s."""
+    return drive(vehicle, begin, np.arange(low, high, 0.5))
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """Six cars in the first hour, two in the second."""
+    first = EDGE - STEPS_PER_HOUR
+    tracks = [car(n, first + n * 3 * STEPS_PER_QUARTER // 6 + 99) for n in range(6)]
+    tracks += [car(NEXT + n, EDGE + 500 * (n + 1)) for n in range(2)]
+    return dataset_of(
+        tmp_path_factory.mktemp("cars") / "data", tracks, timezone="Europe/Berlin", p_heavy=0.5
+    )
+
+
+@pytest.fixture
+def dataset(tmp_path, measured):
+    shutil.copytree(measured.folder, tmp_path / "data")
+    return open_dataset(tmp_path / "data")
+
+
+def update(dataset, hour=HOUR):
+    LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint).update(hour)
+
+
+def days(dataset, hour=HOUR):
+    return [part_path(dataset.folder, table, hour) for table in (LANE_MEASURES, TURNS)]
+
+
+def test_cars_count_in_their_quarters(measured):
+    rows = measured.lane_measures()
+    assert rows["counted"].tolist() == [2, 2, 2, 0, 2]
+    assert rows["interval"].tolist() == [88, 89, 90, 91, 92]
+    assert rows["begin"].iloc[0] == pd.Timestamp("2023-11-14T22:00Z")
+    assert rows["speed_mean"].dropna().tolist() == pytest.approx([10.0] * 4, rel=1e-3)
+    assert rows["heavy"].tolist() == [1.0, 1.0, 1.0, 0.0, 1.0]
+    # of the last quarter too little was visible for travel times
+    assert rows["delay_s"].dropna().tolist() == pytest.approx([0.0] * 3, abs=1e-3)
+
+
+def test_rows_of_hours_not_made_again_are_carried_over(dataset, measured, tmp_path):
+    shutil.copytree(measured.folder, tmp_path / "whole")
+    whole = open_dataset(tmp_path / "whole")
+    update(dataset)
+    later = record_path(dataset.folder, HOUR + 1)
+    later.rename(later.with_suffix(".aside"))
+    update(dataset)
+    part_path(dataset.folder, VISIBLE, HOUR).unlink()  # the first hour cannot be made again
+    later.with_suffix(".aside").rename(later)
+    update(dataset)
+    update(whole)
+    for mine, theirs in zip(days(dataset), days(whole), strict=True):
+        assert mine.read_bytes() == theirs.read_bytes()
+
+
+def test_tables_of_a_damaged_or_missing_day_are_made_again(dataset):
+    whole = dataset.lane_measures()
+    assert not days(dataset)[0].exists()  # made on the fly
+    update(dataset)
+    before = [path.read_bytes() for path in days(dataset)]
+    days(dataset)[0].write_bytes(b"PAR1")
+    pd.testing.assert_frame_equal(dataset.lane_measures(), whole)
+    with pytest.raises(InputError, match="damaged"):
+        dataset.check()
+    update(dataset)
+    assert [path.read_bytes() for path in days(dataset)] == before
+    dataset.check()
+
+
+def test_a_date_without_hours_has_no_tables(dataset):
+    update(dataset)
+    for hour in (HOUR, HOUR + 1):
+        record_path(dataset.folder, hour).unlink()
+    update(dataset)
+    assert not any(path.exists() for path in days(dataset))
+    assert dataset.lane_measures().empty
+
+
+def test_an_hour_follows_from_the_one_before(dataset):
+    """With other inputs of the hour before it is made again, though its own are the same."""
+    update(dataset)
+    before, rows = days(dataset)[0].read_bytes(), dataset.lane_measures()
+    record = read_hour(dataset.folder, HOUR)
+    changed = replace(record, origin=replace(record.origin, inputs="other"))
+    write_record(dataset.folder, replace(changed, dropped=tuple(record.parts)))
+    part_path(dataset.folder, VISIBLE, HOUR + 1).unlink()
+    with pytest.raises(InputError, match="is missing"):
+        update(dataset)
+    write_record(dataset.folder, replace(record, dropped=tuple(record.parts)))
+    update(dataset)  # as it was: nothing is made
+    assert days(dataset)[0].read_bytes() == before
+    pd.testing.assert_frame_equal(dataset.lane_measures(), rows)
+
+
+def test_a_front_that_wavers_over_the_line_at_an_hours_edge_counts_once(tmp_path):
+    fronts = np.concatenate([np.arange(45.0, 50.1, 0.05), np.arange(50.1, 49.9, -0.05),
+                             np.arange(49.9, 53.0, 0.05)])  # fmt: skip
+    tracks = over_the_edge(1, EDGE - 104, fronts, speed=1.0)
+    found = dataset_of(
+        tmp_path / "data", tracks, continued={HOUR + 1: [(1, NEXT + 1)]}
+    ).lane_measures()
+    assert found["counted"].sum() == 1
+    alone = dataset_of(tmp_path / "alone", tracks).lane_measures()  # were they two vehicles
+    assert alone["counted"].sum() == 2
+
+
+def test_a_crossing_between_two_hours_counts_in_the_later_one(tmp_path):
+    tracks = over_the_edge(1, EDGE - 100, 45.2 + np.arange(120) * 0.05, speed=1.0)
+    assert tracks[0]["s_m"].max() < 50.2
+    fronts = np.concatenate([np.linspace(40.0, 49.99, 100), np.linspace(50.01, 55.0, 60)])
+    tracks = over_the_edge(1, EDGE - 100, fronts, speed=2.0)
+    continued = {HOUR + 1: [(1, NEXT + 1)]}
+    found = dataset_of(tmp_path / "data", tracks, continued=continued).lane_measures()
+    assert dict(zip(found["interval"], found["counted"], strict=True))[92] == 1
+    assert found["counted"].sum() == 1
+
+
+def test_who_stands_over_an_hours_edge_stops_once(tmp_path):
+    fronts = np.concatenate([np.arange(40.0, 49.0, 0.25), np.full(200, 49.0)])
+    speed = np.where(np.arange(len(fronts)) < 36, 5.0, 0.0)
+    tracks = over_the_edge(1, EDGE - 100, fronts, speed=speed)
+    continued = {HOUR + 1: [(1, NEXT + 1)]}
+    found = dataset_of(tmp_path / "data", tracks, continued=continued).lane_measures()
+    assert found["stops"].sum() == 1
+    later = found[found["interval"] == 92].iloc[0]
+    assert later["queue_max_m"] == pytest.approx(5.5, abs=0.01)
+    # from the first step of the hour on, as it has stood for over a second by then
+    assert later["queue_mean_m"] == pytest.approx(5.5, abs=0.2)
+
+
+def test_sql_reads_them(measured):
+    found = measured.query("SELECT lane, sum(counted) AS n FROM lane_measures GROUP BY lane")
+    assert found.to_dict("list") == {"lane": [7], "n": [8]}
+    assert measured.query("SELECT count(*) AS n FROM turns")["n"].tolist() == [0]
+
+
+def test_traffic_is_tidy(measured):
+    table = measured.traffic("15min")
+    assert table["name"].unique().tolist() == ["=Ring eastbound, lane 1 (left turn)"]
+    assert measured.traffic(language="de")["name"].iloc[0] == (
+        "=Ring nach Osten, Fahrstreifen 1 (links ab)"
+    )
+    assert str(table["begin"].dt.tz) == "Europe/Berlin"
+    assert table["begin"].iloc[0] == pd.Timestamp("2023-11-14T23:00+01:00")
+    assert (table["end"] - table["begin"]).unique().tolist() == [pd.Timedelta("15min")]
+    assert table["speed_kmh"].iloc[0] == pytest.approx(36.0, rel=1e-3)
+    assert table["volume_veh_h"].iloc[0] == pytest.approx(4.0 * table["volume"].iloc[0])
+    assert table.geometry.length.unique().tolist() == [60.0]
+    assert table["speed_85_kmh"].iloc[0] == pytest.approx(39.25)  # in the class from 35 to 40
+
+
+def test_intervals_sum_to_the_hour(measured):
+    quarters, hours = measured.traffic("15min"), measured.traffic("1h")
+    assert hours["counted"].tolist() == [6, 2]
+    assert hours["begin"].dt.hour.tolist() == [23, 0]
+    part = quarters[quarters["begin"] < hours["begin"].iloc[1]]
+    assert hours["volume"].iloc[0] == pytest.approx(part["volume"].sum())
+    assert hours["volume_se"].iloc[0] == pytest.approx(np.sqrt((part["volume_se"] ** 2).sum()))
+    assert hours["speed_kmh"].iloc[0] == pytest.approx(36.0, rel=1e-3)
+    assert hours["stops"].iloc[0] == 0
+    fine = measured.traffic("5min")
+    assert fine["counted"].sum() == 8
+    assert fine.groupby(fine["begin"].dt.floor("15min"))["counted"].sum().tolist() == (
+        quarters["counted"].tolist()
+    )
+
+
+def test_an_hour_of_which_a_part_is_known_is_estimated_with_a_larger_error(measured):
+    """Of the second hour a twentieth was recorded: there is no volume."""
+    hour = measured.traffic("1h").iloc[1]
+    assert np.isnan(hour["volume"])
+    assert hour["visible_share"] == pytest.approx(measured.traffic()["visible_share"].iloc[-1] / 4)
+    half = measured.traffic("1h", end="2023-11-14 23:15").iloc[0]
+    quarter = measured.traffic(end="2023-11-14 23:15").iloc[0]
+    assert half["volume"] == pytest.approx(4.0 * quarter["volume"])
+    assert half["volume_se"] > 4.0 * quarter["volume_se"]
+
+
+@pytest.mark.parametrize(
+    ("day", "hours"), [("2023-10-29", 25), ("2023-03-26", 23), ("2023-11-14", 24)]
+)
+def test_days_follow_the_clocks_of_the_site(tmp_path, day, hours):
+    noon = int(pd.Timestamp(f"{day} 12:00", tz="Europe/Berlin").timestamp()) * 20
+    dataset = dataset_of(tmp_path / "data", [car(1, noon)], timezone="Europe/Berlin")
+    row = dataset.traffic("24h").iloc[0]
+    assert row["begin"].isoformat().startswith(f"{day}T00:00:00")
+    assert (row["end"] - row["begin"]) == pd.Timedelta(hours=hours)
+    assert row["counted"] == 1
+
+
+@pytest.mark.parametrize("interval", ["7min", "20s", "40min", "48h", "35min"])
+def test_other_intervals_are_refused(measured, interval):
+    with pytest.raises(UsageError, match="neither a part of 15 min"):
+        measured.traffic(interval)
+
+
+def test_fine_intervals_need_exact_tables(dataset):
+    update(dataset)
+    record = read_hour(dataset.folder, HOUR)
+    write_record(dataset.folder, replace(record, dropped=tuple(record.parts)))
+    for table in HOUR_TABLES:
+        part_path(dataset.folder, table, HOUR).unlink()
+    with pytest.raises(InputError, match="no exact tables any more"):
+        dataset.traffic("5min")
+    assert dataset.traffic("5min", begin="2023-11-15 00:00")["counted"].sum() == 2
+    update(dataset)  # and what was measured before stays
+    assert dataset.traffic()["counted"].sum() == 8
+
+
+def test_hours_without_vehicles_have_no_traffic(tmp_path):
+    dataset = write_dataset(tmp_path / "data", hours=[HOUR], vehicles=False)
+    update(dataset)
+    assert dataset.lane_measures().empty
+    assert not days(dataset)[0].exists()
+    assert part_path(dataset.folder, TILE_COUNTS, HOUR).exists()
+    with pytest.raises(InputError, match="holds no vehicles"):
+        dataset.traffic()
+
+
+def test_queues_are_those_of_stop_lines(measured):
+    table = measured.queues()
+    assert table["queue_max_m"].eq(0.0).all()
+    assert len(table) == len(measured.traffic())
+    assert read_hours(measured.folder).keys() == {HOUR, HOUR + 1}

@@ -1,0 +1,379 @@
+"""Measures of lanes: Edie's definitions as invariants, and beside counts one vehicle at a time."""
+
+from __future__ import annotations
+
+import math
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from forks import APPROACH, LEFT, STRAIGHT, fork, strip
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from maps import UTM
+
+from gis_radar.measures import (
+    FrontStates,
+    LaneNetwork,
+    StepGrid,
+    TileSteps,
+    VehicleTable,
+    VisibleRuns,
+    measure_lanes,
+)
+from gis_radar.measures.lane_measures import DEFAULTS, SPEED_CLASSES
+from gis_radar.measures.lane_network import Turn
+from gis_radar.measures.queues import standing_states
+
+BEGIN, QUARTER = 34_000_020_000, 1_200
+BEGIN -= BEGIN % 4
+TILES = fork()
+NETWORK = LaneNetwork.of(TILES, {APPROACH: 60.0}, {APPROACH: 36.0})
+
+
+def states_of(cars):
+    """Give the states of cars: each the exit's lane, first step, and metres at every 0.2 s."""
+    rows = []
+    for vehicle, (lane, first, metres) in enumerate(cars):
+        step = np.arange(len(metres)) * 4 + first
+        speed = np.gradient(metres, 0.2) if len(metres) > 1 else np.zeros(1)
+        for at, x, v in zip(step, metres, speed, strict=True):
+            on = APPROACH if x < 60.0 else lane
+            rows.append((vehicle, at, on, x if on == APPROACH else x - 60.0, v))
+    table = pd.DataFrame(rows, columns=["vehicle", "step", "lane", "along", "speed"])
+    return FrontStates(
+        vehicle=table["vehicle"].to_numpy(np.int64), step=table["step"].to_numpy(np.int64),
+        lane=np.searchsorted(NETWORK.lane, table["lane"].to_numpy(np.int64)),
+        along_m=table["along"].to_numpy(float), speed=table["speed"].to_numpy(float),
+        seen=np.ones(len(table), np.bool_),
+    )  # fmt: skip
+
+
+def vehicles_of(cars, length=4.5, heavy=0.25):
+    count = max(len(cars), 1)
+    return VehicleTable(
+        vehicle=np.arange(count), length_m=np.full(count, length),
+        p_heavy=np.full(count, heavy), p_exists=np.full(count, np.nan),
+    )  # fmt: skip
+
+
+def seen_all(grid, tiles=TILES, share=1.0):
+    """Say that all tiles are visible, in the first part of each interval."""
+    ids, long = tiles["tile_id"].to_numpy(), round(grid.steps * share)
+    begins = grid.begin + grid.steps * np.arange(grid.count)
+    tile, first = (each.ravel() for each in np.meshgrid(ids, begins, indexing="ij"))
+    runs = VisibleRuns(tile_id=tile, first=first, last=first + long - 1)
+    if not long:
+        runs = VisibleRuns(tile_id=tile[:0], first=first[:0], last=first[:0])
+    counts = TileSteps(
+        tile_id=tile, interval=np.tile(np.arange(grid.count), len(ids)),
+        visible=np.full(len(tile), float(long)), occupied=np.zeros(len(tile)),
+        inferred=np.zeros(len(tile)), variance=np.zeros(len(tile)),
+    )  # fmt: skip
+    return runs, counts
+
+
+def measured(cars, grid, share=1.0, counts=None):
+    """Measure cars; give lanes and turns as tables."""
+    runs, steps = seen_all(grid, share=share)
+    found = measure_lanes(
+        NETWORK, grid, states_of(cars), vehicles_of(cars), runs, counts or steps, DEFAULTS
+    )
+    lanes = {k: np.ma.filled(v.astype(float), np.nan) if np.ma.isMA(v) else v
+             for k, v in found.lanes.items()}  # fmt: skip
+    lanes["speed_counts"] = found.lanes["speed_counts"].to_pylist()
+    return (
+        pd.DataFrame({k: list(v) for k, v in lanes.items()}).set_index(["lane", "interval"]),
+        pd.DataFrame(found.turns).set_index(["from_lane", "to_lane", "interval"]),
+    )
+
+
+@st.composite
+def traffic(draw):
+    """Cars within four intervals that drive at 0 to 15 m/s, changing speed by up to 2 m/s^2."""
+    cars = []
+    for _ in range(draw(st.integers(0, 5))):
+        exit_lane = draw(st.sampled_from([STRAIGHT, LEFT]))
+        first = BEGIN + 4 * draw(st.integers(0, 600))
+        speed, metres = draw(st.floats(0.0, 15.0)), [draw(st.floats(0.0, 55.0))]
+        for change in draw(st.lists(st.floats(-0.4, 0.4), min_size=1, max_size=40)):
+            speed = min(max(speed + change, 0.0), 15.0)
+            metres.append(min(metres[-1] + 0.2 * speed, 99.0))
+        cars.append((exit_lane, first, np.array(metres)))
+    return cars
+
+
+GRID = StepGrid(begin=BEGIN, steps=QUARTER, count=4)
+WHOLE = StepGrid(begin=BEGIN, steps=4 * QUARTER, count=1)
+
+
+def crossed(cars, line, lane=None):
+    """Count, car by car, whose front goes from before a line to it, by the interval of that."""
+    counts = [0, 0, 0, 0]
+    for exit_lane, first, metres in cars:
+        if lane is not None and exit_lane != lane:
+            continue
+        for k in range(len(metres) - 1):
+            if metres[k] < line <= metres[k + 1]:
+                part = (line - metres[k]) / (metres[k + 1] - metres[k])
+                counts[min(int((first + 4 * (k + part) - BEGIN) // QUARTER), 3)] += 1
+                break
+    return counts
+
+
+@given(traffic())
+@settings(max_examples=60, deadline=None)
+def test_volumes_are_the_fronts_over_the_lines(cars):
+    lanes, turns = measured(cars, GRID)
+    assert lanes.loc[APPROACH, "counted"].tolist() == crossed(cars, 60.0)
+    for lane in (STRAIGHT, LEFT):
+        assert lanes.loc[lane, "counted"].tolist() == crossed(cars, 80.0, lane)
+    # turns sum to the approach's volume
+    sums = turns.loc[APPROACH, "volume"].groupby("interval").sum(min_count=1)
+    np.testing.assert_allclose(sums, lanes.loc[APPROACH, "volume"])
+    for lane in (STRAIGHT, LEFT):
+        assert turns.loc[(APPROACH, lane), "volume"].round(9).tolist() == crossed(cars, 60.0, lane)
+
+
+@given(traffic())
+@settings(max_examples=60, deadline=None)
+def test_times_and_distances_are_those_of_all_cars(cars):
+    lanes, _ = measured(cars, GRID)
+    whole, _ = measured(cars, WHOLE)
+    weight = lanes["visible_km_h"]
+    seconds, metres = (lanes[name] * weight for name in ("density", "flow"))
+    wanted_s = sum(0.2 * (len(metres) - 1) + 0.05 for *_, metres in cars)
+    last = [np.gradient(metres, 0.2)[-1] * 0.05 for *_, metres in cars]
+    wanted_m = sum(float(metres[-1] - metres[0]) for *_, metres in cars) + sum(last)
+    assert 3600.0 * seconds.sum() == pytest.approx(wanted_s, abs=1e-6)
+    assert 1000.0 * metres.sum() == pytest.approx(wanted_m, abs=1e-6)
+    # intervals sum to the whole
+    for name in ("counted", "stops", "heavy", "volume"):
+        np.testing.assert_allclose(lanes[name].groupby("lane").sum(), whole[name].droplevel(1))
+    for name in ("density", "flow"):
+        mean = (lanes[name] * weight).groupby("lane").sum() / weight.groupby("lane").sum()
+        np.testing.assert_allclose(mean, whole[name].droplevel(1), atol=1e-9)
+    driven = whole[whole["flow"] > 0.0]
+    np.testing.assert_allclose(
+        driven["speed_mean"] * 3.6, driven["flow"] / driven["density"], rtol=1e-9
+    )
+
+
+@given(traffic())
+@settings(max_examples=60, deadline=None)
+def test_in_minus_out_is_the_change_inside(cars):
+    """Between the stop line and the lines behind it, at the end of each interval."""
+    lanes, _ = measured(cars, GRID)
+    gone_in = lanes.loc[APPROACH, "counted"].cumsum().to_numpy()
+    out = (lanes.loc[STRAIGHT, "counted"] + lanes.loc[LEFT, "counted"]).cumsum().to_numpy()
+    for k, inside in enumerate(gone_in - out):
+        after = BEGIN + (k + 1) * QUARTER
+        between = 0
+        for _, first, metres in cars:
+            now = np.interp(after, first + 4 * np.arange(len(metres)), metres)
+            between += 60.0 <= now < 80.0 and metres[0] < 60.0
+        assert inside == between
+
+
+def test_occupied_time_is_length_times_time():
+    """The sum of occupied time x tile length is that of vehicle length x time."""
+    grid = StepGrid(begin=BEGIN, steps=QUARTER, count=1)
+    metres = np.arange(8.0, 50.0, 2.0)  # 10 m/s, wholly on the approach
+    _, counts = seen_all(grid)
+    front = 8.0 + 0.5 * np.arange(4 * (len(metres) - 1) + 1)
+    middles = 0.25 + 0.5 * np.arange(120)
+    on = (middles <= front[:, None]) & (middles > front[:, None] - 4.5)
+    occupied = np.zeros(len(TILES))
+    occupied[:120] = on.sum(axis=0)
+    counts = TileSteps(**{**vars(counts), "occupied": occupied})
+    lanes, _ = measured([(STRAIGHT, BEGIN, metres)], grid, counts=counts)
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["occupancy"] / (row["density"] / 1000.0) == pytest.approx(4.5)
+
+
+def test_what_is_not_visible_is_null_and_never_0():
+    cars = [(STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0))]
+    lanes, turns = measured(cars, GRID, share=0.0)
+    row = lanes.loc[(APPROACH, 0)]
+    gone = row.drop(["visible_share", "visible_km_h", "speed_counts"])
+    assert gone.isna().all()
+    assert row["speed_counts"] is None
+    assert row["visible_share"] == 0.0
+    assert turns["volume"].isna().all()
+
+
+def test_under_a_fifth_there_is_no_estimate_and_over_it_one_with_its_error():
+    cars = [(STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0))]
+    lanes, turns = measured(cars, GRID, share=0.19)
+    assert lanes.loc[(APPROACH, 0), "counted"] == 1.0
+    assert np.isnan(lanes.loc[(APPROACH, 0), "volume"])
+    lanes, turns = measured(cars, GRID, share=0.5)
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["volume"] == 2.0
+    assert row["volume_se"] == pytest.approx(math.sqrt(0.3**2 + 1.5 * 0.5) / 0.5)
+    assert lanes.loc[(APPROACH, 1), "volume"] == 0.0
+    assert lanes.loc[(APPROACH, 1), "volume_se"] == pytest.approx(math.sqrt(0.5 * 0.5) / 0.5)
+    assert turns.loc[(APPROACH, STRAIGHT, 0), "volume"] == 2.0
+
+
+def test_a_front_over_the_line_unseen_is_not_counted():
+    cars = [(STRAIGHT, BEGIN + QUARTER // 2, np.arange(50.0, 90.0, 2.0))]
+    lanes, _ = measured(cars, GRID, share=0.5)
+    assert lanes.loc[(APPROACH, 0), "counted"] == 0.0
+
+
+def test_doubt_of_existence_adds_to_the_error():
+    cars = [(STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0))]
+    runs, counts = seen_all(GRID)
+    doubted = VehicleTable(**{**vars(vehicles_of(cars)), "p_exists": np.array([0.6])})
+    found = measure_lanes(NETWORK, GRID, states_of(cars), doubted, runs, counts)
+    at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
+    assert found.lanes["volume_se"][at] == pytest.approx(math.sqrt(0.09 + 0.24))
+
+
+def test_speeds_heavy_vehicles_and_travel_times():
+    cars = [(STRAIGHT, BEGIN, np.arange(0.0, 98.0, 2.0)), (LEFT, BEGIN, np.arange(0.0, 98.0, 1.0))]
+    lanes, _ = measured(cars, GRID)
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["speed_time_mean"] == pytest.approx(7.5)
+    assert row["heavy"] == pytest.approx(0.5)
+    # 6 and 12 s over 60 m: mean 9 s; free at 36 km/h it takes 6 s
+    assert row["travel_time_s"] == pytest.approx(9.0, rel=1e-6)
+    assert row["delay_s"] == pytest.approx(3.0, rel=1e-6)
+    assert row["speed_mean"] == pytest.approx(60.0 / 9.0, rel=1e-6)
+    assert np.isnan(lanes.loc[(STRAIGHT, 0), "delay_s"])  # its free speed is not known
+    counts = row["speed_counts"]
+    assert len(counts) == SPEED_CLASSES
+    assert [k for k, each in enumerate(counts) if each] == [3, 7]  # 18 and 36 km/h
+
+
+def queue(fronts, still=30):
+    """Cars that drive up to their places by the stop line and stand there."""
+    came = -np.arange(4.0)[::-1]
+    return [(STRAIGHT, BEGIN, front + np.concatenate([came, np.zeros(still)])) for front in fronts]
+
+
+def test_a_queue_reaches_back_to_the_first_large_gap():
+    lanes, _ = measured(queue([59.0, 51.0, 38.0, 20.0]), GRID)  # gaps of 1, 3.5, 8.5 and 13.5 m
+    row = lanes.loc[(APPROACH, 0)]
+    assert row["queue_max_m"] == pytest.approx(60.0 - 38.0 + 4.5)
+    assert row["stops"] == 4.0
+    assert lanes.loc[(APPROACH, 1), "queue_max_m"] == 0.0
+    assert np.isnan(lanes.loc[(STRAIGHT, 0), "queue_max_m"])  # has no stop line
+    assert 0.0 < row["queue_mean_m"] < row["queue_max_m"]
+
+
+def test_who_stands_far_from_the_line_is_no_queue():
+    lanes, _ = measured(queue([45.0]), GRID)
+    assert lanes.loc[(APPROACH, 0), "queue_max_m"] == 0.0
+    assert lanes.loc[(APPROACH, 0), "stops"] == 1.0
+
+
+def brute_back(cars, step):
+    """Find the back of the queue at a step, car by car."""
+    at = []
+    for _, first, metres in cars:
+        k, slow = (step - first) // 4, np.gradient(metres, 0.2) < 5 / 3.6
+        if 5 <= k < len(metres) and metres[k] < 60.0 and slow[k - 5 : k + 1].all():
+            at.append(metres[k])
+    back = 0.0
+    for front in sorted(at, reverse=True):
+        if 60.0 - front - back > 10.0:
+            break
+        back = 60.0 - front + 4.5
+    return back
+
+
+@given(st.lists(st.tuples(st.floats(8.0, 59.5), st.integers(0, 200)), max_size=5))
+@settings(max_examples=40, deadline=None)
+def test_queues_are_those_found_car_by_car(places):
+    cars = [
+        (STRAIGHT, BEGIN + 4 * late, metres)
+        for (front, late), (*_, metres) in zip(
+            places, queue([front for front, _ in places]), strict=True
+        )
+    ]
+    lanes, _ = measured(cars, GRID)
+    backs = [brute_back(cars, BEGIN + 4 * k) for k in range(QUARTER // 4)]
+    assert lanes.loc[(APPROACH, 0), "queue_max_m"] == pytest.approx(max(backs))
+    assert lanes.loc[(APPROACH, 0), "queue_mean_m"] == pytest.approx(np.mean(backs))
+
+
+def test_who_stood_when_first_found_has_not_stopped_and_slow_for_less_than_1_s_is_no_stop():
+    still = [(STRAIGHT, BEGIN, np.full(30, 50.0))]
+    lanes, _ = measured(still, GRID)
+    assert lanes.loc[(APPROACH, 0), "stops"] == 0.0
+    assert lanes.loc[(APPROACH, 0), "queue_max_m"] == pytest.approx(14.5)
+    brief = states_of([(STRAIGHT, BEGIN, np.array([0, 2, 4, 4, 4, 4, 6, 8], float))])
+    assert not standing_states(brief).stands.any()
+
+
+def test_a_front_that_wavers_over_the_line_counts_once():
+    cars = [(STRAIGHT, BEGIN, np.array([58.0, 59.9, 60.1, 59.9, 60.1, 62.0, 64.0]))]
+    lanes, _ = measured(cars, GRID)
+    assert lanes.loc[APPROACH, "counted"].tolist() == [1, 0, 0, 0]
+
+
+def test_exits_that_are_not_visible_keep_what_may_have_taken_them():
+    """Of two cars one goes straight; the left exit is hidden, and the other car with it."""
+    cars = [
+        (STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0)),
+        (LEFT, BEGIN, np.array([56.0, 58.0, 59.99, 60.0])),
+    ]
+    runs, counts = seen_all(GRID)
+    left = np.isin(counts.tile_id, TILES.loc[TILES["lanelet_id"] == LEFT, "tile_id"])
+    hidden = TileSteps(**{**vars(counts), "visible": np.where(left, 0.0, counts.visible)})
+    states = states_of(cars)
+    gone = (states.vehicle == 1) & (states.lane == np.searchsorted(NETWORK.lane, LEFT))
+    short = {  # followed up to the line and no farther
+        "along_m": np.where(gone, 60.0, states.along_m), "lane": np.where(gone, 0, states.lane),
+    }  # fmt: skip
+    states = FrontStates(**{
+        name: short.get(name, getattr(states, name))
+        for name in ("vehicle", "step", "lane", "along_m", "speed", "seen")
+    })  # fmt: skip
+    found = measure_lanes(NETWORK, GRID, states, vehicles_of(cars), runs, hidden)
+    turns = pd.DataFrame(found.turns).set_index(["from_lane", "to_lane", "interval"])
+    assert turns.loc[(APPROACH, STRAIGHT, 0), "volume"] == pytest.approx(1.0)
+    assert np.isnan(turns.loc[(APPROACH, LEFT, 0), "volume"])
+
+
+def test_a_site_without_vehicles_has_zeros_and_no_speeds():
+    lanes, turns = measured([], GRID)
+    assert lanes["counted"].eq(0).all()
+    assert turns["volume"].eq(0.0).all()
+    assert lanes["speed_mean"].isna().all()
+
+
+def test_lanes_before_a_stop_line_fan_out_without_being_turns():
+    rows = strip(1, (0, 0), 0, 40, 0)
+    for lane, turn in ((2, 10), (3, -10)):
+        rows += strip(lane, (40, 0), turn, 40, len(rows))
+    tiles = gpd.GeoDataFrame(rows, crs=UTM)
+    assert LaneNetwork.of(tiles, {2: 39.0, 3: 39.0}).turns() == []
+    assert LaneNetwork.of(tiles).turns() == [Turn(0, 1, ()), Turn(0, 2, ())]  # a diverge
+    strips = LaneNetwork.of(tiles, {2: 39.0}).queue_strips()
+    assert strips.lane.tolist() == [0, 1]
+    assert strips.to_line_m.tolist() == [79.0, 39.0]
+
+
+def test_turns_lead_over_connectors():
+    """Two approaches, each with a connector to either of two exits."""
+    rows = strip(1, (0, 0), 0, 20, 0)
+    for lane, turn in ((3, 10), (4, -10)):
+        rows += strip(lane, (20, 0), turn, 20, len(rows))
+    up = (20 + 20 * math.cos(math.radians(10)), 20 * math.sin(math.radians(10)))
+    down = (up[0], -up[1])
+    rows += strip(5, up, 10, 20, len(rows))
+    rows += strip(6, down, -10, 20, len(rows))
+    beside = [(up[0] - 20 * math.cos(math.radians(d)), y - 20 * math.sin(math.radians(d)))
+              for d, y in ((-15, up[1]), (15, down[1]))]  # fmt: skip
+    rows += strip(7, beside[0], -15, 20, len(rows))
+    rows += strip(8, beside[1], 15, 20, len(rows))
+    network = LaneNetwork.of(gpd.GeoDataFrame(rows, crs=UTM))
+    assert network.lane[network.connector].tolist() == [3, 4]
+    named = [(network.lane[t.start], network.lane[t.end], [network.lane[k] for k in t.via])
+             for t in network.turns()]  # fmt: skip
+    assert (1, 5, [3]) in named
+    assert (1, 6, [4]) in named

@@ -1,0 +1,229 @@
+"""`gis-radar traffic`: tables, a workbook, layers for QGIS, and files that SUMO reads."""
+
+import csv
+import json
+import re
+import sqlite3
+import zipfile
+from contextlib import closing
+from xml.etree import ElementTree as ET
+
+import geopandas as gpd
+import pandas as pd
+import pytest
+from datasets import HOUR, write_dataset
+from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
+
+import gis_radar as gr
+from gis_radar.dataset import STEPS_PER_HOUR
+from simulation.sumo import run as run_sumo
+
+BEGIN = HOUR * STEPS_PER_HOUR
+CARS = {STRAIGHT: 5, LEFT: 3}
+FILES = {
+    "traffic.csv", "turns.csv", "traffic.xlsx", "traffic.gpkg", "sumo.edgedata.xml",
+    "sumo.lanedata.xml", "sumo.turns.xml",
+}  # fmt: skip
+SHEET = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Eight cars in the first quarter of an hour, each a minute after the last, and one later."""
+    exits = [lane for lane, count in CARS.items() for _ in range(count)]
+    tracks = [through(n, BEGIN + 1200 * n, lane) for n, lane in enumerate(exits)]
+    tracks.append(through(90, BEGIN + 20_000, LEFT))
+    folder = tmp_path_factory.mktemp("fork") / "dataset"
+    return fork_dataset(folder, tracks, timezone="Europe/Berlin")
+
+
+@pytest.fixture
+def written(run, dataset, tmp_path):
+    """Run the command; give its folder and its last line."""
+
+    def call(*options):
+        code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--json", *options)
+        assert code == 0, out
+        return tmp_path / "out", json.loads(out.splitlines()[-1])
+
+    return call
+
+
+def sheet_of(path, number):
+    """Read a sheet by the standard library: rows of cells, texts told from numbers."""
+    with zipfile.ZipFile(path) as file:
+        shared = ET.fromstring(file.read("xl/sharedStrings.xml"))  # noqa: S314 - ours
+        texts = ["".join(each.itertext()).strip() for each in shared.iter(f"{SHEET}si")]
+        root = ET.fromstring(file.read(f"xl/worksheets/sheet{number}.xml"))  # noqa: S314
+        names = re.findall(r'<sheet name="([^"]*)"', file.read("xl/workbook.xml").decode())
+    assert root.find(f".//{SHEET}f") is None  # no formula
+    rows = []
+    for row in root.iter(f"{SHEET}row"):
+        cells = {}
+        for cell in row.iter(f"{SHEET}c"):
+            value = cell.find(f"{SHEET}v").text.strip()
+            column = re.match("[A-Z]+", cell.get("r"))[0]
+            cells[column] = texts[int(value)] if cell.get("t") == "s" else float(value)
+        rows.append(cells)
+    return names, rows
+
+
+def test_all_files_are_named_and_there(written):
+    folder, last = written()
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert [*map(str, sorted(folder.iterdir()))] == sorted(last["outputs"])
+    summary = last["summary"]
+    assert summary["lanes"] == 3
+    assert summary["turns"] == 2
+    assert summary["vehicles_at_stop_lines"] == 9
+    assert summary["begin"] == "2023-11-14T23:00:00+01:00"
+
+
+def test_tables_are_those_of_the_dataset(written, dataset):
+    folder, _ = written()
+    rows = list(csv.DictReader((folder / "traffic.csv").open(encoding="utf-8")))
+    first = rows[0]
+    assert first["name"] == "'=Ring eastbound, lane 1 (left turn and straight ahead)"
+    assert first["begin"] == "2023-11-14T23:00:00+01:00"
+    assert first["counted"] == "8"
+    assert float(first["speed_kmh"]) == pytest.approx(36.0, rel=1e-3)
+    turns = pd.read_csv(folder / "turns.csv")
+    assert turns["turn"].unique().tolist() == ["straight"]  # 25 degrees are no turn
+    assert turns["volume"].tolist()[:1] == [5.0]
+    both = turns[turns["begin"] == turns["begin"].min()]
+    assert both.set_index("to_lane")["volume"].to_dict() == {STRAIGHT: 5.0, LEFT: 3.0}
+    assert len(rows) == len(dataset.traffic())
+
+
+def test_german_spreadsheets_open_the_table(written):
+    folder, _ = written("--csv-locale", "de", "--language", "de")
+    text = (folder / "traffic.csv").read_text(encoding="utf-8-sig")
+    assert text.splitlines()[1].startswith("10;'=Ring nach Osten, Fahrstreifen 1 (links ab und ")
+    assert ";1,0;" in text
+
+
+def test_the_workbook_has_a_sheet_each_with_ids_and_names_as_text(written):
+    folder, _ = written()
+    names, lanes = sheet_of(folder / "traffic.xlsx", 1)
+    assert names == ["Lanes", "Turns"]
+    head, first = lanes[0], lanes[1]
+    titles = {title: column for column, title in head.items()}
+    assert first[titles["Lane (id)"]] == "10"
+    assert first[titles["Lane"]].startswith("=Ring eastbound")  # text, as it has no <f>
+    assert first[titles["Counted [veh]"]] == 8.0
+    assert titles["Mean speed on the lane [km/h]"]
+    day = pd.Timestamp("1899-12-30") + pd.to_timedelta(first[titles["Begin (Europe/Berlin)"]], "D")
+    assert day.round("s") == pd.Timestamp("2023-11-14 23:00")
+    _, turns = sheet_of(folder / "traffic.xlsx", 2)
+    assert [row["A"] for row in turns[1:]] == ["10"] * 4
+
+
+def test_the_workbook_speaks_german(written):
+    folder, _ = written("--language", "de")
+    names, lanes = sheet_of(folder / "traffic.xlsx", 1)
+    assert names == ["Fahrstreifen", "Abbiegen"]
+    assert "Verkehrsstärke [Kfz/h]" in lanes[0].values()
+
+
+def test_layers_have_times_in_utc_and_a_style(written, dataset):
+    folder, _ = written()
+    lanes = gpd.read_file(folder / "traffic.gpkg", layer="lanes")
+    turns = gpd.read_file(folder / "traffic.gpkg", layer="turns")
+    assert lanes.crs == dataset.crs
+    assert lanes["begin"].iloc[0] == pd.Timestamp("2023-11-14T22:00Z")
+    assert lanes["counted"].iloc[0] == 8
+    assert turns.geometry.length.round(3).eq(2.0).all()  # 1 m on either side of the line
+    with closing(sqlite3.connect(folder / "traffic.gpkg")) as database:
+        styles = dict(database.execute("SELECT f_table_name, styleQML FROM layer_styles"))
+    assert styles.keys() == {"lanes", "turns"}
+    for qml in styles.values():
+        assert 'attr="volume_veh_h"' in qml
+        assert ET.fromstring(qml.partition("\n")[2]) is not None  # noqa: S314 - ours
+    assert 'fixedDuration="899990"' in styles["lanes"]
+
+
+def test_sumo_reads_back_the_same_turns(written, tmp_path, sumo_installed):
+    folder, _ = written("--end", "2023-11-14 23:15")
+    nodes = [("a", 0, 0), ("b", 60, 0), ("c", 100, 0), ("d", 96, 17)]
+    edges = [(APPROACH, "a", "b"), (STRAIGHT, "b", "c"), (LEFT, "b", "d")]
+    files = {
+        "n.xml": "<nodes>" + "".join(f'<node id="{n}" x="{x}" y="{y}"/>' for n, x, y in nodes)
+        + "</nodes>",
+        "e.xml": "<edges>" + "".join(f'<edge id="{e}" from="{a}" to="{b}"/>' for e, a, b in edges)
+        + "</edges>",
+        "f.xml": f'<routes><flow id="f" from="{APPROACH}" begin="0" end="900" number="8"/>'
+        "</routes>",
+    }  # fmt: skip
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    at = {name: str(tmp_path / name) for name in (*files, "net.xml", "routes.xml")}
+    run_sumo("netconvert", ["-n", at["n.xml"], "-e", at["e.xml"], "-o", at["net.xml"]])
+    run_sumo("jtrrouter", [
+        "-n", at["net.xml"], "-r", at["f.xml"], "--turn-ratio-files",
+        str(folder / "sumo.turns.xml"), "--accept-all-destinations", "-o", at["routes.xml"],
+        "--seed", "3",
+    ])  # fmt: skip
+    routes = ET.parse(at["routes.xml"]).iter("route")  # noqa: S314 - SUMO's
+    taken = pd.Series([each.get("edges").split()[-1] for each in routes]).value_counts()
+    assert taken.sum() == 8
+    assert set(taken.index) == {str(STRAIGHT), str(LEFT)}
+    root = ET.parse(folder / "sumo.turns.xml").getroot()  # noqa: S314 - ours
+    counts = {each.get("to"): float(each.get("count")) for each in root.iter("edgeRelation")}
+    assert counts == {str(lane): count for lane, count in CARS.items()}
+
+
+def test_edges_and_lanes_carry_the_measures(written):
+    folder, _ = written()
+    edges = ET.parse(folder / "sumo.edgedata.xml").getroot()  # noqa: S314 - ours
+    first = edges.find("interval")
+    assert (first.get("begin"), first.get("end")) == ("0.00", "900.00")
+    assert first.find("edge").get("entered") == "8.00"
+    assert float(first.find("edge").get("speed")) == pytest.approx(10.0, abs=0.05)
+    lanes = ET.parse(folder / "sumo.lanedata.xml").getroot()  # noqa: S314 - ours
+    assert lanes.find("interval/edge/lane").get("id") == "10_0"
+
+
+def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path):
+    code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
+    assert code == 0
+    assert "take a shorter --interval" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "text"),
+    [
+        (["--interval", "7min"], 2, "neither a part of 15 min"),
+        (["--begin", "2030-01-01"], 3, "no lane is observed in that time"),
+        (["--begin", "2023-11-15", "--end", "2023-11-14"], 2, "is not after begin"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(run, dataset, tmp_path, options, code, text):
+    got, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
+    assert got == code
+    assert text in " ".join(err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_files_of_others_stays(run, dataset, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path)
+    assert code == 3
+    assert "mine.txt" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_dataset_of_hits_alone_is_refused(run, tmp_path):
+    folder = write_dataset(tmp_path / "data", hours=[HOUR], vehicles=False).folder
+    code, _, err = run("traffic", folder, "-o", tmp_path / "out")
+    assert code == 3
+    assert "holds no vehicles" in err
+
+
+def test_the_same_in_python(dataset, tmp_path):
+    made = gr.make_traffic(dataset, interval="1h")
+    assert isinstance(made, gr.Traffic)
+    assert made.lanes["name"].iloc[0].startswith("=Ring eastbound")
+    made.write(tmp_path / "one", language="de")
+    made.write(tmp_path / "two", language="de")
+    for name in FILES - {"traffic.gpkg", "traffic.xlsx"}:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
