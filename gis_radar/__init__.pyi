@@ -54,11 +54,13 @@ from .poses import (
     write_track,
 )
 from .products import (
+    Comparison,
     HeatMap,
     MapLabels,
     Quality,
     Report,
     Traffic,
+    compare,
     make_heatmap,
     make_traffic,
     measure_quality,
@@ -66,6 +68,7 @@ from .products import (
     read_heatmap,
     to_trajectories,
     track_points,
+    write_comparison,
     write_footprints,
     write_projection,
     write_qgis_project,
@@ -91,6 +94,7 @@ from .site import Site, SiteCheck, SiteRun, check_site, read_site, run_site, sit
 
 __all__ = [
     "Clocks",
+    "Comparison",
     "Conversion",
     "CrsError",
     "Dataset",
@@ -129,6 +133,7 @@ __all__ = [
     "View",
     "check_against_scan",
     "check_site",
+    "compare",
     "convert",
     "draw_localization",
     "draw_scan_check",
@@ -172,6 +177,7 @@ __all__ = [
     "track_points",
     "with_road_heights",
     "withdraw",
+    "write_comparison",
     "write_footprints",
     "write_pose",
     "write_projection",

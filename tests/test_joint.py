@@ -27,7 +27,7 @@ from gis_radar.calibration.adjustment import (
     shared_covariance,
 )
 from gis_radar.calibration.certainty import plane_covariance, stated_covariance
-from gis_radar.calibration.correspondences import HALF_LENGTH_M, Moments, assign, compare
+from gis_radar.calibration.correspondences import HALF_LENGTH_M, Moments, assign, compare_moments
 from gis_radar.calibration.joint import common_time, locate_all
 from gis_radar.calibration.moving import Span, best_end, read_span
 from gis_radar.calibration.network import FIRM_PAIRS
@@ -447,9 +447,9 @@ def stepped(seen, step):
 @pytest.mark.parametrize("part", range(6))
 def test_derivatives_by_the_poses_are_right(part):
     one, other = some_moments(1, [0.0, 12.0, 5.0]), some_moments(1, [60.0, -15.0, 6.0])
-    rows, step = compare(one, other), np.zeros(6)
+    rows, step = compare_moments(one, other), np.zeros(6)
     step[part] = 1e-5
-    after = compare(stepped(one, step[:3]), stepped(other, step[3:]))
+    after = compare_moments(stepped(one, step[:3]), stepped(other, step[3:]))
     assert (rows.tracks == after.tracks).all()
     # that a turn changes the aspect, and the share of the sides with it, is left out
     off = np.abs((after.gap - rows.gap) / 1e-5 - rows.poses[:, :, part])

@@ -14,7 +14,7 @@ from gis_radar.calibration.lanes import Placed, Scene, place
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.residuals import (
     VIEW_EDGE,
-    Comparison,
+    LaneComparison,
     assemble,
     height,
     height_over_road,
@@ -138,9 +138,9 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
     return min(models, key=cost)
 
 
-def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> Comparison:
+def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> LaneComparison:
     """Return what residuals of a model compare, near an answer."""
-    return Comparison(
+    return LaneComparison(
         lanes=scene.lanes,
         placed=placed,
         matches=fit.matches,

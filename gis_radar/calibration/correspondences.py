@@ -237,7 +237,7 @@ class Rows:
         return Rows(pair=number, tracks=self.tracks[pairs], **cut)
 
 
-def compare(one: Moments, other: Moments, model: Model = MODEL) -> Rows:
+def compare_moments(one: Moments, other: Moments, model: Model = MODEL) -> Rows:
     """Compare all vehicles that two sensors see at the same moments, in the same direction.
 
     Parameters
@@ -347,7 +347,7 @@ def mean_gaps(rows: Rows, covariance: Floats, model: Model = MODEL) -> tuple[Flo
     Parameters
     ----------
     rows : Rows
-        From :func:`compare`.
+        From :func:`compare_moments`.
     covariance : (6, 6) array
         Of both sensors' easting, northing, yaw.
     model : Model

@@ -27,7 +27,7 @@ from gis_radar.calibration.correspondences import (
     Moments,
     Rows,
     assign,
-    compare,
+    compare_moments,
     mean_gaps,
     read_moments,
 )
@@ -198,7 +198,7 @@ class _Network:
         ]
 
     def place_all(self) -> None:
-        """Fix the sensors with a certain pose, compare them with each other, and place the rest."""
+        """Fix the sensors with a certain pose, compare_moments them with each other, and place the rest."""
         longest = {
             name: float(longest_m(plane_covariance(member.pose)))
             for name, member in self.all.items()
@@ -342,7 +342,7 @@ class _Network:
             for i, one in enumerate(names[:j]):
                 if (one, other) not in self.agreeing:
                     continue
-                rows = compare(at[one], at[other])
+                rows = compare_moments(at[one], at[other])
                 if len(rows.tracks) < LEAST_PAIRS:
                     continue
                 own = [*range(PLANE * i, PLANE * i + PLANE), *range(PLANE * j, PLANE * j + PLANE)]

@@ -18,7 +18,7 @@ from gis_radar.calibration.correspondences import (
     Moments,
     Rows,
     assign,
-    compare,
+    compare_moments,
     mean_gaps,
 )
 from gis_radar.calibration.lane_detections import LaneDetections
@@ -245,7 +245,7 @@ class _Score:
         self.parts: dict[str, tuple[Rows, Floats, Floats, Floats]] = {}
         loose = np.diag([STEP_M**2 / 3.0, STEP_M**2 / 3.0, GRID_YAW**2])
         for name, other in others.items():
-            rows = compare(other.seen, choice.seen)
+            rows = compare_moments(other.seen, choice.seen)
             if not len(rows.tracks):
                 continue
             covariance = np.zeros((2 * PLANE, 2 * PLANE))

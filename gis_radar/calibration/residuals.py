@@ -71,7 +71,7 @@ class Residuals:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class LaneComparison:
     """Samples matched to lanes, and the model that compares them.
 
     Parameters
@@ -91,7 +91,7 @@ class Comparison:
     scale_m: float
 
 
-def lateral(compared: Comparison, effect: Floats) -> Residuals:
+def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
     """Compare samples with the centre line of their lane, across it.
 
     A radar sees the faces of a vehicle that are turned to it: its side, sharp and `half_width`
@@ -101,7 +101,7 @@ def lateral(compared: Comparison, effect: Floats) -> Residuals:
 
     Parameters
     ----------
-    compared : Comparison
+    compared : LaneComparison
         What to compare.
     effect : (tracks, 1) array
         Random effect: how far each vehicle drives to the left of where drivers do, metres.
@@ -226,12 +226,12 @@ def _mixed(  # pragma: no cover - compiled
     return centre, precision, precision - (spread - mean**2), -np.log(whole)
 
 
-def height(compared: Comparison, effect: Floats) -> Residuals:
+def height(compared: LaneComparison, effect: Floats) -> Residuals:
     """Compare samples with the scanned road below them plus the height of reflections.
 
     Parameters
     ----------
-    compared : Comparison
+    compared : LaneComparison
         What to compare.
     effect : (tracks, spells) array
         Random effect: how much higher than others each vehicle appears in each spell, metres.

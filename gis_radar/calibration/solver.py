@@ -22,7 +22,7 @@ from gis_radar.calibration.lanes import (
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.residuals import (
     NO_VEHICLE,
-    Comparison,
+    LaneComparison,
     Normal,
     Residuals,
     assemble,
@@ -302,9 +302,9 @@ class _Cost:
         compared = self.compared(placed, matches)
         return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
 
-    def compared(self, placed: Placed, matches: Matches) -> Comparison:
+    def compared(self, placed: Placed, matches: Matches) -> LaneComparison:
         """Return what the residuals compare."""
-        return Comparison(
+        return LaneComparison(
             lanes=self.scene.lanes,
             placed=placed,
             matches=matches,

@@ -1,4 +1,4 @@
-"""The commands about a dataset: traffic, query, dataset."""
+"""The commands about a dataset: traffic, compare, query, dataset."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, Text, refuse_inputs
+from gis_radar.base import Reporter, Text, UsageError, refuse_inputs
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import DURATION, FILE, csv_locale, output
+from gis_radar.cli.options import DURATION, FILE, PERIOD, Period, csv_locale, output
 from gis_radar.cli.options import dataset as dataset_argument
 
 TOO_SHORT = Text(
@@ -48,6 +48,44 @@ def traffic(
     figures = made.figures()
     advice = "" if figures["rows_with_volume"] else TOO_SHORT
     return Result(outputs=outputs, summary=figures, advice=advice, timezone=measured.timezone)
+
+
+@command(
+    example="gis-radar compare dataset/ --before 2026-09-07/2026-09-21 "
+    "--after 2026-10-05/2026-10-19 --days Mo-Fr -o compared/"
+)
+@dataset_argument
+@click.argument("other", metavar="[DATASET2]", type=FILE, required=False)
+@output
+@click.option("--before", type=PERIOD, help="The first period, such as 2026-09-07/2026-09-21.")
+@click.option("--after", type=PERIOD, help="The second period; of DATASET2, where it is given.")
+@click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")
+@click.option(
+    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
+    help="Of the page, the lanes' names and the titles.",
+)  # fmt: skip
+@csv_locale
+def compare(
+    *, folder: Path, other: Path | None, output: Path, before: Period | None, after: Period | None,
+    csv_locale: str, language: str, days: str | None, reporter: Reporter,
+) -> Result:  # fmt: skip
+    """Compare the traffic of two periods by lane: what changed, and how sure that is."""
+    from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
+
+    if other is None and (before is None or after is None):
+        raise UsageError(
+            "a period is missing", hint="name --before and --after, or a second dataset"
+        )
+    refuse_inputs(output, folder, *([] if other is None else [other]))
+    first = gr.open_dataset(folder, reporter=reporter)
+    second = None if other is None else gr.open_dataset(other, reporter=reporter)
+    found = gr.compare(
+        first, second, before=before or (None, None), after=after or (None, None), days=days,
+        language=language,
+    )  # fmt: skip
+    with csv_for(csv_locale):
+        outputs = gr.write_comparison(found, output, language=language, reporter=reporter)
+    return Result(outputs=outputs, summary=found.figures(), timezone=first.timezone)
 
 
 @command(

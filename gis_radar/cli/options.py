@@ -17,6 +17,7 @@ from gis_radar.base import Text, UsageError
 
 FILE = click.Path(path_type=Path)
 Verb = TypeVar("Verb", bound=Callable[..., Any])
+Period = tuple[str, str]
 
 
 class Parsed(click.ParamType):  # type: ignore[type-arg]
@@ -115,11 +116,19 @@ def _cycles(text: str) -> dict[str, float]:
     return cycles
 
 
+def _period(text: str) -> Period:
+    begin, slash, end = (part.strip() for part in text.partition("/"))
+    if not (begin and slash and end):
+        raise ValueError(Text("{} is no period, expected as 2026-09-07/2026-09-21", repr(text)))
+    return begin, end
+
+
 POSITION = Parsed("E,N[,H]", _position)  # easting and northing, and a height if one likes
 BEARING = Parsed("BEARING", _bearing)  # clockwise from true north: degrees, or a word
 WORDS = Parsed("a,b,...", _words)
 PAIRS = Parsed("a=A,b=B,...", _pairs)  # names and what they stand for
 DURATION = Parsed("DURATION", _duration)  # in seconds; a bare number is seconds
+PERIOD = Parsed("T/T", _period)  # from a time up to another one
 CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # times from frame to frame by sensor
 
 

@@ -1,3 +1,4 @@
+from .comparison import COMPARISON, ComparisonSettings, compare_values, holm_corrected
 from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .hit_counter import FrameCounter
@@ -30,11 +31,13 @@ from .settings import HIT_DEFAULTS, Filters, HitSettings
 from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 
 __all__ = [
+    "COMPARISON",
     "HIT_DEFAULTS",
     "LONGEST_VALID_STEPS",
     "MARGIN_STEPS",
     "NO_FURTHER",
     "SPEED_CLASS_KMH",
+    "ComparisonSettings",
     "Filters",
     "FrameCounter",
     "FrameIndex",
@@ -59,7 +62,9 @@ __all__ = [
     "ValidFrames",
     "VehicleTable",
     "VisibleRuns",
+    "compare_values",
     "frame_columns",
+    "holm_corrected",
     "lane_names",
     "measure_lanes",
     "observed_runs",

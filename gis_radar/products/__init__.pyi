@@ -1,3 +1,5 @@
+from .comparison.comparison import Comparison, compare
+from .comparison.writing import write_comparison
 from .footprints import write_footprints
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
 from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
@@ -18,6 +20,7 @@ __all__ = [
     "NEVER_HIT",
     "NOT_OBSERVED",
     "REPORT_FILES",
+    "Comparison",
     "HeatMap",
     "MapLabels",
     "Quality",
@@ -25,6 +28,7 @@ __all__ = [
     "Report",
     "Traffic",
     "colour_classes",
+    "compare",
     "lane_totals",
     "lanes_with_tiles",
     "make_heatmap",
@@ -36,6 +40,7 @@ __all__ = [
     "to_trajectories",
     "track_points",
     "was_edited",
+    "write_comparison",
     "write_footprints",
     "write_projection",
     "write_qgis_project",

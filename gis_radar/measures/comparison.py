@@ -1,0 +1,188 @@
+"""Comparison of two periods: by how much a measure of a lane differs, and how sure that is.
+
+What is compared with what follows from how long the periods are:
+
+- *days*: three days and more in each. The mean of each day is one value; two sets of days differ by
+  Welch's t-test (Welch 1947). Traffic of a day goes together, so a day, not an interval, is what
+  varies independently.
+- *times of day*: fewer days. The same times of day, before and after, are pairs; their differences
+  have a t-test of one sample.
+- *intervals*: the periods share no three times of day. Their intervals differ by Welch's test, and
+  what differs may be the time of day.
+
+Intervals that follow each other are alike, as a queue lasts. With a correlation r of neighbours, n
+values are worth n (1 - r) / (1 + r) (Bartlett 1946).
+
+Of many lanes some seem to differ by chance. Probabilities are corrected by Holm's procedure (Holm
+1979): the chance to name any lane in which nothing changed stays under the level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import scipy
+
+from gis_radar.base import Floats
+
+DAYS, TIMES, INTERVALS = "days", "times of day", "intervals"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonSettings:
+    """Constants of comparisons.
+
+    Parameters
+    ----------
+    level : float
+        Chance to name any lane where nothing changed.
+    least_units : int
+        Days, pairs or intervals of which a variance is estimated; of two it is worth nothing.
+    most_alike : float
+        Bound of the correlation of neighbours: from few values it is known badly.
+    """
+
+    level: float = 0.05
+    least_units: int = 3
+    most_alike: float = 0.8
+
+
+COMPARISON = ComparisonSettings()
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference with its error.
+
+    Parameters
+    ----------
+    before, after : float
+        Means of the two periods over what is compared.
+    se : float
+        Standard error of `after - before`; NaN where it cannot be told.
+    freedom : float
+        Degrees of freedom of the error.
+    units : str
+        What was compared: days, times of day or intervals.
+    count : int
+        How many of them, in the smaller period.
+    """
+
+    before: float
+    after: float
+    se: float
+    freedom: float
+    units: str
+    count: int
+
+    @property
+    def difference(self) -> float:
+        """What is more after than before."""
+        return self.after - self.before
+
+    def half_width(self, level: float) -> float:
+        """Return half of the interval that holds the difference but for a chance of `level`."""
+        return float(scipy.stats.t.isf(level / 2.0, self.freedom) * self.se)
+
+    @property
+    def p(self) -> float:
+        """Chance of such a difference, or a larger one, where nothing changed."""
+        if not self.se > 0.0:
+            return float("nan") if np.isnan(self.se) else float(self.difference == 0.0)
+        return float(2.0 * scipy.stats.t.sf(abs(self.difference) / self.se, self.freedom))
+
+
+def compare_values(
+    before: pd.DataFrame, after: pd.DataFrame, settings: ComparisonSettings = COMPARISON
+) -> Difference:
+    """Compare a measure in two periods.
+
+    Parameters
+    ----------
+    before, after : DataFrame
+        `day` (which day, ascending), `time` (when in it the interval begins, any unit) and `value`;
+        rows in the order of time. Values that are not known are left out.
+    settings : ComparisonSettings
+        Constants.
+
+    Returns
+    -------
+    Difference
+        With `se` NaN where there is too little to tell.
+    """
+    least = settings.least_units
+    shared = np.intersect1d(before["time"], after["time"])
+    if len(shared) >= least or min(before["day"].nunique(), after["day"].nunique()) >= least:
+        before, after = (each[each["time"].isin(shared)] for each in (before, after))
+    days = [_day_means(each, before, after) for each in (before, after)]
+    if len(shared) and min(map(len, days)) >= least:
+        return _welch(days[0], days[1], DAYS, 0.0)
+    if len(shared) >= least:
+        return _paired(before, after, settings)
+    values = [each["value"].to_numpy(np.float64) for each in (before, after)]
+    if min(map(len, values)) < least:
+        means = [float(each.mean()) if len(each) else np.nan for each in values]
+        return Difference(means[0], means[1], np.nan, np.nan, INTERVALS, min(map(len, values)))
+    alike = max(_alike(each, settings) for each in values)
+    return _welch(values[0], values[1], INTERVALS, alike)
+
+
+def _day_means(table: pd.DataFrame, before: pd.DataFrame, after: pd.DataFrame) -> Floats:
+    """Return the mean of each day, as if it had all times of day.
+
+    A day without its peak is not a quiet day: each value counts by what it differs from the usual
+    one of its time.
+    """
+    if before.empty or after.empty:
+        return np.zeros(0)
+    usual = 0.5 * (before.groupby("time")["value"].mean() + after.groupby("time")["value"].mean())
+    beyond = table["value"] - table["time"].map(usual)
+    found = usual.mean() + beyond.groupby(table["day"]).mean()
+    return np.asarray(found.to_numpy(np.float64))
+
+
+def _paired(before: pd.DataFrame, after: pd.DataFrame, settings: ComparisonSettings) -> Difference:
+    first, second = (each.groupby("time")["value"].mean().sort_index() for each in (before, after))
+    apart = (second - first).to_numpy(np.float64)
+    alike = _alike(apart, settings)
+    worth = len(apart) * (1.0 - alike) / (1.0 + alike)
+    se = float(apart.std(ddof=1) / np.sqrt(worth))
+    freedom = max(worth - 1.0, 1.0)
+    return Difference(float(first.mean()), float(second.mean()), se, freedom, TIMES, len(apart))
+
+
+def _welch(before: Floats, after: Floats, units: str, alike: float) -> Difference:
+    worth = [len(each) * (1.0 - alike) / (1.0 + alike) for each in (before, after)]
+    parts = [float(each.var(ddof=1)) / n for each, n in zip((before, after), worth, strict=True)]
+    spread = sum(part**2 / max(n - 1.0, 1.0) for part, n in zip(parts, worth, strict=True))
+    freedom = sum(parts) ** 2 / spread if spread > 0.0 else max(min(worth) - 1.0, 1.0)
+    count = min(len(before), len(after))
+    return Difference(
+        float(before.mean()), float(after.mean()), float(np.sqrt(sum(parts))), freedom, units, count
+    )
+
+
+def _alike(values: Floats, settings: ComparisonSettings) -> float:
+    """Return the correlation of neighbouring values, 0 where they are not alike."""
+    off = values - values.mean()
+    power = float((off**2).sum())
+    found = float((off[1:] * off[:-1]).sum()) / power if power > 0.0 else 0.0
+    return min(max(found, 0.0), settings.most_alike)
+
+
+def holm_corrected(p: Floats) -> Floats:
+    """Return probabilities corrected for how many there are, by Holm's procedure.
+
+    Parameters
+    ----------
+    p : (n,) array
+        Of each test by itself; NaN where there is none, which does not count.
+    """
+    known = np.flatnonzero(~np.isnan(p))
+    order = known[np.argsort(p[known], kind="stable")]
+    found: Floats = np.full(len(p), np.nan)
+    steps = p[order] * np.arange(len(order), 0, -1)
+    found[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
+    return found

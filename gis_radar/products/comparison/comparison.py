@@ -1,0 +1,304 @@
+"""Compare the traffic of two periods by lane: what differs, by how much, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import InputError, NoAnswerError, Text, UsageError, current_language
+from gis_radar.dataset import Dataset
+from gis_radar.measures import COMPARISON, ComparisonSettings, compare_values, holm_corrected
+from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike
+
+DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
+INTERVAL, FINER = "15min", "5min"
+FEW_HOURS = 12  # up to which quarters of an hour are too few to compare
+MORE, LESS, NOT_TOLD = "more", "less", "not told"
+Period = tuple[Any, Any]
+
+
+class Compared(NamedTuple):
+    """A measure that is compared.
+
+    Parameters
+    ----------
+    title : Text
+        What it is, with its unit.
+    less, more : Text
+        What it is called where there is less or more of it.
+    better : int
+        1 where more is better, -1 where less is, 0 where neither.
+    resolution : float
+        The least difference that is told, however sure: what the measurement resolves.
+    digits : int
+        That are shown.
+    """
+
+    title: Text
+    less: Text
+    more: Text
+    better: int
+    resolution: float
+    digits: int
+
+
+COMPARED = {
+    "volume_veh_h": Compared(
+        Text("Volume [veh/h]"), Text("fewer vehicles"), Text("more vehicles"), 0, 1.0, 0
+    ),
+    "speed_kmh": Compared(
+        Text("Mean speed on the lane [km/h]"), Text("slower"), Text("faster"), 1, 0.1, 1
+    ),
+    "occupancy": Compared(
+        Text("Occupancy [0-1]"), Text("less occupied"), Text("more occupied"), -1, 0.001, 3
+    ),
+    "delay_s": Compared(Text("Delay [s]"), Text("less delay"), Text("more delay"), -1, 0.1, 1),
+    "queue_max_m": Compared(
+        Text("Longest queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """The traffic of two periods, compared by lane.
+
+    Parameters
+    ----------
+    table : GeoDataFrame
+        A row a lane and measure: `lane`, `name`, `measure`, `before`, `after`, `difference`,
+        `percent`, `se`, `low` and `high` (which hold the difference in 95 %), `p`, `p_corrected`
+        (for the number of lanes), `verdict` (`more`, `less` or `not told`), `units` (what was
+        compared: days, times of day or intervals) and `count` (how many), `watchers` (the sensors);
+        the lane's line.
+    left_out : DataFrame
+        Lanes that do not compare: `lane`, `name`, `seen` (by whom before / after; where that is the
+        same sensor, how many of its tiles).
+    used : tuple of float
+        Share of the rows of each period that were compared.
+    before, after : tuple
+        Begin and end of what is there of each period, in the site's zone.
+    doubts : sequence of str
+        Of poses and recordings.
+    """
+
+    table: gpd.GeoDataFrame
+    left_out: pd.DataFrame
+    used: tuple[float, float]
+    before: Period
+    after: Period
+    doubts: Sequence[str] = ()
+
+    def figures(self) -> dict[str, Any]:
+        """Return what was compared, and in how many lanes a difference is told."""
+        told = self.table[self.table["verdict"] != NOT_TOLD]
+        changed = told.groupby(["measure", "verdict"]).size()
+        periods = {"before": self.before, "after": self.after}
+        return {
+            **{name: "/".join(each.isoformat() for each in ends) for name, ends in periods.items()},
+            "lanes_compared": int(self.table["lane"].nunique()),
+            "lanes_not_seen_alike": len(self.left_out),
+            "share_of_before_used": round(self.used[0], 3),
+            "share_of_after_used": round(self.used[1], 3),
+            "compared_by": sorted(set(self.table["units"])),
+            "lanes_with_a_change": {f"{name}, {way}": int(n) for (name, way), n in changed.items()},
+        }
+
+
+def compare(
+    dataset: Dataset,
+    other: Dataset | None = None,
+    *,
+    before: Period,
+    after: Period,
+    days: str | None = None,
+    language: str | None = None,
+    settings: ComparisonSettings = COMPARISON,
+) -> Comparison:
+    """Compare the traffic of two periods by lane.
+
+    Only what the same sensors saw alike in both is compared; of periods of three days and more,
+    days are compared, of shorter ones the same times of day, or else intervals
+    (:mod:`gis_radar.measures.comparison`).
+
+    Parameters
+    ----------
+    dataset, other : Dataset
+        With vehicles. The second period is of `other`, where it is given.
+    before, after : (begin, end)
+        The periods, as for :meth:`gis_radar.Dataset.traffic`; None for a whole dataset.
+    days : str, optional
+        Only these days of the week, such as `Mo-Fr` or `Sa,Su`.
+    language : str, optional
+        Of the lanes' names.
+    settings : ComparisonSettings
+        Level of the tests.
+
+    Raises
+    ------
+    UsageError
+        If the periods overlap, or there are no such days.
+    InputError
+        If the datasets differ in tiles, method or settings, or one holds no vehicles.
+    NoAnswerError
+        If no lane was seen alike in both periods.
+    """
+    other = other or dataset
+    _require_alike(dataset, other)
+    if other is dataset:
+        _require_apart(dataset, before, after)
+    sources = ((dataset, before), (other, after))
+    options = {"language": language or current_language()}
+    rows = _rows(sources, _day_numbers(days), options)
+    sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
+    return _compared(rows, sights, settings, dataset.doubts, other.doubts)
+
+
+def _require_alike(dataset: Dataset, other: Dataset) -> None:
+    """Refuse datasets whose results differ for other reasons than the traffic."""
+    both = (dataset, other)
+    differing: dict[str, list[Any]] = {
+        "tiles": [each.manifest.fingerprint for each in both],
+        "settings": [each.manifest.settings for each in both],
+        "methods": [number for each in both for number in each.methods],
+    }
+    for what, values in differing.items():
+        if any(each != values[0] for each in values):
+            raise InputError(
+                "{} and {}: were made with different {}",
+                dataset.folder,
+                other.folder,
+                what,
+                hint="measure the recordings of both again, alike",
+            )
+
+
+def _require_apart(dataset: Dataset, before: Period, after: Period) -> None:
+    first, second = dataset.span(*before), dataset.span(*after)
+    if first is None or second is None or (first[0] <= second[1] and second[0] <= first[1]):
+        raise UsageError(
+            "the periods before and after overlap", hint="name two that have no time in common"
+        )
+
+
+def _day_numbers(days: str | None) -> set[int]:
+    """Return the days of the week that a text such as `Mo-Fr,Su` names, from Monday as 0."""
+    found: set[int] = set()
+    for part in (days or "Mo-Su").split(","):
+        ends = [each.strip().capitalize() for each in part.split("-")]
+        if not set(ends) <= set(DAY_NAMES) or len(ends) > 2:
+            raise UsageError(
+                "{} names no days of the week", repr(days), hint="such as Mo-Fr or Sa,Su"
+            )
+        first, last = DAY_NAMES.index(ends[0]), DAY_NAMES.index(ends[-1])
+        found |= {(first + k) % 7 for k in range((last - first) % 7 + 1)}
+    return found
+
+
+def _rows(
+    sources: Sequence[tuple[Dataset, Period]], days: set[int], options: dict[str, Any]
+) -> list[gpd.GeoDataFrame]:
+    """Read the traffic of both periods: by shorter intervals where quarters of an hour are few."""
+    hours = min(len(dataset.records(dataset.span(*period))) for dataset, period in sources)
+    if hours <= FEW_HOURS:
+        with suppress(InputError):  # the exact tables are gone
+            return [_rows_of(*source, FINER, days, options) for source in sources]
+    return [_rows_of(*source, INTERVAL, days, options) for source in sources]
+
+
+def _rows_of(
+    dataset: Dataset, period: Period, interval: str, days: set[int], options: dict[str, Any]
+) -> gpd.GeoDataFrame:
+    begin, end = period
+    rows = dataset.traffic(interval, begin=begin, end=end, **options)
+    rows = rows[rows["begin"].dt.day_of_week.isin(days)].reset_index(drop=True)
+    if rows.empty:
+        raise InputError(
+            "{}: no lane is observed from {} to {}",
+            dataset.folder,
+            begin or Text("its begin"),
+            end or Text("its end"),
+            hint="gis-radar dataset shows from when to when it was measured",
+        )
+    return rows
+
+
+def _compared(
+    rows: Sequence[gpd.GeoDataFrame], sights: Sequence[LaneSights], settings: ComparisonSettings,
+    *doubts: Sequence[str],
+) -> Comparison:  # fmt: skip
+    lines = pd.concat(rows)[["lane", "name", "geometry"]].drop_duplicates("lane").set_index("lane")
+    found, left_out, used = [], [], np.zeros(2)
+    for lane in sorted(lines.index):
+        watchers, why = seen_alike(sights[0], sights[1], int(lane))
+        if watchers is None:
+            left_out.append({"lane": lane, "name": lines.loc[lane, "name"], "seen": why})
+            continue
+        mine = [each.of_lane(int(lane)) for each in sights]
+        mine = [each[each["watchers"] == watchers] for each in mine]
+        used += [len(each) for each in mine]
+        found += [row | {"watchers": watchers} for row in _lane_rows(int(lane), mine, settings)]
+    if not found:
+        raise NoAnswerError(
+            "no lane was seen by the same sensors alike in both periods",
+            hint="compare periods with the same sensors at the same places",
+        )
+    table = _with_verdicts(pd.DataFrame(found), settings)
+    table.insert(1, "name", lines["name"].loc[table["lane"]].to_numpy())
+    geometry = lines["geometry"].loc[table["lane"]].to_numpy()
+    before, after = ((each["begin"].min(), each["end"].max()) for each in rows)
+    return Comparison(
+        table=gpd.GeoDataFrame(table, geometry=geometry, crs=rows[0].crs),
+        left_out=pd.DataFrame(left_out, columns=["lane", "name", "seen"]),
+        used=(float(used[0] / len(rows[0])), float(used[1] / len(rows[1]))),
+        before=before, after=after, doubts=sorted({line for each in doubts for line in each}),
+    )  # fmt: skip
+
+
+def _lane_rows(
+    lane: int, rows: Sequence[pd.DataFrame], settings: ComparisonSettings
+) -> Iterator[dict[str, Any]]:
+    """Yield the difference of each measure that the lane has in both periods."""
+    for measure in COMPARED:
+        values = [_values(each, measure) for each in rows]
+        if any(each.empty for each in values):
+            continue
+        found = compare_values(values[0], values[1], settings)
+        half = found.half_width(settings.level)
+        yield {
+            "lane": lane, "measure": measure, "before": found.before, "after": found.after,
+            "difference": found.difference,
+            "percent": 100.0 * found.difference / found.before if found.before else np.nan,
+            "se": found.se, "low": found.difference - half, "high": found.difference + half,
+            "p": found.p, "units": found.units, "count": found.count,
+        }  # fmt: skip
+
+
+def _values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
+    known = rows[rows[measure].notna()].sort_values("begin")
+    begin = known["begin"].dt
+    return pd.DataFrame(
+        {
+            "day": begin.date, "time": 60 * begin.hour + begin.minute,
+            "value": known[measure].astype(np.float64),
+        }
+    )  # fmt: skip
+
+
+def _with_verdicts(table: pd.DataFrame, settings: ComparisonSettings) -> pd.DataFrame:
+    """Tell which differences are more than chance, among all lanes of a measure."""
+    table = table.assign(p_corrected=np.nan, verdict=NOT_TOLD)
+    for measure in COMPARED:
+        mine = table["measure"] == measure
+        table.loc[mine, "p_corrected"] = holm_corrected(table.loc[mine, "p"].to_numpy(np.float64))
+    least = table["measure"].map({name: of.resolution for name, of in COMPARED.items()})
+    told = (table["p_corrected"] < settings.level) & (table["difference"].abs() >= least)
+    table.loc[told & (table["difference"] > 0.0), "verdict"] = MORE
+    table.loc[told & (table["difference"] < 0.0), "verdict"] = LESS
+    return table

@@ -1,0 +1,269 @@
+"""A comparison as files: a page to read, a table, a layer for QGIS, a map as a picture."""
+
+from __future__ import annotations
+
+import base64
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+from gis_radar.base import (
+    NO_FIGURE,
+    QUIET,
+    THIN_SPACE,
+    Clock,
+    LayerNotes,
+    Reporter,
+    Text,
+    add_layer,
+    add_styles,
+    atomic_folder,
+    current_language,
+    describe_layers,
+    figure_text,
+    keep_styles,
+    output_errors,
+    percent,
+    picture_file,
+    speaking,
+    tr,
+    write_csv,
+    writing_errors,
+)
+from gis_radar.products.comparison.comparison import COMPARED, LESS, MORE, NOT_TOLD, Comparison
+
+OWNED = ("compare.",)
+LAYER = "comparison"
+# Of the difference in percent: colours that do not rest on red and green, grey where none is told.
+BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
+COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
+SECTIONS = {
+    1: Text("Better"), -1: Text("Worse"), 0: Text("More or fewer vehicles"),
+    None: Text("Cannot be told"),
+}  # fmt: skip
+_WIDTH_MM = "1.4"
+
+
+def write_comparison(
+    comparison: Comparison, folder: str | Path, *, language: str | None = None,
+    reporter: Reporter = QUIET,
+) -> list[Path]:  # fmt: skip
+    """Write a comparison into a folder, which appears whole or not at all.
+
+    `compare.html` (one page, all inside), `compare.csv` (a row a lane and measure), `compare.gpkg`
+    (a layer of lanes, coloured by the change of the volume), `compare.png` (maps of what changed).
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Of :func:`gis_radar.compare`.
+    folder : str or Path
+        Where; an earlier result there is replaced.
+    language : str, optional
+        Of page and titles, `en` or `de`; the current one without it.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written, or holds other files.
+    """
+    folder = Path(folder)
+    writers: dict[str, Callable[[Path], object]] = {
+        "compare.csv": partial(_write_table, comparison.table),
+        "compare.gpkg": partial(_write_layer, comparison.table),
+        "compare.png": partial(draw_changes, comparison),
+        "compare.html": partial(_write_page, comparison),
+    }
+    with (
+        speaking(language or current_language()),
+        atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh,
+    ):
+        for done, (name, write) in enumerate(writers.items(), start=1):
+            with output_errors(folder / name), writing_errors(folder / name):
+                write(fresh / name)
+            reporter.progress("writing the comparison", done, len(writers))
+        keep_styles(fresh / "compare.gpkg", earlier=folder / "compare.gpkg")
+    return [folder / name for name in writers]
+
+
+def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
+    shown = pd.DataFrame(table.drop(columns="geometry")).astype({"lane": str})
+    rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)
+    write_csv(path, [*shown.columns], rows)
+
+
+def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return a row a lane: of each measure `..._before`, `_after`, `_se`, `_verdict`, `_change`.
+
+    `..._change` is the difference in percent where one is told, else 0.
+    """
+    lanes = table.drop_duplicates("lane").set_index("lane")[["name", "watchers", "geometry"]]
+    columns: dict[str, Any] = {}
+    for measure in COMPARED:
+        mine = table[table["measure"] == measure].set_index("lane").reindex(lanes.index)
+        told = mine["verdict"].notna() & (mine["verdict"] != NOT_TOLD)
+        for name in ("before", "after", "se", "verdict"):
+            columns[f"{measure}_{name}"] = mine[name]
+        columns[f"{measure}_change"] = mine["percent"].where(told, 0.0)
+    made = pd.concat([lanes[["name", "watchers"]], pd.DataFrame(columns)], axis=1).reset_index()
+    return gpd.GeoDataFrame(made, geometry=lanes["geometry"].to_numpy(), crs=table.crs)
+
+
+def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
+    measure = next(iter(COMPARED))
+    # with metadata of its own, GDAL makes the tables that titles need
+    kept = {"shows": measure}
+    add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=kept)
+    about = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
+    with closing(sqlite3.connect(path)) as database, database:
+        describe_layers(database, {LAYER: about})
+        style = change_style(f"{measure}_change")
+        add_styles(database, {LAYER: (style, "")}, name="change", about="change of the volume")
+
+
+def change_style(column: str) -> str:
+    """Return a QGIS style that colours lanes by a change in percent, grey where none is told."""
+    root = Element("qgis", {"version": "3.34", "styleCategories": "Symbology"})
+    renderer = SubElement(root, "renderer-v2", {
+        "type": "graduatedSymbol", "attr": column, "graduatedMethod": "GraduatedColor",
+        "symbollevels": "0", "forceraster": "0", "enableorderby": "0",
+    })  # fmt: skip
+    ranges, symbols = SubElement(renderer, "ranges"), SubElement(renderer, "symbols")
+    for k, ((low, high), colour, label) in enumerate(classes()):
+        SubElement(ranges, "range", {
+            "symbol": str(k), "render": "true", "lower": f"{low:g}", "upper": f"{high:g}",
+            "label": label,
+        })  # fmt: skip
+        symbol = SubElement(symbols, "symbol", {
+            "type": "line", "name": str(k), "alpha": "1", "clip_to_extent": "1", "force_rhr": "0",
+        })  # fmt: skip
+        layer = SubElement(symbol, "layer", {"class": "SimpleLine", "enabled": "1", "pass": "0"})
+        options = SubElement(layer, "Option", {"type": "Map"})
+        shade = ",".join(map(str, bytes.fromhex(colour[1:])))
+        values = {"line_color": f"{shade},255", "line_width": _WIDTH_MM, "line_width_unit": "MM"}
+        for name, value in values.items():
+            SubElement(options, "Option", {"name": name, "type": "QString", "value": value})
+    SubElement(root, "layerGeometryType").text = "1"
+    indent(root)
+    heading = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
+    return f"{heading}\n{tostring(root, encoding='unicode')}\n"
+
+
+def classes() -> Iterator[tuple[tuple[float, float], str, str]]:
+    """Yield the bounds of each class of change, its colour, and what it is called."""
+    for (low, high), colour in zip(pairwise(BREAKS), COLOURS, strict=True):
+        if low < 0.0 < high:
+            label = tr("no change is told")
+        elif low == BREAKS[0] or high == BREAKS[-1]:
+            bound = high if low == BREAKS[0] else low
+            more = tr("over {percent} % more", percent=f"{bound:g}")
+            label = more if bound > 0 else tr("over {percent} % less", percent=f"{-bound:g}")
+        else:
+            near, far = sorted((abs(low), abs(high)))
+            ends = {"low": f"{near:.0f}", "high": f"{far:.0f}"}
+            more = tr("{low} to {high} % more", **ends)
+            label = more if low > 0 else tr("{low} to {high} % less", **ends)
+        yield (low, high), colour, label
+
+
+def draw_changes(comparison: Comparison, path: Path) -> None:
+    """Write maps of what changed as PNG: one for each of volume, speed and occupancy."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - where it draws
+
+    table = wide_table(comparison.table)
+    measures = list(COMPARED)[:3]
+    with picture_file(path, (12.0, 5.2), 130, letters_pt=9.0) as figure:
+        for ax, measure in zip(figure.subplots(1, len(measures)), measures, strict=True):
+            known = table[table[f"{measure}_before"].notna()]
+            change = known[f"{measure}_change"].to_numpy(np.float64)
+            k = np.clip(np.searchsorted(BREAKS, change, side="right") - 1, 0, len(COLOURS) - 1)
+            known.plot(ax=ax, color=np.array(COLOURS)[k].tolist(), linewidth=2.6)
+            ax.set_title(tr(COMPARED[measure].title))
+            ax.set_axis_off()
+            ax.set_aspect("equal")
+        lines = [
+            Line2D([], [], color=colour, linewidth=3.0, label=label)
+            for _, colour, label in classes()
+        ]
+        figure.legend(handles=lines, loc="outside lower center", ncols=4, frameon=False)
+
+
+def _write_page(comparison: Comparison, path: Path) -> None:
+    picture = path.with_suffix(".png").read_bytes()
+    path.write_text(page_of(comparison, picture), encoding="utf-8")
+
+
+def page_of(comparison: Comparison, picture: bytes) -> str:
+    """Return the page: what got better, what worse, what cannot be told; names are escaped."""
+    text = files("gis_radar.products.comparison").joinpath("page.html.jinja")
+    template = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).from_string(text.read_text(encoding="utf-8"))
+    rows = list(_rows(comparison.table))
+    before, after = (_span(*each) for each in (comparison.before, comparison.after))
+    lanes = comparison.table["lane"].nunique()
+    basis = tr(
+        "Lanes compared, which the same sensors saw alike: {lanes}, with {before} of the intervals "
+        "before and {after} of those after. A difference is told where chance gives one in less "
+        "than 5 % of all comparisons, however many lanes there are.",
+        lanes=lanes, before=percent(comparison.used[0], 0), after=percent(comparison.used[1], 0),
+    )  # fmt: skip
+    made: str = template.render(
+        title=tr("Before and after: traffic by lane"), language=current_language(), tr=tr,
+        before=before, after=after, basis=basis, doubts=comparison.doubts,
+        picture=f"data:image/png;base64,{base64.b64encode(picture).decode()}",
+        sections=[
+            (tr(title), [row for row in rows if row["section"] == section])
+            for section, title in SECTIONS.items()
+        ],
+        left_out=comparison.left_out.to_dict("records"),
+    )  # fmt: skip
+    return made
+
+
+def _span(begin: Any, end: Any) -> str:
+    first, last = (each.to_pydatetime() for each in (begin, end))
+    clock = Clock(zone=begin.tzinfo, first=first, last=last)
+    return clock.whole_in_zone(first, last)
+
+
+def _signed(change: float) -> str:
+    """Return a change in percent with its sign."""
+    return f"{'+' if change > 0.0 else ''}{figure_text(change, 0)}{THIN_SPACE}%"
+
+
+def _rows(table: gpd.GeoDataFrame) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the page, those with the surest differences first."""
+    for row in table.sort_values(["p_corrected", "lane"]).to_dict("records"):
+        of = COMPARED[row["measure"]]
+        way = {MORE: 1, LESS: -1}.get(row["verdict"])
+        words = NO_FIGURE if way is None else tr(of.more if way > 0 else of.less)
+        share = "" if way is None or not row["before"] else f" ({_signed(row['percent'])})"
+        half = 0.5 * (row["high"] - row["low"])
+        difference = figure_text(row["difference"], of.digits)
+        error = f" ± {figure_text(half, of.digits)}" if np.isfinite(half) else ""
+        yield {
+            "name": row["name"], "measure": tr(of.title),
+            "before": figure_text(row["before"], of.digits),
+            "after": figure_text(row["after"], of.digits), "difference": difference + error,
+            "section": None if way is None else way * of.better,
+            "words": words + share,
+        }  # fmt: skip

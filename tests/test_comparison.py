@@ -1,0 +1,257 @@
+"""Two periods compared: what is told, what is not, and what does not compare."""
+
+import csv
+import json
+import shutil
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from datasets import pose_rows, recordings_of
+from driven import drive, driven, straight_tiles
+from hypothesis import given
+from hypothesis import strategies as st
+from shapely import LineString
+from sites import pose
+
+import gis_radar as gr
+from gis_radar.base import InputError, NoAnswerError, UsageError
+from gis_radar.dataset import STEPS_PER_HOUR, Manifest, write_whole
+from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
+from gis_radar.measures import compare_values, holm_corrected
+
+HOUR = 472_222  # 2023-11-14, 22 h
+BEGIN = HOUR * STEPS_PER_HOUR
+TILES = straight_tiles(20, length=3.0)
+LANES = gpd.GeoDataFrame(
+    {
+        "lane": [7], "lanelets": [[7]], "subtype": ["road"], "street": ["<Ring>"],
+        "street_part": [None], "turn": ["left"], "stop_line_m": [50.0], "speed_limit_kmh": [36.0],
+        "length_m": [60.0],
+    },
+    geometry=[LineString([(0, 0), (60, 0)])], crs="EPSG:25832",
+)  # fmt: skip
+BEFORE = ("2023-11-14 22:00", "2023-11-14 23:00")
+AFTER = ("2023-11-14 23:00", "2023-11-15 00:00")
+
+
+def cars(hour, every_s, seed):
+    """Let cars come at random, so many seconds apart on average, at 10 m/s."""
+    rng = np.random.default_rng(seed)
+    steps = np.cumsum(rng.gamma(4.0, every_s / 4.0, 1000)) * 20.0
+    steps = steps[steps < STEPS_PER_HOUR - 200].astype(np.int64)
+    begin = hour * STEPS_PER_HOUR
+    fronts = np.arange(0.0, 59.0, 0.5)
+    return [drive(hour * 1_000_000 + n, begin + at, fronts) for n, at in enumerate(steps)]
+
+
+def seen_by(dataset, spans, tiles=TILES["tile_id"]):
+    """Say that sensors recorded from step to step, and what each sees; give the dataset anew."""
+    names = sorted(spans)
+    rows = recordings_of(set(names))
+    rows["first_time"], rows["last_time"] = (
+        [spans[name][k] * 0.05 for name in names] for k in range(2)
+    )
+    poses = pose_rows([pose(sensor=name) for name in names])
+    ids = np.asarray(tiles)
+    sights = {
+        "pose": np.repeat(names, len(ids)), "tile_id": np.tile(ids, len(names)),
+    }  # fmt: skip
+    fingerprint = dataset.manifest.fingerprint
+    for table, content in ((RECORDINGS, rows), (POSES, poses), (SIGHTS, sights)):
+        write_whole(table, dataset.folder, content, fingerprint)
+    return gr.open_dataset(dataset.folder)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A car every 10 s in the first hour, every 15 s in the second."""
+    tracks = [*cars(HOUR, 10.0, 1), *cars(HOUR + 1, 15.0, 2)]
+    # a state at either end, so that all of both hours is visible
+    ends = [drive(HOUR * 1_000_000 + 900, BEGIN, [0.0]),
+            drive((HOUR + 1) * 1_000_000 + 900, BEGIN + 2 * STEPS_PER_HOUR - 1, [0.0])]  # fmt: skip
+    folder = tmp_path_factory.mktemp("two") / "dataset"
+    return driven(folder, TILES, pd.concat([*tracks, *ends]), lanes=LANES)
+
+
+@pytest.fixture
+def dataset(tmp_path, made):
+    shutil.copytree(made.folder, tmp_path / "dataset")
+    whole = (BEGIN, BEGIN + 2 * STEPS_PER_HOUR)
+    return seen_by(gr.open_dataset(tmp_path / "dataset"), {"R1": whole})
+
+
+def days(rng, count, rate, *, spread=0.03):
+    """Give volumes of days: a profile, a factor a day, and counts by chance."""
+    time = np.arange(24, 88)
+    profile = rate * (1.0 + 0.5 * np.sin(time / 10.0))
+    return pd.concat(
+        pd.DataFrame(
+            {"day": day, "time": time, "value": 4.0 * rng.poisson(profile * rng.normal(1, spread))}
+        )
+        for day in range(count)
+    )
+
+
+def test_fewer_vehicles_are_told_and_nothing_where_nothing_changed():
+    rng = np.random.default_rng(3)
+    told = {
+        change: sum(
+            compare_values(days(rng, 10, 100.0), days(rng, 10, 100.0 * change)).p < 0.05
+            for _ in range(60)
+        )
+        for change in (1.0, 0.94)
+    }
+    assert told[1.0] <= 7  # 3 by chance
+    assert told[0.94] >= 50
+
+
+def test_a_day_without_its_peak_is_no_quiet_day():
+    rng = np.random.default_rng(4)
+    before, after = days(rng, 6, 100.0), days(rng, 6, 100.0)
+    cut = after[(after["day"] != 2) | (after["time"] < 40)]
+    whole, part = compare_values(before, after), compare_values(before, cut)
+    assert whole.units == part.units == "days"
+    assert abs(whole.after - part.after) < 0.02 * whole.after
+    assert part.p > 0.05
+
+
+def test_pairs_of_times_hold_a_change_against_the_profile():
+    time = np.arange(40)
+    before = pd.DataFrame({"day": 0, "time": time, "value": 100.0 + 5.0 * time})
+    rng = np.random.default_rng(5)
+    after = before.assign(day=1, value=before["value"] - 10.0 + rng.normal(0.0, 4.0, 40))
+    found = compare_values(before, after)
+    assert (found.units, found.count) == ("times of day", 40)
+    assert found.difference == pytest.approx(-10.0, abs=2.0)
+    assert found.p < 1e-6
+    assert found.half_width(0.05) == pytest.approx(4.0 / np.sqrt(40) * 2.02, rel=0.6)
+
+
+def test_neighbours_that_are_alike_are_worth_less():
+    rng = np.random.default_rng(6)
+    slow = np.repeat(rng.normal(0.0, 10.0, 10), 6)  # a queue lasts six intervals
+    before = pd.DataFrame({"day": 0, "time": np.arange(60), "value": 100.0 + slow})
+    after = pd.DataFrame({"day": 1, "time": np.arange(100, 160), "value": 100.0 + slow[::-1]})
+    found = compare_values(before, after)
+    assert found.units == "intervals"
+    assert found.se > 1.5 * np.hypot(
+        *[np.std(each["value"]) / np.sqrt(60) for each in (before, after)]
+    )
+
+
+def test_of_two_values_nothing_is_told():
+    two = pd.DataFrame({"day": [0, 0], "time": [1, 2], "value": [1.0, 2.0]})
+    found = compare_values(two, two.assign(day=1, value=9.0))
+    assert np.isnan(found.p)
+    assert np.isnan(found.half_width(0.05))
+
+
+@given(st.lists(st.floats(0.0, 1.0) | st.just(np.nan), max_size=9))
+def test_correction_for_many_lanes(p):
+    """Against Holm's rule step by step: the smallest first, until one is no finding."""
+    values = np.array(p, np.float64)
+    found, level = holm_corrected(values), 0.05
+    assert np.array_equal(np.isnan(found), np.isnan(values))
+    known = np.sort(values[~np.isnan(values)])
+    rejected = 0
+    while rejected < len(known) and known[rejected] * (len(known) - rejected) < level:
+        rejected += 1
+    assert int((found < level).sum()) == rejected
+    assert np.all(found[~np.isnan(found)] >= values[~np.isnan(values)])
+
+
+def test_a_third_fewer_cars_are_told(dataset):
+    found = gr.compare(dataset, before=BEFORE, after=AFTER)
+    volume = found.table[found.table["measure"] == "volume_veh_h"].iloc[0]
+    assert volume["before"] == pytest.approx(360.0, rel=0.1)
+    assert volume["after"] == pytest.approx(240.0, rel=0.1)
+    assert volume["verdict"] == "less"
+    assert volume["low"] < -120.0 < volume["high"]
+    speed = found.table[found.table["measure"] == "speed_kmh"].iloc[0]
+    assert speed["verdict"] == "not told"
+    assert found.used == (1.0, 1.0)
+
+
+def test_a_difference_below_what_is_resolved_is_not_told(dataset):
+    """All drive at one speed, but for the last digit that tables keep."""
+    found = gr.compare(dataset, before=BEFORE, after=AFTER).table.set_index("measure")
+    assert found.loc["delay_s", "p"] < 0.05
+    assert abs(found.loc["delay_s", "difference"]) < 0.1
+    assert found.loc["delay_s", "verdict"] == "not told"
+
+
+def test_the_same_traffic_is_no_change(dataset):
+    halves = (("2023-11-14 22:00", "2023-11-14 22:30"), ("2023-11-14 22:30", "2023-11-14 23:00"))
+    found = gr.compare(dataset, before=halves[0], after=halves[1])
+    assert set(found.table["verdict"]) == {"not told"}
+
+
+def test_a_second_radar_is_not_more_traffic(dataset):
+    """What two radars see is not compared with what one saw."""
+    edge, end = BEGIN + STEPS_PER_HOUR, BEGIN + 2 * STEPS_PER_HOUR
+    two = seen_by(dataset, {"R1": (BEGIN, end), "R2": (edge, end)})
+    with pytest.raises(NoAnswerError, match="no lane was seen by the same sensors alike"):
+        gr.compare(two, before=BEFORE, after=AFTER)
+    some = seen_by(dataset, {"R1": (BEGIN, end), "R2": (edge + STEPS_PER_HOUR // 2, end)})
+    found = gr.compare(some, before=BEFORE, after=AFTER)
+    assert set(found.table["watchers"]) == {"R1"}
+    assert found.used == (1.0, 0.5)  # the half hour before the second radar
+
+
+def test_a_sensor_that_now_sees_another_part_does_not_compare(dataset, tmp_path):
+    shutil.copytree(dataset.folder, tmp_path / "later")
+    whole = {"R1": (BEGIN, BEGIN + 2 * STEPS_PER_HOUR)}
+    later = seen_by(gr.open_dataset(tmp_path / "later"), whole, TILES["tile_id"][:15])
+    with pytest.raises(NoAnswerError):
+        gr.compare(dataset, later, before=BEFORE, after=AFTER)
+    nearly = seen_by(later, whole, TILES["tile_id"][:19])
+    assert len(gr.compare(dataset, nearly, before=BEFORE, after=AFTER).table)
+
+
+def test_what_cannot_be_compared_is_refused(dataset, tmp_path):
+    with pytest.raises(UsageError, match="overlap"):
+        gr.compare(dataset, before=BEFORE, after=("2023-11-14 22:30", "2023-11-15 00:00"))
+    with pytest.raises(UsageError, match="names no days"):
+        gr.compare(dataset, before=BEFORE, after=AFTER, days="Monday")
+    with pytest.raises(InputError, match="no lane is observed from 2023-11-20"):
+        gr.compare(dataset, before=BEFORE, after=("2023-11-20", "2023-11-21"))
+    with pytest.raises(InputError, match="no lane is observed"):  # a Tuesday
+        gr.compare(dataset, before=BEFORE, after=AFTER, days="Sa-Mo")
+    shutil.copytree(dataset.folder, tmp_path / "other")
+    path = Manifest.path(tmp_path / "other") if hasattr(Manifest, "path") else None
+    path = path or tmp_path / "other" / "dataset.json"
+    document = json.loads(path.read_text())
+    document["settings"]["filters"] = {"min_speed": 3.0}
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="different settings"):
+        gr.compare(dataset, gr.open_dataset(tmp_path / "other"), before=BEFORE, after=AFTER)
+
+
+def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
+    words = ["compare", dataset.folder, "--before", "/".join(BEFORE), "--after", "/".join(AFTER)]
+    code, out, _ = run(*words, "-o", tmp_path / "out", "--json", "--language", "de")
+    assert code == 0, out
+    summary = json.loads(out.splitlines()[-1])["summary"]
+    assert summary["lanes_with_a_change"]["volume_veh_h, less"] == 1
+    with (tmp_path / "out" / "compare.csv").open(encoding="utf-8-sig") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["measure"] for row in rows} >= {"volume_veh_h", "speed_kmh", "occupancy"}
+    layer = gpd.read_file(tmp_path / "out" / "compare.gpkg", layer="comparison")
+    assert layer["volume_veh_h_change"].iloc[0] == pytest.approx(-33.0, abs=8.0)
+    page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+    assert "&lt;Ring&gt;" in page
+    assert "<Ring>" not in page
+    assert "weniger Fahrzeuge" in page
+    assert (tmp_path / "out" / "compare.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_period_that_is_missing_or_none(run, dataset, tmp_path):
+    words = ["compare", dataset.folder, "-o", tmp_path / "out"]
+    code, _, said = run(*words, "--before", "22:00/23:00")
+    assert code == 2
+    assert "a period is missing" in said
+    code, _, said = run(*words, "--before", "x", "--after", "y/z")
+    assert code == 2
+    assert "'x' is no period" in said
