@@ -198,7 +198,7 @@ class _Network:
         ]
 
     def place_all(self) -> None:
-        """Fix the sensors with a certain pose, compare_moments them with each other, and place the rest."""
+        """Fix the sensors with a certain pose, compare them with each other, and place the rest."""
         longest = {
             name: float(longest_m(plane_covariance(member.pose)))
             for name, member in self.all.items()
