@@ -155,9 +155,17 @@ class Traffic:
             )
             add_layer(shown, path, layer, geometry_type="LineString", layer_metadata=_KEPT)
         interval = (self.lanes["end"] - self.lanes["begin"]).min()
+        seconds = interval.total_seconds()
         styles = {
-            name: (traffic_style(interval.total_seconds(), wide=name == TURNS), "")
-            for name in (LANES, TURNS)
+            layer: (
+                traffic_style(
+                    seconds,
+                    {str(n): tr(TITLES[str(n)]) for n in table if n in TITLES},
+                    wide=layer == TURNS,
+                ),
+                "",
+            )
+            for layer, table in ((LANES, self.lanes), (TURNS, self.turns))
         }
         notes = {
             LANES: LayerNotes(tr("Lanes"), tr("Traffic of lanes by interval"), titles),
