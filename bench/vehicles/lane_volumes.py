@@ -93,7 +93,8 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
 def by_minute(true: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
     """Return `true` and `true_speed` by lane or turn and minute."""
     groups = true.assign(begin=true["time"].dt.floor("min")).groupby([*keys, "begin"])["speed"]
-    return groups.agg(true="size", true_speed="mean")
+    table: pd.DataFrame = groups.agg(true="size", true_speed="mean")
+    return table
 
 
 def near_lines(site: SceneFiles, network: LaneNetwork) -> list[int]:

@@ -20,6 +20,7 @@ from gis_radar.dataset import Dataset
 from gis_radar.errors import InputError
 from gis_radar.files import atomic_folder, output_errors, writing_errors
 from gis_radar.geopackage import LayerNotes, add_layer, add_styles, describe_layers, keep_styles
+from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.spreadsheets import write_csv
@@ -91,7 +92,8 @@ class Traffic:
 
         `traffic.csv` and `turns.csv`; `traffic.xlsx` with a sheet each; `traffic.gpkg` with the
         layers `lanes` and `turns`, which QGIS shows in our style; `sumo.edgedata.xml`,
-        `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane with its number.
+        `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane with its number; and
+        where turns have volumes `turns.png`, the turning diagram.
 
         Parameters
         ----------
@@ -122,6 +124,8 @@ class Traffic:
             "sumo.lanedata.xml": partial(_write_mean_data, self.lanes, by_lane=True),
             "sumo.turns.xml": partial(_write_turn_counts, self.turns),
         }
+        if self.turns["volume"].notna().any():
+            writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.turns)
         with (
             speaking(language or current_language()),
             atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh,
