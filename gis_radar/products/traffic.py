@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import zipfile
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ import pyogrio
 
 from gis_radar.dataset import Dataset
 from gis_radar.errors import InputError
-from gis_radar.files import atomic_folder, output_errors, writing_errors
+from gis_radar.files import WRITTEN, atomic_folder, output_errors, writing_errors
 from gis_radar.geopackage import LayerNotes, add_layer, add_styles, describe_layers, keep_styles
 from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
@@ -150,6 +151,7 @@ class Traffic:
             pyogrio.write_dataframe(
                 shown.rename(columns=titles), path, layer=sheet, driver="XLSX", append=path.exists()
             )
+        _fix_dates(path)
 
     def _write_package(self, path: Path) -> None:
         titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
@@ -224,6 +226,16 @@ def _for_people(table: gpd.GeoDataFrame) -> pd.DataFrame:
         elif pd.api.types.is_float_dtype(shown[name]):
             shown[name] = shown[name].astype(np.float64).round(_DIGITS)
     return shown
+
+
+def _fix_dates(path: Path) -> None:
+    """Write an archive anew with one date for all of its files: equal tables, equal bytes."""
+    with zipfile.ZipFile(path) as file:
+        parts = {name: file.read(name) for name in file.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, data in parts.items():
+            entry = zipfile.ZipInfo(name, (WRITTEN.year, WRITTEN.month, WRITTEN.day, 0, 0, 0))
+            file.writestr(entry, data, zipfile.ZIP_DEFLATED)
 
 
 def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
