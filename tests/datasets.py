@@ -96,6 +96,11 @@ def write_dataset(
     return open_dataset(folder)
 
 
+def stored(dataset, name):
+    """Read a table as it is stored; `turns` of a dataset are those for people."""
+    return dataset.turn_volumes() if name == "turns" else getattr(dataset, name)()
+
+
 def runs_of(steps):
     """Give the runs of a set of steps as (first, last), cut at hours."""
     ordered = np.array(sorted(steps), np.int64)

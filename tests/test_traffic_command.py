@@ -16,13 +16,14 @@ from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
 
 import gis_radar as gr
 from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.products.traffic_picture import mean_turns
 from simulation.sumo import run as run_sumo
 
 BEGIN = HOUR * STEPS_PER_HOUR
 CARS = {STRAIGHT: 5, LEFT: 3}
 FILES = {
     "traffic.csv", "turns.csv", "traffic.xlsx", "traffic.gpkg", "sumo.edgedata.xml",
-    "sumo.lanedata.xml", "sumo.turns.xml",
+    "sumo.lanedata.xml", "sumo.turns.xml", "turns.png",
 }  # fmt: skip
 SHEET = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 
@@ -183,6 +184,22 @@ def test_edges_and_lanes_carry_the_measures(written):
     assert lanes.find("interval/edge/lane").get("id") == "10_0"
 
 
+def test_the_diagram_shows_means_of_what_is_known(dataset):
+    turns = dataset.turns("5min")
+    known = turns[turns["volume"].notna()]
+    means = mean_turns(turns).set_index("to_lane")
+    for lane in CARS:
+        mine = known[known["to_lane"] == lane]
+        assert means.loc[lane, "volume_veh_h"] == pytest.approx(12.0 * mine["volume"].mean())
+    assert means["error_veh_h"].between(1.0, means["volume_veh_h"] + 20.0).all()
+
+
+def test_without_volumes_there_is_no_diagram(run, dataset, tmp_path):
+    code, *_ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
+    assert code == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"turns.png"}
+
+
 def test_a_recording_too_short_for_its_intervals_is_told(run, dataset, tmp_path):
     code, out, _ = run("traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "24h")
     assert code == 0
@@ -225,5 +242,5 @@ def test_the_same_in_python(dataset, tmp_path):
     assert made.lanes["name"].iloc[0].startswith("=Ring eastbound")
     made.write(tmp_path / "one", language="de")
     made.write(tmp_path / "two", language="de")
-    for name in FILES - {"traffic.gpkg", "traffic.xlsx"}:
+    for name in FILES:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

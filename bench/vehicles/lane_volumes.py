@@ -1,4 +1,4 @@
-"""Volumes, speeds and turns of lanes beside the true ones, minute by minute.
+"""Volumes, speeds, turns and queues of lanes beside the true ones, minute by minute.
 
     python bench/vehicles/lane_volumes.py SCENE [--dataset DATASET]
 
@@ -29,6 +29,8 @@ from gis_radar.measures import LaneNetwork
 
 WITHIN_M = 100.0  # of a radar, for which accuracy is stated
 LEAST_SHARE = 0.2
+QUEUE_M = 7.5  # of the target for the back of a queue: a vehicle and its gap
+SLOW, SLOW_STEPS, JOINED_M, OVER_M = 5.0 / 3.6, 20, 10.0, 2.0  # the definitions of a queue
 
 
 def main() -> None:
@@ -75,6 +77,13 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         by_minute(true[true["to_lane"] >= 0], ["lane", "to_lane"]),
         on=["from_lane", "to_lane", "begin"],
     )
+    queues = dataset.queues("1min")
+    queues = queues[queues["lane"].isin(near) & (queues["visible_share"] > 0.95)]
+    backs = true_backs(site, network)
+    keys = zip(queues["lane"], queues["begin"].dt.tz_convert("UTC"), strict=True)
+    true_m = np.array([backs.get(key, 0.0) for key in keys])
+    waits = (true_m > 0.0) | (queues["queue_max_m"] > 0.0).to_numpy()
+    short = (queues["queue_max_m"].to_numpy() - true_m)[waits]
     pairs = turns.assign(true=turns["true"].fillna(0.0)).groupby(["from_lane", "to_lane"])
     sums = pairs[["volume", "true"]].sum()
     return {
@@ -84,6 +93,8 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         "off": f"{off / max(by_lane['true'].sum(), 1.0):.1%}",
         "within_2_se": f"{(error.abs() <= 2.0 * spread + 1e-9).mean():.0%} of {len(error)}",
         "speed_off_kmh": f"{faster.abs().mean():.1f} (bias {faster.mean():+.1f})",
+        "queues": f"{len(short)}, {np.mean(np.abs(short) <= QUEUE_M):.0%} within {QUEUE_M} m "
+        f"(mean {np.abs(short).mean():.1f}, bias {short.mean():+.1f})",
         "turns": f"{len(sums)}",
         "turns_off": f"{(sums['volume'] - sums['true']).abs().sum() / sums['true'].sum():.1%}",
     }
@@ -92,7 +103,7 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
 def by_minute(true: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
     """Return `true` and `true_speed` by lane or turn and minute."""
     groups = true.assign(begin=true["time"].dt.floor("min")).groupby([*keys, "begin"])["speed"]
-    return groups.agg(true="size", true_speed="mean")
+    return pd.DataFrame({"true": groups.size(), "true_speed": groups.mean()})
 
 
 def near_lines(site: SceneFiles, network: LaneNetwork) -> list[int]:
@@ -139,6 +150,52 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
                     ))  # fmt: skip
     found = pd.DataFrame(rows, columns=["lane", "to_lane", "time", "speed"])
     return found.assign(time=pd.to_datetime(found["time"], utc=True))
+
+
+def true_standing(
+    site: SceneFiles, network: LaneNetwork
+) -> dict[tuple[int, int], list[tuple[float, float]]]:
+    """Return who stands, by stop line's lane and step: metres to the line, and lengths."""
+    lanes, strips = lanes_of(site.tiles(), gr.read_map(site.map)), network.queue_strips()
+    tree, truth = cKDTree(lanes.middle), site.truth()
+    last = truth.first_step + truth.occupied.shape[1] - 1
+    stand: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    for _, states in site.traffic().within(truth.first_step, last).states.groupby("vehicle"):
+        way = lane_way(lanes, tree, states, network)
+        if not way:
+            continue
+        rows = np.array([row for row, *_ in way])
+        slow = states["speed"].to_numpy() < SLOW
+        for k in np.flatnonzero(states["step"].to_numpy() % 20 == 0).tolist():
+            if k < SLOW_STEPS or not slow[k - SLOW_STEPS : k + 1].all() or k < rows[0]:
+                continue
+            at = int(np.searchsorted(rows, k, side="right")) - 1
+            lane, metres = way[at][1:]
+            if at + 1 < len(way) and way[at + 1][1] == lane:
+                part = (k - rows[at]) / (rows[at + 1] - rows[at])
+                metres += part * (way[at + 1][2] - metres)
+            for stop, to_line in zip(*(
+                each[strips.lane == lane] for each in (strips.stop_lane, strips.to_line_m)
+            ), strict=True):  # fmt: skip
+                key = (int(network.lane[stop]), int(states["step"].iloc[k]))
+                stand.setdefault(key, []).append(
+                    (float(to_line) - metres, float(states["length"].iloc[k]))
+                )
+    return stand
+
+
+def true_backs(site: SceneFiles, network: LaneNetwork) -> dict[tuple[int, pd.Timestamp], float]:
+    """Return the farthest back of each queue by lane and minute, looked at each second."""
+    backs: dict[tuple[int, pd.Timestamp], float] = {}
+    for (number, step), fronts in true_standing(site, network).items():
+        back = 0.0
+        for front, length in sorted(each for each in fronts if each[0] >= -OVER_M):
+            if front - back > JOINED_M:
+                break
+            back = front + length
+        minute = pd.Timestamp(step_begin(step)).floor("min")
+        backs[number, minute] = max(backs.get((number, minute), 0.0), back)
+    return backs
 
 
 def lane_way(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import zipfile
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ import pandas as pd
 import pyogrio
 
 from gis_radar.base import (
+    FILE_DATE,
     QUIET,
     InputError,
     LayerNotes,
@@ -35,6 +37,7 @@ from gis_radar.base import (
     writing_errors,
 )
 from gis_radar.dataset import Dataset
+from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
 
 LANES, TURNS = "lanes", "turns"
@@ -102,7 +105,8 @@ class Traffic:
 
         `traffic.csv` and `turns.csv`; `traffic.xlsx` with a sheet each; `traffic.gpkg` with the
         layers `lanes` and `turns`, which QGIS shows in our style; `sumo.edgedata.xml`,
-        `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane with its number.
+        `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane with its number; and
+        where turns have volumes `turns.png`, the turning diagram.
 
         Parameters
         ----------
@@ -133,6 +137,8 @@ class Traffic:
             "sumo.lanedata.xml": partial(_write_mean_data, self.lanes, by_lane=True),
             "sumo.turns.xml": partial(_write_turn_counts, self.turns),
         }
+        if self.turns["volume"].notna().any():
+            writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.turns)
         with (
             speaking(language or current_language()),
             atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh,
@@ -157,6 +163,7 @@ class Traffic:
             pyogrio.write_dataframe(
                 shown.rename(columns=titles), path, layer=sheet, driver="XLSX", append=path.exists()
             )
+        _fix_dates(path)
 
     def _write_package(self, path: Path) -> None:
         titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
@@ -166,9 +173,17 @@ class Traffic:
             )
             add_layer(shown, path, layer, geometry_type="LineString", layer_metadata=_KEPT)
         interval = (self.lanes["end"] - self.lanes["begin"]).min()
+        seconds = interval.total_seconds()
         styles = {
-            name: (traffic_style(interval.total_seconds(), wide=name == TURNS), "")
-            for name in (LANES, TURNS)
+            layer: (
+                traffic_style(
+                    seconds,
+                    {str(n): tr(TITLES[str(n)]) for n in table if n in TITLES},
+                    wide=layer == TURNS,
+                ),
+                "",
+            )
+            for layer, table in ((LANES, self.lanes), (TURNS, self.turns))
         }
         notes = {
             LANES: LayerNotes(tr("Lanes"), tr("Traffic of lanes by interval"), titles),
@@ -223,6 +238,16 @@ def _for_people(table: gpd.GeoDataFrame) -> pd.DataFrame:
         elif pd.api.types.is_float_dtype(shown[name]):
             shown[name] = shown[name].astype(np.float64).round(_DIGITS)
     return shown
+
+
+def _fix_dates(path: Path) -> None:
+    """Write an archive anew with one date for all of its files: equal tables, equal bytes."""
+    with zipfile.ZipFile(path) as file:
+        parts = {name: file.read(name) for name in file.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, data in parts.items():
+            entry = zipfile.ZipInfo(name, (FILE_DATE.year, FILE_DATE.month, FILE_DATE.day, 0, 0, 0))
+            file.writestr(entry, data, zipfile.ZIP_DEFLATED)
 
 
 def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -10,21 +11,25 @@ from gis_radar.products.heatmap.style import RAMP
 VOLUMES = "volume_veh_h"
 BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 3000.0)  # of lanes, veh/h
 _SHORTER_MS = 10  # as in heat maps: QGIS takes an interval that ends at a moment for one with it
-_LANE_MM, _TURN_MM = 1.2, 0.4
+_LANE_MM, _TURN_ALPHA = 1.2, 200  # turns cross: those below are seen through
 _WIDTH = f'max(0.4, min(6, "{VOLUMES}" / 100))'  # mm: 1 for 100 veh/h
 
 
-def traffic_style(interval_s: float, *, wide: bool) -> str:
+def traffic_style(interval_s: float, titles: Mapping[str, str], *, wide: bool) -> str:
     """Return the QGIS style of a layer of lanes or turns as QML.
 
     Parameters
     ----------
     interval_s : float
         For how long the temporal controller shows a row from its `begin`.
+    titles : mapping
+        Of the columns, by name.
     wide : bool
         Whether lines are as wide as the volume, with an arrow at their end: turns.
     """
-    root = Element("qgis", {"version": "3.34", "styleCategories": "Symbology|MapTips|Temporal"})
+    root = Element(
+        "qgis", {"version": "3.34", "styleCategories": "Symbology|MapTips|Fields|Temporal"}
+    )
     SubElement(root, "temporal", {
         "enabled": "1", "mode": "1", "limitMode": "0", "startField": "begin", "endField": "end",
         "fixedDuration": str(max(0, round(interval_s * 1000) - _SHORTER_MS)), "durationUnit": "ms",
@@ -41,6 +46,9 @@ def traffic_style(interval_s: float, *, wide: bool) -> str:
             "label": f"{low:g} - {high:g} veh/h",
         })  # fmt: skip
         _add_symbol(symbols, str(k), ",".join(map(str, bytes.fromhex(colour[1:]))), wide=wide)
+    aliases = SubElement(root, "aliases")
+    for number, (name, title) in enumerate(titles.items(), start=1):
+        SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
     SubElement(root, "mapTip", {"enabled": "1"}).text = _tip(wide=wide)
     SubElement(root, "layerGeometryType").text = "1"
     indent(root)
@@ -49,37 +57,48 @@ def traffic_style(interval_s: float, *, wide: bool) -> str:
 
 
 def _add_symbol(symbols: Element, name: str, colour: str, *, wide: bool) -> None:
-    symbol = SubElement(symbols, "symbol", {
-        "type": "line", "name": name, "alpha": "1", "clip_to_extent": "1", "force_rhr": "0",
-    })  # fmt: skip
-    kind = "ArrowLine" if wide else "SimpleLine"
-    layer = SubElement(symbol, "layer", {"class": kind, "enabled": "1", "pass": "0"})
-    options = SubElement(layer, "Option", {"type": "Map"})
-    if not wide:
-        values = {"line_color": f"{colour},255", "line_width": str(_LANE_MM), "capstyle": "flat"}
-        _add_options(options, values | {"line_width_unit": "MM"})
-        return
-    _add_options(options, {
-        "arrow_width": str(_TURN_MM), "arrow_start_width": str(_TURN_MM), "arrow_width_unit": "MM",
-        "arrow_start_width_unit": "MM", "head_length": "2.5", "head_thickness": "1.2",
-        "is_curved": "0", "is_repeated": "0", "arrow_type": "0", "head_type": "0",
-    })  # fmt: skip
-    fill = SubElement(layer, "symbol", {
-        "type": "fill", "name": f"@{name}@0", "alpha": "1", "clip_to_extent": "1", "force_rhr": "0",
-    })  # fmt: skip
-    inner = SubElement(fill, "layer", {"class": "SimpleFill", "enabled": "1", "pass": "0"})
+    """Add a line, of turns as wide as the volume and with an arrow at its end."""
+    symbol = _symbol(symbols, "line", name)
+    layer = SubElement(symbol, "layer", {"class": "SimpleLine", "enabled": "1", "pass": "0"})
     _add_options(
-        SubElement(inner, "Option", {"type": "Map"}),
-        {"color": f"{colour},230", "style": "solid", "outline_style": "no"},
+        SubElement(layer, "Option", {"type": "Map"}),
+        {
+            "line_color": f"{colour},{_TURN_ALPHA if wide else 255}", "line_width_unit": "MM",
+            "line_width": str(_LANE_MM), "capstyle": "flat", "joinstyle": "round",
+        },
+    )  # fmt: skip
+    if not wide:
+        return
+    _set_by_expression(layer, "outlineWidth", _WIDTH)
+    arrow = SubElement(symbol, "layer", {"class": "MarkerLine", "enabled": "1", "pass": "0"})
+    places = SubElement(arrow, "Option", {"type": "Map"})
+    _add_options(places, {"placements": "LastVertex", "rotate": "1"})
+    head = SubElement(
+        _symbol(arrow, "marker", f"@{name}@1"),
+        "layer",
+        {"class": "SimpleMarker", "enabled": "1", "pass": "0"},
     )
+    _add_options(
+        SubElement(head, "Option", {"type": "Map"}),
+        {"name": "filled_arrowhead", "color": f"{colour},255", "outline_style": "no", "size": "3"},
+    )
+    _set_by_expression(head, "size", f"2 + 1.2 * {_WIDTH}")
+
+
+def _symbol(parent: Element, kind: str, name: str) -> Element:
+    common = {"alpha": "1", "clip_to_extent": "1", "force_rhr": "0"}
+    return SubElement(parent, "symbol", {"type": kind, "name": name, **common})
+
+
+def _set_by_expression(layer: Element, name: str, expression: str) -> None:
+    """Let an expression of QGIS give a property of a symbol's layer."""
     properties = SubElement(SubElement(layer, "data_defined_properties"), "Option", {"type": "Map"})
     _add_options(properties, {"name": "", "type": "collection"})
     listed = SubElement(properties, "Option", {"name": "properties", "type": "Map"})
-    for each in ("arrowWidth", "arrowStartWidth"):
-        entry = SubElement(listed, "Option", {"name": each, "type": "Map"})
-        SubElement(entry, "Option", {"name": "active", "type": "bool", "value": "true"})
-        SubElement(entry, "Option", {"name": "expression", "type": "QString", "value": _WIDTH})
-        SubElement(entry, "Option", {"name": "type", "type": "int", "value": "3"})
+    entry = SubElement(listed, "Option", {"name": name, "type": "Map"})
+    SubElement(entry, "Option", {"name": "active", "type": "bool", "value": "true"})
+    SubElement(entry, "Option", {"name": "expression", "type": "QString", "value": expression})
+    SubElement(entry, "Option", {"name": "type", "type": "int", "value": "3"})
 
 
 def _add_options(parent: Element, values: dict[str, str]) -> None:

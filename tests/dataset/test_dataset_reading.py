@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pandas as pd
 import pytest
-from datasets import BEGIN, HOUR, square_tiles, write_dataset
+from datasets import BEGIN, HOUR, square_tiles, stored, write_dataset
 from maps import EAST, NORTH, Listener
 
 from gis_radar.base import InputError, UsageError
@@ -81,7 +81,7 @@ def test_tracks_are_in_metres_degrees_and_metres_a_second(tmp_path):
 def test_every_table_can_be_empty(tmp_path):
     dataset = write_dataset(tmp_path / "data", hours=[HOUR])
     for name in TABLES:
-        assert getattr(dataset, name)().empty, name
+        assert stored(dataset, name).empty, name
     assert len(dataset.hours()) == 1
     assert "1 hour," in repr(dataset)
 

@@ -9,14 +9,13 @@ from functools import partial
 import pandas as pd
 import pyarrow.dataset as pads
 import pytest
-from datasets import BEGIN, HOUR, write_dataset
+from datasets import BEGIN, HOUR, stored, write_dataset
 
 from gis_radar.base import InputError, UsageError
 from gis_radar.dataset import STEPS_PER_HOUR, part_path, record_path
 from gis_radar.dataset.tables import HITS, TABLES
 
 AFTER = BEGIN + STEPS_PER_HOUR
-METHODS = {"turns": "turn_volumes"}  # as they are stored; `turns` gives them to people
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +39,7 @@ def dataset(tmp_path, measured):
 
 @pytest.mark.parametrize("name", TABLES)
 def test_views_hold_what_the_methods_give(measured, name):
-    by_method = getattr(measured, METHODS.get(name, name))()
-    by_method = by_method.drop(columns="geometry", errors="ignore")
+    by_method = stored(measured, name).drop(columns="geometry", errors="ignore")
     by_sql = measured.query(f"FROM {name}")
     shared = [column for column in by_method if column in by_sql]
     assert shared == list(by_method)

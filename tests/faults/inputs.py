@@ -68,6 +68,7 @@ KINDS = [
     Kind(path="dataset/poses.parquet", words="quality dataset -o out.csv"),
     Kind(path=part_of("frames"), words="quality dataset -o out.csv"),
     Kind(path=part_of("tracks"), words="trajectories dataset -o out.json"),
+    Kind(path=part_of("vehicles"), words="traffic dataset --interval 1min -o out"),
     Kind(path="heatmap/heatmap.gpkg", words="report heatmap -o out"),
     Kind(path="heatmap/heatmap.gpkg", words="qgis heatmap -o out.qgz"),
     Kind(path="SITE.toml", words="check {}"),

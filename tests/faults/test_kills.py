@@ -45,6 +45,7 @@ COMMANDS = {
     f"--pose {SAMPLE}/R2.json --tiles sample/tiles.gpkg -o out.json",
     "footprints": "footprints dataset -o out.gpkg",
     "trajectories": "trajectories dataset -o out.json",
+    "traffic": "traffic dataset --interval 1min -o out",
     "demo": "demo -o out",
 }
 EACH = 4

@@ -1,0 +1,128 @@
+"""The turning diagram of a site: turns as wide as their volumes, with numbers at each stop line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import geopandas as gpd
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from gis_radar.base import FONTS, Clock, figure_text, tr, zone_of
+from gis_radar.products.heatmap.picture import INK, SOFT
+
+WIDTH_IN, DPI = 10.0, 160
+AROUND_M = 45.0  # of road shown around the turns: room for the numbers
+VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
+_BEFORE_M = 2.0  # where the numbers begin, before the turn
+ROAD, FLOW = "#d5d8db", "#ba1c4d"  # differ in grey and for the colour-blind
+_ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
+
+
+def mean_turns(turns: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return a row a turn: its mean volume over all intervals in which it is known.
+
+    Parameters
+    ----------
+    turns : GeoDataFrame
+        As of :meth:`gis_radar.Dataset.turns`.
+
+    Returns
+    -------
+    GeoDataFrame
+        `from_lane`, `to_lane`, `turn`, `volume_veh_h` and its standard error `error_veh_h`; the
+        way. Turns that are never known are left out.
+    """
+    known = turns[turns["volume"].notna()]
+    hours = (known["end"] - known["begin"]).dt.total_seconds() / 3600.0
+    table = known.assign(hours=hours, variance=known["volume_se"].astype(float) ** 2)
+    groups = table.groupby(["from_lane", "to_lane"])
+    sums = groups[["volume", "variance", "hours"]].sum()
+    first = groups[["turn", "geometry"]].first()
+    found = first.assign(
+        volume_veh_h=sums["volume"] / sums["hours"],
+        error_veh_h=np.sqrt(sums["variance"]) / sums["hours"],
+    )
+    return gpd.GeoDataFrame(found.reset_index(), geometry="geometry", crs=turns.crs)
+
+
+def write_turning_diagram(
+    lanes: gpd.GeoDataFrame, turns: gpd.GeoDataFrame, path: Path
+) -> None:  # fmt: skip
+    """Draw the turning diagram, in the current language.
+
+    Parameters
+    ----------
+    lanes, turns : GeoDataFrame
+        As of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`; of the turns
+        one at least with a volume.
+    path : Path
+        The picture (PNG).
+    """
+    known = mean_turns(turns)
+    with mpl.rc_context(FONTS):
+        figure = Figure(figsize=(WIDTH_IN, WIDTH_IN), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        for line in lanes.geometry.drop_duplicates():
+            axes.plot(*line.xy, color=ROAD, linewidth=7.0, solid_capstyle="butt", zorder=1)
+        for row in known.itertuples():
+            _draw_turn(axes, row.geometry, float(row.volume_veh_h))
+        for _, rows in known.groupby("from_lane"):
+            _label(axes, rows)
+        low_x, low_y, high_x, high_y = known.total_bounds
+        half = max(high_x - low_x, high_y - low_y) / 2.0 + AROUND_M
+        x, y = (low_x + high_x) / 2.0, (low_y + high_y) / 2.0
+        axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
+        axes.set_axis_off()
+        axes.set_title(_title(turns), loc="left", color=INK, fontsize=13, fontweight="bold")
+        axes.text(0.0, 0.0, tr(_BELOW), transform=axes.transAxes, color=SOFT, fontsize=9)
+        figure.savefig(path, dpi=DPI)
+
+
+_BELOW = (
+    "Vehicles an hour with their standard errors, means of the intervals that are known. "
+    "A line is as wide as its volume; north is up."
+)
+
+
+def _title(turns: pd.DataFrame) -> str:
+    known = turns[turns["volume"].notna()]
+    begin, end = known["begin"].min(), known["end"].max()
+    clock = Clock(zone=zone_of(str(begin.tz)), first=begin, last=end, to_seconds=False)
+    return f"{tr('Turning volumes')}, {clock.whole_in_zone(begin, end)}"
+
+
+def _draw_turn(axes: Axes, line: shapely.LineString, volume: float) -> None:
+    points = shapely.get_coordinates(line)
+    width = max(volume / VEH_H_PER_POINT, 0.4)
+    axes.plot(*points.T, color=FLOW, linewidth=width, alpha=0.55, zorder=3, solid_capstyle="butt")
+    style = {"arrowstyle": f"-|>,head_width={0.25 + width / 20:.2f}", "color": FLOW, "lw": 0.0}
+    axes.annotate("", xy=points[-1], xytext=points[-2], arrowprops=style, zorder=4)
+
+
+def _label(axes: Axes, rows: pd.DataFrame) -> None:
+    """Write the volumes of an approach along its lane, before the stop line."""
+    order = {name: k for k, name in enumerate(_ARROWS)}
+    rows = rows.sort_values(["turn", "to_lane"], key=lambda v: v.map(order).fillna(0))
+    values = zip(rows["turn"], rows["volume_veh_h"], rows["error_veh_h"], strict=True)
+    texts = [
+        f"{_ARROWS[str(turn)]} {figure_text(volume)} \u00b1 {figure_text(error)}"
+        for turn, volume, error in values
+    ]
+    start, after = shapely.get_coordinates(rows.geometry.iloc[0])[:2]
+    turned = math.degrees(math.atan2(*(after - start)[::-1]))
+    upside_down = not -90.0 < turned <= 90.0
+    ahead = (after - start) / max(float(np.hypot(*(after - start))), 1e-9)
+    axes.text(
+        float(start[0] - _BEFORE_M * ahead[0]), float(start[1] - _BEFORE_M * ahead[1]),
+        "   ".join(texts), color=INK, fontsize=8, zorder=5, va="center",
+        ha="left" if upside_down else "right",
+        rotation=turned - 180.0 if upside_down else turned, rotation_mode="anchor",
+    )  # fmt: skip
