@@ -42,6 +42,7 @@ NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
     "trajectories": "files for other programs; 'Vehicles that move on the map' shows them here",
     "traffic": "not yet; its GeoPackage opens in its own style",
+    "compare": "not yet; its GeoPackage opens in its own style",
     "query": "a language for programs; the tables open in QGIS as they lie",
     "edge": "a server at a sensor, which runs for years",
     "live": "a server, which runs for years; QGIS shows its files",
