@@ -355,9 +355,7 @@ def test_the_zip(tmp_path):
         f"base/languages/{name}" for name in ("po.py", "de/LC_MESSAGES/gis_radar.po")
     }
     shared = {name.partition("/resources/")[2] for name in names if "/resources/" in name}
-    assert shared == documents_of_the_plugin() | {
-        f"base/languages/{name}" for name in catalogue_files
-    }
+    assert shared == documents_of_the_plugin() | catalogue_files
     fields = dict(line.split("=", 1) for line in metadata.splitlines() if re.match(r"\w+=", line))
     assert fields["version"] == builder.project()["version"]
     assert fields["hasProcessingProvider"] == "yes"

@@ -18,7 +18,8 @@ from qgis.core import (
 IDS = (
     "splitlanelets", "maskroad", "localizeradar", "trackpose", "sight", "checksite",
     "convertrecordings", "clocks", "measure", "heatmap", "footprints", "detections", "quality",
-    "dataset", "runsite", "exportreport", "sitereport", "qgisproject", "setupworker", "samplesite",
+    "dataset", "traffic", "compare", "runsite", "exportreport", "sitereport", "qgisproject",
+    "setupworker", "samplesite",
 )  # fmt: skip
 # One class turns all into the worker's command; of these one has two commands.
 BY_WORKER = ("heatmap", "localizeradar")
@@ -44,6 +45,8 @@ def parameters_of(name, site, out):
                      "OUTPUT": out / "dataset"}, "dataset/dataset.json"),
         "heatmap": ({"DATASET": site / "dataset", "INTERVAL": "20s", "OUTPUT": out / "map"},
                     "map/heatmap.gpkg"),
+        "traffic": ({"DATASET": site / "dataset", "INTERVAL": "1min", "OUTPUT": out / "traffic"},
+                    "traffic/traffic.gpkg"),
         "runsite": ({"SITE": SAMPLE / "SITE.toml", "OUTPUT": out / "run"}, "run/site.qgz"),
         "samplesite": ({"OUTPUT": out / "sample"}, "sample/junction.osm"),
     }  # fmt: skip
@@ -73,7 +76,7 @@ def test_each_says_what_it_is(provider, name):
 @pytest.mark.preload
 @pytest.mark.parametrize(
     "name",
-    ["splitlanelets", "localizeradar", "convertrecordings", "heatmap", "samplesite"],
+    ["splitlanelets", "localizeradar", "convertrecordings", "heatmap", "traffic", "samplesite"],
 )  # fmt: skip
 def test_run(run, site, tmp_path, name):
     parameters, made = parameters_of(name, site, tmp_path)

@@ -21,6 +21,8 @@ COMMANDS = {
     "measure": ("measure", {"pose": "POSES", "scan": "SCANS"}),
     "dataset": ("dataset", {"folder": "DATASET"}),
     "quality": ("quality", {"folder": "DATASET"}),
+    "traffic": ("traffic", {"folder": "DATASET"}),
+    "compare": ("compare", {"folder": "DATASET"}),
     "heatmap": ("heatmap", {"folder": "DATASET"}),
     "footprints": ("footprints", {"folder": "DATASET"}),
     "project": ("detections", {}),
@@ -41,8 +43,6 @@ LEFT_OUT = {
 NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
     "trajectories": "files for other programs; 'Vehicles that move on the map' shows them here",
-    "traffic": "not yet; its GeoPackage opens in its own style",
-    "compare": "not yet; its GeoPackage opens in its own style",
     "query": "a language for programs; the tables open in QGIS as they lie",
     "edge": "a server at a sensor, which runs for years",
     "live": "a server, which runs for years; QGIS shows its files",
@@ -156,6 +156,16 @@ WORDS = {
     "footprints": ({"DATASET": "d"}, ["footprints", "d", "-o", "OUT"]),
     "detections": (
         {"RECORDING": R1, "POSE": POSE}, ["project", R1, "--pose", POSE, "-o", "OUT"]
+    ),
+    "traffic": (
+        {"DATASET": "d", "BEGIN": "2025-06-12 07:30", "LANGUAGE": "de"},
+        ["traffic", "d", "--interval", "15min", "--begin", "2025-06-12 07:30", "--language", "de",
+         "--csv-locale", "en", "-o", "OUT"],
+    ),
+    "compare": (
+        {"DATASET": "d", "OTHER": "e", "BEFORE": "2026-09-07/2026-09-21", "DAYS": "Mo-Fr"},
+        ["compare", "d", "e", "--before", "2026-09-07/2026-09-21", "--days", "Mo-Fr", "--language",
+         "en", "--csv-locale", "en", "-o", "OUT"],
     ),
     "quality": ({"DATASET": "d"}, ["quality", "d", "--csv-locale", "en", "-o", "OUT"]),
     "dataset": (

@@ -7,7 +7,9 @@ from .site import CheckSite, FindSight, FollowPose, LocalizeRadar, MaskRoad, Spl
 from .traffic import (
     CheckQuality,
     CompareClocks,
+    ComparePeriods,
     ConvertRecordings,
+    CountTraffic,
     KeepDataset,
     MakeHeatMap,
     MeasureTraffic,
@@ -18,8 +20,9 @@ from .traffic import (
 
 ALGORITHMS = (
     SplitLanelets, MaskRoad, LocalizeRadar, FollowPose, FindSight, CheckSite, ConvertRecordings,
-    CompareClocks, MeasureTraffic, MakeHeatMap, ShowVehicles, ShowDetections, CheckQuality,
-    KeepDataset, RunSite, ExportReport, WriteReport, WriteProject, SetUpWorker, SampleSite,
+    CompareClocks, MeasureTraffic, MakeHeatMap, CountTraffic, ComparePeriods, ShowVehicles,
+    ShowDetections, CheckQuality, KeepDataset, RunSite, ExportReport, WriteReport, WriteProject,
+    SetUpWorker, SampleSite,
 )  # fmt: skip
 
 __all__ = ["ALGORITHMS"]
