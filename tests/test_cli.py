@@ -221,7 +221,7 @@ def test_every_option_reaches_its_argument(site, run, monkeypatch):
         seen.update(options, recordings=recordings, poses=poses, output=output)
         raise gr.NoAnswerError("enough")
 
-    monkeypatch.setattr("gis_radar.dataset.measure.measure", caught)
+    monkeypatch.setattr("gis_radar.dataset.measure", caught)
     gr.write_pose(pose(view=None), site / "R1.json")
     answer = run(
         *measure_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",

@@ -47,7 +47,7 @@ def test_not_observed_is_unlike_never_hit():
 
 
 def test_road_without_vehicles_is_seen_on_the_live_page():
-    page = (Path(style.__file__).parents[1] / "live" / "web" / "page.css").read_text()
+    page = (Path(style.__file__).parents[2] / "live" / "web" / "page.css").read_text()
     ground = lightness(re.search(r"#map {.*background: (#\w{6});", page)[1])
     assert lightness(style.NEVER_HIT) - ground > 4.0
     assert ground - lightness(style.RAMP[0]) > 4.0

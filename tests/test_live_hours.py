@@ -171,7 +171,7 @@ def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path,
     """On a machine of four cores, one of which is fusion's; with an hour that is refused too."""
     monkeypatch.setattr(hour_work, "workers_here", lambda: 3)
     made, asked = SpooledSite(tmp_path), []
-    measure = gr.dataset.measure.measure
+    measure = gr.measure
 
     def noted(*given, **more):
         asked.append(more["processes"])

@@ -50,7 +50,7 @@ def test_options_reach_their_arguments(site, monkeypatch, words, cycles):
         seen.update(options)
         raise gr.NoAnswerError("enough")
 
-    monkeypatch.setattr("gis_radar.dataset.measure.measure", caught)
+    monkeypatch.setattr("gis_radar.dataset.measure", caught)
     (site / "clocks.json").write_text('{"clocks": {"R2": {"offset_s": 3.5}}}')
     answer = run(
         "measure", *BOTH, *MAP, "-o", "site", "--clocks", "clocks.json", "--hits-only",

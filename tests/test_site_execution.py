@@ -378,7 +378,7 @@ def test_tables_of_a_geopackage_are_read_when_its_bytes_have_changed_only(tmp_pa
         asked.append(path)
         return content_digest(path)
 
-    monkeypatch.setattr("gis_radar.base.geopackage.content_digest", counted)
+    monkeypatch.setattr("gis_radar.base.content_digest", counted)
     file, memory = tmp_path / "a.gpkg", tmp_path / "memory.json"
     with closing(sqlite3.connect(file)) as database, database:
         database.execute("CREATE TABLE tiles (id INTEGER)")

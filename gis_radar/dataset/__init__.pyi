@@ -3,7 +3,7 @@ from .day_tables import STEPS_PER_QUARTER
 from .hour_job import MeasureSettings
 from .lane_measures import LaneTraffic
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
-from .measure import manifest_of, measure
+from .measuring import manifest_of, measure
 from .parts import (
     STEPS_PER_HOUR,
     Origin,
