@@ -57,7 +57,7 @@ from gis_radar.tracking.occupancy_settings import OccupancySettings
 from gis_radar.tracking.settings import DEFAULTS as VEHICLE_DEFAULTS
 from gis_radar.tracking.settings import VehicleSettings
 
-METHOD = 6
+METHOD = 7
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
