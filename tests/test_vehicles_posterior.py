@@ -16,6 +16,7 @@ from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import best_stretches
 from gis_radar.tracking.posterior.ends import with_undetected_ends
+from gis_radar.tracking.posterior.existence import probability, with_existence
 from gis_radar.tracking.posterior.joins import join_ends
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
@@ -285,6 +286,26 @@ def test_no_two_are_in_one_place_for_over_a_second(graph):
     found = detected(returns(rng, 0, 12, 20.0, 10.0, each=4.0), clutter(rng, 14))
     twice = [track(found, 0, 12, 20.0 + shift, 10.0) for shift in (0.0, 0.5)]
     assert len(improve(twice, found, graph, MotionSettings())) == 1
+
+
+def test_who_exists_is_told_from_a_second_one_on_the_same_detections():
+    rng = np.random.default_rng(21)
+    found = detected(
+        returns(rng, 0, 12, 20.0, 10.0), returns(rng, 0, 12, 60.0, 10.0), clutter(rng, 14)
+    )
+    right, double, other = (track(found, 0, 12, start, 10.0) for start in (20.0, 20.8, 60.0))
+    alone = with_existence(Posterior(found, [right, other]), [right, other])
+    assert min(each.p_exists for each in alone) > 0.85
+    (_, second, far) = with_existence(
+        Posterior(found, [right, double, other]), [right, double, other]
+    )
+    assert second.p_exists < 0.75
+    assert far.p_exists == pytest.approx(alone[1].p_exists, abs=0.02)
+
+
+@given(gain=st.floats(-1e6, 1e6), more=st.floats(0.0, 1e3), detections=st.integers(0, 10_000))
+def test_who_gains_more_exists_more_likely(gain, more, detections):
+    assert 0.5 < probability(gain, detections) <= probability(gain + more, detections) < 0.98
 
 
 def test_no_two_are_side_by_side_nearer_than_they_are_wide(graph):

@@ -356,7 +356,7 @@ def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, 
             "lanelet_id": np.ma.masked_array(lanelet, ~on), **placed, "seen": tracks["seen"],
         },
     )  # fmt: skip
-    writer.write(VEHICLES, found.vehicles.assign(p_exists=np.nan))  # the tracker does not tell it
+    writer.write(VEHICLES, found.vehicles)
     writer.write(CONTINUED, found.continued)
     speed = _hundredths(found.passages["speed"])
     writer.write(PASSAGES, found.passages.assign(speed_cms=speed))
