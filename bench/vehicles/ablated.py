@@ -1,4 +1,4 @@
-"""Parts of the search for vehicles, and how each is switched off from the outside."""
+"""Parts of the search for vehicles, how each is switched off from outside, and scenes for it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from scenes import RECIPES, Recipe
 
 from gis_radar.tracking import bodies, motion, passes, track_management, tracker
 from gis_radar.tracking import detectability as due
@@ -17,6 +18,25 @@ from gis_radar.tracking.posterior import cuts, ends, estimate, joins, neighbours
 from gis_radar.tracking.posterior.background import Background
 from gis_radar.tracking.size import Size
 
+FRESH = {
+    "town-781": Recipe(plan="town", seed=781, per_hour=2400, radars=("R1", "R3", "R5")),
+    "roundabout-782": Recipe(plan="roundabout", seed=782, per_hour=1100, radars=2),
+    "tee-783": Recipe(plan="tee", seed=783, per_hour=1600, radars=1, minutes=3.0),
+    "harsh-784": Recipe(
+        plan="junction", seed=784, per_hour=1500, radars=2, conditions="harsh"
+    ),
+    "gridlock-785": Recipe(
+        plan="junction", seed=785, per_hour=4200, radars=2, warm_up_s=600.0
+    ),
+    "arterial-786": Recipe(plan="arterial", seed=786, per_hour=2400, radars=2),
+    "town-787": Recipe(plan="town", seed=787, per_hour=2600, radars=("R2", "R4", "R6")),
+    "gridlock-788": Recipe(
+        plan="town", seed=788, per_hour=9000, radars=("R1", "R3"), warm_up_s=900.0, free=False
+    ),
+    "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
+    "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
+}  # fmt: skip
+RECIPES.update(FRESH)  # type: ignore[attr-defined]
 Change = Callable[[], AbstractContextManager[Any]]
 
 

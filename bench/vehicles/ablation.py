@@ -25,7 +25,7 @@ import numpy as np
 import own
 import pandas as pd
 from passages import score_passages
-from scenes import OUT, RECIPES, Recipe, SceneFiles, scene
+from scenes import OUT, SceneFiles, scene
 from score import score_occupancy
 from tracks import COLUMNS, compared, score_tracks
 
@@ -35,25 +35,6 @@ from gis_radar.tracking import hour_vehicles, tracker
 
 NEAR_M = 100.0  # of a sensor: volumes count there
 ROWS = OUT / "ablation.jsonl"
-FRESH = {
-    "town-781": Recipe(plan="town", seed=781, per_hour=2400, radars=("R1", "R3", "R5")),
-    "roundabout-782": Recipe(plan="roundabout", seed=782, per_hour=1100, radars=2),
-    "tee-783": Recipe(plan="tee", seed=783, per_hour=1600, radars=1, minutes=3.0),
-    "harsh-784": Recipe(
-        plan="junction", seed=784, per_hour=1500, radars=2, conditions="harsh"
-    ),
-    "gridlock-785": Recipe(
-        plan="junction", seed=785, per_hour=4200, radars=2, warm_up_s=600.0
-    ),
-    "arterial-786": Recipe(plan="arterial", seed=786, per_hour=2400, radars=2),
-    "town-787": Recipe(plan="town", seed=787, per_hour=2600, radars=("R2", "R4", "R6")),
-    "gridlock-788": Recipe(
-        plan="town", seed=788, per_hour=9000, radars=("R1", "R3"), warm_up_s=900.0, free=False
-    ),
-    "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
-    "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
-}  # fmt: skip
-RECIPES.update(FRESH)  # type: ignore[attr-defined]
 
 
 @dataclass(kw_only=True)
@@ -183,16 +164,11 @@ def _occupancy(occupied: pd.DataFrame, visible: pd.DataFrame) -> pd.DataFrame:
 def main() -> None:
     """Run what is asked for; print a line a row."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", default=",".join([*list(FRESH)[:6], "town02"]))
+    parser.add_argument("--scene", default=",".join([*list(ablated.FRESH)[:6], "town02"]))
     parser.add_argument("--only", default=",".join(ablated.PARTS))
-    parser.add_argument("--make", action="store_true", help="make scenes and truths, no more")
     options = parser.parse_args()
     for name in options.scene.split(","):
         site = scene(name)
-        site.truth(), site.passages()
-        if options.make:
-            print(name, len(site.passages()), flush=True)
-            continue
         kept = Kept.of(site)
         kept.vehicles("as-is")  # compiled, and remembered
         for part in options.only.split(","):

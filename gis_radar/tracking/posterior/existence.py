@@ -11,7 +11,7 @@ from gis_radar.tracking.posterior.estimate import Posterior
 
 # Detections of one body are off alike, from frame to frame: however many there are, together they
 # tell a third of what a single one would. Log odds of who gains nothing, and per nat and detection,
-# by 546 vehicles of five simulated scenes (bench/vehicles/ablation.py), held against others.
+# by 546 vehicles of five simulated scenes (bench/vehicles/existence.py), held against others.
 AT_NOTHING, A_NAT = 0.26, 0.32
 MOST_NATS = 10.0  # a detection of what stands on bare road has no more: its density has a bound
 
