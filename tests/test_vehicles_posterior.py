@@ -17,7 +17,6 @@ from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import best_stretches
 from gis_radar.tracking.posterior.ends import with_undetected_ends
 from gis_radar.tracking.posterior.existence import probability, with_existence
-from gis_radar.tracking.posterior.joins import join_ends
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.settings import MotionSettings
@@ -231,29 +230,6 @@ def test_what_the_end_of_another_drives_alone_is_kept():
     whole, alone = join_neighbours(Posterior(found, [front, rear]))
     assert span_s(whole) == pytest.approx(span_s(front))
     assert span_s(alone) == pytest.approx((18.0, 21.0), abs=0.2)
-
-
-def test_two_tracks_of_one_vehicle_that_meet_become_one(graph):
-    """The later one begins on the vehicle that the earlier one runs past."""
-    rng = np.random.default_rng(12)
-    found = detected(returns(rng, 0, 16, 20.0, 10.0), clutter(rng, 18))
-    early, late = track(found, 0, 9, 20.0, 10.0), track(found, 7.5, 16, 93.5, 10.0)
-    (whole,) = join_ends(Posterior(found, [late, early]))
-    assert span_s(whole) == pytest.approx((0.0, 16.0), abs=0.1)
-    assert np.diff(whole.s_m).min() >= 0.0
-    places = np.interp(12.0, np.arange(len(whole.s_m)) / RATE, whole.places[0][:, 0])
-    assert places == pytest.approx(138.5, abs=0.3)
-    assert np.diff(whole.places[0][:, 0]).max() < 1.0
-
-
-def test_tracks_of_two_vehicles_stay_two(graph):
-    """They overlap in time, 8 m behind each other, or pass each other on neighbouring lanes."""
-    rng = np.random.default_rng(13)
-    found = detected(
-        returns(rng, 0, 9, 28.0, 10.0), returns(rng, 6, 16, 80.0, 10.0), clutter(rng, 18)
-    )
-    pair = [track(found, 0, 9, 28.0, 10.0), track(found, 6, 16, 80.0, 10.0)]
-    assert len(join_ends(Posterior(found, pair))) == 2
 
 
 @given(along=st.floats(-9.0, 9.0), left=st.floats(-1.5, 1.5), bend=st.floats(-0.08, 0.08))

@@ -14,7 +14,7 @@ from scenes import RECIPES, Recipe
 from gis_radar.tracking import bodies, motion, passes, track_management, tracker
 from gis_radar.tracking import detectability as due
 from gis_radar.tracking import posterior as moves
-from gis_radar.tracking.posterior import cuts, ends, estimate, joins, neighbours, sizes
+from gis_radar.tracking.posterior import cuts, ends, estimate, neighbours, sizes
 from gis_radar.tracking.posterior.background import Background
 from gis_radar.tracking.size import Size
 
@@ -130,7 +130,6 @@ PARTS: dict[str, Part] = {
     "no-posterior": _off((tracker, "improve", lambda found, *_: list(found))),
     "one-round": _off((tracker, "improve", _once)),
     # moves
-    "no-join-ends": _off((moves, "join_ends", _same)),
     "no-resize": _off((moves, "resize", _same)),
     "no-split-long": _off((moves, "split_long", _same)),
     "no-join-neighbours": _off((moves, "join_neighbours", _same)),
@@ -149,12 +148,12 @@ PARTS: dict[str, Part] = {
     "no-still": _off((Background, "watch", lambda *_: None)),
     "no-heights": _off((tracker, "improve", _without_heights)),
     "no-bends": _off((estimate, "motion_states", _straight)),
-    "no-exists": _off(*((each, "EXISTS", 0.0) for each in (cuts, neighbours, joins))),
-    "no-end-cost": _off((cuts, "END_MOST", 0.0), (joins, "END_MOST", 0.0)),
+    "no-exists": _off(*((each, "EXISTS", 0.0) for each in (cuts, neighbours))),
+    "no-end-cost": _off((cuts, "END_MOST", 0.0)),
     "no-partly": _off((cuts, "PARTLY_COSTS", 0.0)),
     "no-overlap": _off((cuts, "PARTLY_COSTS", 0.0), (cuts, "MOSTLY_COSTS", 0.0)),
     "one-sweep": _off((cuts, "SWEEPS", 1)),
-    "told-whole": _off((neighbours, "TOLD", 1.0), (joins, "TOLD", 1.0)),
+    "told-whole": _off((neighbours, "TOLD", 1.0)),
     "no-gap-prior": _off((neighbours, "_gap_prior", lambda *_: 0.0)),
     "no-length-prior": _off((sizes, "prior", lambda _: 0.0), (sizes, "_PRIORS", [0.0] * 11)),
     "all-windows": _off((sizes, "MOST_WINDOWS", 10**6), (sizes, "TELLS", 1e9)),
@@ -172,7 +171,6 @@ PARTS: dict[str, Part] = {
     "no-size": _early((motion, "size_of", lambda *_: (Size(), 0.0))),
     "no-split-at-drives": _early((track_management, "split_at_drives", lambda m, *_: [m])),
     "no-stationary": _early((track_management, "find_stationary", lambda *_: [])),
-    "no-strong-targets": _early((track_management, "strong_targets", lambda t, *_: t)),
     "no-not-built": _early((track_management, "not_built", lambda _, free, *__: free)),
     "no-links": _early(
         (track_management, "chains", lambda parts, *_: [[k] for k in range(len(parts))])

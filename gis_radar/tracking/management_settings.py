@@ -157,8 +157,6 @@ class TrackManagementSettings:
         Who is farther away after a silence than that was not there all the time.
     apart_s : float
         Least time between two vehicles at one place.
-    weaker_db : float
-        Stationary vehicles are at most so much weaker than moving ones.
     least_moving, least_way_m : int, float
         Least number of moving detections and least distance of a vehicle; otherwise the detections
         are false.
@@ -170,7 +168,6 @@ class TrackManagementSettings:
 
     away_m: float = 2.0
     apart_s: float = 1.0
-    weaker_db: float = 6.0
     least_moving: int = 6
     least_way_m: float = 4.0
     alone_s: float = 3.0

@@ -15,7 +15,6 @@ from gis_radar.tracking.posterior.cuts import cut
 from gis_radar.tracking.posterior.ends import lengthen, with_undetected_ends
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.existence import with_existence
-from gis_radar.tracking.posterior.joins import join_ends
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.posterior.refits import reassign, refit
 from gis_radar.tracking.posterior.sizes import resize
@@ -64,7 +63,6 @@ def improve(
 
 
 def _sized_and_cut(posterior: Posterior) -> list[Motion]:
-    posterior.place(join_ends(posterior))
     posterior.place(resize(posterior))
     posterior.place(split_long(posterior))
     posterior.place(join_neighbours(posterior))
