@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from test_vehicles_evidence import detections_at, driven, road_of
+from test_vehicles_evidence import detections_at, driven, road_of, setting_off
 
 from gis_radar.tracking import track_management
 from gis_radar.tracking.batches import pose_warnings
 from gis_radar.tracking.bodies import are_persons, is_person, without_faint_ends
+from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.management_settings import StationarySettings
 from gis_radar.tracking.motion import fit_motion
 from gis_radar.tracking.passes import Passes
+from gis_radar.tracking.resting import rate_without
 from gis_radar.tracking.settings import BatchSettings, VehicleSettings
 from gis_radar.tracking.stationary import StationaryTarget, heard_parts
 from gis_radar.tracking.strips import Strips
@@ -231,20 +233,19 @@ def test_who_hides_others_is_numbered_as_the_parts_after_cuts(monkeypatch):
     ]
     asked = []
 
-    def record(parts, _, seen, __):
-        asked.append((parts, seen.occluders))
-        return []
+    def record(number, motion, *given):
+        asked.append((number, motion, given[-2].occluders))
+        return motion
 
-    monkeypatch.setattr(track_management, "chains", record)
+    monkeypatch.setattr(track_management, "with_rest", record)
     free = np.zeros(80, np.bool_)
     track_management.complete_tracks(
         detections, road_of(1), motions, states, free, VehicleSettings()
     )
-    ((parts, occluders),) = asked
-    assert len(parts) == 3
-    for number, part in enumerate(parts):
-        half = occluders.half[occluders.owner == number]
-        assert np.abs(0.5 * half[[0, -1]] - part.time).max() < 0.5
+    assert len(asked) == 3
+    for number, motion, occluders in asked:
+        own = Occluders.of([motion])
+        assert occluders.half[occluders.owner == number].tolist() == own.half.tolist()
 
 
 def test_where_no_rate_is_known_nothing_stands():
@@ -254,3 +255,16 @@ def test_where_no_rate_is_known_nothing_stands():
     detections = detections_at(np.arange(60.0) / 6.0, np.tile([30.0, 0.0], (60, 1)))
     assert heard_parts(target, detections, 0.0, StationarySettings()) == []
     assert len(heard_parts(target, detections, 900.0, StationarySettings())) == 1
+
+
+def test_what_is_there_once_the_followers_have_gone_is_of_the_road():
+    detections, drives = setting_off(fixed=True)  # until 60 s
+    states = np.zeros((len(detections), 6))
+    states[:, 0] = detections.points[:, 0]
+    motion = fit_motion(detections, drives, states, VehicleSettings().motion)
+    free = detections.range_rate == 0.0
+    seen = Detectability.learned(detections, [], VehicleSettings().detectability)
+    follower = Occluders.stationary(1, (41.0, 50.0), 50.0, 0.0, 0.0, 4.5)
+    seen = replace(seen, occluders=follower)
+    rate = rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
+    assert rate == pytest.approx(5.0, rel=0.2)

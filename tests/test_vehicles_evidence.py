@@ -17,9 +17,10 @@ from gis_radar.tracking.management_settings import (
     StationarySettings,
     TallSettings,
 )
-from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
+from gis_radar.tracking.resting import rate_without, unbroken, with_rest
 from gis_radar.tracking.settings import (
     DetectionSettings,
     ForwardSettings,
@@ -174,6 +175,13 @@ def test_heights_tell_lorries_from_cars_when_they_are_near():
     assert tall_odds(np.full(3, 1.8), near[:3], settings) == 0.0
 
 
+def test_who_stands_on_does_so_until_a_silence():
+    time = np.array([0.0, 2.0, 40.0, 45.0, 50.0, 52.0, 58.0, 90.0])
+    kept = unbroken(time, (46.0, 51.0), 10.0)
+    assert time[kept].tolist() == [40.0, 45.0, 50.0, 52.0, 58.0]
+    assert time[unbroken(time, (100.0, 101.0), 5.0)].tolist() == []
+
+
 def road_of(lanes):
     """Return so many lanelets beside each other, 0.3 m apart, along x."""
     s = np.arange(201.0)
@@ -213,6 +221,94 @@ def test_a_detection_on_lanes_that_overlap_counts_once_for_a_new_vehicle(lanes):
     three, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(detections)
     assert two.tolist() == [-1, -1]
     assert three.tolist() == [0, 0, 0]
+
+
+def setting_off(fixed):
+    """Return detections of one that sets off after 40 s along x = 50 m, or of what is fixed there.
+
+    Detections of the place come all 60 s if they are fixed, else until it has left.
+    """
+    still = np.arange(0.0, 60.0 if fixed else 40.0, 0.2)
+    moving = np.arange(40.05, 50.0, 0.05)
+    time = np.concatenate([still, moving])
+    x = np.concatenate([np.full(len(still), 50.0), 50.0 + (moving - 40.0) ** 2])
+    order = np.argsort(time, kind="stable")
+    detections = detections_at(time[order], np.column_stack([x[order], np.zeros(len(time))]))
+    drives = (order >= len(still)).nonzero()[0]
+    detections.range_rate[:] = 0.0
+    detections.range_rate[drives] = 2.0 * (detections.time[drives] - 40.0)
+    return detections, drives
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
+    detections, drives = setting_off(fixed)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = fit_motion(detections, drives, states, MotionSettings())
+    free = np.abs(detections.range_rate) < 0.15
+    free[drives] = False
+    passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
+    begin = whole.first_step / RATE
+    assert begin > 39.0 if fixed else begin < 1.0
+
+
+def test_a_place_is_judged_by_the_seconds_that_were_recorded():
+    detections, _ = setting_off(fixed=True)
+    detections = detections.take(detections.time < 44.0)
+    drives = np.flatnonzero(detections.range_rate > 0.0)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = fit_motion(detections, drives, states, MotionSettings())
+    free = np.abs(detections.range_rate) < 0.15
+    free[drives] = False
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    rate = rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
+    assert rate == pytest.approx(5.0, rel=0.2)
+
+
+def test_a_follower_that_takes_the_place_is_not_of_the_road():
+    detections, drives = setting_off(fixed=True)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = fit_motion(detections, drives, states, MotionSettings())
+    free = np.abs(detections.range_rate) < 0.15
+    free[drives] = False
+    passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
+    follower = Occluders.stationary(1, (41.0, 60.0), 50.0, 0.0, 0.0, 4.5)
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    seen = Detectability(**{**vars(seen), "occluders": follower})
+    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
+    assert whole.first_step / RATE < 1.0
+
+
+@pytest.mark.parametrize(("crosses_m", "since"), [(2.0, 20.0), (None, 0.0)])
+def test_nobody_stood_where_another_crossed_the_place_of_its_front(crosses_m, since):
+    """One of 8 m sets off at 40 s; across the lane another drives 2 m ahead of its middle."""
+    detections, drives = setting_off(fixed=False)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = replace(fit_motion(detections, drives, states, MotionSettings()), length_m=8.0)
+    free = np.abs(detections.range_rate) < 0.15
+    free[drives] = False
+    over = []
+    if crosses_m is not None:
+        time = 18.0 + np.arange(40.0) / RATE
+        front = motion.places[0][0, 0] + crosses_m
+        across = np.column_stack([np.full(40, front), 12.0 * (time - 19.0)])
+        way = np.zeros((40, 6))
+        way[:, :2], way[:, 2], way[:, 3] = across, 0.5 * np.pi, 12.0
+        seen_across = detections_at(time, across)
+        other = fit_motion(seen_across, np.arange(40), way, MotionSettings())
+        over = [
+            replace(other, rows=np.flatnonzero((detections.time > 17.9) & (detections.time < 20.1)))
+        ]
+    passes = Passes.of(over, detections, Strips.of(road_of(1)), StationarySettings())
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
+    assert since - 2.0 < whole.first_step / RATE < since + 2.0
 
 
 def lasting(x, seconds, rows, begin=0.0, left_m=0.0):

@@ -170,6 +170,7 @@ PARTS: dict[str, Part] = {
     "no-tall": _early((bodies, "tall_odds", lambda *_: 0.0)),
     "no-size": _early((motion, "size_of", lambda *_: (Size(), 0.0))),
     "no-split-at-drives": _early((track_management, "split_at_drives", lambda m, *_: [m])),
+    "no-rest": _early((track_management, "with_rest", lambda _, m, *__: m)),
     "no-stationary": _early((track_management, "find_stationary", lambda *_: [])),
     "no-not-built": _early((track_management, "not_built", lambda _, free, *__: free)),
     "no-links": _early(

@@ -52,6 +52,26 @@ class Occluders:
             parts.append(cls(half=half, owner=np.full(len(half), number), shape=shape))
         return cls.join(parts)
 
+    def near(self, place: Floats, halves: Integers, owner: int, within_m: float) -> Integers:
+        """Return the half seconds in which another vehicle is at a place or near it.
+
+        Parameters
+        ----------
+        place : (2,) array
+            East and north, metres.
+        halves : (n,) int64 array
+            Of these.
+        owner : int
+            The one that does not count.
+        within_m : float
+            From the place to the nearest end of a vehicle, about.
+        """
+        low, high = np.searchsorted(self.half, [halves[0], halves[-1] + 1])
+        part = slice(int(low), int(high))
+        apart = np.hypot(*(self.shape[part, :2] - place).T) - self.shape[part, 4]
+        close = (apart < within_m) & (self.owner[part] != owner)
+        return np.unique(self.half[part][close])
+
     @classmethod
     def stationary(
         cls, number: int, span: tuple[float, float], x: float, y: float, heading: float,

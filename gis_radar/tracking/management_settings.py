@@ -153,8 +153,15 @@ class TrackManagementSettings:
 
     Parameters
     ----------
-    away_m : float
-        Who is farther away after a silence than that was not there all the time.
+    slow_mps : float
+        Below this speed a vehicle may stand.
+    left_m : float
+        Half the width of a vehicle with the error of its place.
+    away_m, empty_s, search_s, own_share : float, float, float, float
+        Whether still detections belong to a vehicle that comes to rest or sets off is decided by
+        how often its place gives detections while it is empty: in the nearest `empty_s` seconds in
+        which the vehicle is at least `away_m` beyond its length away, searched for up to `search_s`
+        within the block and its margins. The vehicle's own share must be at least `own_share`.
     apart_s : float
         Least time between two vehicles at one place.
     least_moving, least_way_m : int, float
@@ -166,7 +173,12 @@ class TrackManagementSettings:
         Standard deviation of the place of a stationary vehicle.
     """
 
+    slow_mps: float = 0.7
+    left_m: float = 1.1
     away_m: float = 2.0
+    empty_s: float = 3.0
+    search_s: float = 60.0
+    own_share: float = 0.5
     apart_s: float = 1.0
     least_moving: int = 6
     least_way_m: float = 4.0

@@ -86,6 +86,12 @@ class Passes:
         k = int(np.searchsorted(known, time + 1.0))
         return float(known[k]) if k < len(known) else np.inf
 
+    def before(self, body: Floats, time: float) -> float:
+        """Return the last pass over points of a body, at least a second before."""
+        known = self._over(body)
+        k = int(np.searchsorted(known, time - 1.0)) - 1
+        return float(known[k]) if k >= 0 else -np.inf
+
     def _over(self, body: Floats) -> Floats:
         """Return the times of passes over points."""
         near = self.tree.query_ball_point(np.atleast_2d(body), self.near_m)

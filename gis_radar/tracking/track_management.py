@@ -20,6 +20,7 @@ from gis_radar.tracking.links import Part, chains
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
+from gis_radar.tracking.resting import with_rest
 from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.size import LONG_M, width_of
 from gis_radar.tracking.stationary import StationaryTarget, find_stationary, not_built
@@ -59,6 +60,11 @@ def complete_tracks(
     motions = [
         part for each in motions
         for part in split_at_drives(each, detections, states, free, passes, settings)
+    ]  # fmt: skip
+    seen = replace(seen, occluders=Occluders.of(motions))  # numbered as the parts now
+    motions = [
+        with_rest(number, each, detections, free, states, passes, seen, settings)
+        for number, each in enumerate(motions)
     ]  # fmt: skip
     targets = find_stationary(detections, free, motions, passes, settings.stationary)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in targets]

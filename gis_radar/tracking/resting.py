@@ -1,0 +1,178 @@
+"""Still detections of vehicles that come to rest or set off."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.tracking.columns import NONE
+from gis_radar.tracking.detectability import Detectability
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.motion import Motion, fit_motion
+from gis_radar.tracking.passes import Passes
+from gis_radar.tracking.settings import VehicleSettings
+
+END_M = 1.0  # by which an end of a vehicle may be off
+
+
+def with_rest(
+    number: int,
+    motion: Motion,
+    detections: MapDetections,
+    free: Booleans,
+    states: Floats,
+    passes: Passes,
+    seen: Detectability,
+    settings: VehicleSettings,
+) -> Motion:
+    """Return a motion extended by the unassigned still detections on it while it is at rest.
+
+    One that comes to rest stands on until it is silent or another drives over its place, and one
+    that sets off stood there before.
+    """
+    limits = settings.management
+    slow = np.flatnonzero(motion.speed < limits.slow_mps)
+    place, heading = motion.places
+    time = detections.time[motion.rows]
+    s_m, speed = motion.at(time)
+    states[motion.rows, :2], states[motion.rows, 2] = motion.path.at(s_m)
+    states[motion.rows, 3] = speed
+    if len(slow) == 0:
+        return motion
+    ends = (motion.first_step + slow[[0, -1]]) / STEPS_PER_SECOND
+    last = len(motion.speed) - 1
+    if slow[0] == 0:
+        ends[0] = passes.before(_inner(motion, 0), float(ends[0]))
+    if slow[-1] == last:
+        ends[1] = passes.after(_inner(motion, -1), float(ends[1]))
+    rows = _in_span(detections, free, ends)
+    reach = 3.0 * _half_m(motion) + np.ptp(place[slow], axis=0)
+    rows = rows[(np.abs(detections.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
+    step = np.round(detections.time[rows] * STEPS_PER_SECOND).astype(np.int64) - motion.first_step
+    step = np.clip(step, 0, last)
+    at_rest = motion.speed[step] < limits.slow_mps
+    rows, step = rows[at_rest], step[at_rest]
+    on = _on_body(motion, motion.s_m[step], detections, rows, settings)
+    rows, step = rows[on], step[on]
+    span = (float(time[0]), float(time[-1]))
+    kept = unbroken(detections.time[rows], span, settings.stationary.silence_s)
+    rows, step = rows[kept], step[kept]
+    for at in (0, -1):
+        side = detections.time[rows] > span[1] if at else detections.time[rows] < span[0]
+        if side.any():
+            ends = np.sort([span[at], float(detections.time[rows[side][at]])])
+            due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
+            fixed = (ends[1] - ends[0]) * rate_without(
+                number, motion, at, detections, free, seen, settings
+            )
+            own, count = side.sum() - fixed, side.sum()
+            if own < settings.stationary.rate_share * due or own < limits.own_share * count:
+                rows, step = rows[~side], step[~side]
+    if len(rows) == 0:
+        return motion
+    free[rows] = False
+    states[rows, :2], states[rows, 2], states[rows, 3] = place[step], heading[step], 0.0
+    return fit_motion(detections, np.concatenate([motion.rows, rows]), states, settings.motion)
+
+
+def _inner(motion: Motion, at: int) -> Floats:
+    """Return points (k, 2) along the middle of a vehicle at a step, a metre inside of its ends."""
+    place, heading = (each[at] for each in motion.places)
+    half = max(0.5 * motion.length_m - END_M, 0.0)
+    way = np.array([np.cos(heading), np.sin(heading)])
+    return np.asarray(place + np.linspace(-half, half, 2 * int(half) + 1)[:, None] * way)
+
+
+def _half_m(motion: Motion) -> float:
+    """Return the largest distance of detections from a vehicle's middle, metres."""
+    return 0.5 * max(motion.length_m, 4.0) + 0.5
+
+
+def _in_span(detections: MapDetections, free: Booleans, ends: Floats) -> Integers:
+    """Return the free detections between two times."""
+    low, high = np.searchsorted(detections.time, ends)
+    return np.asarray(low + np.flatnonzero(free[low:high]))
+
+
+def _on_body(
+    motion: Motion,
+    s_m: Floats,
+    detections: MapDetections,
+    rows: Integers,
+    settings: VehicleSettings,
+) -> Booleans:
+    """Return which detections lie on a vehicle whose middle is so far along its path."""
+    if len(rows) == 0:
+        return np.zeros(0, np.bool_)
+    along, left = motion.path.project(detections.points[rows], s_m, 25.0)
+    beside = settings.management.left_m + settings.motion.azimuth_rad * detections.range_m[rows]
+    return np.asarray((np.abs(along - s_m) < _half_m(motion)) & (np.abs(left) < beside))
+
+
+def rate_without(
+    number: int,
+    motion: Motion,
+    at: int,
+    detections: MapDetections,
+    free: Booleans,
+    seen: Detectability,
+    settings: VehicleSettings,
+) -> float:
+    """Return the rate of detections of its place before the vehicle came or after it left.
+
+    What stands there then, and is no other vehicle, is of the road or is parked beside it. The
+    nearest seconds count in which no other vehicle is there.
+
+    Parameters
+    ----------
+    number : int
+        Of the vehicle, among those that occlude.
+    motion : Motion
+        The vehicle's.
+    at : int
+        0 for where it came, before it; -1 for where it left, after it.
+    detections : MapDetections
+        Of all sensors, by time.
+    free : (n,) array of bool
+        Which detections no vehicle has.
+    seen : Detectability
+        Knows where other vehicles are.
+    settings : VehicleSettings
+        How far and how long is looked for.
+
+    Returns
+    -------
+    float
+        1/s; zero where the place is never without vehicles.
+    """
+    limits = settings.management
+    away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + limits.away_m
+    if not away.any():
+        return 0.0
+    when = (motion.first_step + np.flatnonzero(away)[at]) / STEPS_PER_SECOND
+    ends = np.array([when - limits.search_s, when] if at else [when, when + limits.search_s])
+    ends = np.clip(ends, detections.time[0], detections.time[-1])
+    halves = np.arange(int(2.0 * ends[0]), int(2.0 * ends[1]) + 1)
+    others = seen.occluders.near(motion.places[0][at], halves, number, motion.length_m)
+    empty, count = np.setdiff1d(halves, others), round(2.0 * limits.empty_s)
+    empty = empty[-count:] if at else empty[:count]
+    if len(empty) == 0:
+        return 0.0
+    rows = _in_span(detections, free, np.array([0.5 * empty[0], 0.5 * empty[-1] + 0.5]))
+    s_m = np.full(len(rows), motion.s_m[at])
+    rows = rows[_on_body(motion, s_m, detections, rows, settings)]
+    return float(
+        2.0 * np.isin((2.0 * detections.time[rows]).astype(np.int64), empty).sum() / len(empty)
+    )
+
+
+def unbroken(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
+    """Return which ascending times continue a span in both directions without a longer gap."""
+    early = np.append(time[time < span[0]], span[0])
+    late = np.insert(time[time > span[1]], 0, span[1])
+    breaks = np.flatnonzero(np.diff(early) > silence_s)
+    first = int(breaks[-1]) + 1 if len(breaks) else 0
+    breaks = np.flatnonzero(np.diff(late) > silence_s)
+    missing = len(late) - 1 - int(breaks[0]) if len(breaks) else 0
+    return slice(first, len(time) - missing)
