@@ -28,10 +28,9 @@ from gis_radar.tracking.paths import Path
 from gis_radar.tracking.resting import rate_without, unbroken, with_rest
 from gis_radar.tracking.settings import ForwardSettings, MotionSettings
 from gis_radar.tracking.size import size_of
-from gis_radar.tracking.stationary import StationaryTarget, not_built
+from gis_radar.tracking.stationary import not_built
 from gis_radar.tracking.strips import Strips
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
-from gis_radar.tracking.track_management import strong_targets
 
 BEGIN = 1_700_000_000.0
 RATE = 20
@@ -174,10 +173,6 @@ def test_heights_tell_lorries_from_cars_when_they_are_near():
     assert abs(tall_odds(np.full(200, 1.8), far, settings)) < 1.0
     assert tall_odds(np.full(200, np.nan), near, settings) == 0.0
     assert tall_odds(np.full(3, 1.8), near[:3], settings) == 0.0
-
-
-def target(rear, front, rows, begin=0.0, end=30.0):
-    return StationaryTarget(strip=1, rear_m=rear, front_m=front, begin=begin, end=end, rows=rows)
 
 
 def test_who_stands_on_does_so_until_a_silence():
@@ -386,16 +381,6 @@ def test_who_waited_is_one_unless_its_place_was_driven_over(driven_over, follows
     passes = Passes.of(over, detections, Strips.of(road_of(1)), StationarySettings())
     found = chains([one, other], passes, learned, VehicleSettings())
     assert found == ([[0, 1]] if follows else [[0], [1]])
-
-
-@pytest.mark.parametrize("unknown", [0, 1, 9])
-def test_a_weak_return_is_refused_though_some_cross_sections_are_unknown(unknown):
-    detections = detections_at(np.arange(20.0) / RATE, np.tile([30.0, 0.0], (20, 1)))
-    detections.rcs[:] = np.repeat([10.0, -20.0], 10)
-    detections.rcs[:unknown] = np.nan
-    weak, strong = target(0.0, 4.0, np.arange(10, 20)), target(0.0, 4.0, np.arange(10))
-    fast = driven(0.0, 2.0, 10.0, np.arange(10))
-    assert strong_targets([weak, strong], detections, [fast], VehicleSettings()) == [strong]
 
 
 @pytest.mark.parametrize("through", [True, False])

@@ -16,7 +16,7 @@ from gis_radar.tracking.paths import Path
 from gis_radar.tracking.posterior import Posterior, improve
 from gis_radar.tracking.posterior.cuts import best_stretches
 from gis_radar.tracking.posterior.ends import with_undetected_ends
-from gis_radar.tracking.posterior.joins import join_ends
+from gis_radar.tracking.posterior.existence import probability, with_existence
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.settings import MotionSettings
@@ -232,29 +232,6 @@ def test_what_the_end_of_another_drives_alone_is_kept():
     assert span_s(alone) == pytest.approx((18.0, 21.0), abs=0.2)
 
 
-def test_two_tracks_of_one_vehicle_that_meet_become_one(graph):
-    """The later one begins on the vehicle that the earlier one runs past."""
-    rng = np.random.default_rng(12)
-    found = detected(returns(rng, 0, 16, 20.0, 10.0), clutter(rng, 18))
-    early, late = track(found, 0, 9, 20.0, 10.0), track(found, 7.5, 16, 93.5, 10.0)
-    (whole,) = join_ends(Posterior(found, [late, early]))
-    assert span_s(whole) == pytest.approx((0.0, 16.0), abs=0.1)
-    assert np.diff(whole.s_m).min() >= 0.0
-    places = np.interp(12.0, np.arange(len(whole.s_m)) / RATE, whole.places[0][:, 0])
-    assert places == pytest.approx(138.5, abs=0.3)
-    assert np.diff(whole.places[0][:, 0]).max() < 1.0
-
-
-def test_tracks_of_two_vehicles_stay_two(graph):
-    """They overlap in time, 8 m behind each other, or pass each other on neighbouring lanes."""
-    rng = np.random.default_rng(13)
-    found = detected(
-        returns(rng, 0, 9, 28.0, 10.0), returns(rng, 6, 16, 80.0, 10.0), clutter(rng, 18)
-    )
-    pair = [track(found, 0, 9, 28.0, 10.0), track(found, 6, 16, 80.0, 10.0)]
-    assert len(join_ends(Posterior(found, pair))) == 2
-
-
 @given(along=st.floats(-9.0, 9.0), left=st.floats(-1.5, 1.5), bend=st.floats(-0.08, 0.08))
 def test_places_on_a_bent_body_are_those_along_its_path(along, left, bend):
     """The oracle is a polyline through the same arc."""
@@ -285,6 +262,26 @@ def test_no_two_are_in_one_place_for_over_a_second(graph):
     found = detected(returns(rng, 0, 12, 20.0, 10.0, each=4.0), clutter(rng, 14))
     twice = [track(found, 0, 12, 20.0 + shift, 10.0) for shift in (0.0, 0.5)]
     assert len(improve(twice, found, graph, MotionSettings())) == 1
+
+
+def test_who_exists_is_told_from_a_second_one_on_the_same_detections():
+    rng = np.random.default_rng(21)
+    found = detected(
+        returns(rng, 0, 12, 20.0, 10.0), returns(rng, 0, 12, 60.0, 10.0), clutter(rng, 14)
+    )
+    right, double, other = (track(found, 0, 12, start, 10.0) for start in (20.0, 20.8, 60.0))
+    alone = with_existence(Posterior(found, [right, other]), [right, other])
+    assert min(each.p_exists for each in alone) > 0.85
+    (_, second, far) = with_existence(
+        Posterior(found, [right, double, other]), [right, double, other]
+    )
+    assert second.p_exists < 0.75
+    assert far.p_exists == pytest.approx(alone[1].p_exists, abs=0.02)
+
+
+@given(gain=st.floats(-1e6, 1e6), more=st.floats(0.0, 1e3), detections=st.integers(0, 10_000))
+def test_who_gains_more_exists_more_likely(gain, more, detections):
+    assert 0.5 < probability(gain, detections) <= probability(gain + more, detections) < 0.98
 
 
 def test_no_two_are_side_by_side_nearer_than_they_are_wide(graph):

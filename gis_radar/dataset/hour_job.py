@@ -64,7 +64,7 @@ from gis_radar.tracking import (
     vehicles_of_hour,
 )
 
-METHOD = 6
+METHOD = 7
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
@@ -363,7 +363,7 @@ def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, 
             "lanelet_id": np.ma.masked_array(lanelet, ~on), **placed, "seen": tracks["seen"],
         },
     )  # fmt: skip
-    writer.write(VEHICLES, found.vehicles.assign(p_exists=np.nan))  # the tracker does not tell it
+    writer.write(VEHICLES, found.vehicles)
     writer.write(CONTINUED, found.continued)
     speed = _hundredths(found.passages["speed"])
     writer.write(PASSAGES, found.passages.assign(speed_cms=speed))

@@ -94,7 +94,8 @@ class BatchMaker:
                 {
                     "vehicle": number, "first_step": each.step[0], "last_step": each.step[-1],
                     "length_m": motion.length_m, "width_m": motion.width_m,
-                    "length_sigma_m": motion.length_sigma_m, "p_heavy": motion.p_heavy,
+                    "length_sigma_m": motion.length_sigma_m, "p_exists": motion.p_exists,
+                    "p_heavy": motion.p_heavy,
                     "lanelets": lanelets,
                 }
             )  # fmt: skip

@@ -39,7 +39,7 @@ class HourVehicles:
         `vehicle step easting northing heading speed lanelet_id s_m d_m seen`: every fourth step,
         and the first and the last of a vehicle; by vehicle and step.
     vehicles : DataFrame
-        `vehicle first_step last_step length_m width_m length_sigma_m p_heavy lanelets`.
+        `vehicle first_step last_step length_m width_m length_sigma_m p_exists p_heavy lanelets`.
     continued : DataFrame
         `vehicle next`: numbers of a vehicle in the hour before and in this one.
     passages : DataFrame

@@ -164,8 +164,6 @@ class TrackManagementSettings:
         within the block and its margins. The vehicle's own share must be at least `own_share`.
     apart_s : float
         Least time between two vehicles at one place.
-    weaker_db : float
-        Stationary vehicles are at most so much weaker than moving ones.
     least_moving, least_way_m : int, float
         Least number of moving detections and least distance of a vehicle; otherwise the detections
         are false.
@@ -182,7 +180,6 @@ class TrackManagementSettings:
     search_s: float = 60.0
     own_share: float = 0.5
     apart_s: float = 1.0
-    weaker_db: float = 6.0
     least_moving: int = 6
     least_way_m: float = 4.0
     alone_s: float = 3.0

@@ -7,6 +7,7 @@ body stay where they are.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -45,6 +46,8 @@ class Motion:
         Its size, and the probability that it is longer than 7 m.
     along_m, left_m : (k,) arrays
         Where on the body each detection lies: from the middle forward, from the path to the left.
+    p_exists : float
+        The probability that it exists; NaN while that is not known.
     """
 
     rows: Integers
@@ -59,6 +62,7 @@ class Motion:
     p_heavy: float
     along_m: Floats
     left_m: Floats
+    p_exists: float = math.nan
 
     @property
     def last_step(self) -> int:

@@ -132,10 +132,12 @@ VEHICLES = TableKind(
     name="vehicles",
     columns={
         "vehicle": _ID, "first_step": _STEP, "last_step": _STEP, "length_m": _METRES,
-        "width_m": _METRES, "length_sigma_m": _METRES, "p_heavy": _METRES,
+        "width_m": _METRES, "length_sigma_m": _METRES, "p_exists": _METRES,
+        "p_heavy": _METRES,
         "lanelets": pa.list_(pa.int64()),
     },
     order=("vehicle",),
+    optional=("p_exists",),
 )  # fmt: skip
 PASSAGES = TableKind(
     name="passages",

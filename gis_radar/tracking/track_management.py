@@ -13,7 +13,6 @@ import numpy as np
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.hdmap import LaneGraph
-from gis_radar.tracking.bodies import usual_rcs
 from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.links import Part, chains
@@ -67,7 +66,6 @@ def complete_tracks(
         for number, each in enumerate(motions)
     ]  # fmt: skip
     targets = find_stationary(detections, free, motions, passes, settings.stationary)
-    targets = strong_targets(targets, detections, motions, settings)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in targets]
     hides = [Occluders.of(motions)]
     for number, (each, (place, heading)) in enumerate(zip(targets, places, strict=True)):
@@ -181,45 +179,6 @@ def _parts(
         else:
             free[rows] = np.abs(detections.range_rate[rows]) < settings.detections.moving_mps
     return parts
-
-
-def strong_targets(
-    targets: Sequence[StationaryTarget],
-    detections: MapDetections,
-    motions: Sequence[Motion],
-    settings: VehicleSettings,
-) -> list[StationaryTarget]:
-    """Return the targets whose strongest detections are about as strong as those of moving ones.
-
-    Without moving vehicles, still detections are the reference.
-
-    Parameters
-    ----------
-    targets : sequence of StationaryTarget
-        With the rows of their detections.
-    detections : MapDetections
-        With RCS in dB.
-    motions : sequence of Motion
-        The vehicles; those count that drive.
-    settings : VehicleSettings
-        How much weaker is still as strong, dB.
-
-    Returns
-    -------
-    list of StationaryTarget
-        Also those whose RCS is not known.
-    """
-    driven = [
-        usual_rcs(detections.rcs[each.rows]) for each in motions
-        if np.median(each.speed) > settings.bodies.driven_mps
-    ]  # fmt: skip
-    still = np.abs(detections.range_rate) < settings.detections.moving_mps
-    usual = usual_rcs(np.array(driven)) if driven else usual_rcs(detections.rcs[still])
-    least = usual - settings.management.weaker_db
-    return [
-        each for each in targets
-        if not usual_rcs(detections.rcs[each.rows], 0.9) < least  # nor where either is unknown
-    ]  # fmt: skip
 
 
 def _stationary_only(

@@ -119,8 +119,8 @@ def test_the_variance_is_that_of_runs_cut_at_the_quarter(tmp_path):
     lengths, seen = np.array([30, 100]), np.ones(2, np.bool_)
     wanted = RUN_ERRORS.variance(lengths, seen)
     assert counts["occupied_variance"].tolist() == pytest.approx([*wanted, 0, 0])
-    assert wanted[0] == pytest.approx((0.16 * 30) ** 2 + 9.0**2)
-    assert wanted[1] == pytest.approx(10**2 + 30.0**2)
+    assert wanted[0] == pytest.approx((0.16 * 30) ** 2 + 13.5**2)
+    assert wanted[1] == pytest.approx(10**2 + 45.0**2)
 
 
 def day_of(dataset):

@@ -14,7 +14,7 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.cuts import cut
 from gis_radar.tracking.posterior.ends import lengthen, with_undetected_ends
 from gis_radar.tracking.posterior.estimate import Posterior
-from gis_radar.tracking.posterior.joins import join_ends
+from gis_radar.tracking.posterior.existence import with_existence
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.posterior.refits import reassign, refit
 from gis_radar.tracking.posterior.sizes import resize
@@ -34,7 +34,8 @@ def improve(
     Lengths are chosen, long vehicles split in two and neighbours joined to one, stretches that
     nothing supports cut. Then ends are lengthened along the lanes and motions fitted to the
     detections that are theirs. Twice, since what one vehicle loses another one gains; at the end
-    lengths and stretches again, and each vehicle is extended while hardly a detection is due.
+    lengths and stretches again, each vehicle is extended while hardly a detection is due, and told
+    how likely it exists.
 
     Parameters
     ----------
@@ -57,11 +58,11 @@ def improve(
     posterior.learn(_sized_and_cut(posterior))
     posterior.place(lengthen(posterior, graph))
     posterior.motions = reassign(posterior)
-    return with_undetected_ends(posterior, _sized_and_cut(posterior))
+    found = with_undetected_ends(posterior, _sized_and_cut(posterior))
+    return with_existence(posterior, found)
 
 
 def _sized_and_cut(posterior: Posterior) -> list[Motion]:
-    posterior.place(join_ends(posterior))
     posterior.place(resize(posterior))
     posterior.place(split_long(posterior))
     posterior.place(join_neighbours(posterior))
