@@ -35,8 +35,9 @@ import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.calibration import Finding, LaneMap
 from gis_radar.calibration.excerpt import read_excerpt
-from gis_radar.calibration.findings import FITS, UNKNOWN
-from gis_radar.calibration.plausibility import BESIDE_LANES, UNKNOWN_CAUSE, judge
+from gis_radar.calibration.explanations import BESIDE_LANES
+from gis_radar.calibration.findings import FITS, UNKNOWN, UNKNOWN_CAUSE
+from gis_radar.calibration.plausibility import judge
 from gis_radar.poses.files import as_track
 
 sys.path.insert(0, str(ROOT / "bench" / "localization"))

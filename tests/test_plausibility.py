@@ -91,7 +91,7 @@ def test_a_pose_a_metre_off_is_doubted_not_refused(tmp_path, tiles, rows):
         [tmp_path / "R1.parquet"], [pose], tiles, MAP, tmp_path / "d", hits_only=True,
         reporter=heard,
     )  # fmt: skip
-    assert made.manifest.checks["R1"].startswith("R1: fits: its pose may be off (9")
+    assert made.manifest.checks["R1"].startswith("R1: fits, but its pose may be off (9")
     assert made.manifest.checks["R1"] in str(heard.messages)
 
 
@@ -185,12 +185,12 @@ def test_a_run_shows_what_it_doubts(run, mixed_up, rows):
     site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
     code, out, err = run("check", site)
     assert code == 0
-    assert "warning: R2: fits: its pose may be off (" in err
+    assert "warning: R2: fits, but its pose may be off (" in err
     code, out, _ = run("run", site, "-o", mixed_up / "out", "--json")
     assert code == 0
     summary = json.loads(out.splitlines()[-1])["summary"]
     (doubt,) = summary["not_known_to_fit"]
-    assert doubt.startswith("R2: fits: its pose may be off (")
+    assert doubt.startswith("R2: fits, but its pose may be off (")
     assert summary["sensors"]["R2"]["state"] == doubt.removeprefix("R2: ")
     assert doubt in (mixed_up / "out" / "summary.md").read_text().replace("\\", "")
 

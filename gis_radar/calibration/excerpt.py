@@ -10,6 +10,7 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.settings import LOCALIZATION
+from gis_radar.calibration.stays import Replaced, find_replacement
 from gis_radar.calibration.traces import (
     CREEPING,
     NONE,
@@ -49,7 +50,9 @@ class Excerpt:
     held : (m,) array
         Which pose was in force at each of these, by number.
     frozen : (begin, end, frames) or None
-        The longest time in which each frame is the same as the one before, UNIX seconds.
+        The longest time in which all frames are the same, UNIX seconds, and how many these are.
+    replaced : Replaced or None
+        Since when what stands around the sensor is elsewhere.
     wild : int
         How many detections are impossibly fast; with some, nothing is followed.
     time, points, range_rate : arrays
@@ -66,6 +69,7 @@ class Excerpt:
     track: Integers
     held: Integers
     frozen: tuple[float, float, int] | None
+    replaced: Replaced | None = None
     wild: int
     time: Floats
     points: Floats
@@ -91,7 +95,8 @@ class Excerpt:
     def as_usual(self) -> tuple[Moving, Integers]:
         """What moved, and its objects, as seen from the usual pose.
 
-        What was seen from another place, farther off than poses are corrected, is left out.
+        What was seen from another place, farther off than poses are corrected, is left out; objects
+        are numbered anew, from 0 without gaps.
         """
         usual, points = self.usual, self.moving.points.copy()
         stays = np.ones(len(points), dtype=bool)
@@ -106,12 +111,25 @@ class Excerpt:
             self.moving, time=self.moving.time[stays], points=points[stays],
             range_rate=self.moving.range_rate[stays],
         )  # fmt: skip
-        return moving, self.track[stays]
+        track, on = self.track[stays], self.track[stays] != NONE
+        track[on] = np.unique(track[on], return_inverse=True)[1]
+        return moving, track
 
-    def where(self, keep: Booleans) -> Excerpt:
-        """Return the detections for which `keep` is true; vehicles keep their numbers."""
+    def parted(self, when: float) -> tuple[Excerpt, Excerpt]:
+        """Return what moved before a moment and since; vehicles belong to where they appear."""
+        first = np.full(int(self.vehicle.max(initial=-1)) + 1, np.inf)
+        np.minimum.at(first, self.vehicle, self.time)
+        late, since = first[self.vehicle] >= when, self.moving.time >= when
+        return self._where(~late, ~since), self._where(late, since)
+
+    def _where(self, kept: Booleans, moving: Booleans) -> Excerpt:
         names = ("time", "points", "range_rate", "vehicle", "pose")
-        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+        rows = ("time", "points", "range_rate")
+        return replace(
+            self, track=self.track[moving], held=self.held[moving],
+            moving=replace(self.moving, **{n: getattr(self.moving, n)[moving] for n in rows}),
+            **{name: getattr(self, name)[kept] for name in names},
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,14 +167,15 @@ def read_excerpt(
     length_s = sum(end - begin for begin, end in spans)
     while True:
         begins = _begins(spans, count)
-        found = _excerpt(_rows(recordings, begins, clock or RIGHT), tracks)
+        rows = _rows(recordings, begins, clock or RIGHT)
+        found = _excerpt(rows, tracks)
         if (
             found.vehicles >= ENOUGH
             or found.wild
             or PIECE_S * count >= length_s
             or count >= MOST_PIECES
         ):
-            return found
+            return replace(found, replaced=_replaced(rows, tracks))
         count = 2 * count - 1
 
 
@@ -270,8 +289,19 @@ def _in_force(
     return tuple(poses), number
 
 
+def _replaced(rows: _Rows, tracks: Sequence[PoseTrack]) -> Replaced | None:
+    """Return since when what stands around a sensor is elsewhere, by the poses in force."""
+    poses, held = _in_force(rows.time, rows.source, tracks)
+    places = np.full((len(rows.time), 2), np.nan)
+    for number, pose in enumerate(poses):
+        mine = held == number
+        places[mine] = pose.to_map(np.nan_to_num(rows.points[mine]))[:, :2]
+    places[~np.isfinite(rows.points[:, :2]).all(axis=1)] = np.nan
+    return find_replacement(rows.time, places, rows.range_rate)
+
+
 def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
-    """Return the longest time in which each frame is the same as the one before."""
+    """Return the longest time in which all frames are the same, and how many these are."""
     present = np.isfinite(rows.points[:, 0])
     time = rows.time[present]
     frames, first, count = np.unique(time, return_index=True, return_counts=True)
@@ -287,7 +317,7 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     run = total - np.maximum.accumulate(np.where(same, 0, total))
     last = int(run.argmax())
     length = int(run[last])
-    return (float(frames[last - length]), float(frames[last]), length) if length else None
+    return (float(frames[last - length]), float(frames[last]), length + 1) if length else None
 
 
 def iso(time: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,8 @@ from gis_radar.texts import Text
 
 FITS, WRONG = Text("fits"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
+UNKNOWN_CAUSE = Text("cause unknown")
+RECORD_MORE = Text("record more traffic")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +65,8 @@ class Finding:
     @property
     def told(self) -> Text:
         """The finding, without the sensor's name."""
+        if self.verdict == FITS and self.cause:
+            return Text("{}, but {}", self.verdict, self.reason)
         return Text("{}: {}", self.verdict, self.reason)
 
     @property
@@ -74,6 +78,21 @@ class Finding:
 def wrong(evidence: str, cause: str, advice: str) -> Finding:
     """Return that a sensor does not fit, which is still to be named."""
     return Finding(sensor="", verdict=WRONG, evidence=evidence, cause=cause, advice=advice)
+
+
+def either(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
+    """Return mistakes that are as likely as one cause, and what to do about each of them.
+
+    Parameters
+    ----------
+    mistakes : iterable of (cause, advice)
+        The likeliest first.
+    """
+    given = list(mistakes)
+    cause = Text(" or ").join(cause for cause, _ in given)
+    if len(given) < 2:
+        return cause, Text("").join(advice for _, advice in given)
+    return cause, Text("; ").join(Text("{}: {}", *each) for each in given)
 
 
 class ImplausibleError(NoAnswerError):
