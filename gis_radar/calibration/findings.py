@@ -14,6 +14,8 @@ FITS, WRONG = Text("fits"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
 UNKNOWN_CAUSE = Text("cause unknown")
 RECORD_MORE = Text("record more traffic")
+HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
+RECORD = ("verdict", "evidence", "cause", "advice")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +41,16 @@ class Finding:
     advice: str = ""
 
     @property
+    def record(self) -> dict[str, str]:
+        """All but the sensor's name, as a dataset keeps it."""
+        return {name: getattr(self, name) for name in RECORD}
+
+    @property
+    def row(self) -> list[str]:
+        """The finding as a row of a table under `HEADS`."""
+        return [self.sensor, self.verdict, self.reason, self.advice]
+
+    @property
     def refused(self) -> bool:
         """Whether nothing goes on but where it is accepted."""
         return self.verdict == WRONG
@@ -51,11 +63,11 @@ class Finding:
         return self.line if self.verdict != FITS or self.cause else ""
 
     @property
-    def refusal(self) -> NoAnswerError:
+    def refusal(self) -> ImplausibleError:
         """The finding as an error, with what to do."""
         go_on = Text("{} {}", "--accept", self.sensor)
         hint = Text("{}; or go on anyway: {}", self.advice, go_on)
-        return NoAnswerError("{}", self.line, hint=hint)
+        return ImplausibleError("{}", self.line, hint=hint, findings=(self,))
 
     @property
     def reason(self) -> str:
@@ -70,9 +82,23 @@ class Finding:
         return Text("{}: {}", self.verdict, self.reason)
 
     @property
+    def told_with_advice(self) -> Text:
+        """The finding with what to do, without the sensor's name."""
+        return Text("{} ({})", self.told, self.advice) if self.advice else self.told
+
+    @property
     def line(self) -> Text:
         """The finding in a line."""
         return Text("{}: {}", self.sensor, self.told)
+
+
+def is_record(value: object) -> bool:
+    """Return whether a value is a finding as a dataset keeps it."""
+    return (
+        isinstance(value, dict)
+        and value.keys() == {*RECORD}
+        and all(isinstance(each, str) for each in value.values())
+    )
 
 
 def wrong(evidence: str, cause: str, advice: str) -> Finding:

@@ -19,7 +19,7 @@ from gis_radar.dataset import Dataset, clear_unfinished, open_dataset, read_hour
 from gis_radar.dataset.hour_job import MeasureSettings
 from gis_radar.dataset.manifest import Manifest, require_same_settings
 from gis_radar.dataset.measure import manifest_of, measure
-from gis_radar.errors import InputError
+from gis_radar.errors import GisRadarError, InputError, first_line
 from gis_radar.files import output_errors
 from gis_radar.live.quarters import KEPT, Lately, read_quarters
 from gis_radar.live.recordings import (
@@ -234,7 +234,7 @@ def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
     No table depends on it. An earlier hour, made again, says nothing of now.
     """
     paths = {name: recording_path(site.folder, name, hour) for name in site.sensors}
-    with suppress(InputError):  # what is damaged is named where it is measured
+    try:
         if read_hours(site.dataset, hour + 1):
             return
         tiles = read_tiles(site.tiles)
@@ -248,7 +248,11 @@ def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
         }
         for each in check_plausibility(sensors, lanes):
             if each.verdict != UNKNOWN:
-                done.doubts[each.sensor] = each.told if each.doubt else None
+                done.doubts[each.sensor] = each.told_with_advice if each.doubt else None
+    except InputError:
+        return  # what is damaged is named where it is measured
+    except (GisRadarError, ArithmeticError, ValueError) as error:  # the hour's results stand
+        done.warn("poses and recordings could not be checked: {}", first_line(error))
 
 
 def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:

@@ -63,6 +63,7 @@ from gis_radar.report.results import (
     write_sensor_table,
 )
 from gis_radar.report.sources import made_by, settings_of, sources_of
+from gis_radar.report.trust import trust_table
 from gis_radar.spreadsheets import csv_for, write_csv
 from gis_radar.steps import Clock, zone_of
 from gis_radar.texts import Text
@@ -348,6 +349,7 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
     over_time = tr("The lanes over time")
     hits = tr("Diagnosis: radar hits")
     return [
+        Chapter("trust", tr("Can this be trusted?"), [trust_table(results)]),
         Chapter("lanes", tr("Lanes"), [drawn.plan, lanes]),
         *([Chapter("time", over_time, drawn.over_time)] if drawn.over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures]),

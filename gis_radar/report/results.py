@@ -13,6 +13,7 @@ import numpy as np
 import pyogrio
 from PIL import Image
 
+from gis_radar.calibration.findings import Finding, is_record
 from gis_radar.crs import name_of, same_plane
 from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.errors import InputError
@@ -126,6 +127,18 @@ class Results:
             name: errors.get(name, "see summary.md")
             for name in names
             if shown and name not in shown
+        }
+
+    @property
+    def findings(self) -> dict[str, Finding]:
+        """Whether pose and recordings of sensors fit, as the run or the dataset tells."""
+        records = [] if self.dataset is None else [self.dataset.manifest.checks]
+        records += [(each.get("figures") or {}).get("findings") or {} for each in self.stages]
+        return {
+            str(name): Finding(sensor=str(name), **found)
+            for each in records
+            for name, found in each.items()
+            if is_record(found)
         }
 
     @property

@@ -21,6 +21,7 @@ from gis_radar.calibration import (
     read_clocks,
     refuse_implausible,
 )
+from gis_radar.calibration.findings import HEADS
 from gis_radar.crs import name_of, transformer
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.lanelets import LaneletMap, lanes, read_map
@@ -130,10 +131,7 @@ class SiteCheck:
         }
 
     def _table(self) -> list[list[str]]:
-        return [
-            [Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do")],
-            *([f.sensor, f.verdict, f.reason, f.advice] for f in self.findings),
-        ]
+        return [list(HEADS), *(each.row for each in self.findings)]
 
     @property
     def failure(self) -> NoAnswerError | None:

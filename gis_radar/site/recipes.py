@@ -113,7 +113,7 @@ def measure_site(
             if len(error.findings) == len(left):
                 raise
             for each in error.findings:
-                reporter.warn("{} is left out: {} ({})", each.sensor, each.told, each.advice)
+                reporter.warn("{} is left out: {}", each.sensor, each.told_with_advice)
                 refused[each.sensor] = each.refusal
                 del left[each.sensor]
         except InputError as error:
