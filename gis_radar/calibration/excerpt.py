@@ -10,7 +10,7 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.settings import LOCALIZATION
-from gis_radar.calibration.stays import Replaced, find_replacement
+from gis_radar.calibration.stays import Stays, compare_standing
 from gis_radar.calibration.traces import (
     CREEPING,
     NONE,
@@ -51,8 +51,8 @@ class Excerpt:
         Which pose was in force at each of these, by number.
     frozen : (begin, end, frames) or None
         The longest time in which all frames are the same, UNIX seconds, and how many these are.
-    replaced : Replaced or None
-        Since when what stands around the sensor is elsewhere.
+    stays : Stays or None
+        Whether what stands around the sensor stays where it is.
     wild : int
         How many detections are impossibly fast; with some, nothing is followed.
     time, points, range_rate : arrays
@@ -69,7 +69,7 @@ class Excerpt:
     track: Integers
     held: Integers
     frozen: tuple[float, float, int] | None
-    replaced: Replaced | None = None
+    stays: Stays | None = None
     wild: int
     time: Floats
     points: Floats
@@ -175,7 +175,7 @@ def read_excerpt(
             or PIECE_S * count >= length_s
             or count >= MOST_PIECES
         ):
-            return replace(found, replaced=_replaced(rows, tracks))
+            return replace(found, stays=_stays(rows, tracks))
         count = 2 * count - 1
 
 
@@ -289,15 +289,15 @@ def _in_force(
     return tuple(poses), number
 
 
-def _replaced(rows: _Rows, tracks: Sequence[PoseTrack]) -> Replaced | None:
-    """Return since when what stands around a sensor is elsewhere, by the poses in force."""
+def _stays(rows: _Rows, tracks: Sequence[PoseTrack]) -> Stays | None:
+    """Return whether what stands around a sensor stays where it is, by the poses in force."""
     poses, held = _in_force(rows.time, rows.source, tracks)
     places = np.full((len(rows.time), 2), np.nan)
     for number, pose in enumerate(poses):
         mine = held == number
         places[mine] = pose.to_map(np.nan_to_num(rows.points[mine]))[:, :2]
     places[~np.isfinite(rows.points[:, :2]).all(axis=1)] = np.nan
-    return find_replacement(rows.time, places, rows.range_rate)
+    return compare_standing(rows.time, places, rows.range_rate)
 
 
 def _frozen(rows: _Rows) -> tuple[float, float, int] | None:

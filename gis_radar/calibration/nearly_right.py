@@ -58,6 +58,7 @@ TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 SHOWS_M, SHOWS_DEG = 1.0, 1.0
 FARTHEST_DEG = 20.0  # what is farther off would show by the lanes that are driven
 TURNS = ("yaw", "pitch", "roll")
+STARTS_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)  # east, north
 HINTED = 1.5  # standard errors from which a scale of range may explain a pose that is off
 OPEN = (0.0, 1.0, -1.0, 2.0, -2.0)  # standard errors within which a scale of range may be
 
@@ -114,11 +115,21 @@ def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     information = prior.information.copy()
     information[POSE, POSE] = np.diag(np.array(NEAR) ** -2.0)
     prior = Prior(mean=centre, information=information)
-    fit = solve(Scene(lanes=near, samples=samples), centre, prior, schedule=WINDOW)
+    fit = _fitted(Scene(lanes=near, samples=samples), prior)
     if not fit.converged or fit.fitness < FITTING:
         return _elsewhere(excerpt, lanes, pose, found.evidence) or found
     seen = _measured(fit, prior)
     return _beyond(excerpt, seen, centre, found.evidence) or _shown(seen, found)
+
+
+def _fitted(scene: Scene, prior: Prior) -> Fit:
+    """Return the likeliest fit: from a metre off, many come to rest beside the right place."""
+    fits = []
+    for east, north in STARTS_M:
+        step = np.zeros(len(prior.information))
+        step[:2] = east, north
+        fits.append(solve(scene, prior.mean.moved(step), prior, schedule=WINDOW))
+    return min(fits, key=lambda each: each.cost)
 
 
 def _shown(seen: Measurement, found: Finding) -> Finding:

@@ -29,7 +29,7 @@ from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.nearly_right import lengths_off, pose_off
 from gis_radar.calibration.odd_clocks import odd_clocks
 from gis_radar.calibration.pace import is_sure, odd_pace
-from gis_radar.calibration.range_scale import SIGN, measure_range_scale
+from gis_radar.calibration.range_scale import ABSOLUTE, SIGN, measure_range_scale
 from gis_radar.calibration.rivals import AGAINST, LaneMap, best_split, on_lanes, score
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
@@ -43,6 +43,7 @@ FROZEN_FRAMES = 20  # equal frames on end: a second at 20 Hz; by chance there ar
 # Vehicles on either side of a change, and its log likelihood ratio over none: odds of 3,000, and
 # of 20 where a mistake explains what is on one side.
 LEAST_PART, CHANGED, EXPLAINED = 8, 8.0, 3.0
+OF_RATES = AGAINST.cause, ABSOLUTE.looks  # what may change while all that stands stays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,11 +162,11 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
 
 def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding | None:
     """Return that it is another sensor from some moment on, by what stands around it."""
-    seen = excerpt.replaced
-    if seen is None:
+    seen = excerpt.stays
+    if seen is None or seen.until is None:
         return None
-    when = iso(seen.time)
-    until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(seen.time))
+    when = iso(seen.until)
+    until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(seen.until))
     for bad, template in ((until, "until {}: {}"), (since, "from {} on: {}")):
         if bad.verdict == WRONG and bad.cause != UNKNOWN_CAUSE:
             return replace(bad, cause=Text(template, when, bad.cause))
@@ -191,6 +192,8 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(when))
     bad = since if until.verdict == FITS else until
     if until.verdict == since.verdict or (gain < CHANGED and bad.cause == UNKNOWN_CAUSE):
+        return None
+    if excerpt.stays is not None and bad.cause not in OF_RATES:  # place and axes are the same
         return None
     if until.verdict == WRONG:
         return replace(until, cause=Text("until {}: {}", iso(when), until.cause))

@@ -29,26 +29,27 @@ STAYS, ALIKE = 0.5, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Replaced:
-    """That what stands is elsewhere from some moment on.
+class Stays:
+    """Whether what stands around a sensor stays where it is.
 
     Parameters
     ----------
-    time : float
-        The moment, UNIX seconds, to ten seconds.
+    until : float or None
+        The moment from which on nearly nothing does, UNIX seconds, to ten seconds; None where it
+        stays all along.
     share : float
-        Share of what stands that is where something stood before.
+        Share of what stands that is where something stood before the moment, or at other times.
     usual : float
         The same share between times on one side of the moment.
     """
 
-    time: float
+    until: float | None
     share: float
     usual: float
 
 
-def find_replacement(time: Floats, places: Floats, range_rate: Floats) -> Replaced | None:
-    """Return from when on nearly nothing stands where it stood; None where there is no such moment.
+def compare_standing(time: Floats, places: Floats, range_rate: Floats) -> Stays | None:
+    """Return whether what stands stays where it is; None where too little stands to tell.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def find_replacement(time: Floats, places: Floats, range_rate: Floats) -> Replac
     if len(part) < 2 * LEAST_PARTS:
         return None
     alike = _shares(stands)
-    best: Replaced | None = None
+    best: Stays | None = None
     for first in range(LEAST_PARTS, len(part) - LEAST_PARTS + 1):
         for mixed in (0, 1):  # a part may lie on both sides
             begin = first + mixed
@@ -76,8 +77,8 @@ def find_replacement(time: Floats, places: Floats, range_rate: Floats) -> Replac
             usual = min(_usual(alike[:first, :first]), _usual(alike[begin:, begin:]))
             if usual >= ALIKE and share < min(STAYS * usual, best.share if best else 1.0):
                 moment = float(part[first]) * PART_S + float(time[still[0]])
-                best = Replaced(time=moment, share=share, usual=usual)
-    return best
+                best = Stays(until=moment, share=share, usual=usual)
+    return best or Stays(until=None, share=_usual(alike), usual=_usual(alike))
 
 
 def _standing(time: Floats, places: Floats) -> tuple[Integers, Booleans]:

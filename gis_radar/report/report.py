@@ -341,7 +341,7 @@ def _content(found: Findings, drawn: _Pictures) -> Content:
 
 def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
     """Return what follows the map."""
-    results = found.results
+    results, clock = found.results, found.clock
     figures = pose_figures(results)
     lanes = _lanes(found, intervals=len(results.heat.timeline) > 1)
     sensors = sensor_table(results, figures=len(figures))
@@ -349,7 +349,7 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
     over_time = tr("The lanes over time")
     hits = tr("Diagnosis: radar hits")
     return [
-        Chapter("trust", tr("Can this be trusted?"), [trust_table(results)]),
+        Chapter("trust", tr("Can this be trusted?"), [trust_table(results, clock)]),
         Chapter("lanes", tr("Lanes"), [drawn.plan, lanes]),
         *([Chapter("time", over_time, drawn.over_time)] if drawn.over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures]),

@@ -5,18 +5,21 @@ from __future__ import annotations
 from gis_radar.calibration.findings import FITS, WRONG, Finding
 from gis_radar.report.content import Column, Table
 from gis_radar.report.results import Results
+from gis_radar.steps import Clock
 from gis_radar.words import NOTHING, plural, tr
 
 NOT_CHECKED = "not checked"
 
 
-def trust_table(results: Results) -> Table:
+def trust_table(results: Results, clock: Clock) -> Table:
     """Return what the check found of each sensor, and what to do about it.
 
     Parameters
     ----------
     results : Results
         What the report is made of.
+    clock : Clock
+        Of the site, for times in the evidence.
 
     Returns
     -------
@@ -25,7 +28,7 @@ def trust_table(results: Results) -> Table:
     """
     known = results.findings
     names = sorted({*results.sensors, *results.lost, *known})
-    rows = [_row(name, known.get(name), results) for name in names]
+    rows = [_row(name, known.get(name), results, clock) for name in names]
     titles = tr("Sensor"), tr("Verdict"), tr("Evidence"), tr("What to do")
     columns = [Column(title, "", str, False) for title in titles]
     return Table(
@@ -37,7 +40,7 @@ def trust_table(results: Results) -> Table:
     )
 
 
-def _row(name: str, found: Finding | None, results: Results) -> list[str]:
+def _row(name: str, found: Finding | None, results: Results, clock: Clock) -> list[str]:
     if found is None:
         lost = results.lost.get(name, "")
         return [name, tr(NOT_CHECKED), tr(lost) if lost else NOTHING, NOTHING]
@@ -45,7 +48,7 @@ def _row(name: str, found: Finding | None, results: Results) -> list[str]:
     if found.refused:
         text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"
         verdict = tr(text, verdict=verdict)
-    return [name, verdict, tr(found.reason), tr(found.advice) or NOTHING]
+    return [name, verdict, tr(clock.localised(found.reason)), tr(found.advice) or NOTHING]
 
 
 def _notes(results: Results, known: dict[str, Finding]) -> list[str]:
