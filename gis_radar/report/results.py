@@ -122,6 +122,9 @@ class Results:
             for stage in reversed(self.stages)
             if stage.get("error")
         }
+        for stage in self.stages:
+            refused = (stage.get("figures") or {}).get("refused") or {}
+            errors |= {n: Text(why).removeprefix(f"{n}: ") for n, why in refused.items()}
         names = [str(each["name"]) for each in self.site.get("sensor") or []]
         return {
             name: errors.get(name, "see summary.md")
