@@ -226,6 +226,16 @@ def test_clocks_are_not_compared_without_a_common_view(checked, rows):
     assert WRONG not in {line[0] for line in found.values()}
 
 
+def test_of_two_clocks_that_are_apart_a_run_keeps_one(checked, run, rows, tmp_path):
+    """A map of one sensor is right; which of the two clocks is off is not known."""
+    late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)
+    checked({"R1": (rows["R1"], POSES["R1"]), "R2": (late, POSES["R2"])})
+    code, _, err = run("run", tmp_path / "SITE.toml", "-o", tmp_path / "out")
+    assert code == 4
+    assert "no result for R2; the heat maps show R1 only; R2: does not fit: its clock" in err
+    assert gr.open_dataset(tmp_path / "out" / "dataset").sensors == ["R1"]
+
+
 def test_another_sensor_from_half_way_on_is_told_by_what_stands(checked, rows):
     """Of what stands nearly nothing stays, be there traffic or not."""
     middle = rows["R1"]["time"].iloc[0] + 20.0

@@ -14,6 +14,7 @@ FITS, WRONG = Text("fits"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
 UNKNOWN_CAUSE = Text("cause unknown")
 RECORD_MORE = Text("record more traffic")
+CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
 RECORD = ("verdict", "evidence", "cause", "advice")
 
@@ -54,6 +55,11 @@ class Finding:
     def refused(self) -> bool:
         """Whether nothing goes on but where it is accepted."""
         return self.verdict == WRONG
+
+    @property
+    def is_of_clocks(self) -> bool:
+        """Whether its clock alone contradicts another sensor's: without that one it may go on."""
+        return isinstance(self.cause, Text) and self.cause.template == CLOCKS_APART
 
     @property
     def doubt(self) -> str:
