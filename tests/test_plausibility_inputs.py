@@ -153,6 +153,14 @@ def test_signs_that_are_lost_show_where_few_approach(rows, tmp_path, lost):
     assert found.cause == ("range rates look like absolute values" if lost else "")
 
 
+def test_where_all_approach_lost_signs_and_turned_ones_are_the_same(checked, rows):
+    table = rows["R1"][rows["R1"]["range_rate"] < MOVES_MPS]
+    _, found, _ = checked({"R1": (table.assign(range_rate=table["range_rate"].abs()), POSES["R1"])})
+    looks = "range rates look positive where targets approach", "range rates look like absolute"
+    assert all(each in found["R1"][1] for each in looks)
+    assert found["R1"][2].count("; ") == 1
+
+
 def test_objects_that_are_left_out_leave_no_gaps(rows, tmp_path):
     """What was seen from a place that is not the usual one; numbers are places of arrays."""
     rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)

@@ -30,7 +30,7 @@ from gis_radar.calibration.nearly_right import lengths_off, pose_off
 from gis_radar.calibration.odd_clocks import odd_clocks
 from gis_radar.calibration.pace import is_sure, odd_pace
 from gis_radar.calibration.range_scale import ABSOLUTE, SIGN, measure_range_scale
-from gis_radar.calibration.rivals import AGAINST, LaneMap, best_split, on_lanes, score
+from gis_radar.calibration.rivals import AGAINST, LaneMap, best_split, on_lanes, score, signs_lost
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
@@ -129,8 +129,13 @@ def judge(sensor: str, excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Po
     found = found or by_lanes(excerpt, lanes, others)
     if found.verdict == FITS:
         found = lengths_off(excerpt, lanes, pace) or pose_off(excerpt, lanes, found, pace)
+    other = None
     if found.cause == AGAINST.cause and not is_sure(pace):  # both turn the direction of travel
-        cause, advice = either([(found.cause, found.advice), (SIGN.looks, SIGN.advice)])
+        other = SIGN
+    if found.cause == SIGN.looks and signs_lost(excerpt):  # where all approach, both are the same
+        other = ABSOLUTE
+    if other is not None:
+        cause, advice = either([(found.cause, found.advice), (other.looks, other.advice)])
         found = replace(found, cause=cause, advice=advice)
     if found.verdict == FITS and not is_sure(pace):
         evidence = Text("{}, scale of range not fitted", found.evidence)
