@@ -124,6 +124,7 @@ def test_a_right_pose_is_not_refused(checked, rows, change, verdicts):
     assert verdict in verdicts
     assert re.search(r"\d+%? ?(of|vehicles)", evidence)
     assert advice == ("" if verdict == FITS else "record more traffic")
+    assert ("pose not fitted without heights" in evidence) is (change is flat)
     if change in (one_lane, short):  # ten vehicles and more, but a metre would pass
         assert re.search(
             r"but a pose up to \d+\.\d m or \d+\.\d deg off would hardly show", evidence

@@ -102,11 +102,11 @@ def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     pose = excerpt.usual
     points = excerpt.moving.points
     if not np.isfinite(points).all():
-        return found  # without elevation, no pose is fitted
+        return _without_heights(found)
     samples = thin(*excerpt.as_usual)
     near = lanes.around(pose, lanes.reach_m(points))
     if near is None or not np.isfinite(near.points[:, 2]).any():
-        return found
+        return _without_heights(found)
     centre = State(
         position=pose.position - [*near.origin, 0.0], R_map_sensor=pose.R_map_sensor,
         reflection=REFLECTION_M,
@@ -117,9 +117,22 @@ def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     prior = Prior(mean=centre, information=information)
     fit = _fitted(Scene(lanes=near, samples=samples), prior)
     if not fit.converged or fit.fitness < FITTING:
-        return _elsewhere(excerpt, lanes, pose, found.evidence) or found
+        return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
     seen = _measured(fit, prior)
     return _beyond(excerpt, seen, centre, found.evidence) or _shown(seen, found)
+
+
+def _without_heights(found: Finding) -> Finding:
+    """Return a finding that says that a metre and a degree are not looked for."""
+    return replace(found, evidence=Text("{}, pose not fitted without heights", found.evidence))
+
+
+def _unfitted(found: Finding) -> Finding:
+    """Return that a pose fits only where one could be fitted."""
+    if found.cause:
+        return found
+    evidence = Text("{}, but no pose is fitted to them", found.evidence)
+    return replace(found, verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
 
 
 def _fitted(scene: Scene, prior: Prior) -> Fit:
