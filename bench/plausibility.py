@@ -33,10 +33,11 @@ from simulated import sites, true_pose
 
 import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.calibration import UNKNOWN, Finding, LaneMap
+from gis_radar.calibration import FITS, UNKNOWN, Finding, LaneMap
 from gis_radar.calibration.excerpt import read_excerpt
-from gis_radar.calibration.findings import FITS
-from gis_radar.calibration.plausibility import BESIDE_LANES, UNKNOWN_CAUSE, judge
+from gis_radar.calibration.explanations import BESIDE_LANES
+from gis_radar.calibration.findings import UNKNOWN_CAUSE
+from gis_radar.calibration.plausibility import judge
 from gis_radar.poses import as_track
 
 sys.path.insert(0, str(ROOT / "bench" / "localization"))

@@ -5,6 +5,7 @@ import multiprocessing
 from concurrent.futures import Future
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 from live_hours import SAMPLE, SpooledSite, frames_at
@@ -97,6 +98,20 @@ def test_a_pose_that_does_not_fit_is_named_each_hour(tmp_path):
     doubts = make_hours(made.site, [], [HOUR]).doubts
     assert doubts["R1"].startswith("does not fit: yaw is off by 180 deg (")
     assert doubts["R2"] is None
+
+
+def test_a_check_that_fails_loses_nothing_of_the_hour(tmp_path, monkeypatch):
+    """No table depends on it: the hour is made, and the log says why it is not checked."""
+
+    def fail(*_, **__):
+        raise np.linalg.LinAlgError("singular")
+
+    made = SpooledSite(tmp_path)
+    monkeypatch.setattr(hour_work, "check_plausibility", fail)
+    done = make_hours(made.site, recorded_at(made, FULL_US - 45_000_000, ["R1"]), [HOUR])
+    assert list(read_hours(made.site.dataset)) == [HOUR]
+    assert done.doubts == {}
+    assert "poses and recordings could not be checked: singular" in done.said
 
 
 def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):

@@ -91,8 +91,8 @@ def test_a_pose_a_metre_off_is_doubted_not_refused(tmp_path, tiles, rows):
         [tmp_path / "R1.parquet"], [pose], tiles, MAP, tmp_path / "d", hits_only=True,
         reporter=heard,
     )  # fmt: skip
-    assert made.manifest.checks["R1"].startswith("R1: fits: its pose may be off (9")
-    assert made.manifest.checks["R1"] in str(heard.messages)
+    assert made.manifest.doubts["R1"].startswith("R1: fits, but its pose may be off (9")
+    assert made.manifest.doubts["R1"] in str(heard.messages)
 
 
 @pytest.fixture
@@ -165,7 +165,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert code == 0
     assert "yaw is off by 180 deg" in err
     assert "it is accepted anyway" in err
-    checks = gr.open_dataset(dataset).manifest.checks
+    checks = gr.open_dataset(dataset).manifest.doubts
     assert list(checks) == ["R2"]
     assert checks["R2"].startswith("R2: does not fit: yaw is off by 180 deg (")
     code, _, err = run("heatmap", dataset, "-o", mixed_up / "map")
@@ -185,12 +185,12 @@ def test_a_run_shows_what_it_doubts(run, mixed_up, rows):
     site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
     code, out, err = run("check", site)
     assert code == 0
-    assert "warning: R2: fits: its pose may be off (" in err
+    assert "warning: R2: fits, but its pose may be off (" in err
     code, out, _ = run("run", site, "-o", mixed_up / "out", "--json")
     assert code == 0
     summary = json.loads(out.splitlines()[-1])["summary"]
     (doubt,) = summary["not_known_to_fit"]
-    assert doubt.startswith("R2: fits: its pose may be off (")
+    assert doubt.startswith("R2: fits, but its pose may be off (")
     assert summary["sensors"]["R2"]["state"] == doubt.removeprefix("R2: ")
     assert doubt in (mixed_up / "out" / "summary.md").read_text().replace("\\", "")
 
@@ -207,9 +207,9 @@ def test_a_pose_track_is_judged_at_the_pose_in_force(tmp_path, tiles, rows):
         track = PoseTrack(since=since, poses=poses)
         return gr.measure([path], [track], tiles, MAP, tmp_path / "d", hits_only=True, only=True)
 
-    assert measured(wrong, right, changed_s=-60.0).manifest.checks == {}
+    assert measured(wrong, right, changed_s=-60.0).manifest.doubts == {}
     near = replace(right, yaw=YAW + 0.05)
-    assert measured(near, right).manifest.checks == {}
+    assert measured(near, right).manifest.doubts == {}
     with pytest.raises(ImplausibleError, match=r"R1: does not fit: yaw is off by 180 deg"):
         measured(wrong, replace(wrong, yaw=YAW + 179.9))
 
@@ -231,7 +231,7 @@ def test_a_doubt_stays_with_the_recording_that_it_is_of(tmp_path, tiles, rows):
 
     def measured(files, accept):
         given = (files, [POSES["R1"]] * len(files), tiles, MAP, dataset)
-        return gr.measure(*given, hits_only=True, accept=accept).manifest.checks
+        return gr.measure(*given, hits_only=True, accept=accept).manifest.doubts
 
     with pytest.raises(UsageError, match="R9: no sensor of that name is given"):
         measured([first], ["R9"])
@@ -279,7 +279,7 @@ def test_right_poses_pass_and_too_little_traffic_is_said(tmp_path, tiles, rows, 
         reporter=heard,
     )  # fmt: skip
     said = {"R1": "R1: too little traffic to tell: 4 vehicles move, 10 are needed"}
-    assert made.manifest.checks == ({} if seconds == 60 else said)
+    assert made.manifest.doubts == ({} if seconds == 60 else said)
     assert ("too little traffic" in str(heard.messages)) == (seconds < 1)
 
 
@@ -288,7 +288,7 @@ def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, 
     made = gr.measure(
         [tmp_path / "R1.parquet"], [POSES["R1"]], tiles, None, tmp_path / "d", hits_only=True
     )
-    assert made.manifest.checks == {}
+    assert made.manifest.doubts == {}
     with pytest.raises(ImplausibleError, match="yaw is off by 180 deg"):
         gr.measure(
             [tmp_path / "R1.parquet"], [turned("yaw", YAW + 180.0)], tiles, None, tmp_path / "e",

@@ -1,5 +1,14 @@
 from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
-from .findings import UNKNOWN, Finding, ImplausibleError, refuse_implausible
+from .findings import (
+    FITS,
+    HEADS,
+    UNKNOWN,
+    WRONG,
+    Finding,
+    ImplausibleError,
+    is_record,
+    refuse_implausible,
+)
 from .joint import JointCalibration, adjust_poses, gain_line, localize_together
 from .lane_detections import ClockSettings, lanelets_of
 from .localization import localize, localize_files
@@ -18,10 +27,13 @@ from .windows import WindowFitter
 
 __all__ = [
     "CLASH_HINT",
+    "FITS",
+    "HEADS",
     "LOCALIZATION",
     "MONITOR",
     "MOVED",
     "UNKNOWN",
+    "WRONG",
     "AmbiguousError",
     "ClockSettings",
     "Clocks",
@@ -47,6 +59,7 @@ __all__ = [
     "draw_scan_check",
     "draw_track",
     "gain_line",
+    "is_record",
     "lanelets_of",
     "localize",
     "localize_files",

@@ -10,6 +10,7 @@ import numpy as np
 from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.settings import LOCALIZATION
+from gis_radar.calibration.stays import Stays, compare_standing
 from gis_radar.calibration.traces import (
     CREEPING,
     NONE,
@@ -47,7 +48,9 @@ class Excerpt:
     held : (m,) array
         Which pose was in force at each of these, by number.
     frozen : (begin, end, frames) or None
-        The longest time in which each frame is the same as the one before, UNIX seconds.
+        The longest time in which all frames are the same, UNIX seconds, and how many these are.
+    stays : Stays or None
+        Whether what stands around the sensor stays where it is.
     wild : int
         How many detections are impossibly fast; with some, nothing is followed.
     time, points, range_rate : arrays
@@ -64,6 +67,7 @@ class Excerpt:
     track: Integers
     held: Integers
     frozen: tuple[float, float, int] | None
+    stays: Stays | None = None
     wild: int
     time: Floats
     points: Floats
@@ -89,7 +93,8 @@ class Excerpt:
     def as_usual(self) -> tuple[Moving, Integers]:
         """What moved, and its objects, as seen from the usual pose.
 
-        What was seen from another place, farther off than poses are corrected, is left out.
+        What was seen from another place, farther off than poses are corrected, is left out; objects
+        are numbered anew, from 0 without gaps.
         """
         usual, points = self.usual, self.moving.points.copy()
         stays = np.ones(len(points), dtype=bool)
@@ -104,12 +109,25 @@ class Excerpt:
             self.moving, time=self.moving.time[stays], points=points[stays],
             range_rate=self.moving.range_rate[stays],
         )  # fmt: skip
-        return moving, self.track[stays]
+        track, on = self.track[stays], self.track[stays] != NONE
+        track[on] = np.unique(track[on], return_inverse=True)[1]
+        return moving, track
 
-    def where(self, keep: Booleans) -> Excerpt:
-        """Return the detections for which `keep` is true; vehicles keep their numbers."""
+    def parted(self, when: float) -> tuple[Excerpt, Excerpt]:
+        """Return what moved before a moment and since; vehicles belong to where they appear."""
+        first = np.full(int(self.vehicle.max(initial=-1)) + 1, np.inf)
+        np.minimum.at(first, self.vehicle, self.time)
+        late, since = first[self.vehicle] >= when, self.moving.time >= when
+        return self._where(~late, ~since), self._where(late, since)
+
+    def _where(self, kept: Booleans, moving: Booleans) -> Excerpt:
         names = ("time", "points", "range_rate", "vehicle", "pose")
-        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+        rows = ("time", "points", "range_rate")
+        return replace(
+            self, track=self.track[moving], held=self.held[moving],
+            moving=replace(self.moving, **{n: getattr(self.moving, n)[moving] for n in rows}),
+            **{name: getattr(self, name)[kept] for name in names},
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,14 +165,15 @@ def read_excerpt(
     length_s = sum(end - begin for begin, end in spans)
     while True:
         begins = _begins(spans, count)
-        found = _excerpt(_rows(recordings, begins, clock or RIGHT), tracks)
+        rows = _rows(recordings, begins, clock or RIGHT)
+        found = _excerpt(rows, tracks)
         if (
             found.vehicles >= ENOUGH
             or found.wild
             or PIECE_S * count >= length_s
             or count >= MOST_PIECES
         ):
-            return found
+            return replace(found, stays=_stays(rows, tracks))
         count = 2 * count - 1
 
 
@@ -268,8 +287,19 @@ def _in_force(
     return tuple(poses), number
 
 
+def _stays(rows: _Rows, tracks: Sequence[PoseTrack]) -> Stays | None:
+    """Return whether what stands around a sensor stays where it is, by the poses in force."""
+    poses, held = _in_force(rows.time, rows.source, tracks)
+    places = np.full((len(rows.time), 2), np.nan)
+    for number, pose in enumerate(poses):
+        mine = held == number
+        places[mine] = pose.to_map(np.nan_to_num(rows.points[mine]))[:, :2]
+    places[~np.isfinite(rows.points[:, :2]).all(axis=1)] = np.nan
+    return compare_standing(rows.time, places, rows.range_rate)
+
+
 def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
-    """Return the longest time in which each frame is the same as the one before."""
+    """Return the longest time in which all frames are the same, and how many these are."""
     present = np.isfinite(rows.points[:, 0])
     time = rows.time[present]
     frames, first, count = np.unique(time, return_index=True, return_counts=True)
@@ -285,7 +315,7 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
     run = total - np.maximum.accumulate(np.where(same, 0, total))
     last = int(run.argmax())
     length = int(run[last])
-    return (float(frames[last - length]), float(frames[last]), length) if length else None
+    return (float(frames[last - length]), float(frames[last]), length + 1) if length else None
 
 
 def iso(time: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,11 @@ from gis_radar.base import NoAnswerError, Reporter, Text
 
 FITS, WRONG = Text("fits"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
+UNKNOWN_CAUSE = Text("cause unknown")
+RECORD_MORE = Text("record more traffic")
+CLOCKS_APART = "its clock and that of {} are apart"
+HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
+RECORD = ("verdict", "evidence", "cause", "advice")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +40,24 @@ class Finding:
     advice: str = ""
 
     @property
+    def record(self) -> dict[str, str]:
+        """All but the sensor's name, as a dataset keeps it."""
+        return {name: getattr(self, name) for name in RECORD}
+
+    @property
+    def row(self) -> list[str]:
+        """The finding as a row of a table under `HEADS`."""
+        return [self.sensor, self.verdict, self.reason, self.advice]
+
+    @property
     def refused(self) -> bool:
         """Whether nothing goes on but where it is accepted."""
         return self.verdict == WRONG
+
+    @property
+    def is_of_clocks(self) -> bool:
+        """Whether its clock alone contradicts another sensor's: without that one it may go on."""
+        return isinstance(self.cause, Text) and self.cause.template == CLOCKS_APART
 
     @property
     def doubt(self) -> str:
@@ -47,11 +67,11 @@ class Finding:
         return self.line if self.verdict != FITS or self.cause else ""
 
     @property
-    def refusal(self) -> NoAnswerError:
+    def refusal(self) -> ImplausibleError:
         """The finding as an error, with what to do."""
         go_on = Text("{} {}", "--accept", self.sensor)
         hint = Text("{}; or go on anyway: {}", self.advice, go_on)
-        return NoAnswerError("{}", self.line, hint=hint)
+        return ImplausibleError("{}", self.line, hint=hint, findings=(self,))
 
     @property
     def reason(self) -> str:
@@ -61,7 +81,14 @@ class Finding:
     @property
     def told(self) -> Text:
         """The finding, without the sensor's name."""
+        if self.verdict == FITS and self.cause:
+            return Text("{}, but {}", self.verdict, self.reason)
         return Text("{}: {}", self.verdict, self.reason)
+
+    @property
+    def told_with_advice(self) -> Text:
+        """The finding with what to do, without the sensor's name."""
+        return Text("{} ({})", self.told, self.advice) if self.advice else self.told
 
     @property
     def line(self) -> Text:
@@ -69,9 +96,33 @@ class Finding:
         return Text("{}: {}", self.sensor, self.told)
 
 
+def is_record(value: object) -> bool:
+    """Return whether a value is a finding as a dataset keeps it."""
+    return (
+        isinstance(value, dict)
+        and value.keys() == {*RECORD}
+        and all(isinstance(each, str) for each in value.values())
+    )
+
+
 def wrong(evidence: str, cause: str, advice: str) -> Finding:
     """Return that a sensor does not fit, which is still to be named."""
     return Finding(sensor="", verdict=WRONG, evidence=evidence, cause=cause, advice=advice)
+
+
+def either(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
+    """Return mistakes that are as likely as one cause, and what to do about each of them.
+
+    Parameters
+    ----------
+    mistakes : iterable of (cause, advice)
+        The likeliest first.
+    """
+    given = list(mistakes)
+    cause = Text(" or ").join(cause for cause, _ in given)
+    if len(given) < 2:
+        return cause, Text("").join(advice for _, advice in given)
+    return cause, Text("; ").join(Text("{}: {}", *each) for each in given)
 
 
 class ImplausibleError(NoAnswerError):

@@ -8,7 +8,7 @@ from itertools import combinations
 
 from gis_radar.base import NoAnswerError, Text
 from gis_radar.calibration.clock_offsets import measured_offset
-from gis_radar.calibration.findings import Finding, wrong
+from gis_radar.calibration.findings import CLOCKS_APART, Finding, wrong
 from gis_radar.calibration.lane_detections import LaneDetections
 
 CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0  # between sensors with a common view: a car's length and more
@@ -46,6 +46,6 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
 
 def _apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
     evidence = Text("{:+.2f} ± {:.2f} s by vehicles that both see", ahead_s, sigma_s)
-    cause = Text("its clock and that of {} are apart", other)
+    cause = Text(CLOCKS_APART, other)
     found = wrong(evidence, cause, Text("find the offset with gis-radar clocks"))
     return replace(found, sensor=name)

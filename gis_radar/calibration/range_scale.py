@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, Text
+from gis_radar.calibration.findings import either
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
 
 # The search pairs detections so long apart: a vehicle moves farther than the length of a car.
@@ -158,8 +159,8 @@ class RangeScale:
 
     @property
     def advice(self) -> str:
-        """What to do then; empty where it is none of them."""
-        return Text(" or ").join(each.advice for each in self.mistakes)
+        """What to do then, for each of them; empty where it is none."""
+        return either((each.looks, each.advice) for each in self.mistakes)[1]
 
     def require_one(self, name: str) -> None:
         """Refuse a scale that contradicts 1.

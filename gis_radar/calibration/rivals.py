@@ -324,9 +324,19 @@ def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival
             Rival(cause=Text("roll is off by 180 deg"), advice=Text("set roll to {:.1f}", over),
                   turned=lambda p: replace(p, roll=p.roll + 180.0)),
         ]  # fmt: skip
+    lost = signs_lost(excerpt)
+    return (
+        found
+        + ([lost] if lost else [])
+        + [_of_another(name, other) for name, other in others.items()]
+    )
+
+
+def signs_lost(excerpt: Excerpt) -> Rival | None:
+    """Return that range rates have lost their signs; None where both signs are there."""
     if (excerpt.range_rate > 0.0).all() or (excerpt.range_rate < 0.0).all():
-        found.append(Rival(cause=ABSOLUTE.looks, advice=ABSOLUTE.advice, signless=True))
-    return found + [_of_another(name, other) for name, other in others.items()]
+        return Rival(cause=ABSOLUTE.looks, advice=ABSOLUTE.advice, signless=True)
+    return None
 
 
 def _of_another(name: str, other: Pose) -> Rival:

@@ -104,7 +104,7 @@ class Dataset(TrafficTables):
     @property
     def doubts(self) -> list[str]:
         """A line for each sensor whose pose and recordings are not known to fit."""
-        known = self.manifest.checks
+        known = self.manifest.doubts
         return [known[sensor] for sensor in self.sensors if sensor in known]
 
     @property

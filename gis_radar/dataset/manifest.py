@@ -20,6 +20,7 @@ from gis_radar.base import (
     with_texts,
     writing_errors,
 )
+from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset.parts import rename_whole, unfinished, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
@@ -48,7 +49,8 @@ class Manifest:
     settings : dict
         In effect for all of its hours.
     checks : dict
-        By sensor, why its pose and recordings are not known to fit; hours do not follow from it.
+        By sensor, whether its pose and recordings fit, as of
+        :attr:`gis_radar.calibration.Finding.record`; hours do not follow from it.
     schema : int
         Of the tables.
     """
@@ -59,8 +61,18 @@ class Manifest:
     origin: tuple[int, int]
     timezone: str = "UTC"
     settings: dict[str, Any] = field(default_factory=dict)
-    checks: dict[str, str] = field(default_factory=dict, compare=False)
+    checks: dict[str, dict[str, str]] = field(default_factory=dict, compare=False)
     schema: int = SCHEMA
+
+    @property
+    def findings(self) -> dict[str, Finding]:
+        """Whether pose and recordings of a sensor fit, by its name."""
+        return {name: Finding(sensor=name, **found) for name, found in self.checks.items()}
+
+    @property
+    def doubts(self) -> dict[str, str]:
+        """Why pose and recordings of a sensor are not known to fit, by its name."""
+        return {name: found.doubt for name, found in self.findings.items() if found.doubt}
 
     def write(self, folder: Path) -> None:
         """Write `dataset.json`, in place of the one that is there."""
@@ -114,6 +126,8 @@ class Manifest:
         for name in ("settings", "checks"):
             if not isinstance(getattr(manifest, name), dict):
                 raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
+        if not all(map(is_record, manifest.checks.values())):
+            raise InputError("{}: damaged: {} are none", path, "checks", hint=MAKE_ONE)
         return manifest
 
 

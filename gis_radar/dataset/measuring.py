@@ -76,13 +76,16 @@ class _Given:
     book: SightBook
     findings: tuple[Finding, ...] = ()
 
-    def checks(self, before: Mapping[str, str], registry: Registry) -> dict[str, str]:
-        """Return by sensor what results do not rest on safely, as long as they rest on it."""
+    def checked(self, before: Manifest, registry: Registry) -> Manifest:
+        """Return a manifest with what was found; a doubt stays as long as results rest on it."""
         mine = {each.digest for each in self.entries}
         other = {each.sensor for each in registry.entries if each.digest not in mine}
-        judged = {each.sensor for each in self.findings} - other
-        odd = {each.sensor: each.doubt for each in self.findings if each.doubt}
-        return {name: line for name, line in before.items() if name not in judged} | odd
+        found = {
+            each.sensor: each.record
+            for each in self.findings
+            if each.doubt or each.sensor not in {*other} & before.doubts.keys()
+        }
+        return replace(before, checks=before.checks | found)
 
 
 def measure(
@@ -381,8 +384,9 @@ def _add(
     before = before if is_new else Registry.read(folder, manifest.fingerprint)
     _remark_on_changes(before, given, manifest, reporter)
     registry = _joined(before, given, only=only)
-    checks = given.checks(manifest.checks, registry)
-    doubted = replace(manifest, checks=manifest.checks | checks)
+    checked = given.checked(manifest, registry)
+    odd = {name: checked.checks[name] for name in checked.doubts}
+    doubted = replace(manifest, checks=manifest.checks | odd)
     site = HourSite(
         folder=folder, tiles=given.tiles, graph=given.graph, origin=manifest.origin,
         settings=given.settings,
@@ -407,8 +411,8 @@ def _add(
         if is_new:  # nothing was there: nothing stays
             shutil.rmtree(folder, ignore_errors=True)
         raise
-    if checks != doubted.checks:
-        replace(manifest, checks=checks).write(folder)
+    if checked.checks != doubted.checks:
+        checked.write(folder)
     return made
 
 

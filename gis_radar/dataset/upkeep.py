@@ -19,7 +19,6 @@ from gis_radar.dataset.registry import (
     validity_by_sensor,
 )
 from gis_radar.hdmap import lane_graph
-from gis_radar.recordings import is_recording
 from gis_radar.tracking import map_of_tiles
 
 
@@ -82,7 +81,8 @@ def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET
     folder : str or Path
         The dataset.
     search : str or Path
-        A folder; all recordings in it and in the folders below are looked at.
+        A folder; in it and in the folders below all files are looked at whose name ends as that of
+        a recording which is lost.
     reporter : Reporter
         Receives progress, and a warning for each recording that is not found.
 
@@ -104,8 +104,12 @@ def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET
         registry = Registry.read(folder, dataset.manifest.fingerprint)
         lost = {each.digest: each for each in registry.entries if not _is_there(each)}
         found: dict[str, Path] = {}
-        paths = sorted(p for p in Path(search).rglob("*") if p.is_file() and is_recording(p))
-        for done, path in enumerate(paths if lost else []):
+        endings = {Path(each.path).suffix.lower() for each in lost.values()}
+        paths = sorted(
+            path for path in Path(search).rglob("*")
+            if path.suffix.lower() in endings and path.is_file()
+        )  # fmt: skip
+        for done, path in enumerate(paths):
             digest = digest_of(path)
             if digest in lost:
                 found.setdefault(digest, path.resolve())

@@ -13,7 +13,14 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.base import InputError, Reporter, output_errors, workers_here
+from gis_radar.base import (
+    GisRadarError,
+    InputError,
+    Reporter,
+    first_line,
+    output_errors,
+    workers_here,
+)
 from gis_radar.calibration import UNKNOWN, LaneMap, RecordedSensor, check_plausibility
 from gis_radar.dataset import (
     Dataset,
@@ -237,7 +244,7 @@ def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
     No table depends on it. An earlier hour, made again, says nothing of now.
     """
     paths = {name: recording_path(site.folder, name, hour) for name in site.sensors}
-    with suppress(InputError):  # what is damaged is named where it is measured
+    try:
         if read_hours(site.dataset, hour + 1):
             return
         tiles = read_tiles(site.tiles)
@@ -251,7 +258,11 @@ def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
         }
         for each in check_plausibility(sensors, lanes):
             if each.verdict != UNKNOWN:
-                done.doubts[each.sensor] = each.told if each.doubt else None
+                done.doubts[each.sensor] = each.told_with_advice if each.doubt else None
+    except InputError:
+        return  # what is damaged is named where it is measured
+    except (GisRadarError, ArithmeticError, ValueError) as error:  # the hour's results stand
+        done.warn("poses and recordings could not be checked: {}", first_line(error))
 
 
 def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:

@@ -28,6 +28,7 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.calibration import (
+    HEADS,
     Finding,
     LaneMap,
     RecordedSensor,
@@ -137,10 +138,7 @@ class SiteCheck:
         }
 
     def _table(self) -> list[list[str]]:
-        return [
-            [Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do")],
-            *([f.sensor, f.verdict, f.reason, f.advice] for f in self.findings),
-        ]
+        return [list(HEADS), *(each.row for each in self.findings)]
 
     @property
     def failure(self) -> NoAnswerError | None:

@@ -119,10 +119,15 @@ def measure_site(
                 accept=[name for name in accept if name in left], **options,
             )  # fmt: skip
         except ImplausibleError as error:
-            if len(error.findings) == len(left):
-                raise
-            for each in error.findings:
-                reporter.warn("{} is left out: {} ({})", each.sensor, each.told, each.advice)
+            found = error.findings
+            if len(found) == len(left):
+                kept = next((each for each in found if each.is_of_clocks), None)
+                if kept is None:
+                    raise
+                # a map of one sensor is right whatever its clock shows
+                found = tuple(each for each in found if each is not kept)
+            for each in found:
+                reporter.warn("{} is left out: {}", each.sensor, each.told_with_advice)
                 refused[each.sensor] = each.refusal
                 del left[each.sensor]
         except InputError as error:

@@ -8,12 +8,13 @@ imports what it calls: a worker waits for the rooms of its own stages only.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gis_radar.base import (
+    GisRadarError,
     InputError,
     NoAnswerError,
     Reporter,
@@ -31,6 +32,9 @@ from gis_radar.site.together import (
     write_candidates,
     write_together,
 )
+
+if TYPE_CHECKING:
+    from gis_radar.dataset import Dataset
 
 STATE = ".gis-radar"
 SIGHTS = "sights"  # in there: what sensors see by the scans, which is asked for again
@@ -217,11 +221,23 @@ def measure_stage(
     heavy = {"heavy": int((made.vehicles()["p_heavy"] >= 0.5).sum())} if made.has_vehicles else {}
     return {
         **made.figures(), **heavy,
-        "doubts": {n: line for n, line in made.manifest.checks.items() if n in made.sensors},
+        "doubts": {n: line for n, line in made.manifest.doubts.items() if n in made.sensors},
+        "findings": _findings(made, refused),
         "refused": {name: error.message for name, error in refused.items()},
         "hints": {name: error.hint for name, error in refused.items()},
         "implausible": [n for n, error in refused.items() if isinstance(error, NoAnswerError)],
     }  # fmt: skip
+
+
+def _findings(made: Dataset, refused: Mapping[str, GisRadarError]) -> Figures:
+    """Return what the check found of each sensor, measured or left out."""
+    from gis_radar.calibration import ImplausibleError
+
+    left_out = (each for each in refused.values() if isinstance(each, ImplausibleError))
+    known = {name: made.manifest.checks.get(name) for name in made.sensors}
+    return {name: found for name, found in known.items() if found} | {
+        each.sensor: each.record for error in left_out for each in error.findings
+    }
 
 
 def heatmap_stage(

@@ -48,10 +48,16 @@ class WorkerError(Exception):
         A text of ours, put into the user's language; what the worker says is so already.
     **values
         For the holes of the text.
+
+    Attributes
+    ----------
+    summary : dict
+        Figures that the worker found all the same.
     """
 
     def __init__(self, text: str, **values: Any) -> None:
         super().__init__(tr(text).format(**values) if values else tr(text))
+        self.summary: dict[str, Any] = {}
 
 
 class NoWorkerError(WorkerError):
@@ -136,7 +142,9 @@ def run_worker(
 
     code, last_errors = run_command(command, on_line, listener.cancelled, grace_s=grace_s)
     if end and end[-1]["event"] == "error":
-        raise WorkerError(_sentence(end[-1]))
+        error = WorkerError(_sentence(end[-1]))
+        error.summary = dict(end[0].get("summary", {}))
+        raise error
     if code != 0 or not end:
         raise WorkerError(_unexpected_end(code, last_errors))
     return Answer(list(end[-1].get("outputs", [])), dict(end[-1].get("summary", {})))

@@ -167,6 +167,37 @@ def test_what_the_check_refuses_is_one_sentence(wizard, place):
     assert not check.isComplete()
 
 
+@pytest.mark.parametrize("wrong", [True, False])
+def test_the_check_says_of_each_sensor_whether_it_fits(wizard, place, fake_worker, wrong):
+    rows = [
+        ["sensor", "verdict", "evidence", "what to do"],
+        ["R1", "fits", "96% of 48 vehicles drive along lanes", ""],
+        ["R2", "does not fit", "yaw is off by 180 deg (0% of 41 vehicles)", "set yaw to 2.0"],
+        ["R3", "too little traffic to tell", "4 vehicles move", "record more traffic"],
+    ]
+    rows = rows if wrong else [each for each in rows if each[0] != "R2"]
+    line = "R3: too little traffic to tell: 4 vehicles move"
+    end = "say(event='error', message='R2: does not fit', hint='', code=4)\nsys.exit(4)"
+    fake_worker(
+        f"say(event='log', level='warning', message={line!r})\n"
+        f"say(event='result', outputs=[], summary={{'plausibility': {rows!r}}})\n"
+        f"{end if wrong else ''}\n"
+    )
+    check = wizard.check_page
+    check.site_box.setFilePath(str(place / "SITE.toml"))
+    check.folder_box.setFilePath(str(place / "results"))
+    check.check()
+    wait_until(check.check_button.isEnabled)
+    found = check.found.toPlainText()
+    assert "R1: fits: 96% of 48 vehicles drive along lanes" in found
+    assert found.count(line) == 1
+    assert (
+        "R2: does not fit: yaw is off by 180 deg (0% of 41 vehicles) (set yaw to 2.0)" in found
+    ) is wrong
+    assert ("The site cannot be run: correct what does not fit" in found) is wrong
+    assert check.isComplete() is not wrong
+
+
 def test_a_map_that_is_none(wizard, place):
     (place / "no.osm").write_text("<osm/>")
     wizard.map_page.map_box.setFilePath(str(place / "no.osm"))

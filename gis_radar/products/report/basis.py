@@ -295,7 +295,7 @@ def remarks_of(found: Findings) -> list[str]:
     """Return what to know before reading on: each a sentence of its own."""
     results = found.results
     return [
-        *(tr("No result for sensor {name}: {why}", name=name, why=why)
+        *(tr("No result for sensor {name}: {why}", name=name, why=tr(why))
           for name, why in results.lost.items()),
         *(tr(each) for each in own_remarks(found)),
         *results.warnings,

@@ -83,6 +83,7 @@ from gis_radar.products.report.results import (
     write_sensor_table,
 )
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
+from gis_radar.products.report.trust import trust_table
 
 SUMMARY_LANES = 10
 MOST_LANES = 150  # rows of the table as read; the CSV file holds all
@@ -344,7 +345,7 @@ def _content(found: Findings, drawn: _Pictures) -> Content:
 
 def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
     """Return what follows the map."""
-    results = found.results
+    results, clock = found.results, found.clock
     figures = pose_figures(results)
     lanes = _lanes(found, intervals=len(results.heat.timeline) > 1)
     sensors = sensor_table(results, figures=len(figures))
@@ -352,6 +353,7 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
     over_time = tr("The lanes over time")
     hits = tr("Diagnosis: radar hits")
     return [
+        Chapter("trust", tr("Can this be trusted?"), [trust_table(results, clock)]),
         Chapter("lanes", tr("Lanes"), [drawn.plan, lanes]),
         *([Chapter("time", over_time, drawn.over_time)] if drawn.over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures]),

@@ -32,6 +32,7 @@ from gis_radar.base import (
     warnings_once,
     write_csv,
 )
+from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.poses import ANGLES, POSITION, Pose, View, pose_from_dict, read_track
@@ -122,11 +123,26 @@ class Results:
             for stage in reversed(self.stages)
             if stage.get("error")
         }
+        for stage in self.stages:
+            refused = (stage.get("figures") or {}).get("refused") or {}
+            errors |= {n: Text(why).removeprefix(f"{n}: ") for n, why in refused.items()}
         names = [str(each["name"]) for each in self.site.get("sensor") or []]
         return {
             name: errors.get(name, "see summary.md")
             for name in names
             if shown and name not in shown
+        }
+
+    @property
+    def findings(self) -> dict[str, Finding]:
+        """Whether pose and recordings of sensors fit, as the run or the dataset tells."""
+        records = [] if self.dataset is None else [self.dataset.manifest.checks]
+        records += [(each.get("figures") or {}).get("findings") or {} for each in self.stages]
+        return {
+            str(name): Finding(sensor=str(name), **found)
+            for each in records
+            for name, found in each.items()
+            if is_record(found)
         }
 
     @property

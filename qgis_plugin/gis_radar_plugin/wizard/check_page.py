@@ -146,11 +146,16 @@ class CheckPage(Page):
     def _checked(self, number: int, answer: Answer | str, warnings: list[str]) -> None:
         if number != self._number:
             return  # something was changed since, or the window is closed
-        self._task = None
+        task, self._task = self._task, None
         self.check_button.setEnabled(True)
         self.bar.setVisible(False)
         if isinstance(answer, str):
-            self.say(answer, BAD)
+            rows = task.summary.get("plausibility", []) if task else []
+            self._say_whether_it_fits(rows)
+            text = tr(
+                "The site cannot be run: correct what does not fit, or accept it in the file."
+            )
+            self.say(text if rows else answer, BAD)
             return
         figures = answer.summary.get("sensors", {})
         changed = False
@@ -162,11 +167,22 @@ class CheckPage(Page):
             self.say(f"<b>{html.escape(sensor.name)}</b>: {self._recorded(found)}", "")
         if changed:
             self.save()
+        rows = answer.summary.get("plausibility", [])
+        self._say_whether_it_fits(rows)
+        told = tuple(f"{sensor}: {verdict}" for sensor, verdict, *_ in rows)
         for line in warnings:
-            self.say(line, ODD)
+            if not line.startswith(told):
+                self.say(line, ODD)
         self.say(tr("The site can be run."), GOOD)
         self.is_good = True
         self.completeChanged.emit()
+
+    def _say_whether_it_fits(self, rows: list[list[str]]) -> None:
+        """Say of each sensor whether it fits, in the words of the check: rows with their heads."""
+        for sensor, verdict, evidence, advice in rows[1:]:
+            colour = BAD if verdict == tr("does not fit") else ODD if advice else GOOD
+            line = f"{sensor}: {verdict}: {evidence}"
+            self.say(f"{line} ({advice})" if advice else line, colour)
 
     def _recorded(self, found: dict[str, Any]) -> str:
         """Return what a sensor recorded in words, in the time of the site."""

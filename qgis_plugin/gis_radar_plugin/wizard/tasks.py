@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from qgis.core import QgsTask
 
@@ -23,6 +24,11 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
     then : callable
         Called in the window's thread with the answer, or with what went wrong in a sentence, and
         the warnings.
+
+    Attributes
+    ----------
+    summary : dict
+        What was found where something went wrong.
     """
 
     def __init__(
@@ -36,6 +42,7 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
         self._then = then
         self._answer: Answer | str = ""
         self._warnings: list[str] = []
+        self.summary: dict[str, Any] = {}
 
     def run(self) -> bool:
         """Work; QGIS calls it in a thread of its own."""
@@ -44,7 +51,7 @@ class WorkerTask(QgsTask):  # type: ignore[misc]
         except CancelledError:
             self._answer = tr("Cancelled; nothing was left half-written.")
         except WorkerError as error:
-            self._answer = str(error)
+            self._answer, self.summary = str(error), error.summary
         return isinstance(self._answer, Answer)
 
     def finished(self, _done: bool) -> None:  # noqa: FBT001 - as QGIS calls it

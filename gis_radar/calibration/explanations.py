@@ -1,0 +1,159 @@
+"""Which explanation of where vehicles drive is likeliest, and whether what is given is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from gis_radar.base import Text
+from gis_radar.calibration.excerpt import Excerpt
+from gis_radar.calibration.findings import FITS, UNKNOWN_CAUSE, Finding, either, wrong
+from gis_radar.calibration.rivals import (
+    NEAR_DEG,
+    REFLECTION_M,
+    LaneMap,
+    Rival,
+    Score,
+    found_poses,
+    lower_or_tilted,
+    other_yaws,
+    score,
+    signs_lost,
+    ways_to_be_wrong,
+)
+from gis_radar.poses import Pose
+
+FITTING = 0.75  # share of vehicles on lanes from which a pose fits; right ones show 0.85 and more
+# A rival explains so many more of the vehicles (a fifth: what rests off the lanes of right poses),
+# so many of all, clearly (standard errors) more; rivals within BESIDE of it are as likely, and
+# causes that are estimated are so much better.
+MORE, LEAST_SHARE, CLEAR, BESIDE = 0.2, 0.65, 4.0, 3.0
+# A pose that is searched explains some of any traffic: it has to explain so much, and so much more
+# than a mistake that has a name.
+FOUND_SHARE, FITTED_MORE = 0.8, 0.05
+# Where no rival fits, a pose is wrong whose lanes explain no more than any yaw's do by chance, or
+# less than is asked of a rival; up to FITTING it is doubted, as maps lack lanes.
+OVER_CHANCE = 0.1
+# Share of the vehicles that right poses put on lanes at least, and the standard errors by which it
+# is missed with few vehicles.
+RIGHT_SHARE, BELOW = 0.84, 3.0
+MOST_CAUSES = 2  # that are as likely: of more, none is named
+HIGH_M = 1.5  # median height over the road that is off by more: vehicles, poles, bridges differ so
+# So many vehicles more, and such a share of all, drive along lanes with range rates of the other
+# sign, where all are given with one: who rides against a lane is seldom, and has the other sign.
+BACKWARDS, BACKWARDS_SHARE = 5, 0.1
+
+BESIDE_LANES = Text("many vehicles drive beside the lanes")
+ONE_PLACE = Text("are map, pose and recording of one place?")
+
+
+def by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
+    """Compare rival explanations of where vehicles drive.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        What moved.
+    lanes : LaneMap
+        The map.
+    others : mapping of str to Pose
+        The poses of the site's other sensors.
+    """
+    given, flat = score(excerpt, lanes), score(excerpt, lanes, Rival(heights=False))
+    known = flat.over[np.isfinite(flat.over)]
+    high = len(known) > 0 and abs(float(np.median(known)) - REFLECTION_M) > HIGH_M
+    evidence = Text("{:.0%} of {} vehicles drive along lanes", given.share, len(given.on))
+    if given.share >= FITTING and not high:
+        lost = signs_lost(excerpt)
+        if lost and _backwards(excerpt, lanes, given):
+            return wrong(evidence, lost.cause, lost.advice)
+        return Finding(sensor="", verdict=FITS, evidence=evidence)
+    rivals = ways_to_be_wrong(excerpt, others) + (lower_or_tilted(excerpt, flat) if high else [])
+    least = given.share + (0.0 if high else MORE)
+    best = likeliest(excerpt, given, scored(excerpt, lanes, rivals), least)
+    yaws: Tried = []
+    if given.share < FITTING:
+        searched = scored(excerpt, lanes, found_poses(excerpt, lanes))
+        found = likeliest(excerpt, given, searched, max(least, FOUND_SHARE))
+        if found and (not best or _clearly_better(found[0][1], best[0][1])):
+            best = found
+        yaws = scored(excerpt, lanes, other_yaws(excerpt.usual))
+    if best:
+        if_so = Text("{}, {:.0%} if so", evidence, best[0][1].share)
+        twofold = best[0][0].twofold(excerpt.usual)
+        if twofold or len(best) > MOST_CAUSES or _by_chance(excerpt, best[0], yaws):
+            return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
+        return wrong(if_so, *either((rival.cause, rival.advice) for rival, _ in best))
+    chance = max((each.share for _, each in yaws), default=0.0)
+    drawn = RIGHT_SHARE - BELOW * np.sqrt(RIGHT_SHARE * (1.0 - RIGHT_SHARE) / len(given.on))
+    if given.share < min(max(LEAST_SHARE, min(chance + OVER_CHANCE, FITTING)), drawn):
+        by_chance = Text("{}, {:.0%} if turned at random", evidence, chance)
+        return wrong(by_chance, UNKNOWN_CAUSE, ONE_PLACE)
+    beside = {} if given.share >= FITTING else {
+        "cause": BESIDE_LANES,
+        "advice": Text("does the map lack lanes, or is the pose another sensor's?"),
+    }  # fmt: skip
+    return Finding(sensor="", verdict=FITS, evidence=evidence, **beside)
+
+
+Tried = list[tuple[Rival, Score]]
+
+
+def _backwards(excerpt: Excerpt, lanes: LaneMap, given: Score) -> bool:
+    """Return whether vehicles drive along lanes backwards, where range rates have one sign."""
+    either_way = score(excerpt, lanes, Rival(signless=True))
+    more = int((either_way.driving & ~given.driving).sum())
+    return more >= max(BACKWARDS, BACKWARDS_SHARE * len(given.on))
+
+
+def scored(excerpt: Excerpt, lanes: LaneMap, rivals: Iterable[Rival]) -> Tried:
+    """Return rivals with how well lanes bear each of them out."""
+    return [(rival, score(excerpt, lanes, rival)) for rival in rivals]
+
+
+def _clearly_better(fitted: Score, named: Score) -> bool:
+    """Return whether what was searched explains more than a mistake with a name can."""
+    return fitted.share >= named.share + FITTED_MORE and fitted.ahead_of(named) > BESIDE
+
+
+def likeliest(excerpt: Excerpt, given: Score, tried: Tried, least: float) -> Tried:
+    """Return the rivals that explain most, clearly more than what is given, and their equals.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        What moved.
+    given : Score
+        Of what is given.
+    tried : list of (Rival, Score)
+        The rivals.
+    least : float
+        Share of the vehicles that one has to explain.
+    """
+    good = [
+        one
+        for one in tried
+        if one[1].share >= max(least, LEAST_SHARE) and one[1].ahead_of(given) >= CLEAR
+    ]
+    good.sort(key=lambda one: -float(one[1].fit.sum()))
+    alike = [one for one in good if one is good[0] or good[0][1].ahead_of(one[1]) < BESIDE]
+    alike.sort(key=lambda one: (one[0].twofold(excerpt.usual), one[0].fitted))
+    kept: Tried = []
+    for one in alike:  # of two that are the same, the simpler; two mistakes at once only for want
+        if kept and one[0].twofold(excerpt.usual):
+            break
+        if not any(one[0].same_as(other, excerpt.usual) for other, _ in kept):
+            kept.append(one)
+    return kept
+
+
+def _by_chance(excerpt: Excerpt, best: tuple[Rival, Score], yaws: Tried) -> bool:
+    """Return whether a yaw that nobody asked for explains as much: then neither is the cause."""
+    rival, explains = best
+    yaw = rival.turned(excerpt.usual).yaw
+    return any(
+        explains.ahead_of(each) < BESIDE
+        and abs((other.turned(excerpt.usual).yaw - yaw + 180.0) % 360.0 - 180.0) > NEAR_DEG
+        for other, each in yaws
+    )

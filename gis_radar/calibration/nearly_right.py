@@ -1,0 +1,254 @@
+"""By how much a pose is off that nearly fits, and whether the traffic would show it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gis_radar.base import Text
+from gis_radar.calibration.excerpt import Excerpt
+from gis_radar.calibration.explanations import (
+    CLEAR,
+    FITTING,
+    FOUND_SHARE,
+    ONE_PLACE,
+    likeliest,
+    scored,
+)
+from gis_radar.calibration.findings import (
+    FITS,
+    RECORD_MORE,
+    UNKNOWN,
+    UNKNOWN_CAUSE,
+    Finding,
+    either,
+    wrong,
+)
+from gis_radar.calibration.hypotheses import prior_at
+from gis_radar.calibration.kalman_filter import Measurement
+from gis_radar.calibration.lanes import Scene
+from gis_radar.calibration.pace import PACE, lengthened
+from gis_radar.calibration.range_scale import RangeScale
+from gis_radar.calibration.rivals import (
+    FARTHEST_M,
+    REFLECTION_M,
+    SAME_DEG,
+    SAME_PLACE_M,
+    LaneMap,
+    Rival,
+    found_poses,
+    score,
+    ways_to_be_wrong,
+)
+from gis_radar.calibration.solver import Fit, Prior, solve
+from gis_radar.calibration.state import POSE, State
+from gis_radar.calibration.traces import thin
+from gis_radar.calibration.windows import NEAR, WINDOW, data_alone
+from gis_radar.poses import Pose
+
+# A pose is doubted that is farther off than maps, drivers' habits and a careful survey together may
+# be (metres; degrees of yaw, pitch, roll; standard errors), and refused where it is twice as far,
+# and clearly: standard errors rest on how drivers usually keep to their lanes.
+OFF_M, OFF_DEG, OFF_SIGMAS = 0.7, (0.7, 1.5, 2.5), 3.0
+TOO_FAR, FAR_SIGMAS = 2.0, 5.0
+# A pose that is off by more has to show, or nothing is said to fit (metres, degrees of yaw): a
+# third of a lane's width beside or 60 m ahead.
+SHOWS_M, SHOWS_DEG = 1.0, 1.0
+FARTHEST_DEG = 20.0  # what is farther off would show by the lanes that are driven
+TURNS = ("yaw", "pitch", "roll")
+STARTS_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)  # east, north
+HINTED = 1.5  # standard errors from which a scale of range may explain a pose that is off
+OPEN = (0.0, 1.0, -1.0, 2.0, -2.0)  # standard errors within which a scale of range may be
+
+POSE_OFF = Text("its pose is off")
+
+
+def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, pace: RangeScale | None) -> Finding:
+    """Return by how much a pose is off that nearly fits, or whether the traffic would show that.
+
+    Or ranges are too long, as much as their scale leaves open, where the pose is not off then.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        What moved.
+    lanes : LaneMap
+        The map.
+    found : Finding
+        That most vehicles drive along lanes.
+    pace : RangeScale or None
+        How far ranges change as range rates state.
+    """
+    off = _fitted_off(excerpt, lanes, found)
+    if pace is None or off.cause != POSE_OFF:
+        return off
+    for scale in (pace.factor + pace.sigma * np.array(OPEN)).tolist():
+        moving = replace(excerpt.moving, points=excerpt.moving.points / scale)
+        scaled = replace(excerpt, moving=moving)
+        if abs(scale - 1.0) > PACE and not _is_off(_fitted_off(scaled, lanes, found)):
+            both = off, lengthened(replace(pace, factor=scale))
+            cause, advice = either((each.cause, each.advice) for each in both)
+            return replace(off, cause=cause, advice=advice)
+    return off
+
+
+def _is_off(found: Finding) -> bool:
+    return found.verdict != UNKNOWN and bool(found.cause)
+
+
+def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
+    pose = excerpt.usual
+    points = excerpt.moving.points
+    if not np.isfinite(points).all():
+        return _without_heights(found)
+    samples = thin(*excerpt.as_usual)
+    near = lanes.around(pose, lanes.reach_m(points))
+    if near is None or not np.isfinite(near.points[:, 2]).any():
+        return _without_heights(found)
+    centre = State(
+        position=pose.position - [*near.origin, 0.0], R_map_sensor=pose.R_map_sensor,
+        reflection=REFLECTION_M,
+    )  # fmt: skip
+    prior = prior_at(centre)
+    information = prior.information.copy()
+    information[POSE, POSE] = np.diag(np.array(NEAR) ** -2.0)
+    prior = Prior(mean=centre, information=information)
+    fit = _fitted(Scene(lanes=near, samples=samples), prior)
+    if not fit.converged or fit.fitness < FITTING:
+        return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
+    seen = _measured(fit, prior)
+    return _beyond(excerpt, seen, centre, found.evidence) or _shown(seen, found)
+
+
+def _without_heights(found: Finding) -> Finding:
+    """Return a finding that says that a metre and a degree are not looked for."""
+    return replace(found, evidence=Text("{}, pose not fitted without heights", found.evidence))
+
+
+def _unfitted(found: Finding) -> Finding:
+    """Return that a pose fits only where one could be fitted."""
+    if found.cause:
+        return found
+    evidence = Text("{}, but no pose is fitted to them", found.evidence)
+    return replace(found, verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
+
+
+def _fitted(scene: Scene, prior: Prior) -> Fit:
+    """Return the likeliest fit: from a metre off, many come to rest beside the right place."""
+    fits = []
+    for east, north in STARTS_M:
+        step = np.zeros(len(prior.information))
+        step[:2] = east, north
+        fits.append(solve(scene, prior.mean.moved(step), prior, schedule=WINDOW))
+    return min(fits, key=lambda each: each.cost)
+
+
+def _shown(seen: Measurement, found: Finding) -> Finding:
+    """Return that a pose fits only where one that is off would show."""
+    if found.cause:
+        return found
+    most_m = OFF_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(seen.covariance[:2, :2])[-1]))
+    most_deg = OFF_SIGMAS * float(np.degrees(np.sqrt(seen.covariance[5, 5])))
+    if most_m <= SHOWS_M and most_deg <= SHOWS_DEG:
+        return found
+    evidence = Text(
+        "{}, but a pose up to {:.1f} m or {:.1f} deg off would hardly show",
+        found.evidence, min(most_m, FARTHEST_M), min(most_deg, FARTHEST_DEG),
+    )  # fmt: skip
+    return replace(found, verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
+
+
+def _measured(fit: Fit, prior: Prior) -> Measurement:
+    """Return the pose that the data alone show, where they know it better than the prior.
+
+    Along other directions, as down a street, the fit went as far as the prior let it: the data's
+    pose would be extrapolated from there.
+    """
+    seen, unit = data_alone(fit, prior), np.array(NEAR)
+    turn = Rotation.from_quat(seen.quaternion).as_matrix()
+    there = replace(prior.mean, position=seen.position, R_map_sensor=turn)
+    away = there.difference(prior.mean)
+    values, vectors = np.linalg.eigh(seen.covariance / np.outer(unit, unit))
+    known = vectors[:, values < 1.0]
+    away[POSE] = unit * (known @ (known.T @ (away[POSE] / unit)))
+    there = prior.mean.moved(away)
+    quaternion = Rotation.from_matrix(there.R_map_sensor).as_quat()
+    return replace(seen, position=there.position, quaternion=quaternion)
+
+
+def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> Finding | None:
+    """Return that a pose is off from which no fit comes to rest, but which a search finds."""
+    tried = scored(excerpt, lanes, found_poses(excerpt, lanes))
+    best = likeliest(excerpt, score(excerpt, lanes), tried, FOUND_SHARE)[:1]
+    for rival, each in best:
+        there = rival.turned(pose)
+        off_m, turn = rival.off(pose)
+        if off_m > TOO_FAR * OFF_M or abs(turn) > TOO_FAR * OFF_DEG[0]:
+            if_so = Text("{}, {:.0%} if so", evidence, each.share)
+            if rival.twofold(pose):
+                return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
+            named = _with_name(excerpt, there.yaw, SAME_DEG[0]) if off_m < SAME_PLACE_M else rival
+            return wrong(if_so, (named or rival).cause, (named or rival).advice)
+    return None
+
+
+def _with_name(excerpt: Excerpt, yaw: float, within: float) -> Rival | None:
+    """Return the mistake with a name that turns the usual pose to a yaw."""
+    pose = excerpt.usual
+    turned = [each for each in ways_to_be_wrong(excerpt, {}) if each.off(pose)[1] != 0.0]
+    near = [
+        each
+        for each in turned
+        if abs((each.turned(pose).yaw - yaw + 180.0) % 360.0 - 180.0) < within
+    ]
+    return near[0] if near else None
+
+
+def _beyond(excerpt: Excerpt, seen: Measurement, centre: State, evidence: str) -> Finding | None:
+    """Return what of a measured pose is farther off than it may be."""
+    pose = excerpt.usual
+    gap, spread = (seen.position - centre.position)[:2], seen.covariance[:2, :2]
+    off_m = float(np.hypot(*gap))
+    sigma_m = float(np.sqrt(gap @ spread @ gap)) / max(off_m, 1e-9)
+    angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
+    sigmas = np.degrees(np.sqrt(np.diag(seen.covariance)[5:2:-1]))
+    place, text = pose.position[:2] + gap, Text("{:.2f} ± {:.2f} m", off_m, sigma_m)
+    there = Text("easting {:.2f}, northing {:.2f}", *place.tolist())
+    seen_off = [(off_m, sigma_m, OFF_M, text, there)]
+    for name, angle, sigma, least in zip(TURNS, angles, sigmas, OFF_DEG, strict=True):
+        turn = (angle - getattr(pose, name) + 180.0) % 360.0 - 180.0
+        text = Text("{} {:.2f} ± {:.2f} deg", Text(name), turn, sigma)
+        seen_off.append((abs(turn), sigma, least, text, Text("{} {:.2f}", Text(name), angle)))
+    far = [each for each in seen_off if each[0] > max(each[2], OFF_SIGMAS * each[1])]
+    if not far:
+        return None
+    put = Text("{}, and show it off by {}", evidence, Text(", ").join(each[3] for each in far))
+    advice = Text("set {}", Text(", ").join(each[4] for each in far))
+    if any(off > max(TOO_FAR * least, FAR_SIGMAS * sigma) for off, sigma, least, *_ in far):
+        stands = off_m < max(TOO_FAR * OFF_M, OFF_SIGMAS * sigma_m)
+        named = _with_name(excerpt, float(angles[0]), OFF_SIGMAS * sigmas[0]) if stands else None
+        if named is not None and seen_off[1] in far:
+            return wrong(put, named.cause, named.advice)
+        return wrong(put, POSE_OFF, advice)
+    doubt = Text("its pose may be off")
+    return Finding(sensor="", verdict=FITS, evidence=put, cause=doubt, advice=advice)
+
+
+def lengths_off(excerpt: Excerpt, lanes: LaneMap, pace: RangeScale | None) -> Finding | None:
+    """Return that ranges are too long where range rates hint at it, and lanes bear it out.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        What moved.
+    lanes : LaneMap
+        The map.
+    pace : RangeScale or None
+        How far ranges change as range rates state.
+    """
+    if pace is None or abs(pace.factor - 1.0) <= max(PACE, HINTED * pace.sigma):
+        return None
+    scaled = score(excerpt, lanes, Rival(scale=pace.factor))
+    return lengthened(pace) if scaled.ahead_of(score(excerpt, lanes)) > CLEAR else None

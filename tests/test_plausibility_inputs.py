@@ -1,0 +1,294 @@
+"""Recordings and maps as they come: what the check says of each, and that none is refused wrongly.
+
+Each is a site of the sample's junction with one thing that is unusual, or wrong, and the command
+`gis-radar check` or `measure` on it.
+"""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+from pyproj import Transformer
+from scans import write_points
+
+import gis_radar as gr
+from gis_radar.calibration import LaneMap
+from gis_radar.calibration.excerpt import read_excerpt
+from gis_radar.calibration.explanations import by_lanes
+from gis_radar.calibration.traces import NONE
+from gis_radar.poses import PoseTrack, as_track, write_pose
+
+SAMPLE = gr.sample_folder()
+MAP = SAMPLE / "junction.osm"
+POSES = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in ("R1", "R2")}
+TO_UTM = Transformer.from_crs(4326, 25832, always_xy=True)
+FITS, WRONG, LITTLE = "fits", "does not fit", "too little traffic to tell"
+MOVES_MPS = 0.5
+
+
+@pytest.fixture(scope="module")
+def rows(first_seconds):
+    """Rows of forty seconds of both sensors."""
+    found = {}
+    for name in POSES:
+        table = pd.read_parquet(first_seconds(SAMPLE / f"{name}.parquet", 60))
+        found[name] = table[table["time"] < table["time"].iloc[0] + 40.0]
+    return found
+
+
+@pytest.fixture
+def checked(run, tmp_path):
+    """Give a function that checks sensors, and returns exit code, verdicts and the whole answer."""
+
+    def check(sensors, *, osm=MAP, accepted=(), scan=""):
+        parts = [f'title = "A"\ntimezone = "Europe/Berlin"\n[map]\nfile = "{osm}"\n']
+        parts += ['crs = "EPSG:25832"\n', scan, "[vehicles]\nfollow = false\n"]
+        for name, (table, pose) in sensors.items():
+            table.to_parquet(tmp_path / f"{name}.parquet", index=False)
+            write_pose(replace(pose, sensor=name), tmp_path / f"{name}.json")
+            parts.append(
+                f'[[sensor]]\nname = "{name}"\nrecordings = ["{name}.parquet"]\n'
+                f'pose = "{name}.json"\naccept = {str(name in accepted).lower()}\n'
+            )
+        (tmp_path / "SITE.toml").write_text("".join(parts), encoding="utf-8")
+        code, out, _ = run("check", tmp_path / "SITE.toml", "--json")
+        events = {event["event"]: event for event in map(json.loads, out.splitlines())}
+        table = events["result"]["summary"]["plausibility"] if "result" in events else [[]]
+        return code, {line[0]: line[1:] for line in table[1:]}, events
+
+    return check
+
+
+def moved(pose, north_m):
+    return replace(pose, northing=pose.northing + north_m)
+
+
+def moves(table):
+    return table["range_rate"].abs() > MOVES_MPS
+
+
+def quiet(table):
+    """Leave what stands: at night nobody drives."""
+    return table[~moves(table)]
+
+
+def jam(table):
+    """Let nobody move in the first half."""
+    early = table["time"] < table["time"].iloc[0] + 20.0
+    return table.assign(range_rate=table["range_rate"].mask(early & moves(table), 0.1))
+
+
+def one_lane(table):
+    """Leave of what moves that on one lane through the junction."""
+    lanelets = gr.read_map(MAP).lanelets
+    there = POSES["R1"].to_map(table[["x", "y", "z"]].to_numpy(np.float64))
+    points = shapely.points(there[:, :2])
+    moving = moves(table).to_numpy()
+    count = [shapely.contains(lane, points[moving]).sum() for lane in lanelets.geometry]
+    lane = lanelets.geometry.iloc[int(np.argmax(count))].buffer(1.0)
+    return table[~moving | shapely.contains(lane, points)]
+
+
+def no_rates(table):
+    return table.drop(columns="range_rate")
+
+
+def flat(table):
+    return table.assign(z=np.float32(np.nan))
+
+
+def short(table):
+    return table[table["time"] < table["time"].iloc[0] + 5.0]
+
+
+USUAL = {
+    "as it is": (lambda table: table, {FITS}),
+    "a quiet night": (quiet, {LITTLE}),
+    "a jam at start": (jam, {FITS}),
+    "one lane": (one_lane, {LITTLE}),
+    "no elevation": (flat, {FITS}),
+    "five seconds": (short, {LITTLE}),
+}
+
+
+@pytest.mark.parametrize(("change", "verdicts"), USUAL.values(), ids=USUAL)
+def test_a_right_pose_is_not_refused(checked, rows, change, verdicts):
+    code, found, _ = checked({"R1": (change(rows["R1"]), POSES["R1"])})
+    assert code == 0
+    verdict, evidence, advice = found["R1"]
+    assert verdict in verdicts
+    assert re.search(r"\d+%? ?(of|vehicles)", evidence)
+    assert advice == ("" if verdict == FITS else "record more traffic")
+    assert ("pose not fitted without heights" in evidence) is (change is flat)
+    if change in (one_lane, short):  # ten vehicles and more, but a metre would pass
+        assert re.search(
+            r"but a pose up to \d+\.\d m or \d+\.\d deg off would hardly show", evidence
+        )
+
+
+def test_a_metre_off_shows_in_half_a_minute(checked, rows):
+    """From there a single fit comes to rest beside the right place, and shows nothing."""
+    table = rows["R2"][rows["R2"]["time"] < rows["R2"]["time"].iloc[0] + 30.0]
+    _, found, _ = checked({"R2": (table, moved(POSES["R2"], 1.0))})
+    assert re.search(r"its pose may be off .* off by 0\.[89]\d ± 0\.\d+ m", found["R2"][1])
+    assert found["R2"][2].startswith("set easting 690379")
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_signs_that_are_lost_show_where_few_approach(rows, tmp_path, lost):
+    """Who recedes for good, and drives along a lane backwards, has lost the sign of its rate."""
+    table = rows["R1"]
+    early = table["time"] < table["time"].iloc[0] + 8.0
+    table = table[early | (table["range_rate"] > -MOVES_MPS)]
+    if lost:
+        table = table.assign(range_rate=table["range_rate"].abs())
+    table.to_parquet(tmp_path / "R1.parquet", index=False)
+    excerpt = read_excerpt([gr.open_recording(tmp_path / "R1.parquet")], [as_track(POSES["R1"])])
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    found = by_lanes(excerpt, lanes, {})
+    assert found.cause == ("range rates look like absolute values" if lost else "")
+
+
+def test_where_all_approach_lost_signs_and_turned_ones_are_the_same(checked, rows):
+    table = rows["R1"][rows["R1"]["range_rate"] < MOVES_MPS]
+    _, found, _ = checked({"R1": (table.assign(range_rate=table["range_rate"].abs()), POSES["R1"])})
+    looks = "range rates look positive where targets approach", "range rates look like absolute"
+    assert all(each in found["R1"][1] for each in looks)
+    assert found["R1"][2].count("; ") == 1
+
+
+def test_objects_that_are_left_out_leave_no_gaps(rows, tmp_path):
+    """What was seen from a place that is not the usual one; numbers are places of arrays."""
+    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
+    since = np.array([0.0, rows["R1"]["time"].iloc[0] + 15.0])
+    track = PoseTrack(since=since, poses=(moved(POSES["R1"], 9.0), POSES["R1"]))
+    excerpt = read_excerpt([gr.open_recording(tmp_path / "R1.parquet")], [track])
+    moving, number = excerpt.as_usual
+    assert 0 < len(moving) < len(excerpt.moving)
+    known = np.unique(number[number != NONE])
+    assert list(known) == list(range(len(known)))
+    until, since = excerpt.parted(float(rows["R1"]["time"].iloc[0]) + 20.0)
+    assert len(until.moving) + len(since.moving) == len(excerpt.moving)
+    assert not np.intersect1d(until.vehicle, since.vehicle).size
+
+
+def test_without_range_rates_nothing_is_told(checked, rows):
+    code, found, events = checked({"R1": (no_rates(rows["R1"]), POSES["R1"])})
+    assert code == 3
+    assert not found
+    assert "range_rate" in events["error"]["message"]
+
+
+def test_a_scan_of_another_place_is_refused(checked, rows, tmp_path):
+    box = np.random.default_rng(0).uniform(0.0, 50.0, (500, 3))  # 60 km from the sample
+    write_points(tmp_path / "scan.laz", box, category=2)
+    code, _, events = checked(
+        {"R1": (rows["R1"], POSES["R1"])}, scan='[scan]\nfiles = ["scan.laz"]\n'
+    )
+    assert code == 3
+    assert "not where the map junction.osm is" in events["error"]["message"]
+
+
+def test_left_hand_traffic_fits(checked, rows, tmp_path):
+    """The junction in a mirror, with lanes whose bounds and direction are right."""
+    middle = POSES["R1"].northing
+
+    def mirrored(match):
+        east, north = TO_UTM.transform(float(match[2]), float(match[1]))
+        lon, lat = TO_UTM.transform(east, 2.0 * middle - north, direction="INVERSE")
+        return f'lat="{lat:.11f}" lon="{lon:.11f}"'
+
+    text = re.sub(r'lat="([\d.]+)" lon="([\d.]+)"', mirrored, MAP.read_text(encoding="utf-8"))
+    roles = {"left": "right", "right": "left"}
+    text = re.sub(r'role="(left|right)"', lambda match: f'role="{roles[match[1]]}"', text)
+    (tmp_path / "left.osm").write_text(text, encoding="utf-8")
+    pose = replace(POSES["R1"], yaw=-POSES["R1"].yaw, roll=-POSES["R1"].roll)
+    table = rows["R1"].assign(y=-rows["R1"]["y"])
+    code, found, _ = checked({"R1": (table, pose)}, osm=tmp_path / "left.osm")
+    assert (code, found["R1"][0]) == (0, FITS)
+    code, found, _ = checked({"R1": (table, pose)})
+    assert (code, found["R1"][0]) == (4, WRONG)
+
+
+def test_clocks_are_not_compared_without_a_common_view(checked, rows):
+    """A clock a second off is named where two sensors see the same vehicles, and only there."""
+    middle_m = np.mean([each.easting for each in POSES.values()])
+
+    def half(name, side):
+        table = rows[name]
+        east = POSES[name].to_map(table[["x", "y", "z"]].to_numpy(np.float64))[:, 0]
+        return table[~(side * (east - middle_m) < 5.0)]
+
+    late = {"R1": rows["R1"], "R2": rows["R2"].assign(time=rows["R2"]["time"] + 1.0)}
+    code, found, _ = checked({name: (table, POSES[name]) for name, table in late.items()})
+    assert code == 4
+    assert "clock" in found["R2"][1]
+    sides = {"R1": half("R1", -1.0), "R2": half("R2", 1.0)}
+    sides["R2"] = sides["R2"].assign(time=sides["R2"]["time"] + 1.0)
+    code, found, _ = checked({name: (table, POSES[name]) for name, table in sides.items()})
+    assert code == 0
+    assert WRONG not in {line[0] for line in found.values()}
+
+
+def test_of_two_clocks_that_are_apart_a_run_keeps_one(checked, run, rows, tmp_path):
+    """A map of one sensor is right; which of the two clocks is off is not known."""
+    late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)
+    checked({"R1": (rows["R1"], POSES["R1"]), "R2": (late, POSES["R2"])})
+    code, _, err = run("run", tmp_path / "SITE.toml", "-o", tmp_path / "out")
+    assert code == 4
+    assert "no result for R2; the heat maps show R1 only; R2: does not fit: its clock" in err
+    assert gr.open_dataset(tmp_path / "out" / "dataset").sensors == ["R1"]
+
+
+def test_another_sensor_from_half_way_on_is_told_by_what_stands(checked, rows):
+    """Of what stands nearly nothing stays, be there traffic or not."""
+    middle = rows["R1"]["time"].iloc[0] + 20.0
+    parts = [rows["R1"][rows["R1"]["time"] < middle], rows["R2"][rows["R2"]["time"] >= middle]]
+    code, found, _ = checked({"R1": (quiet(pd.concat(parts)), POSES["R1"])})
+    assert code == 4
+    assert found["R1"][0] == WRONG
+    assert re.search(r"from .*07:30:\S+ on it is another sensor's recording", found["R1"][1])
+    assert re.search(r"\(\d+% of what stands around it stays where it was", found["R1"][1])
+
+
+def as_it_is(given):
+    return given
+
+
+WRONGS = {
+    "R04": (as_it_is, lambda pose: replace(pose, yaw=pose.yaw + 180.0), "off by 180 deg"),
+    "R12": (lambda table: table.assign(y=-table["y"]), as_it_is, "left and right"),
+    "R18": (lambda table: table.assign(range_rate=table["range_rate"] * np.float32(3.6)),
+            as_it_is, "km/h"),
+}  # fmt: skip
+
+
+def test_of_twenty_sensors_three_are_wrong(checked, run, rows, tmp_path):
+    """All three are named, each with its cause and advice; the others go on."""
+    sensors, rng = {}, np.random.default_rng(0)
+    for number in range(1, 21):
+        name, of = f"R{number:02}", ("R1", "R2")[number % 2]
+        lasts_s = 20.0 if name in WRONGS else 12.0
+        table = rows[of][rows[of]["time"] < rows[of]["time"].iloc[0] + lasts_s]
+        near = table["x"] + rng.normal(0.0, 0.02, len(table)).astype(np.float32)  # frames differ
+        change, turn, _ = WRONGS.get(name, (as_it_is, as_it_is, ""))
+        sensors[name] = change(table.assign(x=near)), turn(POSES[of])
+    code, found, events = checked(sensors)
+    assert code == 4
+    assert {name for name, line in found.items() if line[0] == WRONG} == set(WRONGS)
+    assert all(says in found[name][1] and found[name][2] for name, (*_, says) in WRONGS.items())
+    assert len(events["error"]["parts"]) == 3
+    assert run("tiles", MAP, "-o", tmp_path / "tiles.gpkg")[0] == 0
+    poses = [part for name in sensors for part in ("--pose", tmp_path / f"{name}.json")]
+    given = ["measure", *(tmp_path / f"{name}.parquet" for name in sensors), *poses, "--hits-only"]
+    given += ["--tiles", tmp_path / "tiles.gpkg", "--map", MAP, "-o", tmp_path / "dataset"]
+    code, _, err = run(*given, *(part for name in WRONGS for part in ("--accept", name)))
+    assert code == 0
+    assert all(f"{name}: does not fit" in err for name in WRONGS)
+    made = gr.open_dataset(tmp_path / "dataset")
+    assert made.sensors == sorted(sensors)
+    assert {n for n, line in made.manifest.doubts.items() if "does not fit" in line} == set(WRONGS)

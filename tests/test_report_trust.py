@@ -1,0 +1,70 @@
+"""The report's page *Can this be trusted?*: a row a sensor, in the words of the check."""
+
+import json
+
+import pytest
+from report_site import Page, write_results, write_run
+
+import gis_radar as gr
+from gis_radar.base import NO_FIGURE, Text, with_texts
+from gis_radar.calibration import FITS, UNKNOWN, WRONG, Finding
+from gis_radar.calibration.findings import RECORD_MORE
+
+DRIVE = Text("{:.0%} of {} vehicles drive along lanes", 0.96, 48)
+TURNED = Finding(
+    sensor="R2", verdict=WRONG, evidence=Text("{}, {:.0%} if so", DRIVE, 1.0),
+    cause=Text("from {} on: {}", "2025-06-15T15:06:50Z", Text("yaw is off by 180 deg")),
+    advice=Text("set yaw to {:.1f}", 21.7),
+)  # fmt: skip
+FOUND = [
+    Finding(sensor="R1", verdict=FITS, evidence=DRIVE),
+    TURNED,
+    Finding(sensor="R3", verdict=UNKNOWN, evidence=DRIVE, advice=RECORD_MORE),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Results of a run that left R3 out; R1 fits, R2 was accepted, R4 was never checked."""
+    made = write_results(tmp_path_factory.mktemp("trust"), names=("R1", "R2", "R4"))
+    path = made / "dataset" / "dataset.json"
+    checks = {each.sensor: each.record for each in FOUND[:2]}
+    document = with_texts(json.loads(path.read_text(encoding="utf-8")) | {"checks": checks})
+    path.write_text(json.dumps(document), encoding="utf-8")
+    left_out = {each.sensor: each.record for each in FOUND[2:]}
+    stage = {"name": "measure", "figures": {"findings": left_out}}
+    write_run(made, title="A", **with_texts({"stages": [stage]}))
+    return made
+
+
+def trust(folder, language, tmp_path):
+    gr.write_report(folder, output=tmp_path / language, language=language)
+    text = (tmp_path / language / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    heads = {"en": "Verdict", "de": "Urteil"}
+    # the table of quality has a verdict, too, as its last column
+    rows = next(table for table in page.tables if table[0][1].strip() == heads[language])
+    return [[cell.replace("\u202f", " ").strip() for cell in row] for row in rows], text
+
+
+def test_a_row_a_sensor(folder, tmp_path):
+    (heads, *rows), text = trust(folder, "en", tmp_path)
+    assert heads == ["Sensor", "Verdict", "Evidence", "What to do"]
+    assert "Can this be trusted?" in text
+    assert rows[0] == ["R1", "fits", "96% of 48 vehicles drive along lanes", NO_FIGURE]
+    assert rows[1][:2] == ["R2", "does not fit, accepted anyway"]
+    assert rows[1][2].startswith("from 2025-06-15 17:06:50 UTC+02:00 on: yaw is off by 180 deg (96")
+    assert rows[1][3] == "set yaw to 21.7"
+    assert rows[2][:2] == ["R3", "too little traffic to tell"]
+    assert rows[2][3] == "record more traffic"
+    assert rows[3] == ["R4", "not checked", NO_FIGURE, NO_FIGURE]
+    assert "1 sensor of this map fits. Where one does not fit, do not use this map" in text
+
+
+def test_in_german(folder, tmp_path):
+    (_, *rows), text = trust(folder, "de", tmp_path)
+    assert "Kann man dem trauen?" in text
+    assert rows[0][1:3] == ["passt", "96 % von 48 Fahrzeugen fahren auf Fahrstreifen"]
+    assert rows[1][1] == "passt nicht, trotzdem übernommen"
+    assert "15.06.2025 17:06:50" in rows[1][2]
+    assert rows[3][1] == "nicht geprüft"
