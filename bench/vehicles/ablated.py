@@ -1,5 +1,7 @@
 """Parts of the search for vehicles, how each is switched off from outside, and scenes for it."""
 
+# Parts are replaced in the modules that use them, where they are imported names.
+# mypy: disable-error-code="attr-defined"
 from __future__ import annotations
 
 from collections.abc import Callable
