@@ -38,7 +38,7 @@ FRESH = {
     "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
     "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
 }  # fmt: skip
-RECIPES.update(FRESH)  # type: ignore[attr-defined]
+RECIPES.update(FRESH)
 Change = Callable[[], AbstractContextManager[Any]]
 
 

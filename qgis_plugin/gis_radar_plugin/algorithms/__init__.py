@@ -1,5 +1,6 @@
 """The algorithms of the toolbox: each a table of parameters, and what comes after its command."""
 
+from .lanes import ComparePeriods, CountTraffic
 from .report import ExportReport
 from .results import WriteProject, WriteReport
 from .set_up import SampleSite, SetUpWorker
@@ -7,9 +8,7 @@ from .site import CheckSite, FindSight, FollowPose, LocalizeRadar, MaskRoad, Spl
 from .traffic import (
     CheckQuality,
     CompareClocks,
-    ComparePeriods,
     ConvertRecordings,
-    CountTraffic,
     KeepDataset,
     MakeHeatMap,
     MeasureTraffic,

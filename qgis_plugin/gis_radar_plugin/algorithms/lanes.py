@@ -1,0 +1,95 @@
+"""Algorithms of traffic by lane: volumes of an interval, and what changed between two periods."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from qgis.core import QgsProcessingOutputVectorLayer
+
+from ..base import TRAFFIC, WorkerAlgorithm
+from ..loading import dress, load
+from ..parameters import Folder, Given, OutputFolder, Result, Text
+from ..runner import Answer
+from ..words import tr
+from . import shared
+
+
+class CountTraffic(WorkerAlgorithm):
+    """An algorithm that counts the traffic of lanes and turns by interval."""
+
+    NAME = "traffic"
+    COMMAND = "traffic"
+    TITLE = "Traffic by lane"
+    GROUP = TRAFFIC
+    HELP = (
+        "Counts the traffic of each lane and turn by interval: volumes with their errors, speeds, "
+        "occupancy, delays, queues at stop lines. Nothing visible is empty, not 0.\n"
+        "The result is a GeoPackage whose layers the temporal controller animates, tables (CSV and "
+        "a workbook), a turning diagram, and files for SUMO."
+    )
+    KEYWORDS = ("volume", "counts", "speed", "queue", "turns")
+    PARAMETERS = (
+        shared.DATASET,
+        Text(
+            "INTERVAL", "Interval", "Length of the intervals: 1min, 5min, 15min, 1h, 24h.",
+            default="15min",
+        ),
+        Text("BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30."),
+        Text("END", "End", "Only before this time."),
+        shared.LANGUAGE,
+        shared.CSV_LOCALE,
+        OutputFolder("OUTPUT", "Traffic", "A folder."),
+        Result("LANES", "Traffic of lanes", kind=QgsProcessingOutputVectorLayer),
+        Result("TURNS", "Volumes of turns", kind=QgsProcessingOutputVectorLayer),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        folder = Path(given.outputs["OUTPUT"])
+        package = folder / "traffic.gpkg"
+        layers = {name.upper(): f"{package}|layername={name}" for name in ("lanes", "turns")}
+        load(given.context, layers["LANES"], tr("Traffic of lanes"), finish=dress)
+        load(given.context, layers["TURNS"], tr("Volumes of turns"))
+        self.made = [
+            (tr("Open the workbook"), folder / "traffic.xlsx"), (tr("Show the folder"), folder)
+        ]  # fmt: skip
+        return layers
+
+
+class ComparePeriods(WorkerAlgorithm):
+    """An algorithm that says what changed by lane between two periods."""
+
+    NAME = "compare"
+    COMMAND = "compare"
+    TITLE = "Before and after"
+    GROUP = TRAFFIC
+    HELP = (
+        "Compares the traffic of two periods by lane: what got better, what worse, and what cannot "
+        "be told. Only what the same sensors saw alike in both is compared.\n"
+        "The result is a page, a table, maps, and a layer that colours lanes by the change of the "
+        "volume, grey where none is told."
+    )
+    KEYWORDS = ("change", "difference", "evaluation")
+    PARAMETERS = (
+        shared.DATASET,
+        Folder(
+            "OTHER", "Second dataset", "Of the same tiles; with it, the period after is its.", "",
+            optional=True,
+        ),
+        Text("BEFORE", "Before", "The first period: 2026-09-07/2026-09-21.", advanced=False),
+        Text("AFTER", "After", "The second period: 2026-10-05/2026-10-19.", advanced=False),
+        Text("DAYS", "Days of the week", "Only these: Mo-Fr or Sa,Su.", advanced=False),
+        shared.LANGUAGE,
+        shared.CSV_LOCALE,
+        OutputFolder("OUTPUT", "Comparison", "A folder."),
+        Result("LANES", "What changed by lane", kind=QgsProcessingOutputVectorLayer),
+    )  # fmt: skip
+
+    def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
+        del answer
+        folder = Path(given.outputs["OUTPUT"])
+        layer = f"{folder / 'compare.gpkg'}|layername=comparison"
+        load(given.context, layer, tr("What changed by lane"))
+        self.made = [(tr("Open the page"), folder / "compare.html")]
+        return {"LANES": layer}
