@@ -20,8 +20,7 @@ from gis_radar.calibration import LaneMap
 from gis_radar.calibration.excerpt import read_excerpt
 from gis_radar.calibration.explanations import by_lanes
 from gis_radar.calibration.traces import NONE
-from gis_radar.poses import PoseTrack, write_pose
-from gis_radar.poses.files import as_track
+from gis_radar.poses import PoseTrack, as_track, write_pose
 
 SAMPLE = gr.sample_folder()
 MAP = SAMPLE / "junction.osm"
