@@ -104,6 +104,13 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
     assert np.mean(np.array(hit)[detected]) > 0.85
 
 
+def test_each_vehicle_states_how_likely_it_exists(whole):
+    stated = whole.vehicles()["p_exists"]
+    assert stated.between(0.5, 0.98).all()
+    assert stated.median() > 0.9
+    assert stated.nunique() > 20
+
+
 def test_blocks_neither_lose_nor_double_occupancy(site, whole):
     settings = VehicleSettings(blocks=BlockSettings(steps=300, margin_steps=200))
     cut = found(site, "cut", vehicles=settings)

@@ -13,10 +13,12 @@ from unittest.mock import patch
 import numpy as np
 from scenes import RECIPES, Recipe
 
-from gis_radar.tracking import bodies, motion, passes, track_management, tracker
+from gis_radar.tracking import bodies, motion, passes, track_management
 from gis_radar.tracking import detectability as due
-from gis_radar.tracking import posterior as moves
-from gis_radar.tracking.posterior import cuts, ends, estimate, neighbours, sizes
+from gis_radar.tracking import posterior as posterior_module
+from gis_radar.tracking import tracker as tracker_module
+from gis_radar.tracking.posterior import cuts, ends, neighbours, sizes
+from gis_radar.tracking.posterior import estimate as estimate_module
 from gis_radar.tracking.posterior.background import Background
 from gis_radar.tracking.size import Size
 
@@ -38,7 +40,15 @@ FRESH = {
     "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
     "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
 }  # fmt: skip
+<<<<<<< HEAD
 RECIPES.update(FRESH)
+=======
+RECIPES.update(FRESH)  # type: ignore[attr-defined]
+# what they import counts as theirs here
+moves: Any = posterior_module
+estimate: Any = estimate_module
+tracker: Any = tracker_module
+>>>>>>> 4f6d26beb1b95e676b66087ef36f2afde2fe6103
 Change = Callable[[], AbstractContextManager[Any]]
 
 
