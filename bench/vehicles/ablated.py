@@ -1,7 +1,5 @@
 """Parts of the search for vehicles, how each is switched off from outside, and scenes for it."""
 
-# Parts are replaced in the modules that use them, where they are imported names.
-# mypy: disable-error-code="attr-defined"
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -40,15 +38,11 @@ FRESH = {
     "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
     "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
 }  # fmt: skip
-<<<<<<< HEAD
-RECIPES.update(FRESH)
-=======
 RECIPES.update(FRESH)  # type: ignore[attr-defined]
 # what they import counts as theirs here
 moves: Any = posterior_module
 estimate: Any = estimate_module
 tracker: Any = tracker_module
->>>>>>> 4f6d26beb1b95e676b66087ef36f2afde2fe6103
 Change = Callable[[], AbstractContextManager[Any]]
 
 
