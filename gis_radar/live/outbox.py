@@ -24,6 +24,10 @@ from gis_radar.live.payload import (
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 
 AT_ONCE = 100  # messages read from the buffer in one go
+# Messages ahead of the acknowledgement at first, and after one is missed: 2 s of a radar, the way to
+# fusion's disk and back. More follow as acknowledgements come (slow start, RFC 5681): many sensors
+# that all send what waits again at once fill the broker with what fusion has, and none gets on.
+FIRST_AHEAD = 40
 STATUS_S = 2.0  # between two reports of a sensor's state
 ONLINE, OFFLINE = "online", "offline"
 
@@ -68,6 +72,7 @@ class Outbox:
         self._buffer, self._link, self._topics = buffer, link, topics
         self._figures, self._settings, self._reporter = figures, settings, reporter
         self._on_way: deque[int] = deque()
+        self._ahead = FIRST_AHEAD
         self._sent, self._connections, self._pose_sent = self.stored, 0, b""
         self._session, self._resend, self._refused = "", 0, ""
         self._progress = self._reported = time.monotonic()
@@ -130,7 +135,8 @@ class Outbox:
         self._send()
 
     def _send(self) -> None:
-        while not self.empty and (room := self._settings.unacknowledged - len(self._on_way)) > 0:
+        ahead = min(self._ahead, self._settings.unacknowledged)
+        while not self.empty and (room := ahead - len(self._on_way)) > 0:
             waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
             if not waiting:
                 return
@@ -157,8 +163,9 @@ class Outbox:
             self._pose_sent = key
 
     def _rewind(self) -> None:
-        """Send again all that fusion has not stored."""
+        """Send again all that fusion has not stored, slowly at first."""
         self._on_way.clear()
+        self._ahead = FIRST_AHEAD
         self._sent, self._progress, self._pose_sent = self.stored, time.monotonic(), b""
 
     def _drop(self) -> None:
@@ -189,6 +196,9 @@ class Outbox:
             if not self._is_ours(found):
                 self._begin_anew()
                 return
+            self._ahead = min(
+                self._ahead + found.stored - self.stored, self._settings.unacknowledged
+            )
             self.stored = found.stored
             self._drop()
             self._progress, self._patience_s = time.monotonic(), self._settings.resend_s
