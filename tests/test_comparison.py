@@ -141,6 +141,32 @@ def test_neighbours_that_are_alike_are_worth_less():
     )
 
 
+def test_equal_values_tell_no_variance():
+    """Three vehicles on a quiet lane: three pairs that differ alike are no certainty."""
+    three = pd.DataFrame({"day": 0, "time": [1, 2, 3], "value": 0.0})
+    found = compare_values(three, three.assign(day=1, value=12.0))
+    assert np.isnan(found.p)
+    assert np.isnan(found.half_width(0.05))
+    assert compare_values(three, three.assign(day=1)).p == 1.0
+
+
+@pytest.mark.parametrize("count", [6, 12, 24])
+def test_short_series_that_are_alike_are_seldom_told(count):
+    """Neighbours with a correlation of a half, and no change."""
+    rng = np.random.default_rng(count)
+    told = 0
+    for _ in range(400):
+        noise = np.zeros((2, count + 20))
+        for k in range(1, count + 20):
+            noise[:, k] = 0.5 * noise[:, k - 1] + rng.normal(size=2)
+        before, after = (
+            pd.DataFrame({"day": day, "time": np.arange(count), "value": row[20:]})
+            for day, row in enumerate(noise)
+        )
+        told += compare_values(before, after).p < 0.05
+    assert told < 0.13 * 400  # without the correction 14 to 16 %
+
+
 def test_of_two_values_nothing_is_told():
     two = pd.DataFrame({"day": [0, 0], "time": [1, 2], "value": [1.0, 2.0]})
     found = compare_values(two, two.assign(day=1, value=9.0))
@@ -182,6 +208,32 @@ def test_a_difference_below_what_is_resolved_is_not_told(dataset):
     assert found.loc["delay_s", "verdict"] == "not told"
 
 
+def test_what_reaches_past_the_period_is_left_out(dataset):
+    with pytest.raises(InputError, match="no whole interval of 15min lies"):
+        gr.compare(
+            dataset, before=("2023-11-14 22:00", "2023-11-14 22:04"), after=AFTER
+        )  # four minutes hold no whole interval
+    found = gr.compare(dataset, before=("2023-11-14 22:00", "2023-11-14 22:33"), after=AFTER)
+    assert found.before[1] == pd.Timestamp("2023-11-14 22:30", tz="UTC")
+
+
+def test_one_dataset_named_twice_is_one(dataset):
+    with pytest.raises(UsageError, match="overlap"):
+        gr.compare(dataset, gr.open_dataset(dataset.folder), before=BEFORE, after=BEFORE)
+
+
+def test_names_of_sensors_may_hold_a_comma(dataset):
+    whole = (BEGIN, BEGIN + 2 * STEPS_PER_HOUR)
+    made = seen_by(dataset, {"R1, north": whole})
+    assert set(gr.compare(made, before=BEFORE, after=AFTER).table["watchers"]) == {"R1, north"}
+
+
+def test_where_nothing_can_be_told_there_is_no_answer(dataset):
+    halves = (("2023-11-14 22:00", "2023-11-14 22:10"), ("2023-11-14 22:30", "2023-11-14 22:40"))
+    with pytest.raises(NoAnswerError, match="too few intervals to tell a difference: at most 2"):
+        gr.compare(dataset, before=halves[0], after=halves[1])
+
+
 def test_the_same_traffic_is_no_change(dataset):
     halves = (("2023-11-14 22:00", "2023-11-14 22:30"), ("2023-11-14 22:30", "2023-11-14 23:00"))
     found = gr.compare(dataset, before=halves[0], after=halves[1])
@@ -217,7 +269,7 @@ def test_what_cannot_be_compared_is_refused(dataset, tmp_path):
         gr.compare(dataset, before=BEFORE, after=AFTER, days="Monday")
     with pytest.raises(InputError, match="no lane is observed from 2023-11-20"):
         gr.compare(dataset, before=BEFORE, after=("2023-11-20", "2023-11-21"))
-    with pytest.raises(InputError, match="no lane is observed"):  # a Tuesday
+    with pytest.raises(InputError, match="on the days asked for"):  # a Tuesday
         gr.compare(dataset, before=BEFORE, after=AFTER, days="Sa-Mo")
     shutil.copytree(dataset.folder, tmp_path / "other")
     path = Manifest.path(tmp_path / "other") if hasattr(Manifest, "path") else None

@@ -115,6 +115,11 @@ def iso_from_step(step: int) -> str:
     return text.removesuffix(".000") + "Z"
 
 
+def iso_from_time(time: datetime) -> str:
+    """Return a time with its zone as ISO 8601 text with `Z`, in whole seconds."""
+    return f"{time.astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
 def seconds_from_iso(text: str, *, what: str) -> float:
     """Return UNIX seconds of an ISO 8601 time with its offset from UTC.
 

@@ -169,8 +169,11 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
     if seen is None or seen.until is None:
         return None
     when = iso(seen.until)
-    until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(seen.until))
-    for bad, template in ((until, "until {}: {}"), (since, "from {} on: {}")):
+    parts = zip(excerpt.parted(seen.until), ("until {}: {}", "from {} on: {}"), strict=True)
+    for part, template in parts:
+        if part.vehicles < LEAST_PART:  # at night too little moves to name a cause by
+            continue
+        bad = by_lanes(part, lanes, others)
         if bad.verdict == WRONG and bad.cause != UNKNOWN_CAUSE:
             return replace(bad, cause=Text(template, when, bad.cause))
     evidence = Text(

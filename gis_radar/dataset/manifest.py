@@ -20,7 +20,7 @@ from gis_radar.base import (
     with_texts,
     writing_errors,
 )
-from gis_radar.calibration import Finding, is_record
+from gis_radar.calibration import UNKNOWN, Finding, is_record
 from gis_radar.dataset.parts import rename_whole, unfinished, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
@@ -126,9 +126,22 @@ class Manifest:
         for name in ("settings", "checks"):
             if not isinstance(getattr(manifest, name), dict):
                 raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
-        if not all(map(is_record, manifest.checks.values())):
-            raise InputError("{}: damaged: {} are none", path, "checks", hint=MAKE_ONE)
+        manifest.checks.update(_records(manifest.checks, path))
         return manifest
+
+
+def _records(checks: dict[str, Any], path: Path) -> dict[str, dict[str, str]]:
+    """Return what was checked of sensors as records; a line, as it was kept before, is evidence."""
+    blank = {"verdict": UNKNOWN, "cause": "", "advice": ""}
+    lines = {
+        name: blank | {"evidence": kept} for name, kept in checks.items() if isinstance(kept, str)
+    }
+    for sensor, check in checks.items():
+        if sensor not in lines and not is_record(check):
+            raise InputError(
+                "{}: damaged: what was checked of {} is no record", path, sensor, hint=MAKE_ONE
+            )
+    return checks | lines
 
 
 def create_dataset(

@@ -337,7 +337,8 @@ def _rolled_up(
     volume = groups["volume"].sum(min_count=1)
     quarters = _hours(sums.index) * QUARTERS
     more = quarters / np.maximum(sums["known"].to_numpy(np.float64), 1e-9)
-    enough = sums["known"].to_numpy() >= SETTINGS.least_share * quarters
+    share = sums["visible_share"].to_numpy(np.float64) / quarters
+    enough = (sums["known"].to_numpy() > 0) & (share >= SETTINGS.least_share)
     error = np.sqrt(more**2 * sums["variance"] + (volume + 0.5) * (more**2 - more))
     found = pd.DataFrame(
         {

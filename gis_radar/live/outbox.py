@@ -24,9 +24,9 @@ from gis_radar.live.payload import (
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 
 AT_ONCE = 100  # messages read from the buffer in one go
-# Messages ahead of the acknowledgement at first, and after one is missed: 2 s of a radar, the way to
+# Messages ahead of the acknowledgement at first, and after a loss: 2 s of a radar, the way to
 # fusion's disk and back. More follow as acknowledgements come (slow start, RFC 5681): many sensors
-# that all send what waits again at once fill the broker with what fusion has, and none gets on.
+# that all send again at once what waits fill the broker with what fusion has, and none gets on.
 FIRST_AHEAD = 40
 STATUS_S = 2.0  # between two reports of a sensor's state
 ONLINE, OFFLINE = "online", "offline"

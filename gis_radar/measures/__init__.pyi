@@ -1,4 +1,4 @@
-from .comparison import COMPARISON, ComparisonSettings, compare_values, holm_corrected
+from .comparison import COMPARISON, INTERVALS, ComparisonSettings, compare_values, holm_corrected
 from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .hit_counter import FrameCounter
@@ -33,6 +33,7 @@ from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 __all__ = [
     "COMPARISON",
     "HIT_DEFAULTS",
+    "INTERVALS",
     "LONGEST_VALID_STEPS",
     "MARGIN_STEPS",
     "NO_FURTHER",

@@ -25,9 +25,9 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from gis_radar.base import Floats
+from gis_radar.base import Floats, Text
 
-DAYS, TIMES, INTERVALS = "days", "times of day", "intervals"
+DAYS, TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,13 +84,14 @@ class Difference:
 
     def half_width(self, level: float) -> float:
         """Return half of the interval that holds the difference but for a chance of `level`."""
-        return float(scipy.stats.t.isf(level / 2.0, self.freedom) * self.se)
+        found = float(scipy.stats.t.isf(level / 2.0, self.freedom) * self.se)
+        return found if found > 0.0 or self.difference == 0.0 else float("nan")
 
     @property
     def p(self) -> float:
         """Chance of such a difference, or a larger one, where nothing changed."""
-        if not self.se > 0.0:
-            return float("nan") if np.isnan(self.se) else float(self.difference == 0.0)
+        if not self.se > 0.0:  # equal values tell no variance
+            return 1.0 if self.se == self.difference == 0.0 else float("nan")
         return float(2.0 * scipy.stats.t.sf(abs(self.difference) / self.se, self.freedom))
 
 
@@ -165,11 +166,17 @@ def _welch(before: Floats, after: Floats, units: str, alike: float) -> Differenc
 
 
 def _alike(values: Floats, settings: ComparisonSettings) -> float:
-    """Return the correlation of neighbouring values, 0 where they are not alike."""
+    """Return the correlation of neighbouring values, 0 where they are not alike.
+
+    That of a sample is too low by about (1 + 4 r) / n (Marriott and Pope 1954).
+    """
+    count = len(values)
+    if count <= 4:
+        return settings.most_alike
     off = values - values.mean()
     power = float((off**2).sum())
     found = float((off[1:] * off[:-1]).sum()) / power if power > 0.0 else 0.0
-    return min(max(found, 0.0), settings.most_alike)
+    return min(max((count * found + 1.0) / (count - 4), 0.0), settings.most_alike)
 
 
 def holm_corrected(p: Floats) -> Floats:

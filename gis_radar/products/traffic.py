@@ -29,6 +29,7 @@ from gis_radar.base import (
     atomic_folder,
     current_language,
     describe_layers,
+    iso_from_time,
     keep_styles,
     output_errors,
     speaking,
@@ -91,8 +92,8 @@ class Traffic:
             "lanes": int(rows["lane"].nunique()),
             "turns": len(self.turns[["from_lane", "to_lane"]].drop_duplicates()),
             "intervals": int(rows["begin"].nunique()),
-            "begin": rows["begin"].min().isoformat(),
-            "end": rows["end"].max().isoformat(),
+            "begin": iso_from_time(rows["begin"].min()),
+            "end": iso_from_time(rows["end"].max()),
             "vehicles_at_stop_lines": int(rows.loc[rows["queue_max_m"].notna(), "counted"].sum()),
             "rows_with_volume": int(rows["volume"].notna().sum()),
             "rows": len(rows),
@@ -128,14 +129,15 @@ class Traffic:
             If the folder cannot be written, or holds other files.
         """
         folder = Path(folder)
+        zero = self.lanes["begin"].min()
         writers: dict[str, Callable[[Path], object]] = {
             "traffic.csv": partial(_write_table, self.lanes),
             "turns.csv": partial(_write_table, self.turns),
             "traffic.xlsx": self._write_workbook,
             "traffic.gpkg": self._write_package,
-            "sumo.edgedata.xml": partial(_write_mean_data, self.lanes, by_lane=False),
-            "sumo.lanedata.xml": partial(_write_mean_data, self.lanes, by_lane=True),
-            "sumo.turns.xml": partial(_write_turn_counts, self.turns),
+            "sumo.edgedata.xml": partial(_write_mean_data, self.lanes, zero, by_lane=False),
+            "sumo.lanedata.xml": partial(_write_mean_data, self.lanes, zero, by_lane=True),
+            "sumo.turns.xml": partial(_write_turn_counts, self.turns, zero),
         }
         if self.turns["volume"].notna().any():
             writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.turns)
@@ -259,9 +261,10 @@ def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
     write_csv(path, [*shown.columns], rows)
 
 
-def _intervals(table: pd.DataFrame, root: Element) -> list[tuple[Element, pd.DataFrame]]:
-    """Add an element for each interval, in seconds from the first; return it with its rows."""
-    zero = table["begin"].min()
+def _intervals(
+    table: pd.DataFrame, root: Element, zero: pd.Timestamp
+) -> list[tuple[Element, pd.DataFrame]]:
+    """Add an element for each interval, in seconds from `zero`; return it with its rows."""
     found = []
     for begin, rows in table.groupby("begin", sort=True):
         edges = (pd.Timestamp(begin), rows["end"].iloc[0])  # type: ignore[arg-type]
@@ -271,7 +274,9 @@ def _intervals(table: pd.DataFrame, root: Element) -> list[tuple[Element, pd.Dat
     return found
 
 
-def _write_mean_data(table: gpd.GeoDataFrame, path: Path, *, by_lane: bool) -> None:
+def _write_mean_data(
+    table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path, *, by_lane: bool
+) -> None:
     """Write SUMO's edgeData or laneData: what is not known has no attribute."""
     root = Element("meandata")
     columns = {
@@ -279,7 +284,7 @@ def _write_mean_data(table: gpd.GeoDataFrame, path: Path, *, by_lane: bool) -> N
         "occupancy": ("occupancy", 100.0), "density": ("density_veh_km", 1.0),
         "traveltime": ("travel_time_s", 1.0), "timeLoss": ("delay_s", 1.0),
     }  # fmt: skip
-    for element, rows in _intervals(table, root):
+    for element, rows in _intervals(table, root, zero):
         for row in rows.to_dict("records"):
             edge = SubElement(element, "edge", {"id": str(row["lane"])})
             place = SubElement(edge, "lane", {"id": f"{row['lane']}_0"}) if by_lane else edge
@@ -289,10 +294,10 @@ def _write_mean_data(table: gpd.GeoDataFrame, path: Path, *, by_lane: bool) -> N
     _write_xml(root, path)
 
 
-def _write_turn_counts(table: gpd.GeoDataFrame, path: Path) -> None:
+def _write_turn_counts(table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path) -> None:
     """Write edge relations, which SUMO's jtrrouter and routeSampler read as turn counts."""
     root = Element("edgeRelations")
-    for element, rows in _intervals(table, root):
+    for element, rows in _intervals(table, root, zero):
         for row in rows[rows["volume"].notna()].to_dict("records"):
             ends = {"from": str(row["from_lane"]), "to": str(row["to_lane"])}
             SubElement(element, "edgeRelation", ends | {"count": f"{row['volume']:.2f}"})

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from gis_radar.products.heatmap.style import RAMP
 
 VOLUMES = "volume_veh_h"
-BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 3000.0)  # of lanes, veh/h
+BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes, veh/h
 _SHORTER_MS = 10  # as in heat maps: QGIS takes an interval that ends at a moment for one with it
 _LANE_MM, _TURN_ALPHA = 1.2, 200  # turns cross: those below are seen through
 _WIDTH = f'max(0.4, min(6, "{VOLUMES}" / 100))'  # mm: 1 for 100 veh/h
@@ -43,7 +43,7 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], *, wide: bool) -
     for k, ((low, high), colour) in enumerate(zip(pairwise(BREAKS), RAMP, strict=True)):
         SubElement(ranges, "range", {
             "symbol": str(k), "render": "true", "lower": f"{low:g}", "upper": f"{high:g}",
-            "label": f"{low:g} - {high:g} veh/h",
+            "label": f"{low:g} - {high:g} veh/h" if high < BREAKS[-1] else f"> {low:g} veh/h",
         })  # fmt: skip
         _add_symbol(symbols, str(k), ",".join(map(str, bytes.fromhex(colour[1:]))), wide=wide)
     aliases = SubElement(root, "aliases")

@@ -276,3 +276,17 @@ def test_queues_are_those_of_stop_lines(measured):
     assert table["queue_max_m"].eq(0.0).all()
     assert len(table) == len(measured.traffic())
     assert read_hours(measured.folder).keys() == {HOUR, HOUR + 1}
+
+
+def test_an_hour_of_which_little_is_visible_has_no_volume(tmp_path):
+    """Ten minutes are two thirds of a quarter, and a sixth of the hour."""
+    first = EDGE - STEPS_PER_HOUR
+    tracks = [car(n, first + 1_900 * n) for n in range(7)]
+    tracks[-1] = car(6, first + 12_000 - 118)
+    made = dataset_of(tmp_path / "data", tracks)
+    quarter, hour = made.traffic("15min").iloc[0], made.traffic("1h").iloc[0]
+    assert quarter["volume"] > 0.0
+    assert 0.1 < hour["visible_share"] < 0.2
+    assert np.isnan(hour["volume"])
+    assert np.isnan(hour["volume_se"])
+    assert hour["counted"] == quarter["counted"] > 0

@@ -11,10 +11,18 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import InputError, NoAnswerError, Text, UsageError, current_language
+from gis_radar.base import (
+    STEP_S,
+    InputError,
+    NoAnswerError,
+    Text,
+    UsageError,
+    current_language,
+    iso_from_time,
+)
 from gis_radar.dataset import Dataset
 from gis_radar.measures import COMPARISON, ComparisonSettings, compare_values, holm_corrected
-from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike
+from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike, shown_names
 
 DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
 INTERVAL, FINER = "15min", "5min"
@@ -53,7 +61,7 @@ COMPARED = {
         Text("Volume [veh/h]"), Text("fewer vehicles"), Text("more vehicles"), 0, 1.0, 0
     ),
     "speed_kmh": Compared(
-        Text("Mean speed on the lane [km/h]"), Text("slower"), Text("faster"), 1, 0.1, 1
+        Text("Mean speed on the lane [km/h]"), Text("slower"), Text("faster"), 0, 0.1, 1
     ),
     "occupancy": Compared(
         Text("Occupancy [0-1]"), Text("less occupied"), Text("more occupied"), -1, 0.001, 3
@@ -101,7 +109,7 @@ class Comparison:
         changed = told.groupby(["measure", "verdict"]).size()
         periods = {"before": self.before, "after": self.after}
         return {
-            **{name: "/".join(each.isoformat() for each in ends) for name, ends in periods.items()},
+            **{name: "/".join(map(iso_from_time, ends)) for name, ends in periods.items()},
             "lanes_compared": int(self.table["lane"].nunique()),
             "lanes_not_seen_alike": len(self.left_out),
             "share_of_before_used": round(self.used[0], 3),
@@ -151,7 +159,7 @@ def compare(
     """
     other = other or dataset
     _require_alike(dataset, other)
-    if other is dataset:
+    if other.folder.resolve() == dataset.folder.resolve():
         _require_apart(dataset, before, after)
     sources = ((dataset, before), (other, after))
     options = {"language": language or current_language()}
@@ -205,7 +213,7 @@ def _rows(
     sources: Sequence[tuple[Dataset, Period]], days: set[int], options: dict[str, Any]
 ) -> list[gpd.GeoDataFrame]:
     """Read the traffic of both periods: by shorter intervals where quarters of an hour are few."""
-    hours = min(len(dataset.records(dataset.span(*period))) for dataset, period in sources)
+    hours = max(len(dataset.records(dataset.span(*period))) for dataset, period in sources)
     if hours <= FEW_HOURS:
         with suppress(InputError):  # the exact tables are gone
             return [_rows_of(*source, FINER, days, options) for source in sources]
@@ -217,7 +225,6 @@ def _rows_of(
 ) -> gpd.GeoDataFrame:
     begin, end = period
     rows = dataset.traffic(interval, begin=begin, end=end, **options)
-    rows = rows[rows["begin"].dt.day_of_week.isin(days)].reset_index(drop=True)
     if rows.empty:
         raise InputError(
             "{}: no lane is observed from {} to {}",
@@ -225,6 +232,21 @@ def _rows_of(
             begin or Text("its begin"),
             end or Text("its end"),
             hint="gis-radar dataset shows from when to when it was measured",
+        )
+    inside = rows["begin"].dt.day_of_week.isin(days)
+    if end is not None:  # what ends later has traffic of after the period in it
+        last = dataset.span(begin, end)
+        ends = rows["end"].dt.tz_convert("UTC") - pd.Timestamp(0, tz="UTC")
+        inside &= ends.dt.total_seconds() <= (0.0 if last is None else (last[1] + 1) * STEP_S)
+    rows = rows[inside].reset_index(drop=True)
+    if rows.empty:
+        raise InputError(
+            "{}: no whole interval of {} lies from {} to {} on the days asked for",
+            dataset.folder,
+            interval,
+            begin or Text("its begin"),
+            end or Text("its end"),
+            hint="name a longer period, or other days",
         )
     return rows
 
@@ -243,13 +265,22 @@ def _compared(
         mine = [each.of_lane(int(lane)) for each in sights]
         mine = [each[each["watchers"] == watchers] for each in mine]
         used += [len(each) for each in mine]
-        found += [row | {"watchers": watchers} for row in _lane_rows(int(lane), mine, settings)]
+        found += [
+            row | {"watchers": shown_names(watchers)}
+            for row in _lane_rows(int(lane), mine, settings)
+        ]
     if not found:
         raise NoAnswerError(
             "no lane was seen by the same sensors alike in both periods",
             hint="compare periods with the same sensors at the same places",
         )
     table = _with_verdicts(pd.DataFrame(found), settings)
+    if table["p"].isna().all():
+        raise NoAnswerError(
+            "too few intervals to tell a difference: at most {} of a lane in both periods",
+            int(table["count"].max()),
+            hint="compare three days and more in each, or three times of day in both",
+        )
     table.insert(1, "name", lines["name"].loc[table["lane"]].to_numpy())
     geometry = lines["geometry"].loc[table["lane"]].to_numpy()
     before, after = ((each["begin"].min(), each["end"].max()) for each in rows)
@@ -292,11 +323,9 @@ def _values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
 
 
 def _with_verdicts(table: pd.DataFrame, settings: ComparisonSettings) -> pd.DataFrame:
-    """Tell which differences are more than chance, among all lanes of a measure."""
+    """Tell which differences are more than chance, among all lanes and measures."""
     table = table.assign(p_corrected=np.nan, verdict=NOT_TOLD)
-    for measure in COMPARED:
-        mine = table["measure"] == measure
-        table.loc[mine, "p_corrected"] = holm_corrected(table.loc[mine, "p"].to_numpy(np.float64))
+    table["p_corrected"] = holm_corrected(table["p"].to_numpy(np.float64))
     least = table["measure"].map({name: of.resolution for name, of in COMPARED.items()})
     told = (table["p_corrected"] < settings.level) & (table["difference"].abs() >= least)
     table.loc[told & (table["difference"] > 0.0), "verdict"] = MORE

@@ -15,7 +15,8 @@ import pandas as pd
 from gis_radar.base import Booleans, Floats
 from gis_radar.dataset import Dataset, LaneTraffic
 
-ACTIVE_SHARE = 0.9  # of the time in which any sensor records: one that records so long is there
+ACTIVE_SHARE = 0.9  # of an interval: a sensor that records so long of it is there
+BETWEEN = "\x1f"  # names of sensors; a name may hold a comma
 ALIKE_SHARE = 0.9  # of the tiles of a lane that a sensor sees in either period: seen in both
 
 
@@ -78,7 +79,9 @@ def _seconds(times: pd.Series) -> Floats:
 
 
 def _joined(sensors: Sequence[str], row: Booleans) -> str | None:
-    return ", ".join(name for name, is_there in zip(sensors, row, strict=True) if is_there) or None
+    return (
+        BETWEEN.join(name for name, is_there in zip(sensors, row, strict=True) if is_there) or None
+    )
 
 
 def _activity(
@@ -90,8 +93,7 @@ def _activity(
     for sensor, first, last in zip(recordings["sensor"], *times, strict=True):
         overlap = np.minimum(end, last) - np.maximum(begin, first)
         seconds[:, sensors.index(sensor)] += np.maximum(overlap, 0.0)
-    longest = seconds.max(axis=1, keepdims=True, initial=0.0)
-    share = np.divide(seconds, longest, out=np.zeros_like(seconds), where=longest > 0.0)
+    share = seconds / (end - begin)[:, None]
     active = share >= ACTIVE_SHARE
     return active, (share > 1.0 - ACTIVE_SHARE) & ~active
 
@@ -111,6 +113,11 @@ def _tiles_by_lane(
     return {key: frozenset(ids.tolist()) for key, ids in groups}  # type: ignore[misc]
 
 
+def shown_names(watchers: str) -> str:
+    """Return the names of sensors as people read them."""
+    return ", ".join(watchers.split(BETWEEN))
+
+
 def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | None, str]:
     """Return the sensors by which a lane compares, or None, and why not.
 
@@ -119,10 +126,10 @@ def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | 
     counts = [each.of_lane(lane)["watchers"].value_counts() for each in (before, after)]
     both = counts[0].index.intersection(counts[1].index)
     if not len(both):
-        seen = [", ".join(count.index[:1]) for count in counts]
-        return None, " / ".join(each or "-" for each in seen)
+        seen = (shown_names(next(iter(count.index), "-")) for count in counts)
+        return None, " / ".join(seen)
     watchers = str(max(sorted(both), key=lambda name: min(count[name] for count in counts)))
-    for sensor in watchers.split(", "):
+    for sensor in watchers.split(BETWEEN):
         first, second = (each.tiles[sensor, lane] for each in (before, after))
         if len(first & second) < ALIKE_SHARE * len(first | second):
             return None, f"{sensor}: {len(first)} / {len(second)}"

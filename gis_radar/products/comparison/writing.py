@@ -41,15 +41,17 @@ from gis_radar.base import (
     write_csv,
     writing_errors,
 )
+from gis_radar.measures import INTERVALS
 from gis_radar.products.comparison.comparison import COMPARED, LESS, MORE, NOT_TOLD, Comparison
 
 OWNED = ("compare.",)
 LAYER = "comparison"
 # Of the difference in percent: colours that do not rest on red and green, grey where none is told.
+MOST = 999.0  # percent that are shown; more, and what was nothing before, is in the last class
 BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
 COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
 SECTIONS = {
-    1: Text("Better"), -1: Text("Worse"), 0: Text("More or fewer vehicles"),
+    1: Text("Better"), -1: Text("Worse"), 0: Text("Volumes and speeds"),
     None: Text("Cannot be told"),
 }  # fmt: skip
 _WIDTH_MM = "1.4"
@@ -113,7 +115,8 @@ def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
 def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     """Return a row a lane: of each measure `..._before`, `_after`, `_se`, `_verdict`, `_change`.
 
-    `..._change` is the difference in percent where one is told, else 0.
+    `..._change` is the difference in percent where one is told, else 0; null where the lane has no
+    such measure.
     """
     lanes = table.drop_duplicates("lane").set_index("lane")[["name", "watchers", "geometry"]]
     columns: dict[str, Any] = {}
@@ -122,7 +125,8 @@ def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
         told = mine["verdict"].notna() & (mine["verdict"] != NOT_TOLD)
         for name in ("before", "after", "se", "verdict"):
             columns[f"{measure}_{name}"] = mine[name]
-        columns[f"{measure}_change"] = mine["percent"].where(told, 0.0)
+        change = mine["percent"].fillna(np.sign(mine["difference"]) * MOST).clip(-MOST, MOST)
+        columns[f"{measure}_change"] = change.where(told, 0.0).where(mine["verdict"].notna())
     made = pd.concat([lanes[["name", "watchers"]], pd.DataFrame(columns)], axis=1).reset_index()
     return gpd.GeoDataFrame(made, geometry=lanes["geometry"].to_numpy(), crs=table.crs)
 
@@ -228,7 +232,8 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
     )  # fmt: skip
     made: str = template.render(
         title=tr("Before and after: traffic by lane"), language=current_language(), tr=tr,
-        before=before, after=after, basis=basis, doubts=comparison.doubts,
+        before=before, after=after, basis=basis,
+        doubts=[*_cautions(comparison.table), *comparison.doubts],
         picture=f"data:image/png;base64,{base64.b64encode(picture).decode()}",
         sections=[
             (tr(title), [row for row in rows if row["section"] == section])
@@ -237,6 +242,13 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         left_out=comparison.left_out.to_dict("records"),
     )  # fmt: skip
     return made
+
+
+def _cautions(table: gpd.GeoDataFrame) -> list[str]:
+    """Return what a reader must know of what was compared."""
+    if INTERVALS not in set(table["units"]):
+        return []
+    return [tr("The periods share no times of day: what differs may be the time of day.")]
 
 
 def _span(begin: Any, end: Any) -> str:
@@ -265,5 +277,5 @@ def _rows(table: gpd.GeoDataFrame) -> Iterator[dict[str, Any]]:
             "before": figure_text(row["before"], of.digits),
             "after": figure_text(row["after"], of.digits), "difference": difference + error,
             "section": None if way is None else way * of.better,
-            "words": words + share,
+            "words": words + share, "units": f"{row['count']} {tr(row['units'])}",
         }  # fmt: skip
