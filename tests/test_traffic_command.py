@@ -85,7 +85,7 @@ def test_tables_are_those_of_the_dataset(written, dataset):
     rows = list(csv.DictReader((folder / "traffic.csv").open(encoding="utf-8")))
     first = rows[0]
     assert first["name"] == "'=Ring eastbound, lane 1 (left turn and straight ahead)"
-    assert first["begin"] == "2023-11-14T22:00:00Z"
+    assert first["begin"] == "2023-11-14T23:00:00+01:00"
     assert first["counted"] == "8"
     assert float(first["speed_kmh"]) == pytest.approx(36.0, rel=1e-3)
     turns = pd.read_csv(folder / "turns.csv")
