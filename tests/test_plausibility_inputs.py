@@ -255,6 +255,17 @@ def test_another_sensor_from_half_way_on_is_told_by_what_stands(checked, rows):
     assert re.search(r"\(\d+% of what stands around it stays where it was", found["R1"][1])
 
 
+@pytest.mark.parametrize("still", [0, 1])
+def test_another_sensor_of_which_nothing_moves_is_told_too(checked, rows, still):
+    """Traffic before alone, or since alone: as a night ends, or begins."""
+    middle = rows["R1"]["time"].iloc[0] + 20.0
+    parts = [rows["R1"][rows["R1"]["time"] < middle], rows["R2"][rows["R2"]["time"] >= middle]]
+    parts[still] = quiet(parts[still])
+    code, found, _ = checked({"R1": (pd.concat(parts), POSES["R1"])})
+    assert code == 4
+    assert found["R1"][0] == WRONG
+
+
 def as_it_is(given):
     return given
 
