@@ -99,7 +99,7 @@ def test_the_error_follows_its_formula():
     }
     visible = {(tile, True): span for tile in range(12)}
     got = make_heatmap(dataset_of(tiles, span, occupied, visible)).occupancy_shares()
-    seen = [(0.16 * 20) ** 2 + (0.3 * 20) ** 2, 10.0**2 + (0.3 * 80) ** 2]
+    seen = [(0.16 * 20) ** 2 + (0.45 * 20) ** 2, 10.0**2 + (0.45 * 80) ** 2]
     slope = 0.3 * (100 / 260) / 0.5
     assert got.occupancy_se[3] == pytest.approx(np.hypot(np.sqrt(sum(seen)) / 260, slope), rel=1e-5)
     inferred = np.hypot(10.0, 0.7 * 100) / 260
@@ -117,7 +117,7 @@ def test_hidden_time_adds_to_the_error_and_does_not_cut_runs():
     visible = {(tile, True): span - hidden for tile in range(12)}
     visible |= {(tile, False): hidden for tile in range(12)}
     got = make_heatmap(dataset_of(tiles, span, every, visible)).occupancy_shares()
-    run, share = 10.0**2 + (0.3 * 80) ** 2, 80 / 260
+    run, share = 10.0**2 + (0.45 * 80) ** 2, 80 / 260
     unknown = (0.7 * 60) ** 2 * share * (1 - share)
     assert got.visible_s[3] == pytest.approx(13.0)
     assert got.occupancy_se[3] == pytest.approx(np.sqrt(run + unknown) / 260, rel=1e-5)

@@ -32,7 +32,7 @@ from gis_radar.calibration.residuals import (
     STRAY_HEIGHT_M,
     STRAY_SHARE,
     VIEW_EDGE,
-    Comparison,
+    LaneComparison,
     assemble,
     height,
     height_covariance,
@@ -68,7 +68,7 @@ def matched(scene, scale_m):
     scene, state, _ = scene
     lanes, samples = scene.lanes, scene.samples
     placed = place(samples, state)
-    compared = Comparison(
+    compared = LaneComparison(
         lanes=lanes, placed=placed, matches=match(lanes, placed),
         model=replace(MODEL, hidden_share=1e-9), scale_m=scale_m,
     )  # fmt: skip

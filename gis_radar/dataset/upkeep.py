@@ -71,6 +71,10 @@ def withdraw(
             validity_s=validity_by_sensor(after.entries),
         )  # fmt: skip
         change(site, before, after, processes=processes, reporter=reporter)
+        sensors = {each.sensor for each in kept}
+        checks = {name: of for name, of in dataset.manifest.checks.items() if name in sensors}
+        if checks != dataset.manifest.checks:
+            replace(dataset.manifest, checks=checks).write(folder)
 
 
 def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET) -> int:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
+import scipy
 
 from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.hdmap import lanes_of, quads
@@ -243,7 +243,7 @@ def _after(tiles: gpd.GeoDataFrame, rows: Sequence[Integers]) -> list[tuple[int,
         np.arctan2(*(away[:, 1] + away[:, 0])[:, ::-1].T)
         for away in (corners[each][:, [1, 2]] - corners[each][:, [0, 3]] for each in (first, last))
     ]
-    near = cKDTree(begin.mean(axis=1)).query_ball_point(end.mean(axis=1), JOIN_M)
+    near = scipy.spatial.cKDTree(begin.mean(axis=1)).query_ball_point(end.mean(axis=1), JOIN_M)
     return [
         tuple(
             sorted(
