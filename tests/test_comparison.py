@@ -209,7 +209,7 @@ def test_a_difference_below_what_is_resolved_is_not_told(dataset):
 
 
 def test_what_reaches_past_the_period_is_left_out(dataset):
-    with pytest.raises(InputError, match="no whole interval of 15min lies"):
+    with pytest.raises(InputError, match="no whole interval of 5min lies"):
         gr.compare(
             dataset, before=("2023-11-14 22:00", "2023-11-14 22:04"), after=AFTER
         )  # four minutes hold no whole interval

@@ -229,7 +229,7 @@ def test_doubt_of_existence_adds_to_the_error():
     doubted = VehicleTable(**{**vars(vehicles_of(cars)), "p_exists": np.array([0.6])})
     found = measure_lanes(NETWORK, GRID, states_of(cars), doubted, runs, counts)
     at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
-    assert found.lanes["volume_se"][at] == pytest.approx(math.sqrt(0.09 + 0.24))
+    assert found.lanes["volume_se"][at] == pytest.approx(math.sqrt(0.045 + 0.24))
 
 
 def test_speeds_heavy_vehicles_and_travel_times():
@@ -262,6 +262,16 @@ def test_a_queue_reaches_back_to_the_first_large_gap():
     assert lanes.loc[(APPROACH, 1), "queue_max_m"] == 0.0
     assert np.isnan(lanes.loc[(STRAIGHT, 0), "queue_max_m"])  # has no stop line
     assert 0.0 < row["queue_mean_m"] < row["queue_max_m"]
+
+
+def test_a_lorry_beside_a_car_does_not_cut_the_queue():
+    """Lanes merge before the line: a lorry beside a car, and a car 9 m behind the lorry."""
+    cars = queue([59.0, 58.0, 34.0])
+    runs, counts = seen_all(GRID)
+    known = vars(vehicles_of(cars)) | {"length_m": np.array([16.0, 4.5, 4.5])}
+    found = measure_lanes(NETWORK, GRID, states_of(cars), VehicleTable(**known), runs, counts)
+    at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
+    assert found.lanes["queue_max_m"][at] == pytest.approx(60.0 - 34.0 + 4.5)
 
 
 def test_who_stands_far_from_the_line_is_no_queue():

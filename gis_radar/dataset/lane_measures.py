@@ -32,7 +32,7 @@ from gis_radar.dataset.tables import (
     VISIBLE,
     TableSchema,
 )
-from gis_radar.dataset.tile_counts import RUN_ERRORS, HourSpans, count_spans, read_counts
+from gis_radar.dataset.tile_counts import HourSpans, count_spans, read_counts
 from gis_radar.hdmap import LANES_LAYER, read_tiles
 from gis_radar.measures import (
     FrontStates,
@@ -49,9 +49,7 @@ from gis_radar.measures import (
 METHOD = 1
 """Raised whenever the same parts would give other lane measures or turns."""
 
-SETTINGS = LaneMeasureSettings(
-    counting_seen=RUN_ERRORS.false_share, counting_inferred=RUN_ERRORS.inferred_share
-)
+SETTINGS = LaneMeasureSettings()
 TRAFFIC_TABLES = (LANE_MEASURES, TURNS)
 _TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_variance")
 
@@ -128,8 +126,8 @@ class LaneTraffic:
 
     def _key(self, record: HourRecord) -> list[str | int]:
         before = self._hour_before(record.hour)
-        inputs = "" if before is None else before.origin.inputs
-        return [METHOD, record.origin.method, record.origin.inputs, inputs]
+        inputs, method = ("", 0) if before is None else (before.origin.inputs, before.origin.method)
+        return [METHOD, record.origin.method, record.origin.inputs, method, inputs]
 
     def _hour_before(self, hour: int) -> HourRecord | None:
         """Return the record of the hour before, if it has tracks."""

@@ -6,7 +6,8 @@ those of the Highway Capacity Manual (TRB, 7th edition, chapters 4 and 31).
 The variance of a volume has three sources, which are independent:
 
 - *counting*: a vehicle that was counted may be none, or another one may be missing;
-- *existence*: a vehicle with a known probability p to exist adds p (1 - p);
+- *existence*: where the probability p of a vehicle to exist is known, p (1 - p) takes the place of
+  the half of that which is for counting what is none;
 - *not visible*: of n vehicles counted in a share p of the time, arrivals being a Poisson process,
   the whole interval has n / p with variance (n + 1/2) (1 - p) / p^2.
 """
@@ -237,8 +238,9 @@ class _Counts:
         size, row = len(network.lane) * grid.count, vehicles.of(crossed.vehicle)
         cell = crossed.lane * grid.count + grid.of(crossed.step)
         error = np.where(crossed.seen, settings.counting_seen, settings.counting_inferred)
-        exists = np.nan_to_num(vehicles.p_exists[row], nan=1.0)
-        variance = error**2 + exists * (1.0 - exists)
+        exists = vehicles.p_exists[row]
+        known = 0.5 * error**2 + exists * (1.0 - exists)  # half is for those that are missing
+        variance = np.where(np.isnan(exists), error**2, known)
         kmh = np.maximum(crossed.speed, 0.0) * 3.6
         group = np.minimum((kmh // SPEED_CLASS_KMH).astype(np.int64), SPEED_CLASSES - 1)
         counted, heavy, spread, speed = (

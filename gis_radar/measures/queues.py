@@ -120,7 +120,8 @@ def queues(
     rear = front + length_m[row[order]]
     new = np.ones(len(stop), np.bool_)
     new[1:] = (np.diff(stop) != 0) | (np.diff(step) != 0)
-    ahead = np.where(new, 0.0, np.concatenate([[0.0], rear])[: len(rear)])
+    reach = _farthest(rear, new)  # a lorry may reach farther back than a car that begins behind it
+    ahead = np.where(new, 0.0, np.concatenate([[0.0], reach])[: len(reach)])
     joined = _unbroken(front - ahead <= settings.joined_m, new)
     line = network.tile_id[network.tile_at(stop, network.line_m[stop])]
     joined &= visible.at(line, step)
@@ -131,6 +132,13 @@ def queues(
     most = np.zeros(size)
     np.maximum.at(most, cell, back)
     return QueueBacks(most, np.bincount(cell, back, size).astype(np.float64))
+
+
+def _farthest(values: Floats, new: Booleans) -> Floats:
+    """Return the greatest value of each group so far."""
+    group = np.cumsum(new)
+    span = float(np.ptp(values)) + 1.0 if len(values) else 1.0
+    return np.asarray(np.maximum.accumulate(values + group * span) - group * span, np.float64)
 
 
 def _unbroken(good: Booleans, new: Booleans) -> Booleans:

@@ -130,12 +130,13 @@ def test_a_date_without_hours_has_no_tables(dataset):
     assert dataset.lane_measures().empty
 
 
-def test_an_hour_follows_from_the_one_before(dataset):
-    """With other inputs of the hour before it is made again, though its own are the same."""
+@pytest.mark.parametrize("other", [{"inputs": "other"}, {"method": 99}])
+def test_an_hour_follows_from_the_one_before(dataset, other):
+    """Where the hour before changed it is made again, though its own inputs are the same."""
     update(dataset)
     before, rows = days(dataset)[0].read_bytes(), dataset.lane_measures()
     record = read_hour(dataset.folder, HOUR)
-    changed = replace(record, origin=replace(record.origin, inputs="other"))
+    changed = replace(record, origin=replace(record.origin, **other))
     write_record(dataset.folder, replace(changed, dropped=tuple(record.parts)))
     part_path(dataset.folder, VISIBLE, HOUR + 1).unlink()
     with pytest.raises(InputError, match="is missing"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -82,9 +81,9 @@ class Comparison:
     table : GeoDataFrame
         A row a lane and measure: `lane`, `name`, `measure`, `before`, `after`, `difference`,
         `percent`, `se`, `low` and `high` (which hold the difference in 95 %), `p`, `p_corrected`
-        (for the number of lanes), `verdict` (`more`, `less` or `not told`), `units` (what was
-        compared: days, times of day or intervals) and `count` (how many), `watchers` (the sensors);
-        the lane's line.
+        (for the number of lanes and measures), `verdict` (`more`, `less` or `not told`), `units`
+        (what was compared: days, times of day or intervals) and `count` (how many), `watchers` (the
+        sensors); the lane's line.
     left_out : DataFrame
         Lanes that do not compare: `lane`, `name`, `seen` (by whom before / after; where that is the
         same sensor, how many of its tiles).
@@ -213,11 +212,11 @@ def _rows(
     sources: Sequence[tuple[Dataset, Period]], days: set[int], options: dict[str, Any]
 ) -> list[gpd.GeoDataFrame]:
     """Read the traffic of both periods: by shorter intervals where quarters of an hour are few."""
-    hours = max(len(dataset.records(dataset.span(*period))) for dataset, period in sources)
-    if hours <= FEW_HOURS:
-        with suppress(InputError):  # the exact tables are gone
-            return [_rows_of(*source, FINER, days, options) for source in sources]
-    return [_rows_of(*source, INTERVAL, days, options) for source in sources]
+    records = [dataset.records(dataset.span(*period)) for dataset, period in sources]
+    few = max(map(len, records)) <= FEW_HOURS
+    exact = not any(hour.dropped for each in records for hour in each.values())
+    interval = FINER if few and exact else INTERVAL
+    return [_rows_of(*source, interval, days, options) for source in sources]
 
 
 def _rows_of(
