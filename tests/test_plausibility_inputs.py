@@ -256,14 +256,26 @@ def test_another_sensor_from_half_way_on_is_told_by_what_stands(checked, rows):
 
 
 @pytest.mark.parametrize("still", [0, 1])
-def test_another_sensor_of_which_nothing_moves_is_told_too(checked, rows, still):
+def test_another_sensor_is_told_where_nothing_at_all_moves_on_one_side(checked, rows, still):
     """Traffic before alone, or since alone: as a night ends, or begins."""
     middle = rows["R1"]["time"].iloc[0] + 20.0
     parts = [rows["R1"][rows["R1"]["time"] < middle], rows["R2"][rows["R2"]["time"] >= middle]]
-    parts[still] = quiet(parts[still])
+    parts[still] = parts[still][parts[still]["range_rate"].abs() <= 0.1]
     code, found, _ = checked({"R1": (pd.concat(parts), POSES["R1"])})
     assert code == 4
     assert found["R1"][0] == WRONG
+
+
+def test_a_sensor_that_is_turned_half_way_is_told(checked, rows):
+    """By five degrees: much of what stands near it stays in its cells."""
+    table = rows["R1"]
+    late = (table["time"] >= table["time"].iloc[0] + 20.0).to_numpy()
+    places = (table["x"] + 1j * table["y"]).to_numpy() * np.exp(1j * np.radians(5.0 * late))
+    table = table.assign(x=places.real.astype(np.float32), y=places.imag.astype(np.float32))
+    code, found, _ = checked({"R1": (table, POSES["R1"])})
+    assert code == 4
+    assert found["R1"][0] == WRONG
+    assert "2025-06-12T07:30" in found["R1"][1]
 
 
 def as_it_is(given):
