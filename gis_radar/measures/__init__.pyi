@@ -1,4 +1,4 @@
-from .comparison import COMPARISON, INTERVALS, ComparisonSettings, compare_values, holm_corrected
+from .differences import COMPARISON, INTERVALS, ComparisonSettings, compare_values, holm_corrected
 from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .hit_counter import FrameCounter
@@ -12,7 +12,7 @@ from .lane_measures import (
     VehicleTable,
     measure_lanes,
 )
-from .lane_names import lane_names, turn_lines
+from .lane_names import TURN_WORDS, lane_names, turn_lines
 from .lane_network import LaneNetwork
 from .lane_traffic import FrontStates, StepGrid, VisibleRuns
 from .placing import PoseNumbers
@@ -38,6 +38,7 @@ __all__ = [
     "MARGIN_STEPS",
     "NO_FURTHER",
     "SPEED_CLASS_KMH",
+    "TURN_WORDS",
     "ComparisonSettings",
     "Filters",
     "FrameCounter",

@@ -30,7 +30,7 @@ _BOUND = {
     "south": Text("southbound"), "south-west": Text("south-westbound"),
     "west": Text("westbound"), "north-west": Text("north-westbound"),
 }  # fmt: skip
-_TURNS = {
+TURN_WORDS = {
     "left": Text("left turn"), "straight": Text("straight ahead"),
     "right": Text("right turn"), "back": Text("U-turn"),
 }  # fmt: skip
@@ -64,7 +64,7 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
         name = f"{street} {tr(_BOUND[wind_of(*way) or 'north'])}, {place}"
         leads = connector[k] or network.has_stop_line[k] or connector[[*network.after[k]]].any()
         turns = str(row["turn"]).split(";") if leads and isinstance(row["turn"], str) else []
-        words = listed([tr(_TURNS[each]) for each in turns if each in _TURNS])
+        words = listed([tr(TURN_WORDS[each]) for each in turns if each in TURN_WORDS])
         names.append(f"{name} ({words})" if words else name)
     return _unlike(names, points, ways)
 

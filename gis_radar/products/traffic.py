@@ -26,23 +26,19 @@ from gis_radar.base import (
     Text,
     add_layer,
     add_styles,
-    atomic_folder,
     current_language,
     describe_layers,
     iso_from_time,
-    keep_styles,
-    output_errors,
-    speaking,
     tr,
     write_csv,
-    writing_errors,
 )
 from gis_radar.dataset import Dataset
+from gis_radar.measures import TURN_WORDS
+from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
 
 LANES, TURNS = "lanes", "turns"
-OWNED = ("traffic.", "turns.", "sumo.")
 TITLES = {
     "lane": Text("Lane (id)"), "name": Text("Lane"),
     "from_lane": Text("From lane (id)"), "to_lane": Text("To lane (id)"),
@@ -65,10 +61,6 @@ TITLES = {
 _KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
 _IDS = ("lane", "from_lane", "to_lane")
 _TIMES = ("begin", "end")
-_WAYS = {
-    "left": Text("left turn"), "straight": Text("straight ahead"),
-    "right": Text("right turn"), "back": Text("U-turn"),
-}  # fmt: skip
 _DIGITS = 4  # of numbers in tables for people: far below their errors
 
 
@@ -128,7 +120,6 @@ class Traffic:
         OutputError
             If the folder cannot be written, or holds other files.
         """
-        folder = Path(folder)
         zero = self.lanes["begin"].min()
         writers: dict[str, Callable[[Path], object]] = {
             "traffic.csv": partial(_write_table, self.lanes),
@@ -141,23 +132,17 @@ class Traffic:
         }
         if self.turns["volume"].notna().any():
             writers["turns.png"] = partial(write_turning_diagram, self.lanes, self.turns)
-        with (
-            speaking(language or current_language()),
-            atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh,
-        ):
-            for done, (name, write) in enumerate(writers.items(), start=1):
-                with output_errors(folder / name), writing_errors(folder / name):
-                    write(fresh / name)
-                reporter.progress("writing traffic", done, len(writers))
-            keep_styles(fresh / "traffic.gpkg", earlier=folder / "traffic.gpkg")
-        return [folder / name for name in writers]
+        return write_results(
+            folder, writers, name="traffic", stage="writing traffic", language=language,
+            reporter=reporter,
+        )  # fmt: skip
 
     def _write_workbook(self, path: Path) -> None:
         for sheet, table in ((tr("Lanes"), self.lanes), (tr("Turns"), self.turns)):
             zone = str(table["begin"].dt.tz)
             shown = _for_people(table)
             if "turn" in shown:
-                shown["turn"] = [tr(_WAYS[each]) for each in shown["turn"]]
+                shown["turn"] = [tr(TURN_WORDS[each]) for each in shown["turn"]]
             for name in _TIMES:  # spreadsheets know no zones
                 shown[name] = shown[name].dt.tz_localize(None)
             titles = {str(name): tr(TITLES[str(name)]) for name in shown}

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import shapely
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from gis_radar.base import FONTS, Clock, figure_text, tr, zone_of
+from gis_radar.base import Clock, figure_text, picture_file, tr, zone_of
 from gis_radar.products.heatmap.picture import INK, SOFT
 
 WIDTH_IN, DPI = 10.0, 160
@@ -66,9 +63,7 @@ def write_turning_diagram(
         The picture (PNG).
     """
     known = mean_turns(turns)
-    with mpl.rc_context(FONTS):
-        figure = Figure(figsize=(WIDTH_IN, WIDTH_IN), layout="constrained")
-        FigureCanvasAgg(figure)
+    with picture_file(path, (WIDTH_IN, WIDTH_IN), DPI) as figure:
         axes = figure.subplots()
         for line in lanes.geometry.drop_duplicates():
             axes.plot(*line.xy, color=ROAD, linewidth=7.0, solid_capstyle="butt", zorder=1)
@@ -83,7 +78,6 @@ def write_turning_diagram(
         axes.set_axis_off()
         axes.set_title(_title(turns), loc="left", color=INK, fontsize=13, fontweight="bold")
         axes.text(0.0, 0.0, tr(_BELOW), transform=axes.transAxes, color=SOFT, fontsize=9)
-        figure.savefig(path, dpi=DPI)
 
 
 _BELOW = (
@@ -99,7 +93,7 @@ def _title(turns: pd.DataFrame) -> str:
     return f"{tr('Turning volumes')}, {clock.whole_in_zone(begin, end)}"
 
 
-def _draw_turn(axes: Axes, line: shapely.LineString, volume: float) -> None:
+def _draw_turn(axes: Any, line: shapely.LineString, volume: float) -> None:
     points = shapely.get_coordinates(line)
     width = max(volume / VEH_H_PER_POINT, 0.4)
     axes.plot(*points.T, color=FLOW, linewidth=width, alpha=0.55, zorder=3, solid_capstyle="butt")
@@ -107,7 +101,7 @@ def _draw_turn(axes: Axes, line: shapely.LineString, volume: float) -> None:
     axes.annotate("", xy=points[-1], xytext=points[-2], arrowprops=style, zorder=4)
 
 
-def _label(axes: Axes, rows: pd.DataFrame) -> None:
+def _label(axes: Any, rows: pd.DataFrame) -> None:
     """Write the volumes of an approach along its lane, before the stop line."""
     order = {name: k for k, name in enumerate(_ARROWS)}
     rows = rows.sort_values(["turn", "to_lane"], key=lambda v: v.map(order).fillna(0))

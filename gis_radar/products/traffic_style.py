@@ -1,9 +1,10 @@
-"""The look of traffic in QGIS: lanes and turns coloured by volume, turns as wide as it."""
+"""The look of lanes and turns in QGIS: coloured by classes, turns as wide as their volume."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
+from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from gis_radar.products.heatmap.style import RAMP
@@ -13,6 +14,15 @@ BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes
 _SHORTER_MS = 10  # as in heat maps: QGIS takes an interval that ends at a moment for one with it
 _LANE_MM, _TURN_ALPHA = 1.2, 200  # turns cross: those below are seen through
 _WIDTH = f'max(0.4, min(6, "{VOLUMES}" / 100))'  # mm: 1 for 100 veh/h
+
+
+class LineClass(NamedTuple):
+    """Values from `low` to `high` that a layer shows in one colour, and what they are called."""
+
+    low: float
+    high: float
+    colour: str
+    label: str
 
 
 def traffic_style(interval_s: float, titles: Mapping[str, str], *, wide: bool) -> str:
@@ -35,21 +45,44 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], *, wide: bool) -
         "fixedDuration": str(max(0, round(interval_s * 1000) - _SHORTER_MS)), "durationUnit": "ms",
         "durationField": "", "accumulate": "0", "startExpression": "", "endExpression": "",
     })  # fmt: skip
-    renderer = SubElement(root, "renderer-v2", {
-        "type": "graduatedSymbol", "attr": VOLUMES, "graduatedMethod": "GraduatedColor",
-        "symbollevels": "0", "forceraster": "0", "enableorderby": "0",
-    })  # fmt: skip
-    ranges, symbols = SubElement(renderer, "ranges"), SubElement(renderer, "symbols")
-    for k, ((low, high), colour) in enumerate(zip(pairwise(BREAKS), RAMP, strict=True)):
-        SubElement(ranges, "range", {
-            "symbol": str(k), "render": "true", "lower": f"{low:g}", "upper": f"{high:g}",
-            "label": f"{low:g} - {high:g} veh/h" if high < BREAKS[-1] else f"> {low:g} veh/h",
-        })  # fmt: skip
-        _add_symbol(symbols, str(k), ",".join(map(str, bytes.fromhex(colour[1:]))), wide=wide)
+    classes = (
+        LineClass(low, high, colour, f"{low:g} - {high:g}" if high < BREAKS[-1] else f"> {low:g}")
+        for (low, high), colour in zip(pairwise(BREAKS), RAMP, strict=True)
+    )
+    _add_classes(root, VOLUMES, classes, unit=" veh/h", wide=wide)
     aliases = SubElement(root, "aliases")
     for number, (name, title) in enumerate(titles.items(), start=1):
         SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
     SubElement(root, "mapTip", {"enabled": "1"}).text = _tip(wide=wide)
+    return _document(root)
+
+
+def class_style(column: str, classes: Iterable[LineClass]) -> str:
+    """Return the QGIS style of a layer of lanes that are coloured by the class of a column."""
+    root = Element("qgis", {"version": "3.34", "styleCategories": "Symbology"})
+    _add_classes(root, column, classes)
+    return _document(root)
+
+
+def _add_classes(
+    root: Element, column: str, classes: Iterable[LineClass], *, unit: str = "", wide: bool = False
+) -> None:
+    renderer = SubElement(root, "renderer-v2", {
+        "type": "graduatedSymbol", "attr": column, "graduatedMethod": "GraduatedColor",
+        "symbollevels": "0", "forceraster": "0", "enableorderby": "0",
+    })  # fmt: skip
+    ranges, symbols = SubElement(renderer, "ranges"), SubElement(renderer, "symbols")
+    for k, each in enumerate(classes):
+        SubElement(ranges, "range", {
+            "symbol": str(k), "render": "true", "lower": f"{each.low:g}", "upper": f"{each.high:g}",
+            "label": f"{each.label}{unit}",
+        })  # fmt: skip
+        shade = ",".join(map(str, bytes.fromhex(each.colour[1:])))
+        _add_symbol(symbols, str(k), shade, wide=wide)
+
+
+def _document(root: Element) -> str:
+    """Return a style of lines as text."""
     SubElement(root, "layerGeometryType").text = "1"
     indent(root)
     heading = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"

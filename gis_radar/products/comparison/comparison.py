@@ -132,7 +132,7 @@ def compare(
 
     Only what the same sensors saw alike in both is compared; of periods of three days and more,
     days are compared, of shorter ones the same times of day, or else intervals
-    (:mod:`gis_radar.measures.comparison`).
+    (:mod:`gis_radar.measures.differences`).
 
     Parameters
     ----------

@@ -11,7 +11,6 @@ from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import geopandas as gpd
 import numpy as np
@@ -28,23 +27,19 @@ from gis_radar.base import (
     Text,
     add_layer,
     add_styles,
-    atomic_folder,
     current_language,
     describe_layers,
     figure_text,
-    keep_styles,
-    output_errors,
     percent,
     picture_file,
-    speaking,
     tr,
     write_csv,
-    writing_errors,
 )
 from gis_radar.measures import INTERVALS
 from gis_radar.products.comparison.comparison import COMPARED, LESS, MORE, NOT_TOLD, Comparison
+from gis_radar.products.results_folder import write_results
+from gis_radar.products.traffic_style import LineClass, class_style
 
-OWNED = ("compare.",)
 LAYER = "comparison"
 # Of the difference in percent: colours that do not rest on red and green, grey where none is told.
 MOST = 999.0  # percent that are shown; more, and what was nothing before, is in the last class
@@ -54,7 +49,6 @@ SECTIONS = {
     1: Text("Better"), -1: Text("Worse"), 0: Text("Volumes and speeds"),
     None: Text("Cannot be told"),
 }  # fmt: skip
-_WIDTH_MM = "1.4"
 
 
 def write_comparison(
@@ -87,23 +81,16 @@ def write_comparison(
     OutputError
         If the folder cannot be written, or holds other files.
     """
-    folder = Path(folder)
     writers: dict[str, Callable[[Path], object]] = {
         "compare.csv": partial(_write_table, comparison.table),
         "compare.gpkg": partial(_write_layer, comparison.table),
         "compare.png": partial(draw_changes, comparison),
         "compare.html": partial(_write_page, comparison),
     }
-    with (
-        speaking(language or current_language()),
-        atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh,
-    ):
-        for done, (name, write) in enumerate(writers.items(), start=1):
-            with output_errors(folder / name), writing_errors(folder / name):
-                write(fresh / name)
-            reporter.progress("writing the comparison", done, len(writers))
-        keep_styles(fresh / "compare.gpkg", earlier=folder / "compare.gpkg")
-    return [folder / name for name in writers]
+    return write_results(
+        folder, writers, name="compare", stage="writing the comparison", language=language,
+        reporter=reporter,
+    )  # fmt: skip
 
 
 def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
@@ -139,40 +126,12 @@ def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     about = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
     with closing(sqlite3.connect(path)) as database, database:
         describe_layers(database, {LAYER: about})
-        style = change_style(f"{measure}_change")
+        style = class_style(f"{measure}_change", change_classes())
         add_styles(database, {LAYER: (style, "")}, name="change", about="change of the volume")
 
 
-def change_style(column: str) -> str:
-    """Return a QGIS style that colours lanes by a change in percent, grey where none is told."""
-    root = Element("qgis", {"version": "3.34", "styleCategories": "Symbology"})
-    renderer = SubElement(root, "renderer-v2", {
-        "type": "graduatedSymbol", "attr": column, "graduatedMethod": "GraduatedColor",
-        "symbollevels": "0", "forceraster": "0", "enableorderby": "0",
-    })  # fmt: skip
-    ranges, symbols = SubElement(renderer, "ranges"), SubElement(renderer, "symbols")
-    for k, ((low, high), colour, label) in enumerate(classes()):
-        SubElement(ranges, "range", {
-            "symbol": str(k), "render": "true", "lower": f"{low:g}", "upper": f"{high:g}",
-            "label": label,
-        })  # fmt: skip
-        symbol = SubElement(symbols, "symbol", {
-            "type": "line", "name": str(k), "alpha": "1", "clip_to_extent": "1", "force_rhr": "0",
-        })  # fmt: skip
-        layer = SubElement(symbol, "layer", {"class": "SimpleLine", "enabled": "1", "pass": "0"})
-        options = SubElement(layer, "Option", {"type": "Map"})
-        shade = ",".join(map(str, bytes.fromhex(colour[1:])))
-        values = {"line_color": f"{shade},255", "line_width": _WIDTH_MM, "line_width_unit": "MM"}
-        for name, value in values.items():
-            SubElement(options, "Option", {"name": name, "type": "QString", "value": value})
-    SubElement(root, "layerGeometryType").text = "1"
-    indent(root)
-    heading = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
-    return f"{heading}\n{tostring(root, encoding='unicode')}\n"
-
-
-def classes() -> Iterator[tuple[tuple[float, float], str, str]]:
-    """Yield the bounds of each class of change, its colour, and what it is called."""
+def change_classes() -> Iterator[LineClass]:
+    """Yield the classes of change, percent."""
     for (low, high), colour in zip(pairwise(BREAKS), COLOURS, strict=True):
         if low < 0.0 < high:
             label = tr("no change is told")
@@ -185,7 +144,7 @@ def classes() -> Iterator[tuple[tuple[float, float], str, str]]:
             ends = {"low": f"{near:.0f}", "high": f"{far:.0f}"}
             more = tr("{low} to {high} % more", **ends)
             label = more if low > 0 else tr("{low} to {high} % less", **ends)
-        yield (low, high), colour, label
+        yield LineClass(low, high, colour, label)
 
 
 def draw_changes(comparison: Comparison, path: Path) -> None:
@@ -204,8 +163,8 @@ def draw_changes(comparison: Comparison, path: Path) -> None:
             ax.set_axis_off()
             ax.set_aspect("equal")
         lines = [
-            Line2D([], [], color=colour, linewidth=3.0, label=label)
-            for _, colour, label in classes()
+            Line2D([], [], color=each.colour, linewidth=3.0, label=each.label)
+            for each in change_classes()
         ]
         figure.legend(handles=lines, loc="outside lower center", ncols=4, frameon=False)
 
