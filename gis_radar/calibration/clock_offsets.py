@@ -37,7 +37,6 @@ PAIR_MPS = 1.5
 # Largest gap along the lane, metres, iteration by iteration; the last one stays. A car's length
 # and the error of both poses.
 PAIR_M: tuple[float, ...] = (12.0, 9.0, 7.0)
-PLACE_M = 10.0  # length of lane that shares a bias of the two poses, metres
 VEHICLE_S = 4.0  # detections of one lanelet within it count as one vehicle: about the least headway
 # Detections of a pair of sensors in the fit and in the validation; time grows in proportion.
 MOST_FITTED = 15_000
@@ -330,14 +329,9 @@ def _pairs(
         speed=speed[fits],
         late_s=other.time[second] - at,
         sides=(one.side[first] - other.side[second]) / 2,
-        place=np.unique(_places(one)[first], return_inverse=True)[1],
+        place=np.unique(one.places[first], return_inverse=True)[1],
         vehicle=np.unique(one.lanelet[first] * 10**12 + block, return_inverse=True)[1],
     )
-
-
-def _places(seen: LaneDetections) -> Integers:
-    """Return the place of each detection: lanelet and length of lane that shares a bias."""
-    return seen.lanelet * 100_000 + (seen.s_m // PLACE_M).astype(np.int64)
 
 
 def _solve(pairs: _Pairs, drift: float, drift_sigma: float) -> tuple[Floats, Floats]:
@@ -423,7 +417,7 @@ def _share_seen(one: LaneDetections, other: LaneDetections, offset_s: float) -> 
     """Return the share of what `one` sees, where and while `other` sees too, that both see."""
     time = other.time - offset_s
     within = (one.time > time[0] + NEAR_S) & (one.time < time[-1] - NEAR_S)
-    common = np.isin(_places(one), _places(other))
+    common = np.isin(one.places, other.places)
     mine = one.take(np.flatnonzero(within & common))
     if len(mine) < LEAST_CHECKED:
         return np.nan

@@ -15,6 +15,7 @@ from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
 STAGE = "reading traffic"
+PLACE_M = 10.0  # length of lane that shares a bias of a pose, metres
 REACH_M = 300.0  # lanes around a sensor are looked at that far: the longest range of the sensors
 
 
@@ -99,6 +100,11 @@ class LaneDetections:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def places(self) -> Integers:
+        """Place of each: a number for its lanelet and the piece of it that shares a pose's bias."""
+        return self.lanelet * 100_000 + (self.s_m // PLACE_M).astype(np.int64)
 
     def take(self, keep: Booleans | Integers) -> LaneDetections:
         """Return some of them."""

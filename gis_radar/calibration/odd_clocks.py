@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
+
 from gis_radar.base import NoAnswerError, Text
-from gis_radar.calibration.clock_offsets import measured_offset
+from gis_radar.calibration.clock_offsets import ClockOffset, measured_offset
 from gis_radar.calibration.findings import CLOCKS_APART, Finding, wrong
 from gis_radar.calibration.lane_detections import LaneDetections
 
 CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0  # between sensors with a common view: a car's length and more
+PARTNERS = 3  # of a sensor, at which its clock is well enough known: two are the majority
 
 
 def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
@@ -23,11 +27,7 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
         What moved along lanes, by sensor.
     """
     odd: dict[str, list[tuple[str, float, float]]] = {}
-    for one, other in combinations(seen, 2):
-        try:
-            offset = measured_offset(seen[one], seen[other])
-        except NoAnswerError:  # no common view
-            continue
+    for (one, other), offset in clock_offsets_between(seen).items():
         if abs(offset.offset_s) > max(CLOCK_S, CLOCK_SIGMAS * offset.sigma_s):
             odd.setdefault(one, []).append((other, -offset.offset_s, offset.sigma_s))
             odd.setdefault(other, []).append((one, offset.offset_s, offset.sigma_s))
@@ -42,6 +42,39 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
             if key not in named and (left := [each for each in pairs if each[0] not in named])
         }
     return dict(sorted(told.items()))
+
+
+def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str, str], ClockOffset]:
+    """Measure the clock of each sensor against those that see most of its places.
+
+    Two that have `PARTNERS` each are not compared: a comparison takes a second, and a hundred
+    sensors of one view make five thousand pairs.
+
+    Parameters
+    ----------
+    seen : mapping of str to LaneDetections
+        What moved along lanes, by sensor.
+
+    Returns
+    -------
+    dict
+        By (one, other), how far the clock of `other` is ahead of that of `one`.
+    """
+    places = {name: np.unique(each.places) for name, each in seen.items()}
+    shared = {
+        (one, other): len(np.intersect1d(places[one], places[other], assume_unique=True))
+        for one, other in combinations(seen, 2)
+    }
+    found, partners = dict[tuple[str, str], ClockOffset](), Counter[str]()
+    for one, other in sorted(shared, key=lambda pair: -shared[pair]):
+        if min(partners[one], partners[other]) >= PARTNERS:
+            continue
+        try:
+            found[one, other] = measured_offset(seen[one], seen[other])
+        except NoAnswerError:  # no common view
+            continue
+        partners.update((one, other))
+    return found
 
 
 def _apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:

@@ -1,0 +1,47 @@
+"""Odd clocks: who is named among sensors of one view, and how many pairs are compared for it."""
+
+import numpy as np
+import pytest
+
+from gis_radar.calibration.lane_detections import LaneDetections
+from gis_radar.calibration.odd_clocks import clock_offsets_between, odd_clocks
+
+SENSORS, LATE_S = 12, 1.0
+
+
+def drive(rng, *, late_s=0.0):
+    """Return what one sensor sees of 40 vehicles on a street of 300 m, some metres off."""
+    traffic = np.random.default_rng(7)
+    begin = np.sort(traffic.uniform(0.0, 120.0, 40))
+    speed = traffic.uniform(8.0, 16.0, 40)
+    moment = np.arange(0.0, 160.0, 0.1)
+    on = (moment - begin[:, None]) * speed[:, None]
+    vehicle, step = np.nonzero((on > 0.0) & (on < 300.0))
+    order = np.argsort(moment[step], kind="stable")
+    vehicle, step = vehicle[order], step[order]
+    return LaneDetections(
+        time=1e9 + moment[step] + late_s + rng.normal(0.0, 0.01),
+        lanelet=vehicle % 2,
+        s_m=on[vehicle, step] + rng.normal(0.0, 0.5, len(step)),
+        speed=speed[vehicle] + rng.normal(0.0, 0.1, len(step)),
+        side=np.ones(len(step)),
+    )
+
+
+@pytest.fixture(scope="module")
+def seen():
+    rng = np.random.default_rng(1)
+    late = dict.fromkeys([f"S{k:02d}" for k in range(SENSORS)], 0.0) | {"S05": LATE_S}
+    return {name: drive(rng, late_s=value) for name, value in late.items()}
+
+
+def test_of_many_sensors_with_one_view_the_late_one_is_named(seen):
+    found = odd_clocks(seen)
+    assert list(found) == ["S05"]
+    assert float(found["S05"].evidence.split()[0]) == pytest.approx(LATE_S, abs=0.1)
+
+
+def test_each_sensor_is_compared_with_some_not_with_all(seen):
+    pairs = clock_offsets_between(seen)
+    assert len(pairs) <= 3 * SENSORS < SENSORS * (SENSORS - 1) / 2
+    assert all(sum(name in pair for pair in pairs) >= 3 for name in seen)
