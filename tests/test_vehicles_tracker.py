@@ -139,6 +139,40 @@ def through(fork, *, turns, strays=False):
     return detections_at(1e9 + (s - 60.0) / 8.0, points, rate, eye - fork.origin), true, angle
 
 
+def test_speeds_in_a_bend_that_is_drawn_in_chords_are_right_where_it_is_seen_across():
+    """Seen across, a direction off by 12 degrees makes the speed of a range rate wrong by half."""
+    corner = np.linspace(0.0, np.pi / 2, 5)
+    bend = [(100.0 + 13.0 * np.sin(a), 13.0 - 13.0 * np.cos(a)) for a in corner]
+    graph = lane_graph(
+        lanelets(
+            (1, [(40.0, 0.0), (100.0, 0.0)], 3.5, [2]),
+            (2, bend, 3.5, [3]),
+            (3, [bend[-1], (113.0, 80.0)], 3.5, []),
+        )
+    )
+    rng, speed = np.random.default_rng(5), 9.0
+    time = np.repeat(np.arange(0.0, 13.0, 0.05), 3)
+    s = 45.0 + speed * time
+    angle = np.clip((s - 100.0) / 13.0, 0.0, np.pi / 2)
+    after = np.maximum(s - 100.0 - 13.0 * np.pi / 2, 0.0)
+    middle = np.column_stack([np.minimum(s, 100.0) + 13.0 * np.sin(angle),
+                              13.0 * (1.0 - np.cos(angle)) + after])  # fmt: skip
+    way = np.column_stack([np.cos(angle), np.sin(angle)])
+    on = rng.uniform(-2.2, 2.2, (len(s), 1)) * way
+    points = middle + on + rng.normal(0.0, 0.1, middle.shape)
+    eye = np.array([127.6, -14.6])
+    sight = (points - eye) / np.hypot(*(points - eye).T)[:, None]
+    rate = speed * (sight * way).sum(axis=1) + rng.normal(0.0, 0.05, len(s))
+    kept = rng.random(len(s)) < 0.5
+    detections = detections_at(
+        1e9 + time[kept], points[kept] - graph.origin, rate[kept], eye - graph.origin
+    )
+    number, state = ForwardFilter(graph, SETTINGS.forward).push(detections)
+    assert set(number.tolist()) <= {NONE, 0}
+    motion = fit_motion(detections, np.flatnonzero(number == 0), state, SETTINGS.motion)
+    assert motion.speed[20:-20] == pytest.approx(speed, abs=1.0)
+
+
 @pytest.mark.parametrize("turns", [False, True])
 def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, turns):
     detections, true, angle = through(fork, turns=turns)

@@ -12,6 +12,7 @@ import pandas as pd
 import shapely
 
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled, ranges
+from gis_radar.hdmap.curves import lane_headings
 
 STEP_M = 1.0  # of the samples: on a curve of 10 m radius their chord is 1 cm off the arc
 LANE_MARGIN_M = 1.0  # beyond a lane's edge: a vehicle's middle is rarely so far outside
@@ -148,7 +149,12 @@ def lane_graph(lanelets: gpd.GeoDataFrame) -> LaneGraph:
         origin=origin,
     )
     graph.successors.extend(_successors(graph, table))
-    return graph
+    headings = lane_headings(
+        list(zip(table["left"], table["right"], strict=True)),
+        [np.linspace(0.0, 1.0, count) for count in np.diff(first).tolist()],
+        [each.tolist() for each in graph.successors],
+    )
+    return replace(graph, heading=np.concatenate(headings))
 
 
 def _sampled(

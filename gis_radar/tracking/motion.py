@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
+from gis_radar.tracking.columns import DIRECTION_RAD
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.paths import Path, path_through
 from gis_radar.tracking.settings import MotionSettings
@@ -161,6 +162,9 @@ def fit_motion(
     rate = detections.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
     rate_var = (settings.range_rate_mps / np.maximum(np.abs(cos), STILL_COS)) ** 2
     together = np.bincount(step, minlength=count)[step]
+    # a direction is off for a second, and so are all range rates that it is seen across in
+    across = states[rows, 3] * sin / np.maximum(np.abs(cos), STILL_COS)
+    rate_var += (DIRECTION_RAD * across) ** 2 * STEPS_PER_SECOND * together
     ends = np.column_stack([-np.sign(cos), np.abs(cos), sin])  # the end that is seen, and how much
     size, shift = Size(), 0.0
     for _ in range(2):

@@ -13,6 +13,7 @@ from gis_radar.tracking.size import LONGEST_M
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
 FASTEST_MPS = 70.0  # over 250 km/h: nobody but racers
 FREE_TURN = 0.35  # by which headings of two states may be off, radians
+BELL_M = 3  # standard deviation of the bell by which a path is smoothed, whole metres
 ANCHORS = 5  # states from which progress is followed, one of which is hardly off the way
 
 
@@ -190,17 +191,30 @@ def _bridged(states: Floats) -> Floats:
     return np.vstack([*parts, states[begin:, :2]])
 
 
-def _smoothed(line: Floats, window_m: int = 3) -> Path:
-    """Return a line with a vertex a metre, smoothed by a bell of that sigma, twice."""
-    reach = 3 * window_m
-    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / window_m) ** 2)
-    bell /= bell.sum()
+def _smoothed(line: Floats) -> Path:
+    """Return a line with a vertex a metre, smoothed so that its bends stay as they are.
+
+    A bell alone cuts the inner side of a bend and begins it early. What it takes away is smoothed
+    in turn, and given back, twice (Tukey's *twicing*): what is left out bends within 9 m.
+    """
+    line = _every_metre(line)
+    smooth = _blurred(line)
     for _ in range(2):
-        s = Path(line).s_m
-        every = np.arange(0.0, s[-1], 1.0)
-        line = np.column_stack([np.interp(every, s, line[:, k]) for k in range(2)])
-        padded = np.vstack(
-            [2 * line[0] - line[reach:0:-1], line, 2 * line[-1] - line[-2 : -reach - 2 : -1]]
-        )
-        line = np.column_stack([np.convolve(padded[:, k], bell, "valid") for k in range(2)])
-    return Path(line)
+        smooth += _blurred(line - smooth)
+    return Path(_every_metre(smooth))
+
+
+def _every_metre(line: Floats) -> Floats:
+    s = Path(line).s_m
+    every = np.arange(0.0, s[-1], 1.0)
+    return np.column_stack([np.interp(every, s, line[:, k]) for k in range(2)])
+
+
+def _blurred(line: Floats) -> Floats:
+    """Return a line, continued point by point about its ends, in a bell of `BELL_M`."""
+    reach = 3 * BELL_M
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / BELL_M) ** 2)
+    padded = np.vstack(
+        [2 * line[0] - line[reach:0:-1], line, 2 * line[-1] - line[-2 : -reach - 2 : -1]]
+    )
+    return np.column_stack([np.convolve(each, bell / bell.sum(), "valid") for each in padded.T])

@@ -1,0 +1,117 @@
+"""Curves: directions along the smooth line that a polyline of a map stands for.
+
+A map draws a bend as a few chords, at whose corners its direction jumps. Who drives there turns all
+along. Seen across, a direction that is off by a few degrees makes the speed that follows from a
+range rate wrong by half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import shapely
+
+from gis_radar.base import Floats, turned
+
+DRAWN_M = 0.05  # accuracy of drawn lines: what is nearer to a chord is no corner of it
+BEND_RAD = np.radians(30.0)  # a sharper turn from lane to lane is a corner, not a bend
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """Direction along a line; at a corner it changes over half of the shorter chord on either side.
+
+    Parameters
+    ----------
+    length_m : (n,) array
+        Of the chords.
+    way : (n,) array
+        Their directions, radians, without jumps.
+    """
+
+    length_m: Floats
+    way: Floats
+
+    @classmethod
+    def of(cls, line: shapely.LineString) -> Self:
+        """Return the curve that a polyline stands for."""
+        chords = np.diff(shapely.get_coordinates(line.simplify(DRAWN_M)), axis=0)
+        chords = chords[np.hypot(*chords.T) > 0.0]
+        way = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
+        return cls(length_m=np.hypot(*chords.T), way=way)
+
+    def heading_at(self, share: Floats, before: Curve | None, after: Curve | None) -> Floats:
+        """Return directions (k,), radians, at shares of the length.
+
+        Parameters
+        ----------
+        share : (k,) array
+            Of the length, in [0, 1].
+        before, after : Curve, optional
+            Those that it continues without a corner.
+        """
+        length, way, begin = self.length_m, self.way, 0.0
+        if before is not None:
+            begin = float(before.length_m[-1])
+            length = np.append(begin, length)
+            way = np.append(way[0] + turned(before.way[-1], way[0]), way)
+        if after is not None:
+            length = np.append(length, after.length_m[0])
+            way = np.append(way, way[-1] + turned(after.way[0], way[-1]))
+        corner, half = np.cumsum(length)[:-1], 0.5 * np.minimum(length[:-1], length[1:])
+        turns = np.column_stack([corner - half, corner + half]).ravel()
+        ways = np.repeat(way, 2)[1:-1] if len(way) > 1 else way
+        place = begin + share * self.length_m.sum()
+        return np.interp(place, turns, ways) if len(way) > 1 else np.full(len(share), way[0])
+
+
+def lane_headings(
+    bounds: Sequence[tuple[shapely.LineString, shapely.LineString]],
+    shares: Sequence[Floats],
+    after: Sequence[Sequence[int]],
+) -> list[Floats]:
+    """Return the directions along the middle of lanes, as their bends go on from lane to lane.
+
+    Parameters
+    ----------
+    bounds : sequence of pairs of LineString
+        Left and right bound of each lane.
+    shares : sequence of (k,) arrays
+        Where on each directions are asked: shares of the length, in [0, 1].
+    after : sequence of sequences of int
+        Positions of the lanes that follow each.
+
+    Returns
+    -------
+    list of (k,) arrays
+        Radians, without jumps within a lane.
+    """
+    curves = [tuple(Curve.of(line) for line in pair) for pair in bounds]
+    before = [list[int]() for _ in bounds]
+    for k, following in enumerate(after):
+        for other in following:
+            before[other].append(k)
+    found = []
+    for k, share in enumerate(shares):
+        way = np.zeros((len(share), 2))
+        for side, curve in enumerate(curves[k]):
+            comes = {turned(curve.way[0], curves[j][side].way[-1]): j for j in before[k]}
+            goes = {turned(curves[j][side].way[0], curve.way[-1]): j for j in after[k]}
+            earlier, later = _straightest(comes), _straightest(goes)
+            heading = curve.heading_at(
+                share,
+                None if earlier is None else curves[earlier][side],
+                None if later is None else curves[later][side],
+            )
+            # the middle goes half as far as both sides together
+            way += curve.length_m.sum() * np.column_stack([np.cos(heading), np.sin(heading)])
+        found.append(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
+    return found
+
+
+def _straightest(turns: dict[float, int]) -> int | None:
+    least = min(turns, key=abs, default=np.inf)
+    return turns[least] if abs(least) < BEND_RAD else None
