@@ -90,11 +90,9 @@ def test_a_style_that_was_saved_survives(path):
     assert read_styles(path) == ours | {"sensors": MINE}
 
 
-def test_our_style_that_was_changed_survives_and_others_are_renewed(path):
+def test_our_style_that_was_changed_survives(path):
     ours = read_styles(path)
     change(path, ("UPDATE layer_styles SET styleQML = ? WHERE f_table_name = 'views'", (MINE,)))
-    old = "UPDATE layer_styles SET styleQML = ?, owner = '' WHERE f_table_name = 'uncertainty'"
-    change(path, (old, ("<qgis/>",)))  # as earlier versions wrote it, without a mark
     gr.write_sensors([a_pose()], path)
     assert read_styles(path) == ours | {"views": MINE}
 
