@@ -19,17 +19,19 @@ from gis_radar.base import csv_for, write_csv
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    return write_whole_run(tmp_path_factory.mktemp("site"))
+def results(once):
+    return once("whole run", write_whole_run)
 
 
 @pytest.fixture(scope="module")
-def made(results, tmp_path_factory):
-    out = tmp_path_factory.mktemp("report")
-    report = gr.write_report(results, output=out)
-    assert sorted(path.name for path in report.outputs) == FILES
-    assert sorted(path.name for path in out.iterdir()) == FILES
-    return out
+def made(results, once):
+    def write(out):
+        report = gr.write_report(results, output=out)
+        assert sorted(path.name for path in report.outputs) == FILES
+        assert sorted(path.name for path in out.iterdir()) == FILES
+        return out
+
+    return once("report", write)
 
 
 @pytest.fixture(scope="module")

@@ -34,11 +34,14 @@ def chromium(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory):
-    folder = write_results(tmp_path_factory.mktemp("site"))
-    write_run(folder, title="Kreuzung Süd")
-    gr.write_report(folder)
-    return folder / "report.html"
+def report(once):
+    def write(folder):
+        write_results(folder)
+        write_run(folder, title="Kreuzung Süd")
+        gr.write_report(folder)
+        return folder / "report.html"
+
+    return once("report for browsers", write)
 
 
 @pytest.fixture

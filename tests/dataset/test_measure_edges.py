@@ -5,6 +5,8 @@ import pandas as pd
 import pytest
 from measured import EDGE_S, cut, measured
 
+import gis_radar as gr
+
 FIRST_S, LAST_S = 10.0, 38.0
 EDGES_S = (20.35, 28.35)
 WHOLE_S = -971.65  # no edge, and steps that begin alike
@@ -12,18 +14,21 @@ NEAR_S = 0.5  # as the tracker may see one passage from another window
 
 
 @pytest.fixture(scope="module")
-def hours(tmp_path_factory):
+def hours(once):
     """The same seconds of the sample: without an edge, and with one at two moments."""
-    folder = tmp_path_factory.mktemp("edges")
-    found = {}
-    for edge_s in (*EDGES_S, WHOLE_S):
-        place = folder / f"{edge_s}"
-        files = [
-            (sensor, cut(place / f"{sensor}.parquet", sensor, FIRST_S, LAST_S, edge_s=edge_s))
-            for sensor in ("R1", "R2")
-        ]
-        found[edge_s] = measured(place / "site", *files)
-    return found
+
+    def measure(folder):
+        places = {edge_s: folder / f"{edge_s}" for edge_s in (*EDGES_S, WHOLE_S)}
+        for edge_s, place in places.items():
+            files = [
+                (sensor, cut(place / f"{sensor}.parquet", sensor, FIRST_S, LAST_S, edge_s=edge_s))
+                for sensor in ("R1", "R2")
+            ]
+            measured(place / "site", *files)
+        return places
+
+    places = once("edges of hours", measure)
+    return {edge_s: gr.open_dataset(place / "site") for edge_s, place in places.items()}
 
 
 def seconds(times, edge_s):
