@@ -294,17 +294,31 @@ def test_a_pose_is_searched_again_only_where_it_was_not_found(copied, blank_pape
     assert state.kept(more) is None
 
 
-def test_a_changed_view_repeats_no_localization(copied, blank_paper):
+def test_what_is_set_for_measuring_counts_and_repeats_no_localization(copied, blank_paper):
     """A stage depends on what it reads and on its own settings, on no others."""
     path, out = copied
     change(path, "max_range_m = 150.0", "max_range_m = 120.0")
     change(path, "[-0.5, 4.5]", "[-0.5, 4.0]")
+    change(path, 'pose = "R2.json"', 'pose = "R2.json"\ncycle = "150ms"')
+    change(path, "[heatmap]", 'clocks = "clocks.json"\n\n[heatmap]')
+    clocks = {"clocks": {"R2": {"offset_s": 2.0}}}
+    (path.parent / "clocks.json").write_text(json.dumps(clocks), encoding="utf-8")
+    before = frames_of(out, "R2")
     done = gr.run_site(path, out)
-    again = {name for name, state in states(done).items() if state == "done"}
-    assert again == {
-        "pose R1", "measure", "heat map", "QGIS project", "report",
-    }  # fmt: skip
+    assert done.failure is None
+    assert sorted(done_by(done)) == ["QGIS project", "heat map", "measure", "pose R1", "report"]
     assert gr.read_pose(out / "sensors" / "R1" / "pose.json").view.max_range_m == 120.0
+    after = frames_of(out, "R2")
+    assert after["begin"].min() == before["begin"].min() - pd.Timedelta(seconds=2)
+    rows = gr.open_dataset(out / "dataset").recordings().set_index("sensor")
+    assert rows.loc["R2", ["clock_offset", "validity_s"]].tolist() == [2.0, 0.225]
+    assert "the clock of R1 is not corrected" in (out / "summary.md").read_text(encoding="utf-8")
+    assert "clocks.json" in json.loads((out / "run.json").read_text(encoding="utf-8"))["inputs"]
+
+
+def frames_of(out, sensor):
+    frames = gr.open_dataset(out / "dataset").frames()
+    return frames[frames["sensor"] == sensor]
 
 
 def test_names_of_streets_that_come_later_count_nothing_anew(copied, blank_paper):

@@ -136,28 +136,6 @@ def test_what_stands_elsewhere_is_a_warning(small, copied):
     assert picture.shape[0] > 7 * 216  # a second row of panels: alone the traces have 6.6 inches
 
 
-def test_a_cycle_and_clocks_of_the_site_file_are_used(copied, blank_paper):
-    path, out = copied
-    change(path, 'pose = "R2.json"', 'pose = "R2.json"\ncycle = "150ms"')
-    change(path, "[heatmap]", 'clocks = "clocks.json"\n\n[heatmap]')
-    clocks = {"clocks": {"R2": {"offset_s": 2.0}}}
-    (path.parent / "clocks.json").write_text(json.dumps(clocks), encoding="utf-8")
-    before = frames_of(out, "R2")
-    done = gr.run_site(path, out)
-    assert done.failure is None
-    after = frames_of(out, "R2")
-    assert after["begin"].min() == before["begin"].min() - pd.Timedelta(seconds=2)
-    rows = gr.open_dataset(out / "dataset").recordings().set_index("sensor")
-    assert rows.loc["R2", ["clock_offset", "validity_s"]].tolist() == [2.0, 0.225]
-    assert "the clock of R1 is not corrected" in (out / "summary.md").read_text(encoding="utf-8")
-    assert "clocks.json" in json.loads((out / "run.json").read_text(encoding="utf-8"))["inputs"]
-
-
-def frames_of(out, sensor):
-    frames = gr.open_dataset(out / "dataset").frames()
-    return frames[frames["sensor"] == sensor]
-
-
 def test_the_report_shows_occupancy_and_hits_beside_it(small):
     _, out, _ = small
     wide = gpd.read_parquet(out / "heatmap" / "heatmap.parquet")
