@@ -256,8 +256,6 @@ def add_recording(folder, number, *, later_s):
 def test_what_is_added_is_measured_alone_and_as_if_all_were_measured_anew(copied, blank_paper):
     path, out = copied
     change(path, '"10s"', '"30min"')  # hundreds of intervals would take most of the time
-    assert gr.run_site(path, out).failure is None
-    alone = shutil.copytree(out, path.parent.parent / "alone")
     after_all = ["measure", "heat map", "QGIS project", "report"]
     hour = out / "dataset" / "hours" / "2023-11-14" / "22.json"
     add_recording(path.parent, 1, later_s=2795.0)  # over the hour: 22:59:55 to 23:00:05
@@ -274,11 +272,6 @@ def test_what_is_added_is_measured_alone_and_as_if_all_were_measured_anew(copied
     shutil.rmtree(anew / "dataset")
     assert "measure" in done_by(gr.run_site(path, anew))
     same(anew, out, but=PAPER)
-    # and the same as before, once they are taken out
-    for number in (1, 2):
-        (path.parent / f"R2_{number}.parquet").unlink()
-    assert sorted(done_by(gr.run_site(path, out))) == sorted(after_all)
-    same(out, alone, but=(*PAPER, "recordings.parquet"))
 
 
 def test_a_pose_is_searched_again_only_where_it_was_not_found(copied, blank_paper):
