@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import json
 import os
@@ -37,6 +38,9 @@ FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
+
+_unfinished: set[Path] = set()
+_CLEARING_FILES = 4  # file descriptors to remove a folder in a folder
 
 
 def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
@@ -246,13 +250,20 @@ def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
         raise OutputError("{}: the name is not UTF-8, which libraries need to write it", path)
     clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
     private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
+    # Entered before it exists: an interruption may come at any moment, in the clearing up too.
+    _unfinished.add(private)
+    spare = list[int]()  # kept for the clearing up, where a work leaves no file descriptor
     try:
         with output_errors(path):
+            spare += (os.open(os.devnull, os.O_RDONLY) for _ in range(_CLEARING_FILES))
             private.mkdir(mode=0o700)
         with living(private), writing_errors(path):
             yield private
     finally:
+        for each in spare:
+            os.close(each)
         shutil.rmtree(private, ignore_errors=True)
+        _unfinished.discard(private)
 
 
 @contextmanager
@@ -318,6 +329,13 @@ def _is_full(path: Path) -> bool:
         return shutil.disk_usage(path.absolute().parent).free < LEAST_FREE
     except OSError:
         return False
+
+
+@atexit.register
+def _clear_up() -> None:
+    """Remove what a second interruption kept from being removed."""
+    for private in tuple(_unfinished):
+        shutil.rmtree(private, ignore_errors=True)
 
 
 @contextmanager
