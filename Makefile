@@ -112,8 +112,8 @@ bench-assignment: set-up-dev ## Measure tile assignment against its targets
 bench-tiles: set-up-dev ## Measure a million tiles, made and written
 	$(BIN)/python bench/tiles.py
 
-bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes (BEFORE=FOLDER, a checkout to compare with)
-	$(BIN)/python bench/dataset.py $(if $(BEFORE),--before $(BEFORE))
+bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes
+	$(BIN)/python bench/dataset.py
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
 	PATH=.pdal/bin:$$PATH $(BIN)/python bench/mask.py

@@ -1,9 +1,9 @@
-"""What a dataset costs: time, memory, bytes, answers; also beside another version.
+"""What a dataset costs: time, memory, bytes, answers.
 
-    python bench/dataset.py [--before FOLDER] [--only hits,towns,...] [--minutes 60] [--hours 10]
+    python bench/dataset.py [--only hits,towns,...] [--minutes 60] [--hours 10]
 
-FOLDER is a checkout of another version that writes datasets too. Both versions run in turns, each
-as a process of its own on one core; times are of the processor, memory is the most that Linux saw.
+Each measuring is a process of its own on one core; times are of the processor, memory is the most
+that Linux saw.
 
 - `hits`: a recording of the sample site is topped up to 500 detections a frame (those that stand
   come several times, metres apart) and repeated end to end; beside bare decoding. And read back.
@@ -31,7 +31,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from dataset_days import write_days
-from figures import ROOT, SAME, SHARES, TARGET, TIMES, Figure, report, run_alone, spent_s
+from figures import SAME, SHARES, TARGET, TIMES, Figure, report, run_alone, spent_s
 from simulated import sites, true_pose
 
 import gis_radar as gr
@@ -88,21 +88,19 @@ def aimed(what: str, ours: float, target: float | None, **more: Any) -> Figure:
     return Figure(what=what, ours=ours, peer=target, peer_name=TARGET, **{"chance": TIMES} | more)
 
 
-class Versions:
-    """This version and another one, which measure the same sites.
+class Measuring:
+    """Sites that are measured, each time in a new process.
 
     Parameters
     ----------
     folder : Path
-        For what they make.
-    before : Path, optional
-        Checkout of the other one.
+        For what is made.
     rounds : int
-        Turns of each.
+        How often what is timed is measured.
     """
 
-    def __init__(self, folder: Path, before: Path | None, rounds: int = 1) -> None:
-        self.folder, self.before, self.rounds, self._number = folder, before, rounds, 0
+    def __init__(self, folder: Path, rounds: int = 1) -> None:
+        self.folder, self.rounds, self._number = folder, rounds, 0
         self.sample = self.site(gr.sample_folder())
 
     def site(self, of: Path) -> dict[str, Any]:
@@ -120,32 +118,24 @@ class Versions:
         }  # fmt: skip
 
     def run(
-        self, given: Mapping[str, Any], root: Path = ROOT, *, hits_only: bool = False
+        self, given: Mapping[str, Any], *, hits_only: bool = False
     ) -> tuple[dict[str, float], Path]:
         """Measure in a new process; return what it took, and the dataset."""
         self._number += 1
         place = self.folder / f"run{self._number}"
         place.mkdir()
         spec = {"first": self.sample, **given, "hits_only": hits_only, "folder": str(place)}
-        ran = run_alone("-c", CHILD, json.dumps(spec), root=root)
+        ran = run_alone("-c", CHILD, json.dumps(spec))
         return ran.lines[-1] | {"peak_mib": ran.peak_mib}, place / "made"
 
-    def in_turns(
+    def medians(
         self, given: Mapping[str, Any], *, hits_only: bool = False
-    ) -> tuple[dict[str, float], dict[str, float], Path]:
-        """Return the medians of this version and of the other one, and the last dataset."""
-        now: list[dict[str, float]] = []
-        before: list[dict[str, float]] = []
-        for _ in range(self.rounds):
-            figures, made = self.run(given, hits_only=hits_only)
-            now.append(figures)
-            if self.before is not None:
-                before.append(self.run(given, self.before, hits_only=hits_only)[0])
-        return _medians(now), _medians(before), made
-
-
-def _medians(rows: list[dict[str, float]]) -> dict[str, float]:
-    return {name: float(np.median([row[name] for row in rows])) for name in rows[0]} if rows else {}
+    ) -> tuple[dict[str, float], Path]:
+        """Return the medians of several runs, and the last dataset."""
+        runs = [self.run(given, hits_only=hits_only) for _ in range(self.rounds)]
+        names = runs[0][0]
+        took = {name: float(np.median([row[name] for row, _ in runs])) for name in names}
+        return took, runs[-1][1]
 
 
 class Parts:
@@ -154,28 +144,24 @@ class Parts:
     def __init__(self, options: argparse.Namespace, folder: Path) -> None:
         self.minutes, self.hours = float(options.minutes), int(options.hours)
         self.each, self.folder = float(options.each), folder
-        self.versions = Versions(folder, options.before, options.rounds)
-        self.sample = self.versions.sample
+        self.measuring = Measuring(folder, options.rounds)
+        self.sample = self.measuring.sample
 
     def hits(self) -> Iterator[Figure]:
         """Hits of a recording, and reading them."""
         path = self.folder / "thick.parquet"
         write_repeated(_thickened(self.sample["names"][0]), path, 60.0 * self.minutes)
         given = self.sample | {"names": [str(path)], "poses": self.sample["poses"][:1]}
-        now, before, made = self.versions.in_turns(given, hits_only=True)
-        rows = pq.read_metadata(path).num_rows
-        speed, old = (
-            rows / row["measure_s"] / PER_SECOND if row else None for row in (now, before)
-        )
-        yield Figure(
-            what="hits of an hour, Parquet to dataset, x real time", ours=speed or 0.0, peer=old,
-            peer_name="before", more_is_better=True, chance=TIMES,
-        )  # fmt: skip
+        took, made = self.measuring.medians(given, hits_only=True)
+        speed = pq.read_metadata(path).num_rows / took["measure_s"] / PER_SECOND
         yield aimed(
-            "bare decoding in hits, share", now["decode_s"] / now["measure_s"], 0.24,
+            "hits of an hour, Parquet to dataset, x real time", speed, None, more_is_better=True
+        )
+        yield aimed(
+            "bare decoding in hits, share", took["decode_s"] / took["measure_s"], 0.24,
             more_is_better=True,
         )  # fmt: skip
-        yield _beside("memory of hits, MiB", "peak_mib", now, before)
+        yield aimed("memory of hits, MiB", took["peak_mib"], None)
         dataset = gr.open_dataset(made)
         spent = min(spent_s(lambda: list(dataset.batches(HITS))) for _ in range(3))
         rate = dataset.hours()["hits"].sum() / spent / 1e6
@@ -185,11 +171,11 @@ class Parts:
         """Hits and vehicles of sites, a sensor-minute; bytes of their tables."""
         sums = {HITS: np.zeros(2), TRACKS: np.zeros(2)}
         for of in sites("town01", "town02", "town04"):
-            given = self.sample if of == gr.sample_folder() else self.versions.site(of)
+            given = self.sample if of == gr.sample_folder() else self.measuring.site(of)
             minutes = sum(_minutes(name) for name in given["names"])
-            now, before, made = self.versions.in_turns(given)
+            took, made = self.measuring.medians(given)
             what = f"hits and vehicles of {of.name}, CPU s a sensor-minute"
-            yield _beside(what, "measure_s", now, before, minutes)
+            yield aimed(what, took["measure_s"] / minutes, None)
             hours = gr.open_dataset(made).hours()
             for table, sizes in sums.items():
                 parts = made.glob(f"{table.name}/*/*.parquet")
@@ -234,7 +220,7 @@ class Parts:
     def memory(self) -> Iterator[Figure]:
         """An hour of five sensors; and one and several of which some minutes are recorded."""
         for hours, minutes in ((1, 60.0), (1, self.each), (self.hours, self.each)):
-            took, _ = self.versions.run(self._five_sensors(hours, minutes))
+            took, _ = self.measuring.run(self._five_sensors(hours, minutes))
             whole = minutes == 60.0
             what = "an hour" if whole else f"{hours} h, {minutes:g} min of each"
             yield aimed(f"memory of {what}, MiB", took["peak_mib"], 1536.0 if whole else None)
@@ -252,14 +238,6 @@ class Parts:
             poses.append(str(self.folder / f"S{number}.json"))
             Path(poses[-1]).write_text(json.dumps(document | {"sensor": f"S{number}"}))
         return self.sample | {"names": names, "poses": poses}
-
-
-def _beside(
-    what: str, name: str, now: Mapping[str, float], before: Mapping[str, float], over: float = 1.0
-) -> Figure:
-    """Return a figure of this version beside that of the other one, where there is one."""
-    old = before[name] / over if before else None
-    return Figure(what=what, ours=now[name] / over, peer=old, peer_name="before", chance=TIMES)
 
 
 def _thickened(name: str) -> pd.DataFrame:
@@ -312,12 +290,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--before", type=Path, help="checkout of another version")
     parser.add_argument("--only", default=",".join(PARTS), help=f"of {', '.join(PARTS)}")
     parser.add_argument("--minutes", type=float, default=60.0, help="of the recording of `hits`")
     parser.add_argument("--hours", type=int, default=10, help="of the longer run of `memory`")
     parser.add_argument("--each", type=float, default=3.0, help="minutes recorded of its hours")
-    parser.add_argument("--rounds", type=int, default=3, help="turns of each version")
+    parser.add_argument("--rounds", type=int, default=3, help="of what is timed")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         parts = Parts(options, Path(name))

@@ -158,23 +158,21 @@ class Ran:
     peak_mib: float
 
 
-def run_alone(*words: object, root: Path = ROOT, check: bool = True) -> Ran:
+def run_alone(*words: object, check: bool = True) -> Ran:
     """Run Python with some words as a process of its own on one core.
 
     Parameters
     ----------
     words : object
         Arguments of Python: a script, ``-m`` and a module, or ``-c`` and code.
-    root : Path
-        The checkout whose package it imports.
     check : bool
         Whether another exit code than 0 ends the bench.
     """
     command = [sys.executable, *map(str, words)]
     done = subprocess.run(
-        [sys.executable, "-I", "-S", "-c", STARTER, *command], check=True, cwd=root, text=True,
+        [sys.executable, "-I", "-S", "-c", STARTER, *command], check=True, cwd=ROOT, text=True,
         stdout=subprocess.PIPE, stderr=None if check else subprocess.DEVNULL,
-        stdin=subprocess.DEVNULL, env={**os.environ, **ONE_CORE, "PYTHONPATH": str(root)},
+        stdin=subprocess.DEVNULL, env={**os.environ, **ONE_CORE, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     *lines, used = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     if check and used["code"]:

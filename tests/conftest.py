@@ -216,6 +216,13 @@ def without_pdf(monkeypatch):
 
 
 @pytest.fixture
+def without_picture(monkeypatch):
+    """Leave the picture of heat maps empty where a test looks at other files: most of the time."""
+    place = "gis_radar.products.heatmap.heatmap.write_figure"
+    monkeypatch.setattr(place, lambda _heat, path, _reporter: path.touch())
+
+
+@pytest.fixture
 def no_pdal(monkeypatch):
     """Hide every PDAL of this machine."""
     monkeypatch.setattr("gis_radar.scans.pdal.shutil.which", lambda *_, **__: None)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from sites import EAST, NORTH, lane_quads, pose, recording, tiles_of
 
+import gis_radar as gr
 from gis_radar.dataset import measure
 from gis_radar.poses import View
 from gis_radar.products import make_heatmap
@@ -80,6 +81,20 @@ def write_whole_run(folder: Path) -> Path:
     write_results(folder)
     write_run(folder, title="Kreuzung Münchner Straße \u2013 Süd")
     return folder
+
+
+def reports_of_whole_run(once) -> dict[str, gr.Report]:
+    """Return the reports of a whole run in both languages, made once: with the fixture `once`."""
+    results = once("whole run", write_whole_run)
+
+    def write(folder):
+        made = {}
+        for language in ("en", "de"):
+            (folder / language).mkdir()
+            made[language] = gr.write_report(results, output=folder / language, language=language)
+        return made
+
+    return once("reports", write)
 
 
 class Page(HTMLParser):

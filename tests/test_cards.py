@@ -65,12 +65,12 @@ def a_localization():
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(tmp_path_factory, first_seconds):
     """The results of the sample that take no search."""
     roads = gr.read_map(SAMPLE / "junction.osm")
     tiles = gr.make_tiles(roads)
     dataset = measure(
-        [SAMPLE / "R1.parquet"], [gr.read_pose(SAMPLE / "R1.json")], tiles, None,
+        [first_seconds(SAMPLE / "R1.parquet", 20)], [gr.read_pose(SAMPLE / "R1.json")], tiles, None,
         tmp_path_factory.mktemp("cards") / "dataset", hits_only=True,
     )  # fmt: skip
     return {

@@ -20,6 +20,7 @@ from gis_radar.dataset.tables import OBSERVED
 from gis_radar.products.heatmap.heatmap import require_room
 
 xr = pytest.importorskip("xarray")
+pytestmark = pytest.mark.usefixtures("without_picture")
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,10 @@
 """Scenes in the layout of INFRA-3DRC, as its publication and its reader describe it."""
 
-import json
-
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from radars import Notes
-from scipy.spatial.transform import Rotation
 from test_formats_pcd import write_pcd
 
 import gis_radar as gr
@@ -35,25 +32,7 @@ def rows_of(number, count=4):
     return rows
 
 
-def matrix(rotation, *shift):
-    return np.column_stack([rotation.as_matrix(), shift]).tolist()
-
-
-def calibration(pitch=4.0, roll=-1.5, ground=3.5):
-    """A calibration; the radar's tilt against the ground is split over both steps."""
-    tilt = Rotation.from_euler("ZYX", [10.0, pitch, roll], degrees=True)
-    half = Rotation.from_euler("ZYX", [0.0, 1.0, 0.5], degrees=True)
-    entries = [
-        ("radar_01_to_camera_01", matrix(tilt, 0.1, 0.2, 0.4)),
-        ("radar_01_to_lidar_01", matrix(half.inv() * tilt, -0.09, 0.08, -0.26)),
-        ("lidar_01_to_ground", matrix(half, 0.0, 0.0, ground)),
-    ]
-    extrinsic = [{"calibration": n, "calibration_type": "extrinsic", "T": t} for n, t in entries]
-    camera = {"calibration": "camera_01", "calibration_type": "intrinsic", "k": [], "D": []}
-    return {"calibration": [*extrinsic, camera]}
-
-
-def write_scene(folder, record=None):
+def write_scene(folder):
     clouds = folder / "radar_01" / "radar_01__data"
     lidar = folder / "lidar_01" / "lidar_01__data"
     for each in (clouds, lidar, folder / "radar_01" / "radar_01__annotation"):
@@ -62,8 +41,6 @@ def write_scene(folder, record=None):
         write_pcd(clouds / name, rows_of(number))
         points = np.ones(3, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4")])
         write_pcd(lidar / name.replace("radar", "lidar"), points)
-    text = json.dumps(calibration() if record is None else record)
-    (folder / "calibration.json").write_text(text)
     return folder
 
 
@@ -74,7 +51,7 @@ def convert(source, **options):
 
 
 def test_a_scene_converts_without_further_ado(tmp_path):
-    result, table, notes = convert(write_scene(tmp_path / "INFRA-3DRC_scene-01"))
+    result, table, _ = convert(write_scene(tmp_path / "INFRA-3DRC_scene-01"))
     assert [one.sensor for one in result.recordings] == ["radar_01"]
     assert result.recordings[0].clock == "file name"
     assert list(table.columns) == ["time", "x", "y", "z", "range_rate", "rcs"]
@@ -82,59 +59,12 @@ def test_a_scene_converts_without_further_ado(tmp_path):
     expected = np.concatenate([rows_of(number) for number in range(3)])
     for column in table.columns[1:]:
         np.testing.assert_array_equal(table[column], expected[column], column)
-    assert "pitch 4.00 deg, roll -1.50 deg" in notes.text
-    assert "lacks crs, easting, northing and yaw" in notes.text
-    assert result.figures()["remarks"] == list(result.remarks)
-    assert len(result.remarks) == 1
-
-
-def test_the_height_of_the_published_calibration(tmp_path):
-    # As published: level, the lidar 3.5 m over the ground with the sign turned, by its errata.
-    level = Rotation.identity()
-    record = {
-        "calibration": [
-            {"calibration": "radar_01_to_lidar_01", "T": matrix(level, -0.09, 0.08, -0.26)},
-            {"calibration": "lidar_01_to_ground", "T": matrix(level, 0.0, 0.0, -3.5)},
-        ]
-    }
-    _, _, notes = convert(write_scene(tmp_path / "wrong", record))
-    assert "radar_01 is 3.24 m over the ground, pitch 0.00 deg, roll 0.00 deg" in notes.text
-    record["calibration"][1]["T"][2][3] = 3.5
-    _, _, notes = convert(write_scene(tmp_path / "mended", record))
-    assert "radar_01 is 3.24 m over the ground" in notes.text
 
 
 def test_a_scene_in_a_folder_of_its_own_name(tmp_path):
     write_scene(tmp_path / "INFRA-3DRC_scene-02" / "INFRA-3DRC_scene-02")
     result, _, _ = convert(tmp_path / "INFRA-3DRC_scene-02")
     assert result.recordings[0].frames == 3
-
-
-def test_a_calibration_that_lacks_the_chain_is_said(tmp_path):
-    record = {"calibration": calibration()["calibration"][:1]}
-    _, _, notes = convert(write_scene(tmp_path / "scene", record))
-    assert "lacks radar_01_to_lidar_01 and lidar_01_to_ground" in notes.text
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "[]", "{}", "[" * 100_000, '{"calibration": [{"calibration": "radar_01_to_lidar_01"}]}'],
-)
-def test_a_calibration_that_is_none(tmp_path, text):
-    scene = write_scene(tmp_path / "scene")
-    (scene / "calibration.json").write_text(text)
-    if "radar_01" in text:
-        assert "lacks" in convert(scene)[2].text
-        return
-    with pytest.raises(InputError, match=r"calibration\.json: not a calibration"):
-        convert(scene)
-
-
-def test_a_matrix_of_another_shape_is_refused(tmp_path):
-    record = calibration()
-    record["calibration"][1]["T"] = [[1.0, 0.0], [0.0, 1.0]]
-    with pytest.raises(InputError, match="2x2, expected 3x4"):
-        convert(write_scene(tmp_path / "scene", record))
 
 
 def test_a_sensor_that_is_not_there(tmp_path):
@@ -151,4 +81,3 @@ def test_the_command(tmp_path):
     scene = write_scene(tmp_path / "scene")
     done = CliRunner().invoke(group, ["convert", str(scene), "-o", str(tmp_path / "r.parquet")])
     assert done.exit_code == 0, done.output
-    assert "over the ground" in done.output

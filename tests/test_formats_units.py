@@ -1,7 +1,6 @@
 """Recordings in other units are refused in one line that names the unit."""
 
 import re
-from functools import cache
 
 import numpy as np
 import pytest
@@ -9,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from radars import START
 from sites import EAST, NORTH, recording
-from streets import Street
 
 import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.cli import main
-from gis_radar.recordings import compare_speeds, open_recording
+from gis_radar.recordings import open_recording
 from gis_radar.recordings.units import refuse_degrees, refuse_positions_in_other_units
 
 
@@ -103,45 +101,3 @@ def test_the_commands_exit_with_3(tmp_path, monkeypatch, capsys):
         main()
     assert ended.value.code == 3
     assert "it looks like millimetres" in capsys.readouterr().err
-
-
-@cache
-def passing():
-    """What a radar sees of vehicles that pass: time, points, range rates."""
-    street = Street()
-    return street.detections(street.pose(), vehicles=40, frames=400)
-
-
-@pytest.mark.parametrize(
-    ("scale", "speed", "said"),
-    [
-        (1.0, 1.0, ""),
-        (3.28084, 1.0, "3.28 times as fast as the range rates state: positions look like feet"),
-        (1.0, 3.6, "0.28 times as fast as the range rates state: range rates look like km/h"),
-        (1.0, -1.0, "range rates look positive where targets approach"),
-    ],
-)
-def test_ranges_and_range_rates_are_compared(tmp_path, scale, speed, said):
-    time, points, rate = passing()
-    path = recording(tmp_path / "r.parquet", time, points * scale, range_rate=rate * speed)
-    result = gr.convert(path, tmp_path / "out.parquet")
-    remarks = "\n".join(result.remarks)
-    assert said in remarks
-    assert bool(said) == bool(remarks)
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 100), count=st.integers(1, 3000))
-def test_noise_tells_nothing_of_units(seed, count):
-    rng = np.random.default_rng(seed)
-    time = START + np.sort(rng.integers(0, 100, count)) * 0.05
-    points = rng.uniform(-100, 100, (count, 3))
-    assert compare_speeds(time, points, rng.uniform(-20, 20, count)) == ""
-
-
-def test_dense_noise_tells_nothing_of_units():
-    rng = np.random.default_rng(1)
-    time = START + np.repeat(np.arange(120), 300) * 0.05
-    reach, turn = rng.uniform(1.0, 300.0, len(time)), rng.uniform(-1.0, 1.0, len(time))
-    points = np.column_stack([reach * np.cos(turn), reach * np.sin(turn), 0.0 * turn])
-    assert compare_speeds(time, points, rng.uniform(-40, 40, len(time))) == ""

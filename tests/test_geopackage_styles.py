@@ -11,11 +11,11 @@ from contextlib import closing
 import geopandas as gpd
 import pytest
 import shapely
+from test_heatmap import two_sensors
 from test_qgis_project import a_pose
 
 import gis_radar as gr
 from gis_radar.base import content_digest
-from gis_radar.dataset import measure
 from gis_radar.site import RunState
 
 MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.40\"/>"
@@ -90,22 +90,15 @@ def test_a_style_that_was_saved_survives(path):
     assert read_styles(path) == ours | {"sensors": MINE}
 
 
-def test_our_style_that_was_changed_survives_and_others_are_renewed(path):
+def test_our_style_that_was_changed_survives(path):
     ours = read_styles(path)
     change(path, ("UPDATE layer_styles SET styleQML = ? WHERE f_table_name = 'views'", (MINE,)))
-    old = "UPDATE layer_styles SET styleQML = ?, owner = '' WHERE f_table_name = 'uncertainty'"
-    change(path, (old, ("<qgis/>",)))  # as earlier versions wrote it, without a mark
     gr.write_sensors([a_pose()], path)
     assert read_styles(path) == ours | {"views": MINE}
 
 
-def test_styles_of_heat_maps_survive(tmp_path):
-    sample = gr.sample_folder()
-    tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
-    pose = gr.read_pose(sample / "R1.json")
-    place = tmp_path / "dataset"
-    dataset = measure([sample / "R1.parquet"], [pose], tiles, None, place, hits_only=True)
-    heat = gr.make_heatmap(dataset)
+def test_styles_of_heat_maps_survive(tmp_path, without_picture):
+    heat = gr.make_heatmap(two_sensors().dataset)
     heat.write(tmp_path / "map")
     package = tmp_path / "map" / "heatmap.gpkg"
     saved(package, "heatmap", "grey")

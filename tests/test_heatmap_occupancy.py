@@ -62,7 +62,7 @@ def both_of(tiles, *, steps=400, seed=3):
     return dataset_of(tiles, span, occupied, visible), occupied, visible, span
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     seed=st.integers(0, 1000), interval=st.sampled_from([None, "50ms", "1s", "7s", "15min"]),
 )  # fmt: skip

@@ -42,6 +42,13 @@ def module_name(path, package):
 
 
 @cache
+def imports_in(text):
+    """Return the import statements of a file, by its text: each file is asked several times."""
+    kinds = ast.Import | ast.ImportFrom
+    return [node for node in ast.walk(ast.parse(text)) if isinstance(node, kinds)]
+
+
+@cache
 def read_imports(package):
     """Map each module to the modules of the same package that it imports, wherever it does so."""
     files = {module_name(path, package): path for path in sorted(package.rglob("*.py"))}
@@ -53,14 +60,11 @@ def read_imports(package):
 
 def targets(path, package):
     """Yield the dotted names below the package that a file imports."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+    for node in imports_in(path.read_text(encoding="utf-8")):
+        names = [alias.name for alias in node.names]
+        if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: write imports in full, not relative"
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-        else:
-            continue
+            names = [f"{node.module}.{name}" for name in names]
         for name in names:
             if name == package or name.startswith(f"{package}."):
                 yield name.removeprefix(package).removeprefix(".")
@@ -122,7 +126,7 @@ def past_the_front(text, offered=None, *, room=""):
 
     With `offered`, only those that take what that room offers.
     """
-    for node in ast.walk(ast.parse(text)):
+    for node in imports_in(text):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gis_radar."):
             _, other, *inner = node.module.split(".")
             names = {alias.name for alias in node.names}
@@ -181,7 +185,7 @@ def test_what_a_room_offers_is_used_by_another():
 
 def taken_from_rooms(text):
     """Yield the rooms and names that a file imports from their fronts."""
-    for node in ast.walk(ast.parse(text)):
+    for node in imports_in(text):
         if isinstance(node, ast.ImportFrom):
             room = (node.module or "").removeprefix("gis_radar.")
             yield from ((room, alias.name) for alias in node.names)

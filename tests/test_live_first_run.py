@@ -40,7 +40,7 @@ for filters in (gr.Filters(), gr.Filters(min_speed=1.0, min_rcs=-10.0)):
     counter = FrameCounter(road, filters=filters)
     for k, frame in zip(range(20), frames_of_recording(sample / "R2.parquet")):
         content = pack_detections([selector.find(frame, pose, road_m=0.0)], pose=b"pose")
-        counter.count(unpack_detections(content)[1][0].as_rows(), pose, road_m=0.0)
+        counter.count(unpack_detections(content)[1][0].as_rows(), pose)
 print({name: count for name, count in compiled().items() if before.get(name) != count})
 print(sorted(before))
 """

@@ -126,16 +126,6 @@ def test_amsterdam_with_the_city_s_polygons(tmp_path):
     assert off.max() < 0.05
 
 
-@needs_amsterdam
-def test_engines_agree_on_amsterdam(pdal):
-    roads = gr.read_roads(CITY, map_crs="EPSG:28992")
-    own, other = (
-        gr.mask_road(AMSTERDAM, roads, engine=name, scan_crs="EPSG:28992")
-        for name in ("laspy", "pdal")
-    )
-    agree(own, other)
-
-
 @cache
 def masked(town):
     """The road mask of a town, by the built-in engine; only to be read."""

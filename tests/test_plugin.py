@@ -15,12 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from plugin_words import (
-    FOLDER,
-    errors_with_values_inside,
-    project_texts,
-    texts,
-)
+from plugin_words import FOLDER, errors_with_values_inside, project_texts, texts
 
 from gis_radar.base.languages import catalogue
 from gis_radar.cli import group
@@ -151,18 +146,27 @@ def test_whether_to_stop_is_asked_while_lines_pour_in(plugin, program):
 
 @posix
 @pytest.mark.parametrize(
-    ("body", "said"),
+    ("language", "body", "said"),
     [
-        ("os.kill(os.getpid(), signal.SIGSEGV)", "ended by SIGSEGV"),
-        ("print('out of memory', file=sys.stderr)\nsys.exit(7)", "code 7: out of memory"),
-        ("pass", "ended without a result"),
-        ("say(event='error', code=3, message='a.osm: bad', hint='mend it')\nsys.exit(3)",
+        ("en", "os.kill(os.getpid(), signal.SIGSEGV)", "ended by SIGSEGV"),
+        ("en", "print('out of memory', file=sys.stderr)\nsys.exit(7)", "code 7: out of memory"),
+        ("en", "pass", "ended without a result"),
+        ("en", "say(event='error', code=3, message='a.osm: bad', hint='mend it')\nsys.exit(3)",
          "a.osm: bad (mend it)"),
-        ("say(event='error', code=3, message='two\\nlines', hint='')\nsys.exit(3)", "two lines"),
-        ("say(event='result', outputs=[])\nsys.exit(1)", "ended with code 1"),
+        ("en", "say(event='error', code=3, message='two\\nlines', hint='')\nsys.exit(3)",
+         "two lines"),
+        ("en", "say(event='result', outputs=[])\nsys.exit(1)", "ended with code 1"),
+        ("de", "os.kill(os.getpid(), signal.SIGSEGV)",
+         "aufgehört: sie wurde durch SIGSEGV beendet"),
+        ("de", "print('kein Speicher', file=sys.stderr)\nsys.exit(7)",
+         "Die Arbeitsumgebung hat unerwartet aufgehört: Ende mit Code 7: kein Speicher"),
+        ("de", "say(event='error', code=3, message='')\nsys.exit(3)",
+         "die Arbeitsumgebung hat versagt"),
+        ("de", "say(event='error', code=3, message='{x}: Karte')\nsys.exit(3)", "{x}: Karte"),
     ],
 )  # fmt: skip
-def test_how_a_worker_fails(plugin, program, body, said):
+def test_how_a_worker_fails(plugin, program, monkeypatch, language, body, said):
+    monkeypatch.setattr("gis_radar_plugin.words.language", lambda: language)
     with pytest.raises(plugin.WorkerError) as caught:
         plugin.run_worker(program(body), [], Heard())
     assert said in str(caught.value)
@@ -176,24 +180,6 @@ def test_a_worker_that_is_not_there(plugin, tmp_path):
 
 def test_no_error_of_the_plugin_is_put_together_where_it_is_raised():
     assert errors_with_values_inside() == []
-
-
-@posix
-@pytest.mark.parametrize(
-    ("body", "said"),
-    [
-        ("os.kill(os.getpid(), signal.SIGSEGV)", "aufgehört: sie wurde durch SIGSEGV beendet"),
-        ("print('kein Speicher', file=sys.stderr)\nsys.exit(7)",
-         "Die Arbeitsumgebung hat unerwartet aufgehört: Ende mit Code 7: kein Speicher"),
-        ("say(event='error', code=3, message='')\nsys.exit(3)", "die Arbeitsumgebung hat versagt"),
-        ("say(event='error', code=3, message='{x}: Karte')\nsys.exit(3)", "{x}: Karte"),
-    ],
-)  # fmt: skip
-def test_how_a_worker_fails_in_german(plugin, program, monkeypatch, body, said):
-    monkeypatch.setattr("gis_radar_plugin.words.language", lambda: "de")
-    with pytest.raises(plugin.WorkerError) as caught:
-        plugin.run_worker(program(body), [], Heard())
-    assert str(caught.value).endswith(said)
 
 
 @posix

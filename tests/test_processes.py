@@ -5,14 +5,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from waiting import is_gone, wait_for
 
 from gis_radar.base import GisRadarError, run_child, watch_parent
-from gis_radar.base.processes import GONE_S, WATCHDOG_VARIABLE
+from gis_radar.base.processes import WATCHDOG_VARIABLE
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="process groups")
@@ -38,121 +37,35 @@ def test_a_worker_that_is_let_go_stops(tmp_path):
     assert left == []
 
 
-INTERRUPTED = """
-import os, signal, subprocess, sys, tempfile
+CHILD = """
+import os, tempfile
 from gis_radar.base import run_child
-told = []
-
-def interrupting(call):
-    def called(*words):
-        answer = call(*words)
-        if not told:
-            told.append(popen.pid)
-            print(popen.pid, flush=True)
-            os.kill(os.getpid(), signal.SIGINT)
-        return answer
-    return called
-
-class Popen(subprocess.Popen):
-    def _execute_child(self, *words):
-        global popen
-        popen = self
-        if sys.argv[1] == "while it starts":
-            self._close_pipe_fds = interrupting(self._close_pipe_fds)
-        else:
-            self._waitpid_lock = Lock(self._waitpid_lock)
-        super()._execute_child(*words)
-
-class Lock:
-    def __init__(self, lock):
-        self.acquire, self.release = interrupting(lock.acquire), lock.release
-    def __enter__(self):
-        self.acquire()
-    def __exit__(self, *_):
-        self.release()
-
-subprocess.Popen = Popen
+def waiting(seconds):
+    print("waits", flush=True)
 with tempfile.TemporaryFile() as file:
-    run_child(["sleep", "60"], stdin=file, stderr=file, environment=os.environ, waiting=print)
+    body = "echo $$ >&2; exec sleep 60"
+    with open(2, "wb", closefd=False) as said:
+        run_child(["sh", "-c", body], stdin=file, stderr=said, environment=os.environ,
+                  waiting=waiting)
 """
 
 
 @posix
-@pytest.mark.parametrize("moment", ["while it starts", "while it is asked whether it has ended"])
-def test_an_interrupt_amid_a_call_of_the_standard_library_ends_the_child(moment):
-    """Ctrl-C there left a child behind, or a lock that was then waited for without end."""
-    words = [sys.executable, "-c", INTERRUPTED, moment]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=45.0, check=False)
-    assert done.stderr.endswith("KeyboardInterrupt\n")
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(done.stdout.split()[0]), 0)
-
-
-TWICE = """
-import os, subprocess, sys, tempfile, time
-from gis_radar.base import run_child
-
-class Popen(subprocess.Popen):
-    def kill(self):
-        time.sleep(0.5)  # a busy machine: the second Ctrl-C comes first
-        super().kill()
-
-subprocess.Popen = Popen
-body = f"echo $$ >{sys.argv[1]}/part; mv {sys.argv[1]}/part {sys.argv[1]}/pid; exec sleep 60"
-with tempfile.TemporaryFile() as file:
-    run_child(["sh", "-c", body], stdin=file, stderr=file, environment=os.environ, waiting=print)
-"""
+def test_ctrl_c_leaves_no_child():
+    with subprocess.Popen([sys.executable, "-c", CHILD], stderr=subprocess.PIPE,
+                          stdout=subprocess.PIPE) as parent:  # fmt: skip
+        assert parent.stdout.readline() == b"waits\n"
+        parent.send_signal(signal.SIGINT)
+        _, said = parent.communicate(timeout=45.0)
+    assert said.endswith(b"KeyboardInterrupt\n")
+    assert is_gone(int(said.split()[0]))
 
 
 @posix
-def test_ctrl_c_twice_leaves_no_child(tmp_path):
-    with subprocess.Popen([sys.executable, "-c", TWICE, tmp_path], stderr=subprocess.PIPE,
-                          stdout=subprocess.DEVNULL) as parent:  # fmt: skip
-        wait_for((tmp_path / "pid").exists)
-        for _ in range(2):
-            parent.send_signal(signal.SIGINT)
-            time.sleep(0.1)
-        parent.communicate(timeout=45.0)
-    wait_for(lambda: is_gone(int((tmp_path / "pid").read_text())))
-
-
-@posix
-@pytest.mark.parametrize("failing", ["poll", "waiting"])
-def test_a_child_that_cannot_be_waited_for_is_killed(tmp_path, monkeypatch, failing):
-    poll, asked = subprocess.Popen.poll, []
-
-    def poll_or_fail(process):
-        asked.append(process)
-        if failing == "poll" and len(asked) == 1:
-            raise MemoryError
-        return poll(process)
-
-    def wait_or_fail(_seconds):
-        raise MemoryError
-
-    monkeypatch.setattr(subprocess.Popen, "poll", poll_or_fail)
-    with (tmp_path / "a").open("w+b") as file, pytest.raises(MemoryError):
-        run_child(["sleep", "60"], stdin=file, stderr=file, environment=os.environ,
-                  waiting=wait_or_fail)  # fmt: skip
-    assert asked[0].wait(45.0) == -signal.SIGKILL
-
-
-@posix
-@pytest.mark.parametrize(
-    ("name", "error", "match"),
-    [("no such program", GisRadarError, "no such program: does not start: No such file"),
-     ("a\0b", ValueError, "null byte"), ("", RuntimeError, "can't start new thread")],
-)  # fmt: skip
-def test_what_cannot_be_started_is_an_error_at_once(tmp_path, monkeypatch, name, error, match):
-    def no_thread(*_words):
-        raise RuntimeError("can't start new thread")
-
-    if not name:
-        monkeypatch.setattr("_thread.start_new_thread", no_thread)
-    begin = time.monotonic()
-    with (tmp_path / "a").open("w+b") as file, pytest.raises(error, match=match):
-        run_child([name], stdin=file, stderr=file, environment={}, waiting=print)
-    assert time.monotonic() - begin < GONE_S
+def test_a_program_that_is_not_there_does_not_start(tmp_path):
+    missing = pytest.raises(GisRadarError, match="no such program: does not start: No such file")
+    with (tmp_path / "a").open("w+b") as file, missing:
+        run_child(["no such program"], stdin=file, stderr=file, environment={}, waiting=print)
 
 
 @posix

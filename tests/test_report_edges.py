@@ -33,8 +33,8 @@ from gis_radar.products.heatmap.heatmap import OWNED
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    return write_whole_run(tmp_path_factory.mktemp("site"))
+def results(once):
+    return once("whole run", write_whole_run)
 
 
 def test_text_of_others_stays_text(tmp_path, without_pdf):

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from zoneinfo import ZoneInfo
 
 import numpy as np
-import pypdf
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as MplFigure
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-from report_site import write_results, write_run
 
-import gis_radar as gr
 from gis_radar.base import Clock, label_map, legend_below, picture_file
-from gis_radar.base.languages import catalogue
 from gis_radar.products.heatmap import picture
 from gis_radar.products.report import chart, maps, plan
 from gis_radar.products.report.results import flat_picture, panels_of
@@ -102,19 +97,3 @@ def test_words_in_pictures_can_be_read_on_a_phone():
         (8.0, maps.SIGHT_IN),
     ):
         assert letters_pt * PHONE_PX / (72.0 * width_in) >= LEAST_PX
-
-
-def test_no_english_is_left_in_a_german_report(tmp_path):
-    folder = write_results(tmp_path, names=("R1",), steps=400)
-    write_run(folder, title="Kreuzung Süd")
-    gr.write_report(folder, language="de")
-    text = "\n".join(page.extract_text() for page in pypdf.PdfReader(folder / "report.pdf").pages)
-    words = {each.strip("()[]:;,„“") for each in text.split()}
-    pairs = catalogue("de").items()
-    english, german = (
-        {word for part in parts for word in re.findall(r"[^\W\d_]{3,}", part)}
-        for parts in zip(*pairs, strict=True)
-    )
-    found = words & (english - german)
-    assert found <= {"zone", "ours", "theirs", "Town"}  # a name of EPSG; the site's own words
-    assert "Fahrstreifen" in words

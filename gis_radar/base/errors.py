@@ -109,6 +109,5 @@ def first_line(error: Exception) -> str:
 
 
 INSTALL_LOCALIZE = Text("pip install gis_radar[localize]")
-PDF = "pip install gis_radar[pdf]"
 INSTALL_NOTEBOOKS = Text("pip install gis_radar[notebooks]")
 INSTALL_TRAJECTORIES = Text("pip install gis_radar[trajectories]")

@@ -41,7 +41,6 @@ DAMAGE = (
 )  # fmt: skip
 """What libraries raise that read a damaged file."""
 _LOCKED = "database is locked"  # as SQLite says it
-_HELD = "another program has it locked"
 _HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
 PATIENCE_S = 2.0  # another program may be at the end of its writing
 _OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
@@ -79,9 +78,7 @@ FROM gpkg_geometry_columns WHERE table_name = ?
 
 
 @contextmanager
-def opened_package(
-    path: str | Path, *, what: str, hint: str = "", reporter: Reporter = QUIET
-) -> Iterator[Path]:
+def opened_package(path: str | Path, *, what: str, hint: str = "") -> Iterator[Path]:
     """Read a GeoPackage in the block; what libraries raise in it becomes an error of ours.
 
     GDAL chooses its driver by the content, and some drivers open what the content names: files
@@ -95,8 +92,6 @@ def opened_package(
         What it should be, for the message: `a heat map`.
     hint : str
         How to come by one.
-    reporter : Reporter
-        Receives what the libraries warn of.
 
     Yields
     ------
@@ -111,7 +106,7 @@ def opened_package(
     """
     if not Path(path).is_file():
         raise InputError("{}: no such file", path, hint=hint)
-    with library_errors(path, what=what, hint=hint, reporter=reporter):
+    with library_errors(path, what=what, hint=hint):
         with Path(path).open("rb") as file:
             head = file.read(100)
         if not head.startswith(SQLITE) or head[_KIND_AT : _KIND_AT + 4] not in _KINDS:
@@ -295,15 +290,14 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
     columns = "f_table_name, styleName, styleQML, styleSLD, description, useAsDefault, owner"
     query = f"SELECT {columns} FROM layer_styles ORDER BY id"  # noqa: S608 - our own names
     with closing(sqlite3.connect(path)) as database, database:
-        ours = {row[4] for row in database.execute(query)}
         try:
             with closing(sqlite3.connect(f"{_uri(earlier)}?mode=ro", uri=True)) as old:
                 saved = old.execute(query).fetchall()
         except sqlite3.Error:
             return
         for layer, name, qml, sld, about, default, owner in saved:
-            if owner == _owner(str(qml)) or (not owner and about in ours):
-                continue  # as we wrote it, now or before styles were marked
+            if owner == _owner(str(qml)):
+                continue  # as we wrote it
             if default:
                 database.execute(
                     "UPDATE layer_styles SET useAsDefault = 0 WHERE f_table_name = ?", (layer,)

@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import IO, TYPE_CHECKING
 
@@ -31,12 +30,10 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 """The environment variable that starts the watchdog of a command; its only value is `stdin`."""
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
-_POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
-_LOOK_S = 0.05  # between two looks whether a child has ended
+_POLL_S = 0.2  # between two reports of a child that runs
 _REAPED_S = 0.001  # between two looks whether another thread has reaped one
-GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
-STOP_PATIENCE_S = 0.7
-"""How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
+_GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
+_PATIENCE_S = 0.7  # for a stopped worker to clear up: it has files to remove, not work to end
 
 OFFLINE = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",  # of every file system over curl, S3 and the like too
@@ -102,69 +99,22 @@ def run_child(
     GisRadarError
         If it does not start.
     """
-    child = _Child(lambda: subprocess.Popen(  # noqa: S603 - the caller has found the program
-        command, stdin=stdin, stdout=subprocess.DEVNULL, stderr=stderr, env=dict(environment)
-    ))  # fmt: skip
+    try:
+        child = subprocess.Popen(  # noqa: S603 - the caller has found the program
+            command, stdin=stdin, stdout=subprocess.DEVNULL, stderr=stderr, env=dict(environment)
+        )
+    except OSError as error:
+        raise GisRadarError("{}: does not start: {}", command[0], error.strerror) from error
     start = time.monotonic()
     try:
-        try:
-            _thread.start_new_thread(child.run, ())  # in C: no signal breaks it off half-way
-        except RuntimeError:  # no memory for a thread
-            child.gone.put(None)
-            raise
         while True:
             try:
-                ended = child.told.get(timeout=_POLL_S)
-            except Empty:
+                return child.wait(_POLL_S)
+            except subprocess.TimeoutExpired:
                 waiting(time.monotonic() - start)
-                continue
-            if isinstance(ended, OSError):
-                raise GisRadarError("{}: does not start: {}", command[0], ended.strerror) from ended
-            if isinstance(ended, Exception):
-                raise ended
-            return ended
     finally:
-        child.asked.put(None)  # called here, for it is in C: a second Ctrl-C comes after it
-        with suppress(Empty):
-            try:
-                child.gone.get(timeout=GONE_S)
-            except KeyboardInterrupt:  # at once, Python's end would stop the thread before it kills
-                child.gone.get(timeout=GONE_S)
-                raise
-
-
-class _Child:
-    """A program that runs, for a thread of its own: signals reach the main thread only.
-
-    There they would break off Popen between its start and its return, or its wait between taking
-    its lock and the block that gives it back. Queues of this kind wait in C, whole or not at all.
-    """
-
-    def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
-        self.told: SimpleQueue[int | Exception] = SimpleQueue()
-        self.asked: SimpleQueue[None] = SimpleQueue()  # to end it
-        self.gone: SimpleQueue[None] = SimpleQueue()
-        self._start = start
-
-    def run(self) -> None:
-        """Run it to its end, and tell the exit code or the error."""
-        try:
-            self.told.put(self._run())
-        except Exception as error:  # noqa: BLE001 - raised where it is waited for
-            self.told.put(error)
-        finally:
-            self.gone.put(None)
-
-    def _run(self) -> int:
-        process = self._start()
-        try:
-            while process.poll() is None:
-                with suppress(Empty):
-                    self.asked.get(timeout=_LOOK_S)
-                    break
-        finally:
-            process.kill()  # of one that has ended nothing
-        return process.wait()
+        child.kill()  # of one that has ended nothing
+        child.wait()
 
 
 class _StopSignal(threading.Event):
@@ -245,20 +195,18 @@ def watch_parent() -> None:
     _start_watchdog(parent.join, _kill_own_group)
 
 
-def stop_workers(workers: Iterable[BaseProcess], *, patience_s: float = STOP_PATIENCE_S) -> None:
+def stop_workers(workers: Iterable[BaseProcess]) -> None:
     """Stop workers that called :func:`watch_parent`, and all that they started.
 
     Parameters
     ----------
     workers : iterable of multiprocessing.process.BaseProcess
         Those of a pool. First they are asked to (SIGTERM), then killed with their groups.
-    patience_s : float
-        How long all of them together may take to clear up, seconds.
     """
     workers = list(workers)
     for worker in workers:
         worker.terminate()
-    end = time.monotonic() + patience_s
+    end = time.monotonic() + _PATIENCE_S
     for worker in workers:
         worker.join(max(end - time.monotonic(), 0.01))
         if sys.platform != "win32" and worker.pid is not None:
@@ -266,7 +214,7 @@ def stop_workers(workers: Iterable[BaseProcess], *, patience_s: float = STOP_PAT
                 os.killpg(worker.pid, signal.SIGKILL)  # no group: ended before it led one
         worker.kill()
         worker.join()
-        end_reaped = time.monotonic() + GONE_S
+        end_reaped = time.monotonic() + _GONE_S
         while worker.exitcode is None and time.monotonic() < end_reaped:
             time.sleep(_REAPED_S)  # the pool's own thread reaps it: join returned before it did
 

@@ -22,7 +22,6 @@ from gis_radar.base.geopackage import SQLITE, library_errors, opened_package, pl
 from gis_radar.base.progress import QUIET, Reporter
 from gis_radar.base.texts import Text
 
-FORMATS = "GeoPackage, GeoJSON, shapefile or FlatGeobuf"
 _SHAPEFILE, _FLATGEOBUF = b"\0\0\x27\x0a", b"fgb\x03fgb"  # how they begin
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 # Names of a coordinate system; anything else could be an address or a file.

@@ -463,7 +463,7 @@ def open_dataset(path: str | Path, *, reporter: Reporter = QUIET) -> Dataset:
     Raises
     ------
     InputError
-        If the folder is no dataset, has a newer schema, or was made by version 0.1.
+        If the folder is no dataset, or has a newer schema.
     """
     dataset = Dataset(folder=Path(path), manifest=Manifest.read(path))
     if len(methods := dataset.methods) > 1:

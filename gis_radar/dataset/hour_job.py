@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from itertools import combinations
@@ -187,7 +187,6 @@ def make_hour(
     site: HourSite,
     hour: int,
     sources: Sequence[PlacedRecording],
-    count_rows: Callable[[int], None] = lambda _: None,
 ) -> MadeHour:
     """Make the parts of an hour, and write them.
 
@@ -199,8 +198,6 @@ def make_hour(
         Since 1970.
     sources : sequence of PlacedRecording
         All recordings that reach into the window, those of a sensor by their first frame.
-    count_rows : callable
-        Called with the numbers of rows read.
 
     Raises
     ------
@@ -209,7 +206,7 @@ def make_hour(
         sensors delivered the same frames.
     """
     window = HourWindow(hour=hour, margin=site.settings.margin)
-    sensors = read_sensors(site, window, sources, count_rows=count_rows)
+    sensors = read_sensors(site, window, sources)
     evidence = {
         source.recording.path.as_posix(): counted
         for sensor in sensors
@@ -241,7 +238,6 @@ def read_sensors(
     sources: Sequence[PlacedRecording],
     *,
     count_hits: bool = True,
-    count_rows: Callable[[int], None] = lambda _: None,
 ) -> list[SensorHour]:
     """Read what all sensors delivered in a window; refuse what cannot be.
 
@@ -251,7 +247,7 @@ def read_sensors(
     for source in sources:
         by_sensor.setdefault(source.track.sensor, []).append(source)
     sensors = [
-        read_sensor(found, window, site.target, count_hits=count_hits, count_rows=count_rows)
+        read_sensor(found, window, site.target, count_hits=count_hits)
         for _, found in sorted(by_sensor.items())
     ]
     refuse_equal_frames(sensors)

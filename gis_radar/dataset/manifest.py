@@ -20,14 +20,13 @@ from gis_radar.base import (
     with_texts,
     writing_errors,
 )
-from gis_radar.calibration import UNKNOWN, Finding, is_record
+from gis_radar.calibration import Finding, is_record
 from gis_radar.dataset.parts import rename_whole, unfinished, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
 from gis_radar.hdmap import write_tiles
 
 MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
 MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
-_OLD = "manifest.json"  # of the folders of version 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +84,8 @@ class Manifest:
 
     @staticmethod
     def is_there(folder: Path) -> bool:
-        """Return whether a folder is a dataset, or a folder of version 0.1."""
-        return (folder / MANIFEST).is_file() or (folder / _OLD).is_file()
+        """Return whether a folder is a dataset."""
+        return (folder / MANIFEST).is_file()
 
     @classmethod
     def read(cls, folder: str | Path) -> Self:
@@ -95,16 +94,10 @@ class Manifest:
         Raises
         ------
         InputError
-            If the folder is no dataset, was made by version 0.1, or has a newer schema.
+            If the folder is no dataset, or has a newer schema.
         """
         path = Path(folder) / MANIFEST
         if not path.is_file():
-            if (path.parent / _OLD).is_file():
-                raise InputError(
-                    "{}: was made by version 0.1, which knew no datasets",
-                    folder,
-                    hint="measure its recordings again: gis-radar measure",
-                )
             raise InputError("{}: is no dataset: lacks {}", folder, MANIFEST, hint=MAKE_ONE)
         document = read_json(path, what="the manifest of a dataset", hint=MAKE_ONE)
         try:
@@ -126,22 +119,12 @@ class Manifest:
         for name in ("settings", "checks"):
             if not isinstance(getattr(manifest, name), dict):
                 raise InputError("{}: damaged: {} are none", path, name, hint=MAKE_ONE)
-        manifest.checks.update(_records(manifest.checks, path))
+        for sensor, check in manifest.checks.items():
+            if not is_record(check):
+                raise InputError(
+                    "{}: damaged: what was checked of {} is no record", path, sensor, hint=MAKE_ONE
+                )
         return manifest
-
-
-def _records(checks: dict[str, Any], path: Path) -> dict[str, dict[str, str]]:
-    """Return what was checked of sensors as records; a line, as it was kept before, is evidence."""
-    blank = {"verdict": UNKNOWN, "cause": "", "advice": ""}
-    lines = {
-        name: blank | {"evidence": kept} for name, kept in checks.items() if isinstance(kept, str)
-    }
-    for sensor, check in checks.items():
-        if sensor not in lines and not is_record(check):
-            raise InputError(
-                "{}: damaged: what was checked of {} is no record", path, sensor, hint=MAKE_ONE
-            )
-    return checks | lines
 
 
 def create_dataset(

@@ -17,7 +17,8 @@ from gis_radar.base import InputError, UsageError, first_line
 from gis_radar.dataset.parts import MEASURE_AGAIN
 from gis_radar.dataset.records import HOURS
 from gis_radar.dataset.statement import ASK_ONE, tables_of
-from gis_radar.dataset.views import Source, make_views, quoted
+from gis_radar.dataset.traffic import Source
+from gis_radar.dataset.views import make_views, quoted
 
 Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
 """The columns of an answer, and its rows in batches."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from gis_radar.base import STEP_US, Reporter, Text, iso_from_step
 from gis_radar.dataset.registry import RecordingEntry
 from gis_radar.measures import HitSettings, PlacedRecording, RecordingCounts, SightBook, valid_steps
 from gis_radar.poses import View
-from gis_radar.recordings import RangeCounts, overlap_warnings
+from gis_radar.recordings import RangeCounts, time_warnings
 from gis_radar.scans import (
     SIGHT_DEFAULTS,
     MovingHits,
@@ -79,7 +78,11 @@ def remark_on_recordings(
         )
         for line in lines:
             reporter.warn(line)
-    for line in _time_warnings([each.entry for each in examined]):
+    recorded: dict[str, list[tuple[float, float, Path]]] = {}
+    for each in examined:
+        span = each.entry.first_time, each.entry.last_time, Path(each.entry.path)
+        recorded.setdefault(each.entry.sensor, []).append(span)
+    for line in time_warnings(recorded):
         reporter.warn(line)
 
 
@@ -180,27 +183,3 @@ def _placing_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
             begin,
             sensor,
         )
-
-
-def _time_warnings(entries: Sequence[RecordingEntry]) -> Iterator[str]:
-    """Yield warnings about recording times: overlaps, and sensors with no common time."""
-    spans: dict[str, list[tuple[float, float, Path]]] = {}
-    for each in entries:
-        span = each.first_time, each.last_time, Path(each.path)
-        spans.setdefault(each.sensor, []).append(span)
-    for sensor, found in spans.items():
-        yield from overlap_warnings(sensor, found)
-    whole = {
-        sensor: (min(each[0] for each in found), max(each[1] for each in found))
-        for sensor, found in spans.items()
-    }
-    for (one, (begin_s, end_s)), (other, (first_s, last_s)) in combinations(whole.items(), 2):
-        if (apart_s := max(first_s - end_s, begin_s - last_s)) > 0:
-            yield Text(
-                "{} and {} have no time in common: {:,.0f} s lie between them; if they "
-                "were recorded together, a clock is off: gis-radar clocks finds by how "
-                "much",
-                one,
-                other,
-                apart_s,
-            )

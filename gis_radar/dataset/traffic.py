@@ -47,7 +47,7 @@ Moment: TypeAlias = str | datetime | int | None
 
 
 class Source(Protocol):
-    """What traffic is read from: a dataset."""
+    """What traffic and views are read from: a dataset."""
 
     @property
     def folder(self) -> Path:
@@ -66,6 +66,9 @@ class Source(Protocol):
 
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
         """Return the records of its complete hours."""
+
+    def whole(self, table: TableSchema) -> pa.Table:
+        """Read a table that has one file."""
 
     def layer(self, name: str) -> gpd.GeoDataFrame:
         """Read a layer of its tiles."""

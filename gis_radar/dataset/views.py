@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Protocol
 
 import duckdb
-import geopandas as gpd
 import pyarrow as pa
 
 from gis_radar.base import STEPS_PER_SECOND
 from gis_radar.dataset.day_tables import STEPS_PER_QUARTER, days_with
 from gis_radar.dataset.lane_measures import LaneTraffic
-from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import part_path
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.statement import LAYERS
@@ -27,30 +24,10 @@ from gis_radar.dataset.tables import (
     TableSchema,
 )
 from gis_radar.dataset.tile_counts import count_keys, read_counts
+from gis_radar.dataset.traffic import Source
 from gis_radar.dataset.units import UNITS
 
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
-
-
-class Source(Protocol):
-    """What views are made of: a dataset."""
-
-    @property
-    def folder(self) -> Path:
-        """Where it lies."""
-
-    @property
-    def manifest(self) -> Manifest:
-        """Its tiles and its origin."""
-
-    def records(self) -> dict[int, HourRecord]:
-        """Return the records of its complete hours."""
-
-    def whole(self, table: TableSchema) -> pa.Table:
-        """Read a table that has one file."""
-
-    def layer(self, name: str) -> gpd.GeoDataFrame:
-        """Read a layer of its tiles."""
 
 
 def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str]) -> list[Path]:

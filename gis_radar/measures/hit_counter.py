@@ -181,8 +181,6 @@ class FrameCounter:
         Of the same tiles, where there is one already.
     filters : Filters, optional
         Which detections count; without it, all.
-    settings : HitSettings
-        Constants of the frame log.
     """
 
     def __init__(
@@ -191,14 +189,11 @@ class FrameCounter:
         *,
         grid: TileGrid | None = None,
         filters: Filters | None = None,
-        settings: HitSettings = HIT_DEFAULTS,
     ) -> None:
         grid = TileGrid(tiles.quads) if grid is None else grid
-        self._counter = HitCounter(tiles, grid, filters=filters, settings=settings)
+        self._counter = HitCounter(tiles, grid, filters=filters)
 
-    def count(
-        self, detections: Detections, pose: Pose | PoseNumbers, *, road_m: float = math.nan
-    ) -> list[CountedFrame]:
+    def count(self, detections: Detections, pose: Pose | PoseNumbers) -> list[CountedFrame]:
         """Return frames with the tiles that they hit.
 
         Parameters
@@ -207,9 +202,6 @@ class FrameCounter:
             One or a few whole frames; a frame without detections is a row of NaN.
         pose : Pose or PoseNumbers
             Where the sensor stands; of many frames its numbers are made once.
-        road_m : float
-            Height of the road near it, for sensors without elevation: as of :meth:`Pose.to_map`.
-            Numbers hold it.
 
         Raises
         ------
@@ -220,7 +212,7 @@ class FrameCounter:
         if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
             raise InputError("times of frames are not finite, or go back")
         rows = rows_of_detections(detections)
-        numbers = PoseNumbers.of(pose, road_m=road_m) if isinstance(pose, Pose) else pose
+        numbers = PoseNumbers.of(pose) if isinstance(pose, Pose) else pose
         counted = [*self._counter.add(rows, 0, len(time), numbers), self._counter.end()]
         frames = np.concatenate([each.frames for each in counted])
         tiles = np.concatenate([each.tile for each in counted]).astype(np.int64)

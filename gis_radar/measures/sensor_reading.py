@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -138,7 +138,6 @@ def read_sensor(
     target: HitTarget,
     *,
     count_hits: bool = True,
-    count_rows: Callable[[int], None] = lambda _: None,
 ) -> SensorHour:
     """Read the recordings of a sensor in the window of an hour.
 
@@ -154,8 +153,6 @@ def read_sensor(
         What detections are assigned to.
     count_hits : bool
         Whether hits are asked for, or only the frames.
-    count_rows : callable
-        Called with the numbers of rows read.
 
     Raises
     ------
@@ -166,7 +163,7 @@ def read_sensor(
     for source in sources:
         until = max((each.last_us for each in parts), default=NEVER_US)
         part = _Reading(source=source, window=window, target=target, until_us=until)
-        part.read(count_rows, count_hits=count_hits)
+        part.read(count_hits=count_hits)
         _refuse_difference(part, parts)
         parts.append(part)
     counted = [frames for part in parts for frames in part.counted]
@@ -208,7 +205,7 @@ class _Reading:
         """Return which pose of the track is in force at each of the fresh frames."""
         return self.source.track.at(self.fresh.time)
 
-    def read(self, count_rows: Callable[[int], None], *, count_hits: bool) -> None:
+    def read(self, *, count_hits: bool) -> None:
         """Read the rows of the window; count those that matter to the hits of the hour."""
         hasher = FrameHasher()
         counter = _Counter(self)
@@ -222,7 +219,6 @@ class _Reading:
             )
             if count_hits and low < high:
                 counter.add(raw, time, shift_us, low, high)
-            count_rows(end - begin)
         counter.end()
         self.frames = hasher.end()
 

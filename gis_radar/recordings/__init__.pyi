@@ -2,10 +2,9 @@ from .conversion import Conversion, convert
 from .formats import as_recording, format_of, is_recording, open_recording
 from .frame_clock import AGREEING_S
 from .frames import DamagedError, Frame, ReaderContext
-from .overlaps import overlap_warnings
+from .overlaps import time_warnings
 from .raw_rows import RawRows, read_raw
 from .recording import Detections, RangeCounts, Recording, has_height
-from .units import compare_speeds
 from .window import RollingWindow
 
 __all__ = [
@@ -20,12 +19,11 @@ __all__ = [
     "Recording",
     "RollingWindow",
     "as_recording",
-    "compare_speeds",
     "convert",
     "format_of",
     "has_height",
     "is_recording",
     "open_recording",
-    "overlap_warnings",
     "read_raw",
+    "time_warnings",
 ]

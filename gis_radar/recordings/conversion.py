@@ -220,8 +220,6 @@ class Tracks:
                 columns = ", ".join(sorted(track.file.left_out))
                 late = Text("{}: columns that came late are left out: {}", sensor, columns)
                 self._context.reporter.warn(late)
-            if track.file.odd:
-                self._context.remark(Text("{}: {}", sensor, track.file.odd), "warning")
             if track.file.elevation is False:
                 self._context.remark(Text("{}: {}", sensor, NO_ELEVATION))
         counts = Counter(self._context.counts)

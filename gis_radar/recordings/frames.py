@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.base import QUIET, InputError, Level, Reporter, Text
+from gis_radar.base import QUIET, InputError, Reporter, Text
 from gis_radar.recordings.recording import FARTHEST_M, Recording
 
 Column = NDArray[Any]
@@ -119,11 +119,11 @@ class ReaderContext:
     counts: Counter[str] = field(default_factory=Counter)
     remarks: list[str] = field(default_factory=list)
 
-    def remark(self, text: str, level: Level = "info") -> None:
+    def remark(self, text: str) -> None:
         """Log a remark and keep it for the summary, once."""
         if text not in self.remarks:
             self.remarks.append(text)
-            self.reporter.log(text, level)
+            self.reporter.log(text)
 
     def wants(self, sensor: str) -> bool:
         """Return whether the frames of a sensor are asked for."""

@@ -1,31 +1,45 @@
-"""Recordings of one sensor that hold the same time."""
+"""Times of recordings: those of a sensor that overlap, and sensors that have none in common."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 
 from gis_radar.base import Text
 
 
-def overlap_warnings(sensor: str, spans: Sequence[tuple[float, float, Path]]) -> Iterator[str]:
-    """Yield a warning for each recording of a sensor that holds time of an earlier one.
+def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -> Iterator[str]:
+    """Yield a warning for recordings of a sensor that overlap, and for sensors that never do.
 
     Parameters
     ----------
-    sensor : str
-        Its name.
-    spans : sequence of (float, float, Path)
-        First and last time of each recording, in one unit, and its file.
+    recorded : mapping of str to sequence of (float, float, Path)
+        By sensor, first and last time of each recording, UNIX seconds, and its file.
     """
-    ordered = sorted(spans)
-    last = ordered[0]  # of those so far the one that ends last
-    for each in ordered[1:]:
-        if each[0] <= last[1]:
+    for sensor, spans in recorded.items():
+        ordered = sorted(spans)
+        last = ordered[0]  # of those so far the one that ends last
+        for each in ordered[1:]:
+            if each[0] <= last[1]:
+                yield Text(
+                    "{}: {} and {} overlap in time: what both hold counts once",
+                    sensor,
+                    last[2].name,
+                    each[2].name,
+                )
+            last = max(last, each, key=lambda span: span[1])
+    whole = {
+        sensor: (min(begin for begin, _, _ in spans), max(end for _, end, _ in spans))
+        for sensor, spans in recorded.items()
+    }
+    for (one, (begin_s, end_s)), (other, (first_s, last_s)) in combinations(whole.items(), 2):
+        if (apart_s := max(first_s - end_s, begin_s - last_s)) > 0:
             yield Text(
-                "{}: {} and {} overlap in time: what both hold counts once",
-                sensor,
-                last[2].name,
-                each[2].name,
+                "{} and {} have no time in common: {:,.0f} s lie between them; if they "
+                "were recorded together, a clock is off: gis-radar clocks finds by how "
+                "much",
+                one,
+                other,
+                apart_s,
             )
-        last = max(last, each, key=lambda span: span[1])

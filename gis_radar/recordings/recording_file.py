@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from gis_radar.base import InputError, output_errors
 from gis_radar.recordings.frames import Column, Frame
 from gis_radar.recordings.recording import SENSOR
-from gis_radar.recordings.units import compare_speeds, refuse_positions_in_other_units
+from gis_radar.recordings.units import refuse_positions_in_other_units
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
@@ -44,8 +44,6 @@ class RecordingFile:
     elevation : bool or None
         Whether the sensor measures elevation, by the first row group: some z is a number other than
         0. None without detections.
-    odd : str
-        What is odd about ranges and range rates of the first row group; empty if nothing is.
     left_out : set of str
         Further columns that came only after the first row group.
     """
@@ -53,7 +51,6 @@ class RecordingFile:
     def __init__(self, path: Path, place: Path, counts: Counter[str], *, sensor: str) -> None:
         self.path, self._sensor = path, sensor
         self.elevation: bool | None = None
-        self.odd = ""
         self._place, self._counts = place, counts
         self.frames = self.empty_frames = self.detections = 0
         self.begin = self.end = float("nan")
@@ -90,10 +87,6 @@ class RecordingFile:
     def _write(self) -> None:
         points = np.concatenate([frame.points for _, frame in self._waiting])
         refuse_positions_in_other_units(points, str(self._place))
-        if self._writer is None:
-            rows = [len(frame) for _, frame in self._waiting]
-            rate = np.concatenate([frame.range_rate for _, frame in self._waiting])
-            self.odd = compare_speeds(np.repeat([t for t, _ in self._waiting], rows), points, rate)
         if self.elevation is None:
             self.elevation = _measures_elevation([frame for _, frame in self._waiting])
         self._waiting = [(time, self._level(frame)) for time, frame in self._waiting]

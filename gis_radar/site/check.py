@@ -38,7 +38,7 @@ from gis_radar.calibration import (
 )
 from gis_radar.hdmap import LaneletMap, lanes, read_map
 from gis_radar.poses import read_track
-from gis_radar.recordings import RangeCounts, Recording, open_recording, overlap_warnings
+from gis_radar.recordings import RangeCounts, Recording, open_recording, time_warnings
 from gis_radar.scans import open_scan, road_crs
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
@@ -185,12 +185,18 @@ def check_site(
     warnings = list(_zone_warning(site, roads, settings))
     told = _Warnings(warnings)
     lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=told)
-    found = {}
+    found: dict[str, SensorCheck] = {}
+    recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for done, sensor in enumerate(site.sensor):
         reporter.progress("reading recordings", done, len(site.sensor))
-        found[sensor.name] = _read_sensor(sensor, settings, warnings)
+        counts = _ViewCounts()
+        ours = [path for path in sensor.recordings if path not in sensor.foreign]
+        spans = [(*counts.add(open_recording(path)), path) for path in ours]
+        found[sensor.name] = _sensor_check(sensor, spans, counts, settings, warnings)
+        if spans:
+            recorded[sensor.name] = spans
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
-    warnings += _time_warnings(found)
+    warnings += time_warnings(recorded)
     findings = _check_poses(site, roads, reporter)
     accepted = {each.name for each in site.sensor if each.accept}
     warnings += [f.doubt for f in findings if f.doubt and (not f.refused or f.sensor in accepted)]
@@ -281,20 +287,15 @@ def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Ite
         )
 
 
-def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -> SensorCheck:
-    """Read the recordings of a sensor; what is odd goes to the warnings."""
-    foreign = set(sensor.foreign)
-    counts = _ViewCounts()
-    spans = [
-        (*counts.add(open_recording(path)), path) for path in sensor.recordings
-        if path not in foreign
-    ]  # fmt: skip
+def _sensor_check(
+    sensor: Sensor, spans: list[tuple[float, float, Path]], counts: _ViewCounts,
+    settings: CheckSettings, warnings: list[str],
+) -> SensorCheck:  # fmt: skip
+    """Return what the recordings of a sensor hold; what is odd goes to the warnings."""
     if not spans:
         return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
-    warnings += overlap_warnings(sensor.name, spans)
-    begin, end = min(each[0] for each in spans), max(each[1] for each in spans)
     longest = max(each[1] - each[0] for each in spans)
-    if sensor.guess is not None and longest < settings.least_s and not foreign:
+    if sensor.guess is not None and longest < settings.least_s and not sensor.foreign:
         warnings.append(
             Text(
                 "{}: {:.0f} s in one recording rarely suffice to find its pose, 100 s are a "
@@ -304,17 +305,9 @@ def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -
             )
         )
     return SensorCheck(
-        begin=begin, end=end, detections=counts.detections, view=counts.view(settings)
-    )
-
-
-def _time_warnings(found: dict[str, SensorCheck]) -> Iterator[str]:
-    """Yield a warning where sensors recorded at times that have nothing in common."""
-    timed = {name: each for name, each in found.items() if not math.isnan(each.begin)}
-    for place, (name, one) in enumerate(timed.items()):
-        for other_name, other in list(timed.items())[place + 1 :]:
-            if one.end < other.begin or other.end < one.begin:
-                yield Text("{} and {} never recorded at the same time", name, other_name)
+        begin=min(each[0] for each in spans), end=max(each[1] for each in spans),
+        detections=counts.detections, view=counts.view(settings),
+    )  # fmt: skip
 
 
 class _Warnings(Reporter):

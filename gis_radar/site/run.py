@@ -227,12 +227,10 @@ def _prepared(root: Path) -> Path:
 
 def _cleared(root: Path, state: Path) -> Path:
     """Remove what a killed run left half-made; return an empty folder for temporary files."""
-    halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
-    for leftover in (*halves, state / "stages"):  # the latter of version 0.1
-        shutil.rmtree(leftover, ignore_errors=True)
-    (state / "contents.json").unlink(missing_ok=True)
     scratch = state / "scratch"
-    shutil.rmtree(scratch, ignore_errors=True)
+    halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
+    for leftover in (*halves, scratch):
+        shutil.rmtree(leftover, ignore_errors=True)
     scratch.mkdir()
     return scratch
 

@@ -21,11 +21,6 @@ from qgis.core import (
 
 from .words import tr
 
-TILES = "tiles"
-TILE_FIELDS = (
-    "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
-)  # fmt: skip
-
 
 def layer_file(
     algorithm: QgsProcessingAlgorithm,

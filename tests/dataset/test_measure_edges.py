@@ -5,25 +5,30 @@ import pandas as pd
 import pytest
 from measured import EDGE_S, cut, measured
 
+import gis_radar as gr
+
 FIRST_S, LAST_S = 10.0, 38.0
-EDGES_S = (20.35, 28.35)
+EDGE_AT_S = 28.35
 WHOLE_S = -971.65  # no edge, and steps that begin alike
 NEAR_S = 0.5  # as the tracker may see one passage from another window
 
 
 @pytest.fixture(scope="module")
-def hours(tmp_path_factory):
-    """The same seconds of the sample: without an edge, and with one at two moments."""
-    folder = tmp_path_factory.mktemp("edges")
-    found = {}
-    for edge_s in (*EDGES_S, WHOLE_S):
-        place = folder / f"{edge_s}"
-        files = [
-            (sensor, cut(place / f"{sensor}.parquet", sensor, FIRST_S, LAST_S, edge_s=edge_s))
-            for sensor in ("R1", "R2")
-        ]
-        found[edge_s] = measured(place / "site", *files)
-    return found
+def hours(once):
+    """The same seconds of the sample: without an edge, and with one."""
+
+    def measure(folder):
+        places = {edge_s: folder / f"{edge_s}" for edge_s in (EDGE_AT_S, WHOLE_S)}
+        for edge_s, place in places.items():
+            files = [
+                (sensor, cut(place / f"{sensor}.parquet", sensor, FIRST_S, LAST_S, edge_s=edge_s))
+                for sensor in ("R1", "R2")
+            ]
+            measured(place / "site", *files)
+        return places
+
+    places = once("edges of hours", measure)
+    return {edge_s: gr.open_dataset(place / "site") for edge_s, place in places.items()}
 
 
 def seconds(times, edge_s):
@@ -37,9 +42,8 @@ def passages(ds, edge_s):
     return table.assign(at_s=seconds(table["time"], edge_s))
 
 
-@pytest.mark.parametrize("edge_s", EDGES_S)
-def test_passages_are_those_without_an_edge(hours, edge_s):
-    whole, parted = passages(hours[WHOLE_S], WHOLE_S), passages(hours[edge_s], edge_s)
+def test_passages_are_those_without_an_edge(hours):
+    whole, parted = passages(hours[WHOLE_S], WHOLE_S), passages(hours[EDGE_AT_S], EDGE_AT_S)
     matched = pd.merge_asof(
         parted.sort_values("at_s"), whole.sort_values("at_s").assign(known=True),
         on="at_s", by="lanelet_id", tolerance=NEAR_S, direction="nearest",
@@ -48,14 +52,13 @@ def test_passages_are_those_without_an_edge(hours, edge_s):
     assert len(whole) > 50
     assert abs(len(parted) - len(whole)) <= 1
     assert changed <= 2  # which the tracker itself sees otherwise from other blocks
-    continued = hours[edge_s].continued()
+    continued = hours[EDGE_AT_S].continued()
     number = parted["vehicle"].replace(dict(continued[["next", "vehicle"]].to_numpy()))
     assert not pd.DataFrame({"v": number, "l": parted["lanelet_id"]}).duplicated().any()
 
 
-@pytest.mark.parametrize("edge_s", EDGES_S)
-def test_a_vehicle_on_one_side_of_the_edge_is_on_the_other(hours, edge_s):
-    ds = hours[edge_s]
+def test_a_vehicle_on_one_side_of_the_edge_is_on_the_other(hours):
+    ds = hours[EDGE_AT_S]
     tracks, edge = ds.tracks(), pd.Timestamp(EDGE_S, unit="s", tz="UTC")
     continued = ds.continued()
     before = tracks[tracks["vehicle"].isin(continued["vehicle"])].groupby("vehicle").last()
@@ -74,10 +77,9 @@ def test_a_vehicle_on_one_side_of_the_edge_is_on_the_other(hours, edge_s):
     assert not over  # who is there at the hour's begin was there before
 
 
-@pytest.mark.parametrize("edge_s", EDGES_S)
-def test_hits_and_times_are_those_without_an_edge(hours, edge_s):
-    whole, parted = hours[WHOLE_S], hours[edge_s]
-    shift = pd.Timedelta(seconds=edge_s - WHOLE_S)
+def test_hits_and_times_are_those_without_an_edge(hours):
+    whole, parted = hours[WHOLE_S], hours[EDGE_AT_S]
+    shift = pd.Timedelta(seconds=EDGE_AT_S - WHOLE_S)
     known = whole.hits()
     known = known.assign(time=(known["time"] - shift).astype(known["time"].dtype))
     found = parted.hits()
@@ -94,7 +96,7 @@ def test_hits_and_times_are_those_without_an_edge(hours, edge_s):
 
 
 def test_states_are_kept_every_fourth_step_and_at_both_ends(hours):
-    tracks = hours[28.35].tracks()
+    tracks = hours[EDGE_AT_S].tracks()
     step = (seconds(tracks["time"], EDGE_S) * 20).round().astype(int)
     ends = tracks["vehicle"].ne(tracks["vehicle"].shift()) | tracks["vehicle"].ne(
         tracks["vehicle"].shift(-1)

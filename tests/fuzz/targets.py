@@ -12,7 +12,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from faults.inputs import DAY, HOUR, UTM, build, part_of
 from pyproj import CRS
 from radars import detection, detection_list
@@ -26,7 +25,6 @@ from gis_radar.scans import open_scan
 
 SECONDS = 10.0  # of the processor; who reads a file of some kilobytes for longer hangs
 OURS = "gis_radar"
-INFINITE = (-np.inf, -np.inf, np.inf, np.inf)
 
 
 @dataclass(frozen=True, kw_only=True)

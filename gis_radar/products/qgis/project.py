@@ -212,7 +212,7 @@ def write_site_project(
 
 
 def _lane_layers(path: Path) -> dict[str, LayerSource]:
-    """Return the layers of lanes of a file of tiles; none where an older version wrote it."""
+    """Return the layers of lanes of a file of tiles, if it has any."""
     if not path.is_file():
         return {}
     return {

@@ -222,15 +222,15 @@ WHY_NOT = {
 }
 
 
-def _why_not(row: pd.Series, measure: str, ranks: RankSettings = RANKS) -> str:
+def _why_not(row: pd.Series, measure: str) -> str:
     """Return why a lane is not ranked, a key of `WHY_NOT`; nothing where it is."""
     if measure != "occupancy":
         return "hits"
     reasons = {
         "unseen": np.isnan(row["share"]),
-        "length": row["base_m"] < ranks.least_seen * row["length_m"],
-        "tracks": row["tracks"] < ranks.least_tracks,
-        "error": not row["share_se"] <= ranks.most_error * row["share"],
+        "length": row["base_m"] < RANKS.least_seen * row["length_m"],
+        "tracks": row["tracks"] < RANKS.least_tracks,
+        "error": not row["share_se"] <= RANKS.most_error * row["share"],
     }
     return next((name for name, applies in reasons.items() if applies), "")
 
