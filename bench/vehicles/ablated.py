@@ -162,7 +162,7 @@ PARTS: dict[str, Part] = {
     "told-whole": _off((neighbours, "TOLD", 1.0)),
     "no-gap-prior": _off((neighbours, "_gap_prior", lambda *_: 0.0)),
     "no-length-prior": _off((sizes, "prior", lambda _: 0.0), (sizes, "_PRIORS", [0.0] * 11)),
-    "all-windows": _off((sizes, "MOST_WINDOWS", 10**6), (sizes, "TELLS", 1e9)),
+    "all-windows": _off((sizes, "MOST_WINDOWS", 10**6)),
     "middle-stays": _off((sizes, "STAYS", (0.0,))),
     "coarse-join": _off((neighbours, "LENGTH_CHANGES_M", (2.0,))),
     "one-way-on": _off((ends, "MOST_WAYS", 1)),

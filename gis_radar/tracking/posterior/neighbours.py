@@ -115,7 +115,7 @@ def _relative(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
 def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, float]:
     """Return length, middle ahead of the first's, and gain of one vehicle in place of two."""
     states = posterior.states
-    (a, count), (b, counts) = sample(posterior, (one, other))
+    a, b = sample(posterior, (one, other))
     lengths = [posterior.motions[k].length_m for k in (one, other)]
     _, mine, theirs = np.intersect1d(
         states.frame[a], states.frame[b], assume_unique=True, return_indices=True
@@ -129,7 +129,7 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
     for each in (one, other):
         posterior.lift(each)
     alone = posterior.total.copy()
-    old = _sum(posterior, a, count, states.shape[a]) + _sum(posterior, b, counts, states.shape[b])
+    old = _sum(posterior, a, states.shape[a]) + _sum(posterior, b, states.shape[b])
     posterior.total[:] = alone
     apart = abs(along) - 0.5 * sum(lengths)
     # at the speeds of all its time: who follows the first does so while it drives, too
@@ -141,7 +141,7 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
             (min(max(best[0] + longer * change, SHORTEST_M), LONGEST_M), best[1] + ahead * change)
             for longer in (-1.0, 0.0, 1.0) for ahead in (-0.5, 0.0, 0.5)
         ] + extra  # fmt: skip
-        gains = _tempered(gains_of_sizes(posterior, a, count, tried) - old)
+        gains = _tempered(gains_of_sizes(posterior, a, tried) - old)
         gains += length_prior(np.array([length for length, _ in tried])) - before
         k = int(np.argmax(gains))
         best, gain, extra = tried[k], float(gains[k]), []
@@ -192,7 +192,7 @@ def split_long(posterior: Posterior) -> list[Motion]:
 def _as_two(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
     """Return length and middle ahead of those of two vehicles in place of one, if they are."""
     motion = posterior.motions[vehicle]
-    ((rows, count),) = sample(posterior, (vehicle,))
+    (rows,) = sample(posterior, (vehicle,))
     if len(rows) == 0:
         return []
     shape, length = posterior.states.shape[rows], motion.length_m
@@ -202,14 +202,14 @@ def _as_two(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
     pairs += [(USUAL_M, other), (other, USUAL_M)] if other > USUAL_M else []
     posterior.lift(vehicle)
     alone = posterior.total.copy()
-    now = _sum(posterior, rows, count, shape)
+    now = _sum(posterior, rows, shape)
     posterior.total[:] = alone
     best = LEAST_GAIN
     for front, rear in pairs:
         if rear < SHORTEST_M - BETWEEN_M:
             continue
         sizes = [(front, 0.5 * (length - front)), (rear, 0.5 * (rear - length))]
-        new = sum(_sum(posterior, rows, count, _resized(shape, *size)) for size in sizes)
+        new = sum(_sum(posterior, rows, _resized(shape, *size)) for size in sizes)
         posterior.total[:] = alone
         apart = length - front - rear
         gain = float(_tempered(np.array(new - now)))
@@ -221,10 +221,9 @@ def _as_two(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
     return found
 
 
-def _sum(posterior: Posterior, rows: Integers, count: Floats, shape: Floats) -> float:
-    """Add states to what is there; return their gain over all else, by how much each counts."""
-    first = np.flatnonzero(np.diff(posterior.states.group[rows], prepend=-1))
-    return float((count[first] * posterior.gains(rows, shape, add=True)[:, 0]).sum())
+def _sum(posterior: Posterior, rows: Integers, shape: Floats) -> float:
+    """Add states to what is there; return their gain over all else."""
+    return float(posterior.gains(rows, shape, add=True)[:, 0].sum())
 
 
 def _tempered(gain: Floats) -> Floats:

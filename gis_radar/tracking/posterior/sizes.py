@@ -29,8 +29,9 @@ from gis_radar.tracking.size import LONG_M, length_prior, width_of
 # Shorter ones are only the tracker's: one scatterer looks like a motorcycle.
 TRIED_M = (4.0, 4.5, 5.0, 6.0, 7.5, 9.0, 10.5, 12.0, 14.0, 16.5, 18.5)
 STAYS = (-1.0, 0.0, 1.0)  # what of a body stays where it is: rear, middle, front
-MOST_WINDOWS = 20  # half seconds that are looked at, spread over its time: no more count
-TELLS = 20.0  # half seconds, driven and at rest: the same scatterers tell no more of a length
+# Half seconds that are looked at, driven and at rest each, spread over its time: the same
+# scatterers tell no more of a length.
+MOST_WINDOWS = 20
 LEAST_GAIN = 2.0  # of the log-probability
 
 
@@ -71,14 +72,14 @@ def resize(posterior: Posterior) -> list[Motion]:
 def _best_size(posterior: Posterior, vehicle: int) -> tuple[float, float, float]:
     """Return the length that fits best, how far ahead the middle is then, and the gain."""
     motion = posterior.motions[vehicle]
-    ((rows, count),) = sample(posterior, (vehicle,))
+    (rows,) = sample(posterior, (vehicle,))
     if len(rows) == 0:
         return motion.length_m, 0.0, 0.0
     tried = [(motion.length_m, 0.0)] + [
         (length, 0.5 * stays * (motion.length_m - length)) for length in TRIED_M for stays in STAYS
     ]
     posterior.lift(vehicle)
-    found = gains_of_sizes(posterior, rows, count, tried)
+    found = gains_of_sizes(posterior, rows, tried)
     posterior.lift(vehicle, 1.0)
     found += [prior(motion.length_m), *np.repeat(_PRIORS, len(STAYS))]
     best = int(np.argmax(found))
@@ -86,17 +87,14 @@ def _best_size(posterior: Posterior, vehicle: int) -> tuple[float, float, float]
 
 
 def gains_of_sizes(
-    posterior: Posterior, rows: Integers, count: Floats, sizes: Sequence[tuple[float, float]]
+    posterior: Posterior, rows: Integers, sizes: Sequence[tuple[float, float]]
 ) -> Floats:
-    """Return the gain over all else of states with each length, their middle moved ahead.
-
-    `count` says how much each state counts.
-    """
+    """Return the gain over all else of states with each length, their middle moved ahead."""
     table = np.array([(length, width_of(length), ahead) for length, ahead in sizes])
     states = posterior.states
     return _sum_gains(
         groups_of(states.group[rows]), states.frame[rows], posterior.sensor[rows],
-        states.shape[rows], posterior.open[rows], count, table, posterior.rates, posterior.seen,
+        states.shape[rows], posterior.open[rows], table, posterior.rates, posterior.seen,
         posterior.alpha,
     )  # fmt: skip
 
@@ -104,7 +102,7 @@ def gains_of_sizes(
 @compiled
 def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
     group: Integers, frame: Integers, sensor: Integers, shape: Floats, open_share: Floats,
-    count: Floats, sizes: Floats, rates: Rates, seen: Seen, alpha: Floats,
+    sizes: Floats, rates: Rates, seen: Seen, alpha: Floats,
 ) -> Floats:  # fmt: skip
     """Return the gain for each (length, width, ahead) of `sizes`."""
     begin, row, pair = _pairs(frame, shape, sizes, seen)
@@ -114,7 +112,7 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
         length, width, ahead = sizes[k]
         half, side, e = 0.5 * length, 0.5 * width + REACH_M, 0
         while e < len(group):
-            g, n, due, counts = group[e], 0, 0.0, count[e]
+            g, n, due = group[e], 0, 0.0
             stands = 1 if shape[e, 4] < STANDS_MPS else 0
             while e < len(group) and group[e] == g:
                 new[:] = shape[e]
@@ -135,7 +133,7 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
                         room[n, 0], room[n, 1] = mu * density, seen[6][row[q]]
                         n += 1
                 e += 1
-            gains[k] += counts * gain_of(room, n, due, alpha[stands])[0]
+            gains[k] += gain_of(room, n, due, alpha[stands])[0]
     return gains
 
 
@@ -185,27 +183,16 @@ def _pairs(
     return begin, row[:n], pair[:n]
 
 
-def sample(posterior: Posterior, vehicles: Sequence[int]) -> list[tuple[Integers, Floats]]:
-    """Return states of vehicles in some half seconds of their time, and how much each counts.
+def sample(posterior: Posterior, vehicles: Sequence[int]) -> list[Integers]:
+    """Return states of vehicles in some half seconds of their time.
 
-    Of the time in which the first one drives no more half seconds count than `TELLS`, and as many
-    of the rest: the same scatterers tell no more of a body.
+    In as many at most of the time in which the first one drives as of the rest.
     """
     states = posterior.states
     parts = [states.rows(each) for each in vehicles]
     slow = states.window[parts[0]][states.shape[parts[0], SPEED] < STANDS_MPS]
     windows = np.unique(np.concatenate([states.window[each] for each in parts]))
     rests = np.isin(windows, slow)
-    chosen, counts = [np.zeros(0, np.int64)], [np.zeros(0)]
-    for kind in (windows[~rests], windows[rests]):
-        some = kind[:: max(-(-len(kind) // MOST_WINDOWS), 1)]
-        chosen.append(some)
-        counts.append(np.full(len(some), min(1.0, TELLS / max(len(some), 1))))
-    window, count = np.concatenate(chosen), np.concatenate(counts)
-    order = np.argsort(window)
-    found = []
-    for part in parts:
-        rows = part.start + np.flatnonzero(np.isin(states.window[part], window))
-        place = np.searchsorted(window[order], states.window[rows])
-        found.append((rows, count[order][place]))
-    return found
+    kinds = (windows[~rests], windows[rests])
+    some = np.concatenate([each[:: max(-(-len(each) // MOST_WINDOWS), 1)] for each in kinds])
+    return [part.start + np.flatnonzero(np.isin(states.window[part], some)) for part in parts]
