@@ -50,6 +50,7 @@ from gis_radar.products.heatmap.occupancy import (
     mean_occupancy,
     occupancy_of,
 )
+from gis_radar.products.heatmap.shifts import shifts_of
 
 DEFINITIONS = {
     "hit_s": (
@@ -211,7 +212,9 @@ class Tally:
             seen=seen if chosen is None else np.searchsorted(chosen, seen),
             hit=sums["hit_steps"].astype(np.uint32),
             observed=sums["observed_steps"].astype(np.uint32),
-            occupancy=occupancy_of(sums, over, tiles, seen) if dataset.has_vehicles else None,
+            occupancy=occupancy_of(sums, over, tiles, seen, shifts_of(dataset, tiles))
+            if dataset.has_vehicles
+            else None,
             labels=labels or NO_LABELS,
             further={
                 name: (sums[name].astype(np.uint32), sums[SHARES[name]].astype(np.uint32))
