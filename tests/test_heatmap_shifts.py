@@ -10,7 +10,7 @@ import pytest
 import shapely
 
 from gis_radar.products.heatmap.occupancy import occupancy_of
-from gis_radar.products.heatmap.shifts import MAP_M, POSE_M, Shifts, shifts_of
+from gis_radar.products.heatmap.shifts import MAP_M, POSE_M, Shifts, lanes_beside, shifts_of
 
 UTM = "EPSG:25832"
 ORIGIN = np.array([690_000.0, 5_336_000.0])
@@ -92,12 +92,23 @@ def test_along_the_lane_occupancy_is_that_of_the_place_so_far_on(along_m, change
 
 
 def test_across_the_lane_some_poses_put_all_on_another_one():
-    tiles, share = tiles_ahead(2), 0.5
+    """Of two lanes in one direction, and one against them, one is occupied half of the time."""
+    one, other, against = tiles_ahead(2), tiles_ahead(2), tiles_ahead(2)
+    other.geometry = other.translate(0.0, 3.0)
+    against.geometry = shapely.transform(
+        against.geometry.to_numpy(), lambda xy: 2.0 * (ORIGIN + [100.5, -1.5]) - xy
+    )
+    tiles = pd.concat([one, other.assign(lanelet_id=8), against.assign(lanelet_id=9)])
+    tiles = tiles.reset_index(drop=True).assign(tile_id=np.arange(6))
+    assert lanes_beside(tiles).tolist() == [[2, 3, -1, -1, -1, -1], [-1, -1, 0, 1, -1, -1]]
+    share = np.array([0.5, 0.5, 0.0, 0.0, 0.5, 0.5])
     sums = {
-        "visible_steps": np.full((1, 2), 1000.0), "occupied_steps": np.full((1, 2), 500.0),
-        "occupied_variance": np.zeros((1, 2)), "inferred_steps": np.zeros((1, 2)),
+        "visible_steps": np.full((1, 6), 1000.0), "occupied_steps": 1000.0 * share[None],
+        "occupied_variance": np.zeros((1, 6)), "inferred_steps": np.zeros((1, 6)),
     }  # fmt: skip
-    shifts = Shifts(along=np.full(2, 0.3), across=np.array([0.15, 1.5]))
-    near, far = occupancy_of(sums, sums, tiles, np.arange(2), shifts).error_whole
-    assert near == pytest.approx(0.002)  # two steps of a thousand
-    assert far == pytest.approx(share * np.sqrt(0.3173), rel=1e-3)  # beyond one sigma
+    shifts = Shifts(along=np.full(6, 0.3), across=np.tile([0.15, 1.5], 3))
+    found = occupancy_of(sums, sums, tiles, np.arange(6), shifts).error_whole
+    assert found[::2] == pytest.approx(0.002)  # two steps of a thousand
+    chance = 0.3173  # beyond one sigma
+    leave, come = 0.5 * np.sqrt(chance), 0.5 * np.sqrt(chance / 2.0)
+    assert found[1::2] == pytest.approx([leave, come, leave], rel=1e-3)

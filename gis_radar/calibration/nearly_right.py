@@ -100,11 +100,10 @@ def _is_off(found: Finding) -> bool:
 
 def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     pose = excerpt.usual
-    points = excerpt.moving.points
-    if not np.isfinite(points).all():
+    if not np.isfinite(excerpt.moving.points).all():
         return _without_heights(found)
     samples = thin(*excerpt.as_usual)
-    near = lanes.around(pose, lanes.reach_m(points))
+    near = lanes.around(pose, lanes.reach_m(excerpt))
     if near is None or not np.isfinite(near.points[:, 2]).any():
         return _without_heights(found)
     centre = State(

@@ -16,7 +16,7 @@ import numpy as np
 from gis_radar.base import QUIET, Reporter, Text
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.excerpt import LEAST_VEHICLES, WILD_MPS, Excerpt, iso, read_excerpts
-from gis_radar.calibration.explanations import by_lanes
+from gis_radar.calibration.explanations import by_lanes, least_share
 from gis_radar.calibration.findings import (
     FITS,
     RECORD_MORE,
@@ -212,8 +212,9 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     order = np.argsort(excerpt.time[first], kind="stable")
     driving = score(excerpt, lanes).driving[order]
     split, gain = best_split(driving, LEAST_PART)
-    if gain < EXPLAINED:
-        return None
+    parts = driving[:split], driving[split:]
+    if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in parts):
+        return None  # where neither fits, what is wrong is so all along
     when = float(excerpt.time[first[order[split]]])
     until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(when))
     bad = since if until.verdict == FITS else until

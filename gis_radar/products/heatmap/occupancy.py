@@ -11,14 +11,17 @@ finite number of runs of steps, each of which may be too long, too short, or not
   `hidden_share` of that time only the occupancy at large is known;
 - all vehicles may be shifted along the lane, as poses and maps are (:mod:`.shifts`): occupancy is
   then that of the place so far ahead or behind;
-- across it, a pose that is off by more than half of a tile's width puts them on another lane.
+- across it, a pose that is off by more than half of a tile's width puts them on the next lane, as
+  often to the left as to the right.
 
 With T the length of a run, V the visible time, H the hidden part of it, c the occupancy, d how it
-changes by the shift along the lane and p the chance of another lane,
+changes by the shift along the lane, p the chance of another lane, l and r the occupancy of those
+beside it (0 where there is none),
 `se = sqrt(sum(min(end_share T, end_most_s)^2 + (false_share T)^2 or (inferred_share T)^2) / V^2
-+ (hidden_share H / V)^2 c (1 - c) + d^2 + p c^2)`, and at least `least_s / V`. Runs are
-independent of each other, hidden times and shifts are not. The first sum is the dataset's
-`occupied_variance` (:mod:`gis_radar.dataset.tile_counts`), the hidden time its `inferred_steps`.
++ (hidden_share H / V)^2 c (1 - c) + d^2 + p ((l - c)^2 + (r - c)^2) / 2)`, and at least
+`least_s / V`. Runs are independent of each other, hidden times and shifts are not. The first sum is
+the dataset's `occupied_variance` (:mod:`gis_radar.dataset.tile_counts`), the hidden time its
+`inferred_steps`.
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ from numpy.typing import NDArray
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.hdmap import lanes_of
-from gis_radar.products.heatmap.shifts import Shifts
+from gis_radar.products.heatmap.shifts import Shifts, lanes_beside
 from gis_radar.products.heatmap.style import UNCERTAIN_FROM, UNCERTAIN_SEEN
 
 OCCUPANCY_DEFINITIONS = {
@@ -224,7 +227,8 @@ class _Shifted:
     seen: Integers
     at_m: Floats
     ends: tuple[Floats, Floats]
-    other_lane: Floats  # chance of it, of the counted tiles
+    beside: Integers  # (2, k) tiles beside the counted ones, -1 where there is none
+    other_lane: Floats  # chance of it
 
     @classmethod
     def of(cls, tiles: gpd.GeoDataFrame, seen: Integers, shifts: Shifts) -> _Shifted:
@@ -240,7 +244,10 @@ class _Shifted:
         )
         half_m = tiles["width_m"].to_numpy(float) / 2
         chance = 2.0 * scipy.special.ndtr(-half_m / np.maximum(shifts.across, 1e-6))
-        return cls(seen=seen, at_m=at_m, ends=tuple(ends), other_lane=chance[seen])
+        return cls(
+            seen=seen, at_m=at_m, ends=tuple(ends), beside=lanes_beside(tiles)[:, seen],
+            other_lane=chance[seen],
+        )  # fmt: skip
 
     def error(self, visible: Any, occupied: Any, squares: Floats, hidden: Floats) -> Floats:
         """Return the standard error of occupancy of the counted tiles, NaN where not visible."""
@@ -248,7 +255,8 @@ class _Shifted:
         share = np.full(len(self.at_m), np.nan)
         share[self.seen] = np.where(visible > 0, occupancy, np.nan)
         unknown = (ERRORS.hidden_share * hidden) ** 2 * occupancy * (1.0 - occupancy)
-        shifted = self._change(share) ** 2 + self.other_lane * occupancy**2
+        beside = np.append(np.nan_to_num(share), 0.0)[self.beside] - occupancy
+        shifted = self._change(share) ** 2 + self.other_lane * (beside**2).mean(axis=0)
         least = ERRORS.least_s / STEP_S / time
         found = np.sqrt((squares + unknown) / time**2 + shifted)
         return np.where(visible > 0, np.clip(found, np.minimum(least, 1.0), 1.0), np.nan)

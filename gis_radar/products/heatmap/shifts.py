@@ -2,6 +2,11 @@
 
 A pose that is off shifts all vehicles of its sensor alike, in every step, so that no time averages
 it out. A turned one shifts them across the line of sight, ranges that are too long along it.
+
+On a simulated motorway, measured ten times each from poses drawn with sigmas of 0.5 m and 0.3
+degrees (1 m and 0.5 degrees), 93 % (85 %) of the tiles are within two standard errors of the truth
+with the shift of usual poses for all, 96 % (96 %) with that of their own; with 0.15 m 98 % either
+way.
 """
 
 from __future__ import annotations
@@ -12,14 +17,15 @@ from typing import NamedTuple
 import geopandas as gpd
 import numpy as np
 
-from gis_radar.base import Floats
+from gis_radar.base import Floats, Integers
 from gis_radar.dataset import Dataset
-from gis_radar.hdmap import quads
+from gis_radar.hdmap import TileGrid, quads
 from gis_radar.poses import Pose, pose_from_dict
 
 # 1 sigma along and across of a pose that states none, and along of the map: 0.3 m together.
 POSE_M = 0.14
 MAP_M = float(np.sqrt(0.3**2 - POSE_M**2))
+ALIKE = 0.9  # cosine of 26 degrees: lanes of one direction
 MOST_SCALE = 0.01  # farther off 1 no scale of range passes a localization
 
 
@@ -48,9 +54,8 @@ def shifts_of(dataset: Dataset, tiles: gpd.GeoDataFrame) -> Shifts:
     tiles : GeoDataFrame
         All its tiles, by ascending `tile_id`.
     """
-    corners, ids = quads(tiles), tiles["tile_id"].to_numpy(np.int64)
-    centre, way = corners.mean(axis=1), corners[:, 1:3].sum(axis=1) - corners[:, [0, 3]].sum(axis=1)
-    way /= np.linalg.norm(way, axis=1)[:, None]
+    ids = tiles["tile_id"].to_numpy(np.int64)
+    centre, way = _ways(quads(tiles))
     poses, total, sensors = dataset.poses(), np.zeros((len(ids), 2)), np.zeros(len(ids))
     seen = dict(iter(dataset.sights().groupby("pose")["tile_id"]))
     for _, track in poses[poses["pose"].isin(seen.keys())].groupby("sensor"):
@@ -65,6 +70,36 @@ def shifts_of(dataset: Dataset, tiles: gpd.GeoDataFrame) -> Shifts:
     counts = np.maximum(sensors, 1.0)[:, None]
     along, across = np.where(sensors[:, None] > 0.0, total / counts**2, POSE_M**2).T
     return Shifts(along=np.sqrt(along + MAP_M**2), across=np.sqrt(across))
+
+
+def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
+    """Return the tiles of lanes in the same direction a width to the left and to the right.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles of a site.
+
+    Returns
+    -------
+    (2, n) int64 array
+        Positions of tiles; -1 where there is none.
+    """
+    corners, found = quads(tiles), np.full((2, len(tiles)), -1)
+    centre, way = _ways(corners)
+    left = tiles["width_m"].to_numpy(float)[:, None] * np.column_stack([-way[:, 1], way[:, 0]])
+    grid = TileGrid(corners)
+    for side, beside in zip((left, -left), found, strict=True):
+        tile, other = grid.assign(*(centre + side).T)
+        alike = (way[tile] * way[other]).sum(axis=1) > ALIKE
+        beside[tile[alike]] = other[alike]
+    return found
+
+
+def _ways(corners: Floats) -> tuple[Floats, Floats]:
+    """Return the middles of tiles and their directions of travel, (n, 2) each."""
+    way = corners[:, 1:3].sum(axis=1) - corners[:, [0, 3]].sum(axis=1)
+    return corners.mean(axis=1), way / np.linalg.norm(way, axis=1)[:, None]
 
 
 def _variances(pose: Pose, centre: Floats, way: Floats) -> Floats:
