@@ -159,6 +159,15 @@ def test_a_metre_off_shows_in_half_a_minute(checked, rows):
     assert found["R2"][2].startswith("set easting 690379")
 
 
+@pytest.mark.parametrize(("north_m", "verdict"), [(0.0, FITS), (0.8, LITTLE)])
+def test_what_is_measured_to_be_off_counts_in_what_would_show(checked, rows, north_m, verdict):
+    """0.6 ± 0.2 m off may as well be a metre: it is not doubted yet, but not said to fit."""
+    table = rows["R1"][rows["R1"]["time"] < rows["R1"]["time"].iloc[0] + 22.0]
+    _, found, _ = checked({"R1": (table, moved(POSES["R1"], north_m))})
+    assert found["R1"][0] == verdict
+    assert ("a pose up to 1.1 m or" in found["R1"][1]) is (verdict == LITTLE)
+
+
 @pytest.mark.parametrize("lost", [True, False])
 def test_signs_that_are_lost_show_where_few_approach(rows, tmp_path, lost):
     """Who recedes for good, and drives along a lane backwards, has lost the sign of its rate."""
