@@ -3,10 +3,10 @@
 A pose that is off shifts all vehicles of its sensor alike, in every step, so that no time averages
 it out. A turned one shifts them across the line of sight, ranges that are too long along it.
 
-On a simulated motorway, measured ten times each from poses drawn with sigmas of 0.5 m and 0.3
-degrees (1 m and 0.5 degrees), 93 % (85 %) of the tiles are within two standard errors of the truth
-with the shift of usual poses for all, 96 % (96 %) with that of their own; with 0.15 m 98 % either
-way.
+`bench/pose_errors.py` measures a simulated motorway ten times each by poses drawn from sigmas of
+0.5 m and 0.3 degrees (1 m, 0.5 degrees): 93 % (85 %) of the tiles are within two standard errors of
+the truth with the shift of usual poses for all, 96 % (96 %) with that of their own. At a junction
+that was not looked at before it is 90 to 91 % (81 to 92 %), by the true pose 94 %.
 """
 
 from __future__ import annotations
