@@ -34,7 +34,7 @@ from simulated import sites, true_pose
 import gis_radar as gr
 from gis_radar.base import Floats
 from gis_radar.calibration import FITS, UNKNOWN, Finding, LaneMap
-from gis_radar.calibration.excerpt import read_excerpt
+from gis_radar.calibration.excerpt import read_excerpts
 from gis_radar.calibration.explanations import BESIDE_LANES
 from gis_radar.calibration.findings import UNKNOWN_CAUSE
 from gis_radar.calibration.plausibility import judge
@@ -249,8 +249,8 @@ def judged(place: Place, sensor: str, case: Case) -> tuple[Finding, float]:
         path = Path(folder) / "recording.parquet"
         case.rows.to_parquet(path, index=False)
         begin = time.process_time()
-        excerpt = read_excerpt([gr.open_recording(path)], [as_track(case.pose)])
-        found = judge(sensor, excerpt, case.lanes or place.lanes, others)
+        excerpts = read_excerpts([gr.open_recording(path)], [as_track(case.pose)])
+        found, _ = judge(sensor, excerpts, case.lanes or place.lanes, others)
     return found, time.process_time() - begin
 
 
@@ -306,7 +306,7 @@ def main() -> None:
             else:
                 counts.setdefault(case.name, Counter())[result] += 1
             if given.lines:
-                print(f"{place.name} {case.name} [{result}] {found.line}", flush=True)
+                print(f"{place.name} {case.name} [{result}] {took_s:.1f}s {found.line}", flush=True)
     rows = [[name, *(str(each[o] or "") for o in OUTCOMES)] for name, each in counts.items()]
     total = sum(counts.values(), Counter())
     rows.append(["all", *(str(total[o]) for o in OUTCOMES)])

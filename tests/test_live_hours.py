@@ -119,7 +119,8 @@ def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
     later = recorded_at(made, FULL_US + HOUR_US - 45_000_000, ["R1"])
     assert make_hours(made.site, later, [HOUR + 1]).doubts == {"R1": None}
     late = recorded_at(made, FULL_US - 45_000_000, ["R1"])
-    assert make_hours(made.site, late, [HOUR]).doubts == {}
+    done = make_hours(made.site, late, [HOUR])
+    assert (done.doubts, done.untold) == ({}, {})
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
 
 
@@ -351,6 +352,31 @@ def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_wh
     jobs.end()
     assert jobs.turn_at(end_s + 3.0, end_s + 3.0) is None
     assert jobs.turn_at(end_s + 3.0, end_s + 3.0, full=True) == ("make_recordings",)
+
+
+def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
+    """At night too little moves: that ends no doubt, but is said, with the first such hour."""
+    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), pool=pool)
+
+    def after(number, **found):
+        now_s = end_of_hour_s(HOUR + number) + 1.0
+        jobs.touch([HOUR + number])
+        assert jobs.hours_at(now_s) == ("make_hours", [HOUR + number])
+        jobs.end(Done(**found))
+        jobs.turn_at(now_s, now_s)
+        return jobs.doubts
+
+    assert after(0, untold={"R1": HOUR}, doubts={"R2": "turned"}) == {"R2": "turned"}
+    assert after(1, doubts={"R1": "turned", "R2": None}) == {"R1": "turned", "R2": None}
+    since = f"turned; since {hour_text(HOUR + 2)} too little traffic to check it again"
+    for number in (2, 3):
+        untold = {"R1": HOUR + number, "R2": HOUR + number}
+        assert after(number, untold=untold) == {"R1": since, "R2": None}
+    assert after(4, doubts={"R1": "turned"})["R1"] == "turned"
+    assert after(5, untold={"R1": HOUR + 5})["R1"].startswith(
+        f"turned; since {hour_text(HOUR + 5)}"
+    )
+    assert after(6, doubts={"R1": None})["R1"] is None
 
 
 def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):

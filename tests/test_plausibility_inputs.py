@@ -7,6 +7,7 @@ Each is a site of the sample's junction with one thing that is unusual, or wrong
 import json
 import re
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pandas as pd
@@ -17,8 +18,9 @@ from scans import write_points
 
 import gis_radar as gr
 from gis_radar.calibration import LaneMap
-from gis_radar.calibration.excerpt import read_excerpt
+from gis_radar.calibration.excerpt import read_excerpts
 from gis_radar.calibration.explanations import by_lanes
+from gis_radar.calibration.plausibility import judge
 from gis_radar.calibration.traces import NONE
 from gis_radar.poses import PoseTrack, as_track, write_pose
 
@@ -130,12 +132,40 @@ def test_a_right_pose_is_not_refused(checked, rows, change, verdicts):
         )
 
 
+def test_more_is_read_where_traffic_does_not_show_the_pose(rows, tmp_path):
+    """The earlier pieces of a long recording are among the later ones; as few as do are read."""
+
+    def excerpts(table):
+        table.to_parquet(tmp_path / "R1.parquet", index=False)
+        return read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [as_track(POSES["R1"])])
+
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    little = list(excerpts(one_lane(rows["R1"])))
+    assert len(little) == 1
+    assert judge("R1", little, lanes, {})[0].verdict == LITTLE
+    parts = [rows["R1"].assign(time=rows["R1"]["time"] + 40.0 * number) for number in range(6)]
+    more = excerpts(pd.concat(parts))
+    found, excerpt = judge("R1", chain(little, more), lanes, {})
+    assert found.verdict == FITS
+    assert excerpt.vehicles >= 30
+    assert all(set(excerpt.moving.time) < set(each.moving.time) for each in more)
+
+
 def test_a_metre_off_shows_in_half_a_minute(checked, rows):
     """From there a single fit comes to rest beside the right place, and shows nothing."""
     table = rows["R2"][rows["R2"]["time"] < rows["R2"]["time"].iloc[0] + 30.0]
     _, found, _ = checked({"R2": (table, moved(POSES["R2"], 1.0))})
     assert re.search(r"its pose may be off .* off by 0\.[89]\d ± 0\.\d+ m", found["R2"][1])
     assert found["R2"][2].startswith("set easting 690379")
+
+
+@pytest.mark.parametrize(("north_m", "verdict"), [(0.0, FITS), (0.8, LITTLE)])
+def test_what_is_measured_to_be_off_counts_in_what_would_show(checked, rows, north_m, verdict):
+    """0.6 ± 0.2 m off may as well be a metre: it is not doubted yet, but not said to fit."""
+    table = rows["R1"][rows["R1"]["time"] < rows["R1"]["time"].iloc[0] + 22.0]
+    _, found, _ = checked({"R1": (table, moved(POSES["R1"], north_m))})
+    assert found["R1"][0] == verdict
+    assert ("a pose up to 1.1 m or" in found["R1"][1]) is (verdict == LITTLE)
 
 
 @pytest.mark.parametrize("lost", [True, False])
@@ -147,7 +177,8 @@ def test_signs_that_are_lost_show_where_few_approach(rows, tmp_path, lost):
     if lost:
         table = table.assign(range_rate=table["range_rate"].abs())
     table.to_parquet(tmp_path / "R1.parquet", index=False)
-    excerpt = read_excerpt([gr.open_recording(tmp_path / "R1.parquet")], [as_track(POSES["R1"])])
+    recording = gr.open_recording(tmp_path / "R1.parquet")
+    excerpt = next(read_excerpts([recording], [as_track(POSES["R1"])]))
     lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
     found = by_lanes(excerpt, lanes, {})
     assert found.cause == ("range rates look like absolute values" if lost else "")
@@ -166,7 +197,7 @@ def test_objects_that_are_left_out_leave_no_gaps(rows, tmp_path):
     rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
     since = np.array([0.0, rows["R1"]["time"].iloc[0] + 15.0])
     track = PoseTrack(since=since, poses=(moved(POSES["R1"], 9.0), POSES["R1"]))
-    excerpt = read_excerpt([gr.open_recording(tmp_path / "R1.parquet")], [track])
+    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track]))
     moving, number = excerpt.as_usual
     assert 0 < len(moving) < len(excerpt.moving)
     known = np.unique(number[number != NONE])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -84,6 +85,12 @@ class Excerpt:
         """How many vehicles there are."""
         return len(np.unique(self.vehicle))
 
+    @cached_property
+    def reach_m(self) -> float:
+        """How far off what moves is, but for one in two hundred detections, metres."""
+        off_m = np.linalg.norm(np.nan_to_num(self.moving.points), axis=1)
+        return float(np.percentile(off_m, 99.5)) if len(off_m) else 0.0
+
     @property
     def usual(self) -> Pose:
         """The pose that was in force for most of what moved."""
@@ -140,12 +147,14 @@ class _Rows:
     source: Integers
 
 
-def read_excerpt(
+def read_excerpts(
     recordings: Sequence[Recording], tracks: Sequence[PoseTrack], clock: SensorClock | None = None
-) -> Excerpt:
-    """Read pieces of a sensor's recordings: more of them where there is little traffic.
+) -> Iterator[Excerpt]:
+    """Yield excerpts of a sensor's recordings, with more and more pieces, as far as there are any.
 
-    Which ones follows from the first and last times of the recordings and from their traffic alone.
+    The first shows vehicles enough, where there are; the others are for whom that does not do.
+    Which pieces they hold follows from the first and last times of the recordings and from their
+    traffic alone.
 
     Parameters
     ----------
@@ -164,16 +173,13 @@ def read_excerpt(
     spans, count = [_span(each) for each in recordings], PIECES
     length_s = sum(end - begin for begin, end in spans)
     while True:
-        begins = _begins(spans, count)
-        rows = _rows(recordings, begins, clock or RIGHT)
+        rows = _rows(recordings, _begins(spans, count), clock or RIGHT)
         found = _excerpt(rows, tracks)
-        if (
-            found.vehicles >= ENOUGH
-            or found.wild
-            or PIECE_S * count >= length_s
-            or count >= MOST_PIECES
-        ):
-            return replace(found, stays=_stays(rows, tracks))
+        last = PIECE_S * count >= length_s or count >= MOST_PIECES
+        if last or found.vehicles >= ENOUGH or found.wild:
+            yield replace(found, stays=_stays(rows, tracks))
+        if last:
+            return
         count = 2 * count - 1
 
 

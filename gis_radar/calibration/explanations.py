@@ -86,8 +86,7 @@ def by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
             return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
         return wrong(if_so, *either((rival.cause, rival.advice) for rival, _ in best))
     chance = max((each.share for _, each in yaws), default=0.0)
-    drawn = RIGHT_SHARE - BELOW * np.sqrt(RIGHT_SHARE * (1.0 - RIGHT_SHARE) / len(given.on))
-    if given.share < min(max(LEAST_SHARE, min(chance + OVER_CHANCE, FITTING)), drawn):
+    if given.share < least_share(len(given.on), chance + OVER_CHANCE):
         by_chance = Text("{}, {:.0%} if turned at random", evidence, chance)
         return wrong(by_chance, UNKNOWN_CAUSE, ONE_PLACE)
     beside = {} if given.share >= FITTING else {
@@ -95,6 +94,20 @@ def by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
         "advice": Text("does the map lack lanes, or is the pose another sensor's?"),
     }  # fmt: skip
     return Finding(sensor="", verdict=FITS, evidence=evidence, **beside)
+
+
+def least_share(vehicles: int, by_chance: float = 0.0) -> float:
+    """Return the share of so many vehicles on lanes under which no pose fits.
+
+    Parameters
+    ----------
+    vehicles : int
+        How many there are: few miss the usual share by more.
+    by_chance : float
+        Share that another yaw would explain, and a little.
+    """
+    drawn = RIGHT_SHARE - BELOW * np.sqrt(RIGHT_SHARE * (1.0 - RIGHT_SHARE) / vehicles)
+    return float(min(max(LEAST_SHARE, min(by_chance, FITTING)), drawn))
 
 
 Tried = list[tuple[Rival, Score]]

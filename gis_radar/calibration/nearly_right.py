@@ -56,6 +56,7 @@ TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 # A pose that is off by more has to show, or nothing is said to fit (metres, degrees of yaw): a
 # third of a lane's width beside or 60 m ahead.
 SHOWS_M, SHOWS_DEG = 1.0, 1.0
+LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
 FARTHEST_DEG = 20.0  # what is farther off would show by the lanes that are driven
 TURNS = ("yaw", "pitch", "roll")
 STARTS_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)  # east, north
@@ -100,11 +101,10 @@ def _is_off(found: Finding) -> bool:
 
 def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     pose = excerpt.usual
-    points = excerpt.moving.points
-    if not np.isfinite(points).all():
+    if not np.isfinite(excerpt.moving.points).all():
         return _without_heights(found)
     samples = thin(*excerpt.as_usual)
-    near = lanes.around(pose, lanes.reach_m(points))
+    near = lanes.around(pose, lanes.reach_m(excerpt))
     if near is None or not np.isfinite(near.points[:, 2]).any():
         return _without_heights(found)
     centre = State(
@@ -119,7 +119,7 @@ def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     if not fit.converged or fit.fitness < FITTING:
         return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
     seen = _measured(fit, prior)
-    return _beyond(excerpt, seen, centre, found.evidence) or _shown(seen, found)
+    return _beyond(excerpt, seen, centre, found.evidence) or _shown(excerpt, seen, centre, found)
 
 
 def _without_heights(found: Finding) -> Finding:
@@ -145,12 +145,15 @@ def _fitted(scene: Scene, prior: Prior) -> Fit:
     return min(fits, key=lambda each: each.cost)
 
 
-def _shown(seen: Measurement, found: Finding) -> Finding:
+def _shown(excerpt: Excerpt, seen: Measurement, centre: State, found: Finding) -> Finding:
     """Return that a pose fits only where one that is off would show."""
     if found.cause:
         return found
-    most_m = OFF_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(seen.covariance[:2, :2])[-1]))
-    most_deg = OFF_SIGMAS * float(np.degrees(np.sqrt(seen.covariance[5, 5])))
+    off_m, sigma_m = _aside(seen, centre)
+    turn, sigma_deg = _turned(excerpt.usual, seen)[0]
+    widest_m = float(np.sqrt(np.linalg.eigvalsh(seen.covariance[:2, :2])[-1]))
+    most_m = max(OFF_SIGMAS * widest_m, off_m + LIKELY * sigma_m)
+    most_deg = max(OFF_SIGMAS * sigma_deg, abs(turn) + LIKELY * sigma_deg)
     if most_m <= SHOWS_M and most_deg <= SHOWS_DEG:
         return found
     evidence = Text(
@@ -158,6 +161,23 @@ def _shown(seen: Measurement, found: Finding) -> Finding:
         found.evidence, min(most_m, FARTHEST_M), min(most_deg, FARTHEST_DEG),
     )  # fmt: skip
     return replace(found, verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
+
+
+def _aside(seen: Measurement, centre: State) -> tuple[float, float]:
+    """Return how far beside a place a pose was measured, and the standard error, metres."""
+    gap, spread = (seen.position - centre.position)[:2], seen.covariance[:2, :2]
+    off_m = float(np.hypot(*gap))
+    return off_m, float(np.sqrt(gap @ spread @ gap)) / max(off_m, 1e-9)
+
+
+def _turned(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
+    """Return by which yaw, pitch and roll a pose differs from a measured one, with errors, deg."""
+    angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
+    sigmas = np.degrees(np.sqrt(np.diag(seen.covariance)[5:2:-1]))
+    turns = [
+        (a - getattr(pose, n) + 180.0) % 360.0 - 180.0 for a, n in zip(angles, TURNS, strict=True)
+    ]
+    return list(zip(turns, sigmas.tolist(), strict=True))
 
 
 def _measured(fit: Fit, prior: Prior) -> Measurement:
@@ -209,17 +229,15 @@ def _with_name(excerpt: Excerpt, yaw: float, within: float) -> Rival | None:
 def _beyond(excerpt: Excerpt, seen: Measurement, centre: State, evidence: str) -> Finding | None:
     """Return what of a measured pose is farther off than it may be."""
     pose = excerpt.usual
-    gap, spread = (seen.position - centre.position)[:2], seen.covariance[:2, :2]
-    off_m = float(np.hypot(*gap))
-    sigma_m = float(np.sqrt(gap @ spread @ gap)) / max(off_m, 1e-9)
-    angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
-    sigmas = np.degrees(np.sqrt(np.diag(seen.covariance)[5:2:-1]))
-    place, text = pose.position[:2] + gap, Text("{:.2f} ± {:.2f} m", off_m, sigma_m)
+    off_m, sigma_m = _aside(seen, centre)
+    turns = _turned(pose, seen)
+    place = pose.position[:2] + (seen.position - centre.position)[:2]
+    text = Text("{:.2f} ± {:.2f} m", off_m, sigma_m)
     there = Text("easting {:.2f}, northing {:.2f}", *place.tolist())
     seen_off = [(off_m, sigma_m, OFF_M, text, there)]
-    for name, angle, sigma, least in zip(TURNS, angles, sigmas, OFF_DEG, strict=True):
-        turn = (angle - getattr(pose, name) + 180.0) % 360.0 - 180.0
+    for name, (turn, sigma), least in zip(TURNS, turns, OFF_DEG, strict=True):
         text = Text("{} {:.2f} ± {:.2f} deg", Text(name), turn, sigma)
+        angle = (getattr(pose, name) + turn + 180.0) % 360.0 - 180.0
         seen_off.append((abs(turn), sigma, least, text, Text("{} {:.2f}", Text(name), angle)))
     far = [each for each in seen_off if each[0] > max(each[2], OFF_SIGMAS * each[1])]
     if not far:
@@ -228,7 +246,8 @@ def _beyond(excerpt: Excerpt, seen: Measurement, centre: State, evidence: str) -
     advice = Text("set {}", Text(", ").join(each[4] for each in far))
     if any(off > max(TOO_FAR * least, FAR_SIGMAS * sigma) for off, sigma, least, *_ in far):
         stands = off_m < max(TOO_FAR * OFF_M, OFF_SIGMAS * sigma_m)
-        named = _with_name(excerpt, float(angles[0]), OFF_SIGMAS * sigmas[0]) if stands else None
+        yaw, within = pose.yaw + turns[0][0], OFF_SIGMAS * turns[0][1]
+        named = _with_name(excerpt, yaw, within) if stands else None
         if named is not None and seen_off[1] in far:
             return wrong(put, named.cause, named.advice)
         return wrong(put, POSE_OFF, advice)

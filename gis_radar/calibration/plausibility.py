@@ -7,15 +7,16 @@ traffic to tell.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from gis_radar.base import QUIET, Reporter, Text
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.excerpt import LEAST_VEHICLES, WILD_MPS, Excerpt, iso, read_excerpt
-from gis_radar.calibration.explanations import by_lanes
+from gis_radar.calibration.excerpt import LEAST_VEHICLES, WILD_MPS, Excerpt, iso, read_excerpts
+from gis_radar.calibration.explanations import by_lanes, least_share
 from gis_radar.calibration.findings import (
     FITS,
     RECORD_MORE,
@@ -88,18 +89,20 @@ def check_plausibility(
         If a recording is damaged.
     """
     found, seen = dict[str, Finding](), dict[str, LaneDetections]()
-    excerpts = {
-        name: read_excerpt(each.recordings, each.tracks, each.clock)
+    more = {
+        name: read_excerpts(each.recordings, each.tracks, each.clock)
         for name, each in sorted(sensors.items())
     }
+    first = {name: next(excerpts) for name, excerpts in more.items()}
     poses = {
         name: each.usual if each.poses else sensors[name].tracks[0].poses[0]
-        for name, each in excerpts.items()
+        for name, each in first.items()
     }
-    for done, (name, excerpt) in enumerate(excerpts.items()):
+    for done, name in enumerate(first):
         reporter.progress(STAGE, done, len(sensors))
         others = {other: pose for other, pose in poses.items() if other != name}
-        found[name] = judge(name, excerpt, lanes, others)
+        excerpts = chain([first[name]], more[name])
+        found[name], excerpt = judge(name, excerpts, lanes, others)
         if found[name].verdict == FITS and len(sensors) > 1:
             seen[name] = on_lanes(excerpt, lanes)
     found |= odd_clocks(seen)
@@ -107,20 +110,37 @@ def check_plausibility(
     return tuple(found.values())
 
 
-def judge(sensor: str, excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
+def judge(
+    sensor: str, excerpts: Iterable[Excerpt], lanes: LaneMap, others: Mapping[str, Pose]
+) -> tuple[Finding, Excerpt]:
     """Judge one sensor by what moved before it.
 
     Parameters
     ----------
     sensor : str
         Its name.
-    excerpt : Excerpt
-        What moved.
+    excerpts : iterable of Excerpt
+        What moved; the next is looked at where that is too little.
     lanes : LaneMap
         The map.
     others : mapping of str to Pose
         The poses of the site's other sensors.
+
+    Returns
+    -------
+    Finding
+        Of the sensor.
+    Excerpt
+        That it rests on.
     """
+    for excerpt in excerpts:
+        found = _judged(excerpt, lanes, others)
+        if found.verdict != UNKNOWN:
+            break
+    return replace(found, sensor=sensor), excerpt
+
+
+def _judged(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
     pace = None if excerpt.wild else measure_range_scale(excerpt.moving)
     found = _odd_recording(excerpt) or odd_pace(pace) or _replaced(excerpt, lanes, others)
     found = found or _too_little(excerpt) or _changed(excerpt, lanes, others)
@@ -140,7 +160,7 @@ def judge(sensor: str, excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Po
         found = replace(found, evidence=evidence)
         if not found.cause:
             found = replace(found, verdict=UNKNOWN, advice=RECORD_MORE)
-    return replace(found, sensor=sensor)
+    return found
 
 
 def _too_little(excerpt: Excerpt) -> Finding | None:
@@ -192,8 +212,9 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     order = np.argsort(excerpt.time[first], kind="stable")
     driving = score(excerpt, lanes).driving[order]
     split, gain = best_split(driving, LEAST_PART)
-    if gain < EXPLAINED:
-        return None
+    parts = driving[:split], driving[split:]
+    if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in parts):
+        return None  # where neither fits, what is wrong is so all along
     when = float(excerpt.time[first[order[split]]])
     until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(when))
     bad = since if until.verdict == FITS else until

@@ -193,12 +193,9 @@ class LaneMap:
     kept: dict[tuple[float, float, float], Lanes | None] = field(default_factory=dict)
 
     @staticmethod
-    def reach_m(points: Floats) -> float:
+    def reach_m(excerpt: Excerpt) -> float:
         """Return how far around a sensor lanes are needed for its detections, metres."""
-        if len(points) == 0:
-            return MARGIN_M
-        reach_m = float(np.percentile(np.linalg.norm(np.nan_to_num(points), axis=1), 99.5))
-        return float(np.ceil((reach_m + MARGIN_M) / 10.0) * 10.0)
+        return float(np.ceil((excerpt.reach_m + MARGIN_M) / 10.0) * 10.0)
 
     def around(self, pose: Pose, reach_m: float) -> Lanes | None:
         """Return the lanes within reach of a pose; None where there is none."""
@@ -236,7 +233,7 @@ def score(excerpt: Excerpt, lanes: LaneMap, rival: Rival = GIVEN) -> Score:
     order, signs = rival.axes.value
     points = excerpt.points[:, order] * np.array(signs) / rival.scale
     rate = -excerpt.range_rate if rival.against else excerpt.range_rate
-    reach_m = lanes.reach_m(excerpt.moving.points)
+    reach_m = lanes.reach_m(excerpt)
     fit = np.full(len(points), np.log(OTHERS / AREA_M**2))
     on, over = np.zeros(len(points), dtype=bool), np.full(len(points), np.nan)
     for k, given in enumerate(excerpt.poses):
@@ -364,7 +361,7 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
         The map.
     """
     pose = excerpt.usual
-    near = lanes.around(pose, lanes.reach_m(excerpt.moving.points))
+    near = lanes.around(pose, lanes.reach_m(excerpt))
     if near is None or not np.isfinite(excerpt.moving.points).all():
         return []
     scene = Scene(lanes=near, samples=thin(*excerpt.as_usual))
@@ -440,7 +437,7 @@ def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
     """
     moving, found = excerpt.moving, list[LaneDetections]()
     for number, pose in enumerate(excerpt.poses):
-        mine, near = excerpt.held == number, lanes.around(pose, lanes.reach_m(moving.points))
+        mine, near = excerpt.held == number, lanes.around(pose, lanes.reach_m(excerpt))
         if near is None:
             continue
         found.append(

@@ -85,12 +85,15 @@ def _standing(time: Floats, places: Floats) -> tuple[Integers, Booleans]:
     """Return numbers of the parts of the time, and in which cells something stands in each."""
     second = np.floor(time - time[0]).astype(np.int64)
     cells = np.floor(places / CELL_M).astype(np.int64)
-    cell = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-    seen = np.unique(np.column_stack([second, cell]), axis=0)
-    part, of_second = np.unique(seen[:, 0] // int(PART_S), return_inverse=True)
-    hits = np.zeros((len(part), int(cell.max()) + 1))
-    np.add.at(hits, (of_second, seen[:, 1]), 1.0)
-    seconds = np.bincount(np.searchsorted(part, np.unique(seen[:, 0]) // int(PART_S)))
+    # a number for each: rows are sorted ten times as slowly
+    east, north = (cells - cells.min(axis=0)).T
+    cell = np.unique(east * (int(north.max()) + 1) + north, return_inverse=True)[1]
+    count = int(cell.max()) + 1
+    seen, there = np.divmod(np.unique(second * count + cell), count)
+    part, of_second = np.unique(seen // int(PART_S), return_inverse=True)
+    hits = np.bincount(of_second * count + there, minlength=len(part) * count)
+    hits = hits.reshape(len(part), count)
+    seconds = np.bincount(np.searchsorted(part, np.unique(seen) // int(PART_S)))
     stands = hits >= STANDS * seconds[:, None]
     kept = (seconds >= LEAST_PART_S) & (stands.sum(axis=1) >= LEAST_CELLS)
     return part[kept], stands[kept]

@@ -138,8 +138,9 @@ class Done(Reporter):
     hours : list of int
         Those that are to be made (again).
     doubts : dict
-        By sensor, what the check of poses and recordings doubts, nothing where all fits; sensors
-        with too little traffic to tell are left out.
+        By sensor, what the check of poses and recordings doubts, nothing where all fits.
+    untold : dict
+        By sensor, the hour in which there was too little traffic to tell.
     """
 
     said: list[str] = field(default_factory=list)
@@ -147,6 +148,7 @@ class Done(Reporter):
     quarters: list[Lately] = field(default_factory=list)
     hours: list[int] = field(default_factory=list)
     doubts: dict[str, str | None] = field(default_factory=dict)
+    untold: dict[str, int] = field(default_factory=dict)
 
     def log(self, message: str, level: str = "info") -> None:
         """Keep a warning."""
@@ -257,7 +259,9 @@ def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
             if path.exists()
         }
         for each in check_plausibility(sensors, lanes):
-            if each.verdict != UNKNOWN:
+            if each.verdict == UNKNOWN:
+                done.untold[each.sensor] = hour
+            else:
                 done.doubts[each.sensor] = each.told_with_advice if each.doubt else None
     except InputError:
         return  # what is damaged is named where it is measured

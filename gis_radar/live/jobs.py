@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from gis_radar.base import QUIET, GisRadarError, Reporter, stop_pool, watch_parent
+from gis_radar.base import QUIET, GisRadarError, Reporter, Text, stop_pool, watch_parent
 from gis_radar.dataset import hour_text
 from gis_radar.live.hour_work import (
     AFTER_US,
@@ -84,7 +84,8 @@ class HourJobs:
     wanted : bool
         Whether work waits for the spool to be closed.
     doubts : dict
-        By sensor, what the check of the last hour doubts of its pose and recording, or None.
+        By sensor, what the check doubts of its pose and recording, until it finds that they fit
+        (None), with the hour from which on there was too little traffic to tell.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class HourJobs:
         self._unmeasured: dict[int, _Unmeasured] = {}
         self._now = 0  # the quarter that runs
         self._quarter = 0  # that was measured last
+        self._untold: set[str] = set()  # sensors whose doubt could not be checked again
         self._said: set[str] = set()
         self._again_at, self._told_s = 0.0, BEHIND_S
 
@@ -219,10 +221,22 @@ class HourJobs:
                 self._unmeasured.pop(hour, None)
         self.touch(done.hours)
         self._quarters.add(done.quarters)
-        self.doubts |= done.doubts
+        self._doubt(done)
         self._say(done.said)
         for hour, why in done.not_measured.items():
             self._wait(hour, why)
+
+    def _doubt(self, done: Done) -> None:
+        """Keep a doubt until the sensor fits: an hour in which too little moves ends none."""
+        self.doubts |= done.doubts
+        self._untold -= done.doubts.keys()
+        for sensor, hour in done.untold.items():
+            doubt = self.doubts.get(sensor)
+            if doubt is not None and sensor not in self._untold:
+                self._untold.add(sensor)
+                self.doubts[sensor] = Text(
+                    "{}; since {} too little traffic to check it again", doubt, hour_text(hour)
+                )
 
     def _wait(self, hour: int, why: str) -> None:
         """Name an hour that is not measured; try it again after a quarter, then twice that, ..."""

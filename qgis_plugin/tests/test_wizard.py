@@ -174,6 +174,7 @@ def test_the_check_says_of_each_sensor_whether_it_fits(wizard, place, fake_worke
         ["R1", "fits", "96% of 48 vehicles drive along lanes", ""],
         ["R2", "does not fit", "yaw is off by 180 deg (0% of 41 vehicles)", "set yaw to 2.0"],
         ["R3", "too little traffic to tell", "4 vehicles move", "record more traffic"],
+        ["R4", "fits", "its pose may be off (9 vehicles)", "set easting 6"],
     ]
     rows = rows if wrong else [each for each in rows if each[0] != "R2"]
     line = "R3: too little traffic to tell: 4 vehicles move"
@@ -191,9 +192,9 @@ def test_the_check_says_of_each_sensor_whether_it_fits(wizard, place, fake_worke
     found = check.found.toPlainText()
     assert "R1: fits: 96% of 48 vehicles drive along lanes" in found
     assert found.count(line) == 1
-    assert (
-        "R2: does not fit: yaw is off by 180 deg (0% of 41 vehicles) (set yaw to 2.0)" in found
-    ) is wrong
+    refused = "R2: does not fit: yaw is off by 180 deg (0% of 41 vehicles)\n→ set yaw to 2.0\n"
+    assert (refused in found) is wrong
+    assert "R4: fits, but its pose may be off (9 vehicles)\n→ set easting 6\n" in found
     assert ("The site cannot be run: correct what does not fit" in found) is wrong
     assert check.isComplete() is not wrong
 

@@ -50,6 +50,7 @@ from gis_radar.products.heatmap.occupancy import (
     mean_occupancy,
     occupancy_of,
 )
+from gis_radar.products.heatmap.shifts import shifts_of
 
 DEFINITIONS = {
     "hit_s": (
@@ -148,16 +149,10 @@ class Tally:
 
     @classmethod
     def count(
-        cls,
-        dataset: Dataset,
-        whole: Timeline,
-        timeline: Timeline,
-        *,
-        chosen: Integers | None = None,
-        labels: MapLabels | None = None,
-        further: Sequence[str] = (),
-        reporter: Reporter = QUIET,
-    ) -> Self:
+        cls, dataset: Dataset, whole: Timeline, timeline: Timeline, *,
+        chosen: Integers | None = None, labels: MapLabels | None = None,
+        further: Sequence[str] = (), reporter: Reporter = QUIET,
+    ) -> Self:  # fmt: skip
         """Count the steps in which tiles were hit, observed, occupied and visible.
 
         Parameters
@@ -200,6 +195,7 @@ class Tally:
             cut = whole.cut_at(STEPS_PER_QUARTER)
             exact = not _of_quarters(cut, steps)
             over = _sums(dataset, ids[seen], cut, reporter, of_quarters=not exact)
+        shifts = shifts_of(dataset, tiles) if dataset.has_vehicles else None
         if not sums["hit_steps"].any():
             reporter.warn("no tile was hit while it was observed: the map shows zeros")
         return cls(
@@ -211,7 +207,7 @@ class Tally:
             seen=seen if chosen is None else np.searchsorted(chosen, seen),
             hit=sums["hit_steps"].astype(np.uint32),
             observed=sums["observed_steps"].astype(np.uint32),
-            occupancy=occupancy_of(sums, over, tiles, seen) if dataset.has_vehicles else None,
+            occupancy=None if shifts is None else occupancy_of(sums, over, tiles, seen, shifts),
             labels=labels or NO_LABELS,
             further={
                 name: (sums[name].astype(np.uint32), sums[SHARES[name]].astype(np.uint32))

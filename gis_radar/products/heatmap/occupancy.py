@@ -9,14 +9,19 @@ finite number of runs of steps, each of which may be too long, too short, or not
   `inferred_share` of one that was inferred while nothing was measured, of its whole length;
 - while other vehicles hide a tile nothing is measured there, on empty road as under vehicles: of
   `hidden_share` of that time only the occupancy at large is known;
-- all vehicles may be shifted along the lane by `shift_m`, as poses and maps are: that much of the
-  change of occupancy from tile to tile.
+- all vehicles may be shifted along the lane, as poses and maps are (:mod:`.shifts`): occupancy is
+  then that of the place so far ahead or behind;
+- across it, a pose that is off by more than half of a tile's width puts them on the next lane, as
+  often to the left as to the right.
 
-With T the length of a run, V the visible time, H the hidden part of it, and c the occupancy,
+With T the length of a run, V the visible time, H the hidden part of it, c the occupancy, d how it
+changes by the shift along the lane, p the chance of another lane, l and r the occupancy of those
+beside it (0 where there is none),
 `se = sqrt(sum(min(end_share T, end_most_s)^2 + (false_share T)^2 or (inferred_share T)^2) / V^2
-+ (hidden_share H / V)^2 c (1 - c) + (shift_m dc/ds)^2)`, and at least `least_s / V`. Runs are
-independent of each other, hidden times are not. The first sum is the dataset's `occupied_variance`
-(:mod:`gis_radar.dataset.tile_counts`), the hidden time its `inferred_steps`.
++ (hidden_share H / V)^2 c (1 - c) + d^2 + p ((l - c)^2 + (r - c)^2) / 2)`, and at least
+`least_s / V`. Runs are independent of each other, hidden times and shifts are not. The first sum is
+the dataset's `occupied_variance` (:mod:`gis_radar.dataset.tile_counts`), the hidden time its
+`inferred_steps`.
 """
 
 from __future__ import annotations
@@ -27,10 +32,12 @@ from typing import Any, NamedTuple
 
 import geopandas as gpd
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.hdmap import lanes_of
+from gis_radar.products.heatmap.shifts import Shifts, lanes_beside
 from gis_radar.products.heatmap.style import UNCERTAIN_FROM, UNCERTAIN_SEEN
 
 OCCUPANCY_DEFINITIONS = {
@@ -54,18 +61,16 @@ class OccupancyErrorSettings:
         Root of the variance of the hidden time, relative to its length, as of runs that were
         inferred. Of the tiles hidden for over a tenth of the time, in two simulated places, 6 and
         45 % are within two standard errors without it, 50 and 71 % with it.
-    shift_m : float
-        Error along the lane that all vehicles share, metres: poses 0.14 m, map 0.25 m.
     least_s : float
         Least error of the occupied time, seconds: two steps.
     """
 
     hidden_share: float = 0.7
-    shift_m: float = 0.3
     least_s: float = 0.1
 
 
 ERRORS = OccupancyErrorSettings()
+LONGEST_M = 1e5  # of a lanelet
 # Tables hold the roots of standard errors by interval in parts of a 32767th, the largest number of
 # two bytes: 0.0001 is kept to 0.3 %, larger ones better.
 ERROR_UNIT = 1.0 / 32767**2
@@ -176,7 +181,7 @@ def mean_occupancy(tiles: gpd.GeoDataFrame, shares: OccupancyShares) -> tuple[fl
 
 def occupancy_of(
     sums: Mapping[str, Floats], whole: Mapping[str, Floats], tiles: gpd.GeoDataFrame,
-    seen: Integers,
+    seen: Integers, shifts: Shifts,
 ) -> Occupancy:  # fmt: skip
     """Return the occupancy of tiles with its standard error.
 
@@ -190,11 +195,13 @@ def occupancy_of(
         All tiles, by ascending `tile_id`.
     seen : (k,) int64 array
         Positions of the tiles that were counted.
+    shifts : Shifts
+        By how much vehicles on each tile may be shifted.
     """
     names = ("visible_steps", "occupied_steps", "occupied_variance", "inferred_steps")
-    slopes = _LaneSlopes.of(tiles, seen)
-    errors = [slopes.error(*each) for each in zip(*(sums[name] for name in names), strict=True)]
-    error_whole = slopes.error(*(whole[name].sum(axis=0) for name in names))
+    lanes = _Shifted.of(tiles, seen, shifts)
+    errors = [lanes.error(*each) for each in zip(*(sums[name] for name in names), strict=True)]
+    error_whole = lanes.error(*(whole[name].sum(axis=0) for name in names))
     visible, occupied = (sums[name].astype(np.uint32) for name in names[:2])
     return Occupancy(
         visible=visible, occupied=occupied, error=_rounded(np.stack(errors)),
@@ -214,36 +221,47 @@ def _rounded(errors: Floats) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _LaneSlopes:
-    """The tiles before and after each tile of a lanelet, to see how occupancy changes along it."""
+class _Shifted:
+    """Tiles along one axis, a lanelet after the other, and where each may be shifted to."""
 
     seen: Integers
-    s_m: Floats
-    linked: NDArray[np.bool_]  # whether a tile follows the one before it in the table
+    at_m: Floats
+    ends: tuple[Floats, Floats]
+    beside: Integers  # (2, k) tiles beside the counted ones, -1 where there is none
+    other_lane: Floats  # chance of it
 
     @classmethod
-    def of(cls, tiles: gpd.GeoDataFrame, seen: Integers) -> _LaneSlopes:
-        lanelet, index = (tiles[n].to_numpy(np.int64) for n in ("lanelet_id", "index"))
-        linked = np.zeros(len(tiles) + 1, np.bool_)
-        linked[1:-1] = (lanelet[1:] == lanelet[:-1]) & (np.diff(index) == 1)
+    def of(cls, tiles: gpd.GeoDataFrame, seen: Integers, shifts: Shifts) -> _Shifted:
+        lanelet = np.unique(tiles["lanelet_id"].to_numpy(np.int64), return_inverse=True)[1]
         middle = tiles["s_m"].to_numpy(float) + tiles["length_m"].to_numpy(float) / 2
-        return cls(seen=seen, s_m=middle, linked=linked)
+        at_m = LONGEST_M * lanelet + middle
+        first, last = np.full((2, lanelet.max() + 1), [[np.inf], [-np.inf]])
+        np.minimum.at(first, lanelet, at_m)
+        np.maximum.at(last, lanelet, at_m)
+        ends = (
+            np.clip(at_m + step, first[lanelet], last[lanelet])[seen]
+            for step in (-shifts.along, shifts.along)
+        )
+        half_m = tiles["width_m"].to_numpy(float) / 2
+        chance = 2.0 * scipy.special.ndtr(-half_m / np.maximum(shifts.across, 1e-6))
+        return cls(
+            seen=seen, at_m=at_m, ends=tuple(ends), beside=lanes_beside(tiles)[:, seen],
+            other_lane=chance[seen],
+        )  # fmt: skip
 
     def error(self, visible: Any, occupied: Any, squares: Floats, hidden: Floats) -> Floats:
         """Return the standard error of occupancy of the counted tiles, NaN where not visible."""
         time, occupancy = np.maximum(visible, 1), occupied / np.maximum(visible, 1)
-        share = np.full(len(self.s_m), np.nan)
+        share = np.full(len(self.at_m), np.nan)
         share[self.seen] = np.where(visible > 0, occupancy, np.nan)
         unknown = (ERRORS.hidden_share * hidden) ** 2 * occupancy * (1.0 - occupancy)
-        slope = self._slope(share)[self.seen]
+        beside = np.append(np.nan_to_num(share), 0.0)[self.beside] - occupancy
+        shifted = self._change(share) ** 2 + self.other_lane * (beside**2).mean(axis=0)
         least = ERRORS.least_s / STEP_S / time
-        found = np.sqrt((squares + unknown) / time**2 + (ERRORS.shift_m * slope) ** 2)
+        found = np.sqrt((squares + unknown) / time**2 + shifted)
         return np.where(visible > 0, np.clip(found, np.minimum(least, 1.0), 1.0), np.nan)
 
-    def _slope(self, share: Floats) -> Floats:
-        """Return the steepest change of a share towards the tile before or after, a metre."""
-        change = np.zeros(len(share) + 1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            steps = np.abs(np.diff(share)) / np.diff(self.s_m)
-        change[1:-1] = np.where(self.linked[1:-1], np.nan_to_num(steps), 0.0)
-        return np.maximum(change[:-1], change[1:])
+    def _change(self, share: Floats) -> Floats:
+        """Return how much a share of the counted tiles changes by the shift, either way."""
+        there = (np.interp(end, self.at_m, share) for end in self.ends)
+        return np.asarray(np.fmax(*(np.nan_to_num(np.abs(t - share[self.seen])) for t in there)))

@@ -58,6 +58,10 @@ class CheckPage(Page):
         self.text = QPlainTextEdit()
         self.text.setReadOnly(True)
         form.addRow(tr("The site file"), self.text)
+        for box, share in ((self.found, 3), (self.text, 1)):
+            policy = box.sizePolicy()
+            policy.setVerticalStretch(share)
+            box.setSizePolicy(policy)
         self.is_good = False
         self._task: WorkerTask | None = None
         self._number = 0  # of the check: what an earlier one answers counts for nothing
@@ -181,8 +185,11 @@ class CheckPage(Page):
         """Say of each sensor whether it fits, in the words of the check: rows with their heads."""
         for sensor, verdict, evidence, advice in rows[1:]:
             colour = BAD if verdict == tr("does not fit") else ODD if advice else GOOD
-            line = f"{sensor}: {verdict}: {evidence}"
-            self.say(f"{line} ({advice})" if advice else line, colour)
+            told = f'<b style="color: {colour}">{html.escape(verdict)}</b>'
+            doubted = verdict == tr("fits") and advice
+            told = (tr("{}, but {}") if doubted else "{}: {}").format(told, html.escape(evidence))
+            advised = f"<br>→ {html.escape(advice)}" if advice else ""
+            self.say(f"<b>{html.escape(sensor)}</b>: {told}{advised}", "")
 
     def _recorded(self, found: dict[str, Any]) -> str:
         """Return what a sensor recorded in words, in the time of the site."""

@@ -1,0 +1,120 @@
+"""By how much all vehicles on a tile may be shifted together: what poses and map leave open.
+
+A pose that is off shifts all vehicles of its sensor alike, in every step, so that no time averages
+it out. A turned one shifts them across the line of sight, ranges that are too long along it.
+
+`bench/pose_errors.py` measures a simulated motorway ten times each by poses drawn from sigmas of
+0.5 m and 0.3 degrees (1 m, 0.5 degrees): 93 % (85 %) of the tiles are within two standard errors of
+the truth with the shift of usual poses for all, 96 % (96 %) with that of their own. At a junction
+that was not looked at before it is 90 to 91 % (81 to 92 %), by the true pose 94 %.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import NamedTuple
+
+import geopandas as gpd
+import numpy as np
+
+from gis_radar.base import Floats, Integers
+from gis_radar.dataset import Dataset
+from gis_radar.hdmap import TileGrid, quads
+from gis_radar.poses import Pose, pose_from_dict
+
+# 1 sigma along and across of a pose that states none, and along of the map: 0.3 m together.
+POSE_M = 0.14
+MAP_M = float(np.sqrt(0.3**2 - POSE_M**2))
+ALIKE = 0.9  # cosine of 26 degrees: lanes of one direction
+MOST_SCALE = 0.01  # farther off 1 no scale of range passes a localization
+
+
+class Shifts(NamedTuple):
+    """What all vehicles on each tile may be shifted by, 1 sigma, metres.
+
+    Parameters
+    ----------
+    along, across : (n,) arrays
+        Along the lane, map and poses; across it, poses alone: vehicles keep to lanes of the map.
+    """
+
+    along: Floats
+    across: Floats
+
+
+def shifts_of(dataset: Dataset, tiles: gpd.GeoDataFrame) -> Shifts:
+    """Return the shifts that the poses of a dataset leave open.
+
+    Sensors that see a tile count alike, and err independently; the poses of a track err as one.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With poses and sights.
+    tiles : GeoDataFrame
+        All its tiles, by ascending `tile_id`.
+    """
+    ids = tiles["tile_id"].to_numpy(np.int64)
+    centre, way = _ways(quads(tiles))
+    poses, total, sensors = dataset.poses(), np.zeros((len(ids), 2)), np.zeros(len(ids))
+    seen = dict(iter(dataset.sights().groupby("pose")["tile_id"]))
+    for _, track in poses[poses["pose"].isin(seen.keys())].groupby("sensor"):
+        own, times = np.zeros_like(total), np.zeros(len(ids))
+        for name, document in zip(track["pose"], track["document"], strict=True):
+            at = np.searchsorted(ids, seen[name].to_numpy(np.int64))
+            pose = pose_from_dict(json.loads(document), what=name)
+            own[at] += _variances(pose, centre[at], way[at])
+            times[at] += 1.0
+        total += own / np.maximum(times, 1.0)[:, None]
+        sensors += times > 0.0
+    counts = np.maximum(sensors, 1.0)[:, None]
+    along, across = np.where(sensors[:, None] > 0.0, total / counts**2, POSE_M**2).T
+    return Shifts(along=np.sqrt(along + MAP_M**2), across=np.sqrt(across))
+
+
+def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
+    """Return the tiles of lanes in the same direction a width to the left and to the right.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles of a site.
+
+    Returns
+    -------
+    (2, n) int64 array
+        Positions of tiles; -1 where there is none.
+    """
+    corners, found = quads(tiles), np.full((2, len(tiles)), -1)
+    centre, way = _ways(corners)
+    left = tiles["width_m"].to_numpy(float)[:, None] * np.column_stack([-way[:, 1], way[:, 0]])
+    grid = TileGrid(corners)
+    for side, beside in zip((left, -left), found, strict=True):
+        tile, other = grid.assign(*(centre + side).T)
+        alike = (way[tile] * way[other]).sum(axis=1) > ALIKE
+        beside[tile[alike]] = other[alike]
+    return found
+
+
+def _ways(corners: Floats) -> tuple[Floats, Floats]:
+    """Return the middles of tiles and their directions of travel, (n, 2) each."""
+    way = corners[:, 1:3].sum(axis=1) - corners[:, [0, 3]].sum(axis=1)
+    return corners.mean(axis=1), way / np.linalg.norm(way, axis=1)[:, None]
+
+
+def _variances(pose: Pose, centre: Floats, way: Floats) -> Floats:
+    """Return the variances along and across of what is seen at some places from a pose, (n, 2)."""
+    known, stated = pose.parsed_evidence(), pose.evidence.get("range_scale")
+    if known.covariance is not None:
+        covariance = known.covariance[np.ix_([0, 1, 5], [0, 1, 5])]
+    else:
+        sigma = [known.sigma.get(name, POSE_M) for name in ("easting", "northing")]
+        covariance = np.diag([*sigma, np.radians(known.sigma.get("yaw", 0.0))]) ** 2
+    scale = stated["sigma"] if isinstance(stated, dict) else 0.0
+    arm, found = centre - pose.position[:2], []
+    for side in (way, np.column_stack([-way[:, 1], way[:, 0]])):
+        turned = side[:, 1] * arm[:, 0] - side[:, 0] * arm[:, 1]
+        moves = np.column_stack([side, turned])
+        longer = min(scale, MOST_SCALE) * (side * arm).sum(axis=1)
+        found.append(np.einsum("ni,ij,nj->n", moves, covariance, moves) + longer**2)
+    return np.column_stack(found)
