@@ -77,3 +77,13 @@ def test_bounds_drawn_by_hand_in_short_steps_do_not_shake_the_direction(seed):
     )
     found = lane_headings([lane], [np.linspace(0.0, 1.0, 31)], [[]])[0]
     assert np.abs(found).max() < np.radians(0.5)
+
+
+def test_a_bound_without_length_leaves_the_direction_to_the_other():
+    """The inner bound of a sharp turn may be one point."""
+    point = shapely.LineString([[0.0, 0.0], [0.0, 0.0]])
+    outer = arc(5.0, np.pi / 2.0, 8)[1]
+    found = lane_headings([(point, outer)], [np.array([0.25, 0.5, 0.75])], [[0]])[0]
+    assert found == pytest.approx(np.array([0.25, 0.5, 0.75]) * np.pi / 2.0, abs=0.05)
+    none = lane_headings([(point, point)], [np.array([0.5])], [[]])[0]
+    assert np.isfinite(none).all()

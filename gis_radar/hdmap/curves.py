@@ -39,7 +39,7 @@ class Curve:
     def of(cls, line: shapely.LineString) -> Self:
         """Return the curve that a polyline stands for."""
         chords = np.diff(shapely.get_coordinates(line.simplify(DRAWN_M)), axis=0)
-        chords = chords[np.hypot(*chords.T) > 0.0]
+        chords = chords[np.hypot(*chords.T) > 0.0] if chords.any() else chords[:1]
         way = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
         return cls(length_m=np.hypot(*chords.T), way=way)
 
