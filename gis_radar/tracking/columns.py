@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 NONE = -1
-# Standard deviation of a vehicle's direction about that of its path, radians: 3 degrees of bends as
-# maps draw them, of lane changes, of a body that swings. Seen across it makes up its range rate.
-DIRECTION_RAD = 0.05
 
 # Of a body: of several branches where lanes fork, a row each.
 X, Y, HEADING, SPEED, FRONT, REAR = range(6)

@@ -34,7 +34,6 @@ from gis_radar.tracking.columns import (  # fmt: skip
     COLUMNS,
     COUNTS,
     COV_SV,
-    DIRECTION_RAD,
     FOLLOWED,
     FRONT,
     HALF,
@@ -387,8 +386,7 @@ def _misfit(
     cos = c * detection[3] + s * detection[4]
     expected = body[SPEED] * cos
     gap = abs(rate - expected)
-    across = DIRECTION_RAD * body[SPEED] * (c * detection[4] - s * detection[3])
-    noise = np.sqrt(limits[RATE] ** 2 + body[VAR_V] * cos * cos + across * across)
+    noise = np.sqrt(limits[RATE] ** 2 + body[VAR_V] * cos * cos)
     side = limits[ACROSS] + limits[AZIMUTH] * detection[5] + np.sqrt(min(body[VAR_D], 1.0))
     ahead = min(limits[ALONG], 0.5 + 0.2 * abs(body[SPEED]))
     ahead += 2.0 * np.sqrt(min(body[VAR_S], 1.0))
@@ -463,8 +461,7 @@ def _correct(
     u, w = dx * c + dy * s, dy * c - dx * s
     cos = c * detection[3] + s * detection[4]
     gap = detection[2] - body[SPEED] * cos
-    across = DIRECTION_RAD * body[SPEED] * (c * detection[4] - s * detection[3])
-    noise = limits[RATE] ** 2 + body[VAR_V] * cos * cos + across * across
+    noise = limits[RATE] ** 2 + body[VAR_V] * cos * cos
     told = gap * gap < 9.0 * noise
     if told and abs(cos) >= limits[LEAST_COS]:
         gain_v, gain_s = body[VAR_V] * cos / noise, body[COV_SV] * cos / noise

@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
-from gis_radar.tracking.columns import DIRECTION_RAD
 from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.paths import Path, path_through
+from gis_radar.tracking.paths import DIRECTION_RAD, Path, path_through
 from gis_radar.tracking.settings import MotionSettings
 from gis_radar.tracking.size import Size, size_of
 

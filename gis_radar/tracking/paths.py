@@ -13,6 +13,9 @@ from gis_radar.tracking.size import LONGEST_M
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
 FASTEST_MPS = 70.0  # over 250 km/h: nobody but racers
 FREE_TURN = 0.35  # by which headings of two states may be off, radians
+# Standard deviation of a vehicle's direction about that of its path, radians: 3 degrees of bends as
+# maps draw them, of lane changes, of a body that swings. Seen across it makes up its range rate.
+DIRECTION_RAD = 0.05
 BELL_M = 3  # standard deviation of the bell by which a path is smoothed, whole metres
 ANCHORS = 5  # states from which progress is followed, one of which is hardly off the way
 

@@ -8,7 +8,6 @@ from typing import TypeAlias
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, compiled
-from gis_radar.tracking.columns import DIRECTION_RAD
 from gis_radar.tracking.size import LONG_M
 
 ON_FACES = 0.75  # share of detections of the faces that are seen; others are of all the body
@@ -68,10 +67,9 @@ def place_density(
 
 
 @compiled
-def rate_density(rate: float, radial: float, across: float) -> float:
-    """Return the density of a range rate of a body that moves so along and across sight, s / m."""
-    sigma = math.hypot(RATE_MPS + RATE_SHARE * abs(radial), DIRECTION_RAD * across)
-    found = (1.0 - WHEELS) * _normal(rate - radial, sigma)
+def rate_density(rate: float, radial: float) -> float:
+    """Return the density of a range rate of a body that moves so along the line of sight, s / m."""
+    found = (1.0 - WHEELS) * _normal(rate - radial, RATE_MPS + RATE_SHARE * abs(radial))
     top = max(TURNS * abs(radial), 2.0 * RATE_MPS)
     turned = rate if radial >= 0.0 else -rate
     if -RATE_MPS < turned < top:
@@ -173,7 +171,7 @@ def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers
             continue
         cos, sin = aspect(c, s, turn, sight[d])
         found = place_density(along, left, cos, sin, length, width, away[d])
-        found *= rate_density(rate[d], speed * cos, speed * sin)
+        found *= rate_density(rate[d], speed * cos)
         if length > LONG_M:
             found *= taller(height[d], away[d])
         room[n, 0], row[n] = found, d

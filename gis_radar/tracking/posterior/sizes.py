@@ -175,7 +175,7 @@ def _pairs(
             if rear - REACH_M < along < front + REACH_M and abs(left) < side:
                 cos, sin = aspect(c, s, turn, sight[d])
                 pair[n, 0], pair[n, 1], pair[n, 2], pair[n, 3] = along, left, cos, sin
-                pair[n, 4] = rate_density(rate[d], speed * cos, speed * sin)
+                pair[n, 4] = rate_density(rate[d], speed * cos)
                 pair[n, 5] = taller(height[d], away[d])
                 row[n] = d
                 n += 1
