@@ -45,3 +45,16 @@ def test_each_sensor_is_compared_with_some_not_with_all(seen):
     pairs = clock_offsets_between(seen)
     assert len(pairs) <= 3 * SENSORS < SENSORS * (SENSORS - 1) / 2
     assert all(sum(name in pair for pair in pairs) >= 3 for name in seen)
+
+
+def test_groups_that_share_a_clock_each_are_compared_with_each_other():
+    """Two recorders a second apart, six sensors each, are named though each agrees within."""
+    rng = np.random.default_rng(2)
+    late = {f"A{k}": 0.0 for k in range(6)} | {f"B{k}": LATE_S for k in range(6)}
+    seen = {}
+    for name, value in late.items():
+        every = drive(rng, late_s=value)
+        # each group sees a piece of its own, which puts its pairs first
+        near = every.s_m < 200.0 if name[0] == "A" else every.s_m > 100.0
+        seen[name] = every.take(near)
+    assert {name[0] for name in odd_clocks(seen)} == {"A", "B"}

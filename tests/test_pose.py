@@ -122,6 +122,10 @@ def test_evidence_is_parsed_once_for_all():
         ({"covariance": (-np.eye(6)).tolist()}, "not symmetric and positive"),
         ({"covariance": np.triu(np.ones((6, 6))).tolist()}, "not symmetric and positive"),
         ({"sigma": {"yaw": -1.0}}, "R1: sigma of yaw is -1.0, expected a number from 0"),
+        (
+            {"range_scale": {"factor": 1.0, "sigma": "small"}},
+            "sigma of range_scale is 'small', expected a number from 0",
+        ),
         ({"sigma": {"yaw": "small"}}, "sigma of yaw is 'small'"),
         ({"sigma": 0.1}, "sigma is 0.1, expected a number by component"),
     ],

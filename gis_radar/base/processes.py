@@ -74,7 +74,7 @@ def run_child(
     environment: Mapping[str, str],
     waiting: Callable[[float], object],
 ) -> int:
-    """Run a program to its end; when this call is interrupted, the program is killed.
+    """Run a program to its end; when that is interrupted while it runs, the program is killed.
 
     It stays in the process group of its parent, so that who kills that group kills it too.
 

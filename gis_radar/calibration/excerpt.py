@@ -177,7 +177,9 @@ def read_excerpts(
         found = _excerpt(rows, tracks)
         last = PIECE_S * count >= length_s or count >= MOST_PIECES
         if last or found.vehicles >= ENOUGH or found.wild:
-            yield replace(found, stays=_stays(rows, tracks))
+            found = replace(found, stays=_stays(rows, tracks))
+            del rows  # who asks for more may wait long
+            yield found
         if last:
             return
         count = 2 * count - 1

@@ -47,8 +47,9 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
 def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str, str], ClockOffset]:
     """Measure the clock of each sensor against those that see most of its places.
 
-    Two that have `PARTNERS` each are not compared: a comparison takes a second, and a hundred
-    sensors of one view make five thousand pairs.
+    Two that have `PARTNERS` each are compared only where nothing links them yet, as two recorders
+    with a clock each: a comparison takes a second, and a hundred sensors of one view make five
+    thousand pairs.
 
     Parameters
     ----------
@@ -66,14 +67,16 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
         for one, other in combinations(seen, 2)
     }
     found, partners = dict[tuple[str, str], ClockOffset](), Counter[str]()
+    linked = {name: {name} for name in seen}
     for one, other in sorted(shared, key=lambda pair: -shared[pair]):
-        if min(partners[one], partners[other]) >= PARTNERS:
+        if other in linked[one] and min(partners[one], partners[other]) >= PARTNERS:
             continue
         try:
             found[one, other] = measured_offset(seen[one], seen[other])
         except NoAnswerError:  # no common view
             continue
         partners.update((one, other))
+        linked |= dict.fromkeys(joined := linked[one] | linked[other], joined)
     return found
 
 

@@ -17,6 +17,7 @@ import shapely
 from gis_radar.base import Floats, turned
 
 DRAWN_M = 0.05  # accuracy of drawn lines: what is nearer to a chord is no corner of it
+ALIKE_RAD = np.radians(5.0)  # two turns that differ by less are alike
 BEND_RAD = np.radians(30.0)  # a sharper turn from lane to lane is a corner, not a bend
 
 
@@ -113,5 +114,9 @@ def lane_headings(
 
 
 def _straightest(turns: dict[float, int]) -> int | None:
-    least = min(turns, key=abs, default=np.inf)
-    return turns[least] if abs(least) < BEND_RAD else None
+    """Return which lane goes on; none where two that part are as straight."""
+    least, *others = sorted(turns, key=abs) or [np.inf]
+    parts = any(
+        abs(each - least) > ALIKE_RAD and abs(each) - abs(least) < ALIKE_RAD for each in others
+    )
+    return None if parts or abs(least) >= BEND_RAD else turns[least]

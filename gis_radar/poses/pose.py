@@ -238,7 +238,10 @@ class Pose:
             a number from 0.
         """
         what, stated = Text("pose of {}", self.sensor), self.evidence
+        scale = stated.get("range_scale")  # a text where there was none to fit
+        scale_sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
         return Evidence(
+            range_scale_sigma=_from_zero(scale_sigma or 0.0, "range_scale", what),
             sigma=_parse_sigma(stated.get("sigma"), what),
             covariance=_parse_covariance(stated.get("covariance"), what),
             method=str(stated.get("method") or ""),
@@ -445,12 +448,15 @@ class Evidence:
         How the pose was found: `lane`, `icp`, `track`; empty where not stated.
     time : str
         Time of the last frame it was found from, ISO 8601; empty where not stated.
+    range_scale_sigma : float
+        One standard deviation of the factor on its ranges; 0 where not stated.
     """
 
     sigma: Mapping[str, float]
     covariance: Floats | None
     method: str
     time: str
+    range_scale_sigma: float = 0.0
 
     def plane_covariance(self) -> Floats | None:
         """Return the covariance of easting and northing, (2, 2) m^2, or None where not stated."""
@@ -468,13 +474,14 @@ def _parse_sigma(stated: Any, what: str) -> dict[str, float]:
     if not isinstance(stated, Mapping):
         raise InputError("{}: sigma is {}, expected a number by component", what, repr(stated))
     known = {name: stated[name] for name in COMPONENTS if stated.get(name) is not None}
-    for name, value in known.items():
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not 0.0 <= value < math.inf:
-            raise InputError(
-                "{}: sigma of {} is {}, expected a number from 0", what, name, repr(value)
-            )
-    return {name: float(value) for name, value in known.items()}
+    return {name: _from_zero(value, name, what) for name, value in known.items()}
+
+
+def _from_zero(value: Any, name: str, what: str) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not 0.0 <= value < math.inf:
+        raise InputError("{}: sigma of {} is {}, expected a number from 0", what, name, repr(value))
+    return float(value)
 
 
 def _parse_covariance(stated: Any, what: str) -> Floats | None:

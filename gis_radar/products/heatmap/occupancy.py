@@ -152,7 +152,8 @@ class Occupancy:
         if isinstance(interval, int):
             return np.asarray(self.error[interval], np.float64)
         parts = np.nan_to_num(self.error[interval]) * self.visible[interval]
-        return np.asarray(np.sqrt((parts**2).sum(axis=0)) / np.maximum(visible, 1))
+        apart = np.sqrt((parts**2).sum(axis=0)) / np.maximum(visible, 1)
+        return np.asarray(np.fmax(apart, self.error_whole))  # which no time averages out
 
 
 def surest(share: Floats, error: Floats) -> int:
