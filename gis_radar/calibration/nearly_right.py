@@ -27,7 +27,7 @@ from gis_radar.calibration.findings import (
     wrong,
 )
 from gis_radar.calibration.hypotheses import prior_at
-from gis_radar.calibration.kalman_filter import Measurement
+from gis_radar.calibration.kalman_filter import Measurement, covariance_of_angles
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.pace import PACE, lengthened
 from gis_radar.calibration.range_scale import RangeScale
@@ -173,7 +173,8 @@ def _aside(seen: Measurement, centre: State) -> tuple[float, float]:
 def _turned(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
     """Return by which yaw, pitch and roll a pose differs from a measured one, with errors, deg."""
     angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
-    sigmas = np.degrees(np.sqrt(np.diag(seen.covariance)[5:2:-1]))
+    spread = covariance_of_angles(seen.quaternion, seen.covariance)
+    sigmas = np.degrees(np.sqrt(np.diag(spread)[5:2:-1]))
     turns = [
         (a - getattr(pose, n) + 180.0) % 360.0 - 180.0 for a, n in zip(angles, TURNS, strict=True)
     ]
