@@ -315,3 +315,16 @@ def test_how_surely_a_pitch_is_off_does_not_depend_on_where_north_is(tmp_path, r
         stated = re.search(r"pitch -2\.\d+ ± ([\d.]+) deg", found.evidence)
         sigmas.append(float(stated[1]))
     assert sigmas[1] == pytest.approx(sigmas[0], abs=0.03)
+
+
+def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, rows):
+    """Across a street a pitch and a height raise all that passes alike."""
+    table = rows["R1"]
+    table[table["x"].between(35.0, 45.0)].to_parquet(tmp_path / "R1.parquet")
+    recorded = RecordedSensor(
+        recordings=[gr.open_recording(tmp_path / "R1.parquet")], tracks=[as_track(POSES["R1"])]
+    )
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    (found,) = check_plausibility({"R1": recorded}, lanes)
+    hidden = re.search(r"up to [\d.]+ m or ([\d.]+) deg off would hardly show", found.evidence)
+    assert float(hidden[1]) > 3.0
