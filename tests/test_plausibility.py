@@ -1,6 +1,7 @@
 """Poses and recordings that do not fit are refused by their likeliest mistake; right ones not."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,8 @@ from maps import Listener
 
 import gis_radar as gr
 from gis_radar.base import UsageError
-from gis_radar.calibration import ImplausibleError
-from gis_radar.poses import PoseTrack, write_pose
+from gis_radar.calibration import ImplausibleError, LaneMap, RecordedSensor, check_plausibility
+from gis_radar.poses import PoseTrack, as_track, write_pose
 
 SAMPLE = gr.sample_folder()
 MAP = SAMPLE / "junction.osm"
@@ -294,3 +295,36 @@ def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, 
             [tmp_path / "R1.parquet"], [turned("yaw", YAW + 180.0)], tiles, None, tmp_path / "e",
             hits_only=True,
         )  # fmt: skip
+
+
+def test_how_surely_a_pitch_is_off_does_not_depend_on_where_north_is(tmp_path, rows):
+    """Where map and pose are turned together, the error of a pitch is not that of a roll."""
+    rows["R2"].to_parquet(tmp_path / "R2.parquet")
+    pose, lanelets = POSES["R2"], gr.read_map(MAP).lanelets
+    off = replace(pose, pitch=pose.pitch + 1.7)
+    sigmas = []
+    for turn in (0.0, 90.0):
+        by = {"angle": turn, "origin": (pose.easting, pose.northing)}
+        there = lanelets.assign(**{n: lanelets[n].rotate(**by) for n in ("centre", "geometry")})
+        recorded = RecordedSensor(
+            recordings=[gr.open_recording(tmp_path / "R2.parquet")],
+            tracks=[as_track(replace(off, yaw=pose.yaw + turn))],
+        )
+        lanes = LaneMap(lanelets=there, road=np.empty((0, 3)))
+        (found,) = check_plausibility({"R2": recorded}, lanes)
+        stated = re.search(r"pitch -2\.\d+ ± ([\d.]+) deg", found.evidence)
+        sigmas.append(float(stated[1]))
+    assert sigmas[1] == pytest.approx(sigmas[0], abs=0.03)
+
+
+def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, rows):
+    """Across a street a pitch and a height raise all that passes alike."""
+    table = rows["R1"]
+    table[table["x"].between(35.0, 45.0)].to_parquet(tmp_path / "R1.parquet")
+    recorded = RecordedSensor(
+        recordings=[gr.open_recording(tmp_path / "R1.parquet")], tracks=[as_track(POSES["R1"])]
+    )
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    (found,) = check_plausibility({"R1": recorded}, lanes)
+    hidden = re.search(r"up to [\d.]+ m or ([\d.]+) deg off would hardly show", found.evidence)
+    assert float(hidden[1]) > 3.0

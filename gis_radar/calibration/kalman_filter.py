@@ -49,8 +49,7 @@ class Estimate:
     @property
     def angle_covariance(self) -> Floats:
         """The covariance in the order easting, northing, height, roll, pitch, yaw."""
-        to_angles = _to_angles(self.quaternion)
-        return np.asarray(to_angles @ self.covariance @ to_angles.T)
+        return covariance_of_angles(self.quaternion, self.covariance)
 
     def state(self, like: State) -> State:
         """Return the pose as a registration's state, with how vehicles reflect from another."""
@@ -111,6 +110,12 @@ def covariance_from_angles(quaternion: Floats, covariance: Floats) -> Floats:
     """Return a covariance of roll, pitch and yaw as one of a turn about the map's axes."""
     to_turn = np.linalg.inv(_to_angles(quaternion))
     return np.asarray(to_turn @ covariance @ to_turn.T)
+
+
+def covariance_of_angles(quaternion: Floats, covariance: Floats) -> Floats:
+    """Return a covariance of a turn about the map's axes as one of roll, pitch and yaw."""
+    to_angles = _to_angles(quaternion)
+    return np.asarray(to_angles @ covariance @ to_angles.T)
 
 
 def predicted(estimate: Estimate, time: float, drift: Sequence[float] = MONITOR.drift) -> Estimate:

@@ -27,7 +27,7 @@ from gis_radar.calibration.findings import (
     wrong,
 )
 from gis_radar.calibration.hypotheses import prior_at
-from gis_radar.calibration.kalman_filter import Measurement
+from gis_radar.calibration.kalman_filter import Measurement, covariance_of_angles
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.pace import PACE, lengthened
 from gis_radar.calibration.range_scale import RangeScale
@@ -53,9 +53,9 @@ from gis_radar.poses import Pose
 # and clearly: standard errors rest on how drivers usually keep to their lanes.
 OFF_M, OFF_DEG, OFF_SIGMAS = 0.7, (0.7, 1.5, 2.5), 3.0
 TOO_FAR, FAR_SIGMAS = 2.0, 5.0
-# A pose that is off by more has to show, or nothing is said to fit (metres, degrees of yaw): a
-# third of a lane's width beside or 60 m ahead.
-SHOWS_M, SHOWS_DEG = 1.0, 1.0
+# A pose that is off by more has to show, or nothing is said to fit (metres; degrees of yaw, pitch,
+# roll): a third of a lane's width beside or 60 m ahead, and what would be refused of a tilt.
+SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
 LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
 FARTHEST_DEG = 20.0  # what is farther off would show by the lanes that are driven
 TURNS = ("yaw", "pitch", "roll")
@@ -150,15 +150,19 @@ def _shown(excerpt: Excerpt, seen: Measurement, centre: State, found: Finding) -
     if found.cause:
         return found
     off_m, sigma_m = _aside(seen, centre)
-    turn, sigma_deg = _turned(excerpt.usual, seen)[0]
     widest_m = float(np.sqrt(np.linalg.eigvalsh(seen.covariance[:2, :2])[-1]))
     most_m = max(OFF_SIGMAS * widest_m, off_m + LIKELY * sigma_m)
-    most_deg = max(OFF_SIGMAS * sigma_deg, abs(turn) + LIKELY * sigma_deg)
-    if most_m <= SHOWS_M and most_deg <= SHOWS_DEG:
+    most_deg = [
+        max(OFF_SIGMAS * sigma, abs(turn) + LIKELY * sigma)
+        for turn, sigma in _turned(excerpt.usual, seen)
+    ]
+    hidden_deg = [each for each, least in zip(most_deg, SHOWS_DEG, strict=True) if each > least]
+    if most_m <= SHOWS_M and not hidden_deg:
         return found
     evidence = Text(
         "{}, but a pose up to {:.1f} m or {:.1f} deg off would hardly show",
-        found.evidence, min(most_m, FARTHEST_M), min(most_deg, FARTHEST_DEG),
+        found.evidence, min(most_m, FARTHEST_M),
+        min(max(hidden_deg, default=most_deg[0]), FARTHEST_DEG),
     )  # fmt: skip
     return replace(found, verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
 
@@ -173,7 +177,8 @@ def _aside(seen: Measurement, centre: State) -> tuple[float, float]:
 def _turned(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
     """Return by which yaw, pitch and roll a pose differs from a measured one, with errors, deg."""
     angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
-    sigmas = np.degrees(np.sqrt(np.diag(seen.covariance)[5:2:-1]))
+    spread = covariance_of_angles(seen.quaternion, seen.covariance)
+    sigmas = np.degrees(np.sqrt(np.diag(spread)[5:2:-1]))
     turns = [
         (a - getattr(pose, n) + 180.0) % 360.0 - 180.0 for a, n in zip(angles, TURNS, strict=True)
     ]
