@@ -112,3 +112,28 @@ def test_across_the_lane_some_poses_put_all_on_another_one():
     chance = 0.3173  # beyond one sigma
     leave, come = 0.5 * np.sqrt(chance), 0.5 * np.sqrt(chance / 2.0)
     assert found[1::2] == pytest.approx([leave, come, leave], rel=1e-3)
+
+
+def test_a_narrow_lane_beside_a_wide_one_is_found():
+    wide, narrow = tiles_ahead(2), tiles_ahead(2)
+    narrow.geometry = shapely.transform(
+        wide.geometry.to_numpy(),
+        lambda xy: xy * [1.0, 0.5] + [0.0, 0.5 * ORIGIN[1] + 2.25],
+    )
+    tiles = pd.concat([wide, narrow.assign(lanelet_id=8, width_m=wide["width_m"] / 2)])
+    tiles = tiles.reset_index(drop=True).assign(tile_id=np.arange(4))
+    assert lanes_beside(tiles).tolist() == [[2, 3, -1, -1], [-1, -1, 0, 1]]
+
+
+def test_of_several_intervals_the_shift_is_not_averaged_out():
+    """Sixteen intervals alike are as wrong by the pose as one of them and as all of the time."""
+    tiles, alike = tiles_ahead(10), np.ones((16, 1))
+    sums = {
+        "visible_steps": 1000.0 * np.ones((16, 10)),
+        "occupied_steps": 500.0 * (np.arange(10) > 4)[None] * alike,
+        "occupied_variance": np.zeros((16, 10)), "inferred_steps": np.zeros((16, 10)),
+    }  # fmt: skip
+    shifts = Shifts(along=np.full(10, 1.0), across=np.zeros(10))
+    found = occupancy_of(sums, sums, tiles, np.arange(10), shifts)
+    each = [found.shares(np.arange(10), 10, part).occupancy_se for part in (3, slice(0, 16), None)]
+    assert [float(errors[4]) for errors in each] == pytest.approx([0.5] * 3, rel=0.01)

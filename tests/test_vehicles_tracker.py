@@ -234,6 +234,20 @@ def test_a_state_off_the_way_that_a_vehicle_can_turn_makes_no_loop(k, heading):
     assert path.at(along)[0][:, 0] == pytest.approx(x, abs=2.5)
 
 
+def test_a_path_keeps_the_radius_of_its_bend():
+    """A bell of that width alone would lay it 0.7 m inside the bend."""
+    s, radius_m = np.arange(0.0, 100.0), 13.0
+    angle = np.clip((s - 40.0) / radius_m, 0.0, np.pi / 2)
+    after = np.maximum(s - 40.0 - radius_m * np.pi / 2, 0.0)
+    states = np.column_stack([
+        np.minimum(s, 40.0) + radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle)) + after,
+        angle, s / 8.0,
+    ])  # fmt: skip
+    path, along = path_through(states, 1.0)
+    true = shapely.LineString(states[:, :2])
+    assert true.distance(shapely.points(path.at(along)[0])).max() < 0.2
+
+
 @pytest.mark.parametrize("strays", [[0, 1, 2], [50, 51], [97, 98, 99], [20, 40, 60, 80]])
 def test_states_that_no_vehicle_could_reach_in_time_are_no_part_of_its_path(strays):
     """They lie 70 m ahead, as of one ahead of it that is followed against time."""

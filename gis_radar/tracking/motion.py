@@ -161,7 +161,7 @@ def fit_motion(
     rate = detections.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
     rate_var = (settings.range_rate_mps / np.maximum(np.abs(cos), STILL_COS)) ** 2
     together = np.bincount(step, minlength=count)[step]
-    # a direction is off for a second, and so are all range rates that it is seen across in
+    # The error of a direction lasts about a second: all range rates of that time share it.
     across = states[rows, 3] * sin / np.maximum(np.abs(cos), STILL_COS)
     rate_var += (DIRECTION_RAD * across) ** 2 * STEPS_PER_SECOND * together
     ends = np.column_stack([-np.sign(cos), np.abs(cos), sin])  # the end that is seen, and how much

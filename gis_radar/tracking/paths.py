@@ -14,7 +14,7 @@ TIGHTEST_M = 5.0  # radius of the turning circle of a small car
 FASTEST_MPS = 70.0  # over 250 km/h: nobody but racers
 FREE_TURN = 0.35  # by which headings of two states may be off, radians
 # Standard deviation of a vehicle's direction about that of its path, radians: 3 degrees of bends as
-# maps draw them, of lane changes, of a body that swings. Seen across it makes up its range rate.
+# maps draw them, of lane changes, of a body that swings.
 DIRECTION_RAD = 0.05
 BELL_M = 3  # standard deviation of the bell by which a path is smoothed, whole metres
 ANCHORS = 5  # states from which progress is followed, one of which is hardly off the way
@@ -198,7 +198,7 @@ def _smoothed(line: Floats) -> Path:
     """Return a line with a vertex a metre, smoothed so that its bends stay as they are.
 
     A bell alone cuts the inner side of a bend and begins it early. What it takes away is smoothed
-    in turn, and given back, twice (Tukey's *twicing*): what is left out bends within 9 m.
+    in turn, and given back, and that once more (Tukey's *twicing*): of a wave of 11 m half is left.
     """
     line = _every_metre(line)
     smooth = _blurred(line)

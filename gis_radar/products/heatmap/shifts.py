@@ -25,6 +25,7 @@ from gis_radar.poses import Pose, pose_from_dict
 POSE_M = 0.14
 MAP_M = float(np.sqrt(0.3**2 - POSE_M**2))
 ALIKE = 0.9  # cosine of 26 degrees: lanes of one direction
+BESIDE_M = 1.0  # beyond a lane's edge the next one is looked for: within the narrowest lane
 MOST_SCALE = 0.01  # farther off 1 no scale of range passes a localization
 
 
@@ -72,7 +73,7 @@ def shifts_of(dataset: Dataset, tiles: gpd.GeoDataFrame) -> Shifts:
 
 
 def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
-    """Return the tiles of lanes in the same direction a width to the left and to the right.
+    """Return the tiles of lanes in the same direction next on the left and on the right.
 
     Parameters
     ----------
@@ -86,7 +87,8 @@ def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
     """
     corners, found = quads(tiles), np.full((2, len(tiles)), -1)
     centre, way = _ways(corners)
-    left = tiles["width_m"].to_numpy(float)[:, None] * np.column_stack([-way[:, 1], way[:, 0]])
+    aside_m = tiles["width_m"].to_numpy(float) / 2 + BESIDE_M
+    left = aside_m[:, None] * np.column_stack([-way[:, 1], way[:, 0]])
     grid = TileGrid(corners)
     for side, beside in zip((left, -left), found, strict=True):
         tile, other = grid.assign(*(centre + side).T)
