@@ -239,8 +239,7 @@ class Pose:
         """
         what, stated = Text("pose of {}", self.sensor), self.evidence
         scale = stated.get("range_scale")  # a text where there was none to fit
-        scale_sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
-        scale_sigma = 0.0 if scale_sigma is None else scale_sigma
+        scale_sigma = scale.get("sigma", 0.0) if isinstance(scale, Mapping) else 0.0
         return Evidence(
             range_scale_sigma=_from_zero(scale_sigma, "range_scale", what),
             sigma=_parse_sigma(stated.get("sigma"), what),
