@@ -6,7 +6,8 @@ Each sensor sends 20 frames a second of the sample's detections, by the program'
 keeps what fusion has not stored. From a frame's time to the map that has it is measured in fusion,
 for each frame; one that comes too late for its window counts as never. Clients have other cores
 than fusion and broker, where there are two or more. With `--vehicles` they are followed, too, and
-quarters and hours are measured meanwhile. Figures go to `out/bench-live-soak.json`.
+quarters and hours are measured meanwhile. `--kill MINUTE NAME ...` kills `fusion`, `broker` or the
+`worker` then; the first two are started again at once. Figures go to `out/bench-live-soak.json`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -237,6 +239,7 @@ def fuse(folder: Path) -> None:
     def look() -> None:
         before = fusion.ages.copy()
         while not fusion.finishing.wait(LOOK_S):  # writing the rest takes memory of its own
+            write()
             ages, before = fusion.ages - before, fusion.ages.copy()
             counts = [each.health.counts for each in fusion.sensors.values()]
             row = {
@@ -247,22 +250,25 @@ def fuse(folder: Path) -> None:
             }
             rows.append(row | {"p50_ms": percentile(ages, 0.5), "p99_ms": percentile(ages, 0.99)})
 
+    def write() -> None:
+        counts: dict[str, int] = {}
+        for each in fusion.sensors.values():
+            for name, count in each.health.counts.items():
+                counts[name] = counts.get(name, 0) + count
+        ages = fusion.ages.copy()
+        ages[MOST_MS] += counts.get("late_frames", 0)
+        figures = {
+            "counts": counts, "rows": rows, "start_s": start_s, "finish_s": fusion.finish_s,
+            "told": told.lines[-20:], "figures": fusion.shown, "ages": ages.tolist(),
+        }  # fmt: skip
+        fresh = folder / f"fused-{begin:.0f}.new"  # may be killed amid it
+        fresh.write_text(json.dumps(figures))
+        fresh.replace(fresh.with_suffix(".json"))
+
     threading.Thread(target=look, daemon=True).start()
     with stopped_by_signals() as stop:
         fusion.run(stop)
-    counts: dict[str, int] = {}
-    for each in fusion.sensors.values():
-        for name, count in each.health.counts.items():
-            counts[name] = counts.get(name, 0) + count
-    ages = fusion.ages
-    ages[MOST_MS] += counts.get("late_frames", 0)
-    figures = {
-        "counts": counts, "rows": rows, "start_s": start_s, "finish_s": fusion.finish_s,
-        "told": told.lines[-20:], "figures": fusion.shown,
-        "p50_ms": percentile(ages, 0.5), "p99_ms": percentile(ages, 0.99),
-        "in_150_ms": float(ages[:151].sum() / ages.sum()),
-    }  # fmt: skip
-    (folder / "fused.json").write_text(json.dumps(figures, indent=1))
+    write()
 
 
 def percentile(ages: Integers, share: float) -> float:
@@ -328,55 +334,106 @@ def started(words: list[str], cores: list[int], **options: Any) -> subprocess.Po
     return program
 
 
-def soak(
-    folder: Path, *, sensors: int, processes: int, seconds: float, port: int, vehicles: bool
-) -> Figures:
-    """Run all programs, and return the figures."""
-    names = [f"S{k:04d}" for k in range(sensors)]
-    write_site(folder, names, port, vehicles=vehicles)
+class Centre:
+    """Broker and fusion, started again when they were killed.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the site's files.
+    cores : list of int
+        Where they run.
+    """
+
+    def __init__(self, folder: Path, cores: list[int]) -> None:
+        self._folder, self._cores = folder, cores
+        self._log = (folder / "mosquitto.log").open("ab")
+        self._ended_cpu_s = {"broker": 0.0, "fusion": 0.0}
+        self.broker = self._started("broker")
+        time.sleep(1.0)
+        self.fusion = self._started("fusion")
+
+    def _started(self, name: str) -> subprocess.Popen[bytes]:
+        if name == "fusion":
+            return started([sys.executable, __file__, "--fuse", str(self._folder)], self._cores)
+        words = [mosquitto_here(), "-c", "broker/mosquitto.conf"]
+        return started(words, self._cores, cwd=self._folder, stdout=self._log, stderr=self._log)
+
+    def kill(self, name: str) -> None:
+        """Kill the broker, fusion, or the worker beside it; start the first two again."""
+        if name == "worker":
+            pid = self.fusion.pid
+            for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+                os.kill(int(each), signal.SIGKILL)
+            return
+        program: subprocess.Popen[bytes] = getattr(self, name)
+        self._ended_cpu_s[name] += cpu_s(program.pid)
+        program.kill()
+        program.wait()
+        setattr(self, name, self._started(name))
+
+    def cpu_s(self, name: str) -> float:
+        """Return the CPU time of the broker or of fusion, with those that were killed."""
+        return self._ended_cpu_s[name] + cpu_s(getattr(self, name).pid)
+
+    def end(self) -> None:
+        """End both, fusion in its own time."""
+        for each in (self.fusion, self.broker):
+            each.terminate()
+            each.wait()
+        self._log.close()
+
+
+def mosquitto_here() -> str:
+    """Return the path of the broker's program."""
     mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if mosquitto is None:
         sys.exit("Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
+    return mosquitto
+
+
+def soak(
+    folder: Path, *, sensors: int, processes: int, seconds: float, port: int, vehicles: bool,
+    kills: list[tuple[float, str]],
+) -> Figures:  # fmt: skip
+    """Run all programs, and return the figures; `kills` are seconds and names of what is killed."""
+    names = [f"S{k:04d}" for k in range(sensors)]
+    write_site(folder, names, port, vehicles=vehicles)
     load, (own, others) = os.getloadavg(), cores_apart()
-    programs, mine = [], [sys.executable, __file__]
+    centre, senders = Centre(folder, own), list[subprocess.Popen[bytes]]()
     try:
-        with (folder / "mosquitto.log").open("wb") as log:
-            broker = started([mosquitto, "-c", "broker/mosquitto.conf"], own, cwd=folder,
-                             stdout=log, stderr=log)  # fmt: skip
-        programs.append(broker)
-        time.sleep(1.0)
-        fusion = started([*mine, "--fuse", str(folder)], own)
-        programs.append(fusion)
         time.sleep(5.0)
         shares = [names[k::processes] for k in range(processes)]
-        senders = [
-            started([*mine, "--send", str(folder), "--names", *share,
+        senders += [
+            started([sys.executable, __file__, "--send", str(folder), "--names", *share,
                      "--sensors", str(sensors), "--seconds", str(seconds)], others)
             for share in shares
         ]  # fmt: skip
-        programs += senders
         time.sleep(5.0)
-        watched = {"broker": broker.pid, "fusion": fusion.pid} | {
-            f"sender {k}": each.pid for k, each in enumerate(senders)
-        }
-        before, begin, memory = {n: cpu_s(p) for n, p in watched.items()}, time.monotonic(), []
+
+        def used_s() -> dict[str, float]:
+            of_centre = {name: centre.cpu_s(name) for name in ("broker", "fusion")}
+            return of_centre | {f"sender {k}": cpu_s(each.pid) for k, each in enumerate(senders)}
+
+        before, begin, memory, due = used_s(), time.monotonic(), [], sorted(kills)
         while time.monotonic() - begin < seconds - 15.0:
             time.sleep(min(LOOK_S, seconds / 10.0))
-            memory.append(resident_mb(broker.pid))
+            memory.append(resident_mb(centre.broker.pid))
+            while due and time.monotonic() - begin >= due[0][0]:
+                centre.kill(due.pop(0)[1])
         passed = time.monotonic() - begin
-        cores = {name: (cpu_s(pid) - before[name]) / passed for name, pid in watched.items()}
+        cores = {name: (value - before[name]) / passed for name, value in used_s().items()}
         for each in senders:
             each.wait()
-        fusion.terminate()
-        fusion.wait()
     finally:
-        for each in reversed(programs):
+        for each in senders:
             if each.poll() is None:
                 each.terminate()
                 each.wait()
+        centre.end()
     return gathered(folder, shares, cores, memory, load) | {
         "sensors": sensors, "seconds": seconds, "processes": processes,
-        "cores_of_fusion_and_broker": own, "cores_of_senders": others,
+        "cores_of_fusion_and_broker": own, "cores_of_senders": others, "kills": kills,
     }  # fmt: skip
 
 
@@ -389,28 +446,30 @@ def gathered(
 ) -> Figures:
     """Return all figures in one table."""
     sent = [json.loads((folder / f"sent-{share[0]}.json").read_text()) for share in shares]
-    fused = json.loads((folder / "fused.json").read_text())
+    runs = [json.loads(each.read_text()) for each in sorted(folder.glob("fused-*.json"))]
+    ages = np.sum([each["ages"] for each in runs], axis=0)
+    fused = runs[-1]
     recorded = [*folder.glob("live/parts/*/*.parquet"), *folder.glob("live/recordings/*/*.parquet")]
     times = [pq.read_table(each, columns=["time"])["time"].to_numpy() for each in recorded]
     stored = sum(len(np.unique(each)) for each in times)
-    rows = [row for row in fused["rows"] if "memory_mb" in row]
+    rows = [row for each in runs for row in each["rows"]]
     size = sum(each.stat().st_size for each in folder.rglob("*.parquet"))
     return {
         "sent": sum(each["sent"] for each in sent),
         "lost": sum(each["sent"] for each in sent) - stored,
         "stored": stored,
-        "frame_to_map_p50_ms": fused["p50_ms"],
-        "frame_to_map_p99_ms": fused["p99_ms"],
-        "in_150_ms": fused["in_150_ms"],
+        "frame_to_map_p50_ms": percentile(ages, 0.5),
+        "frame_to_map_p99_ms": percentile(ages, 0.99),
+        "in_150_ms": float(ages[:151].sum() / ages.sum()),
         "sender_delay_p99_ms": max(each["delay_p99_ms"] for each in sent),
         # what senders are late by is of this machine, which is a hundred sensors' computers here
         "sender_delay_by_10_s_ms": [
             round(max(row), 1)
             for row in zip(*(each["delay_by_10_s_ms"] for each in sent), strict=True)
         ],
-        "late": fused["counts"].get("late_frames", 0),
-        "duplicates": fused["counts"].get("duplicates", 0),
-        "gaps": fused["counts"].get("gaps", 0),
+        "late": sum(each["counts"].get("late_frames", 0) for each in runs),
+        "duplicates": sum(each["counts"].get("duplicates", 0) for each in runs),
+        "gaps": sum(each["counts"].get("gaps", 0) for each in runs),
         "cores_fusion": cores["fusion"],
         "cores_broker": cores["broker"],
         "cores_senders": sum(value for name, value in cores.items() if "sender" in name),
@@ -440,6 +499,7 @@ def main() -> None:
     words.add_argument("--sensors", type=int, default=100)
     words.add_argument("--processes", type=int, default=4)
     words.add_argument("--vehicles", action="store_true")
+    words.add_argument("--kill", nargs="*", default=[], metavar="MINUTE NAME")
     words.add_argument("--folder", type=Path, default=Path("out/soak"))
     words.add_argument("--out", type=Path, default=OUT)
     for name in ("--send", "--fuse"):
@@ -456,6 +516,8 @@ def main() -> None:
             given.folder, sensors=given.sensors, processes=given.processes,
             seconds=given.seconds or 60.0 * given.minutes, port=free_port(),
             vehicles=given.vehicles,
+            kills=[(60.0 * float(at), name) for at, name in
+                   zip(given.kill[::2], given.kill[1::2], strict=True)],
         )  # fmt: skip
         given.out.parent.mkdir(exist_ok=True)
         given.out.write_text(json.dumps(found, indent=1))
