@@ -74,7 +74,7 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 @frame_times
 @sight
 @click.option("--timezone", default="UTC", show_default=True, help="The site's: Europe/Berlin.")
-@click.option("--jobs", "processes", type=click.IntRange(1), help="Hours at once; all cores.")
+@click.option("--jobs", "processes", type=click.IntRange(1), help="Processes at once; all cores.")
 def measure(
     *,
     recordings: tuple[Path, ...],

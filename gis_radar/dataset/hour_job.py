@@ -187,6 +187,8 @@ def make_hour(
     site: HourSite,
     hour: int,
     sources: Sequence[PlacedRecording],
+    *,
+    processes: int = 1,
 ) -> MadeHour:
     """Make the parts of an hour, and write them.
 
@@ -198,6 +200,8 @@ def make_hour(
         Since 1970.
     sources : sequence of PlacedRecording
         All recordings that reach into the window, those of a sensor by their first frame.
+    processes : int
+        In how many blocks of the hour vehicles are looked for side by side.
 
     Raises
     ------
@@ -226,7 +230,7 @@ def make_hour(
         # Of five sensors in an hour what is counted takes 170 MB; vehicles need none of it.
         sensors = [replace(each, counted=each.counted[:0].copy(), tile=[]) for each in sensors]
         if site.finds_vehicles:
-            found = _vehicles(sensors, window, held, sights, site)
+            found = _vehicles(sensors, window, held, sights, site, processes)
             _write_vehicles(writer, found, site.origin)
             vehicles, on_lanes = len(found.vehicles), found.on_lanes
     return MadeHour(hour=hour, evidence=evidence, vehicles=vehicles, on_lanes=on_lanes)
@@ -330,14 +334,14 @@ def _write_hits(
 
 def _vehicles(
     sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame,
-    sights: Mapping[str, PoseSight], site: HourSite,
+    sights: Mapping[str, PoseSight], site: HourSite, processes: int,
 ) -> HourVehicles:  # fmt: skip
     settings = site.settings.vehicles
     assert settings is not None  # noqa: S101 - the caller has looked
     assert site.graph is not None  # noqa: S101
     return vehicles_of_hour(
         sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
-        settings=settings, occupancy=site.settings.occupancy,
+        settings=settings, occupancy=site.settings.occupancy, processes=processes,
     )  # fmt: skip
 
 

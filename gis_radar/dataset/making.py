@@ -93,7 +93,7 @@ def change(
     before_hour : int, optional
         Only hours before this one (since 1970) are made: for others recordings are still to come.
     processes : int
-        How many hours are made side by side.
+        How many hours, or blocks of an hour, are made side by side.
     reporter : Reporter
         Receives progress.
 
@@ -250,12 +250,15 @@ def _made(
     workers = min(processes, len(tasks))
     if workers < 2:
         for hour, placings in tasks.items():
-            yield make_hour(site, hour, [source_of(*each) for each in placings])
+            sources = [source_of(*each) for each in placings]
+            yield make_hour(site, hour, sources, processes=processes)
         return
+    share = processes // workers
     with ProcessPoolExecutor(workers, initializer=_start_worker, initargs=(site,)) as pool:
         try:
             running: list[Future[MadeHour]] = [
-                pool.submit(_make_in_worker, hour, placings) for hour, placings in tasks.items()
+                pool.submit(_make_in_worker, hour, placings, share)
+                for hour, placings in tasks.items()
             ]
             for each in as_completed(running):
                 yield each.result()
@@ -273,6 +276,6 @@ def _start_worker(site: HourSite) -> None:
     _site = site
 
 
-def _make_in_worker(hour: int, placings: Sequence[Placing]) -> MadeHour:
+def _make_in_worker(hour: int, placings: Sequence[Placing], processes: int) -> MadeHour:
     assert _site is not None  # noqa: S101 - set when the worker starts
-    return make_hour(_site, hour, [source_of(*each) for each in placings])
+    return make_hour(_site, hour, [source_of(*each) for each in placings], processes=processes)

@@ -163,7 +163,7 @@ def measure(
     accept : collection of str
         Sensors to go on with although they do not fit.
     processes : int
-        How many hours are made side by side.
+        How many hours, or blocks of an hour, are made side by side.
     reporter : Reporter
         Receives progress and warnings.
 

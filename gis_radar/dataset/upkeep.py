@@ -39,7 +39,7 @@ def withdraw(
         Each by its path, or by its name alone where that is clear. They need not be there any
         more; all others of the same hours have to be.
     processes : int
-        How many hours are made side by side.
+        How many hours, or blocks of an hour, are made side by side.
     reporter : Reporter
         Receives progress.
 

@@ -109,9 +109,9 @@ class MeasuredSite:
 
     def measure(
         self, recordings: Sequence[tuple[Path, PoseTrack]], folder: Path, *, before_hour: int,
-        reporter: Reporter, processes: int = 1,
+        reporter: Reporter,
     ) -> Dataset:  # fmt: skip
-        """Measure recordings as `gis-radar measure` does."""
+        """Measure recordings as `gis-radar measure` does, on all cores of this process."""
         return measure(
             [path for path, _ in recordings], [track for _, track in recordings],
             read_tiles(self.tiles), self.map, folder, scans=self.scans, scan_crs=self.scan_crs,
@@ -119,7 +119,7 @@ class MeasuredSite:
             cycles={name: self.cycles[name] for name in self.cycles
                     if any(track.sensor == name for _, track in recordings)},
             hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
-            check=False, processes=processes, reporter=reporter,
+            check=False, processes=workers_here(), reporter=reporter,
         )  # fmt: skip
 
 
@@ -217,7 +217,7 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
 
 
 def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, done: Done) -> None:
-    """Measure hours side by side on the cores that fusion leaves; one that cannot be is named."""
+    """Measure hours side by side; one that cannot be is named."""
     found: dict[int, list[tuple[Path, PoseTrack]]] = {}
     for hour in hours:
         paths = (_recording_of(site, sensor, hour, done) for sensor in _sensors_of(site, hour))
@@ -226,12 +226,10 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
         except InputError as error:
             done.not_measured[hour] = error.message
     groups = [each for each in found.items() if each[1]]
-    processes = max(workers_here() - 1, 1)
-    if len(groups) > 1 and processes > 1:
+    if len(groups) > 1 and workers_here() > 1:
         every = [each for _, recordings in groups for each in recordings]
         with suppress(InputError):  # of one hour: each alone then, to find it
-            site.measure(every, site.dataset, before_hour=before_hour, reporter=done,
-                         processes=processes)  # fmt: skip
+            site.measure(every, site.dataset, before_hour=before_hour, reporter=done)
             return
     for hour, recordings in groups:
         try:  # the recordings stay; other hours are made all the same

@@ -1,7 +1,7 @@
 """Which hours and quarters are to be measured, and the worker that does it beside fusion.
 
-One process at low priority, one piece of work at a time: fusion and its map never wait for it.
-The log reports the backlog.
+At low priority, on the cores that fusion leaves, one piece of work at a time: fusion and its map
+never wait for it. The log reports the backlog.
 """
 
 from __future__ import annotations
@@ -43,6 +43,9 @@ def _begin() -> None:
     watch_parent()
     if hasattr(os, "nice"):
         os.nice(NICE)
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, cores[1:] or cores)  # one is left to fusion
 
 
 @dataclass(frozen=True, kw_only=True)

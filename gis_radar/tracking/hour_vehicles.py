@@ -6,19 +6,25 @@ counted after. All results are cut to the hour.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import chain, islice
+from typing import Any, TypeAlias
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import Integers
+from gis_radar.base import Integers, stop_pool, watch_parent
 from gis_radar.hdmap import LaneGraph
 from gis_radar.measures import HourWindow, PoseSight, SensorHour
 from gis_radar.tracking.batches import BatchMaker, joined_rows
+from gis_radar.tracking.blocks import Block
+from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.hour_blocks import blocks_of
+from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.occupancy import OccupancyEngine
 from gis_radar.tracking.occupancy_settings import OccupancySettings
 from gis_radar.tracking.settings import VehicleSettings
@@ -27,6 +33,8 @@ from gis_radar.tracking.tracker import vehicles_in
 
 NUMBERS_PER_HOUR = 1_000_000
 EVERY = 4  # steps between two states that are kept
+
+_Placed: TypeAlias = tuple[tuple[int, int], Block]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +77,7 @@ def vehicles_of_hour(
     graph: LaneGraph,
     settings: VehicleSettings,
     occupancy: OccupancySettings,
+    processes: int = 1,
 ) -> HourVehicles:
     """Follow the vehicles of an hour.
 
@@ -88,20 +97,68 @@ def vehicles_of_hour(
         The lanes.
     settings, occupancy : VehicleSettings, OccupancySettings
         Constants.
+    processes : int
+        In how many blocks vehicles are looked for side by side.
     """
     engine = OccupancyEngine(tiles, sights, occupancy)
     gathered = _Gathered(window=window, engine=engine, held=held)
     makes = BatchMaker(graph, settings)
-    for (begin, _), block in blocks_of(sensors, window, graph, settings):
-        gathered.advance(block.first_step)  # its states go before those of this block are found
-        number = np.unique(block.detections.sensor, return_inverse=True)[1].astype(np.int64)
-        motions = vehicles_in(replace(block.detections, sensor=number), graph, settings)
+    blocks = blocks_of(sensors, window, graph, settings)
+    for begin, block, motions in _with_motions(blocks, graph, settings, processes):
+        gathered.advance(block.first_step)
         batch = makes.batch(block, motions)
         gathered.add(batch.tracks, batch.vehicles, makes.numbers)
         if begin < window.begin:
             makes.forget_lanes()  # the hour before judges them
         del block, motions, batch  # before the next block is read
     return gathered.finish(makes.on_lanes([each.sensor for each in sensors]))
+
+
+def _with_motions(
+    blocks: Iterator[_Placed], graph: LaneGraph, settings: VehicleSettings, processes: int
+) -> Iterator[tuple[int, Block, list[Motion]]]:
+    """Yield the first step of each block, the block, and the motions of its vehicles."""
+    first = list(islice(blocks, 2)) if processes > 1 else []
+    if len(first) < 2:
+        for (begin, _), block in chain(first, blocks):
+            yield begin, block, _motions(block.detections, graph, settings)
+        return
+    waiting = deque[tuple[int, Block, "Future[list[Motion]]"]]()
+    with ProcessPoolExecutor(processes, initializer=_start, initargs=(graph, settings)) as pool:
+        try:
+            for (start, _), read in chain(first, blocks):
+                waiting.append((start, read, pool.submit(_motions_in_worker, read.detections)))
+                if len(waiting) > processes:
+                    begin, block, found = waiting.popleft()
+                    yield begin, block, found.result()
+            while waiting:
+                begin, block, found = waiting.popleft()
+                yield begin, block, found.result()
+        except BaseException:
+            stop_pool(pool)
+            raise
+
+
+def _motions(
+    detections: MapDetections, graph: LaneGraph, settings: VehicleSettings
+) -> list[Motion]:
+    """Return the motions of the vehicles of a block; its sensors may be some of the site's."""
+    number = np.unique(detections.sensor, return_inverse=True)[1].astype(np.int64)
+    return vehicles_in(replace(detections, sensor=number), graph, settings)
+
+
+_common: tuple[LaneGraph, VehicleSettings] | None = None  # of a worker
+
+
+def _start(graph: LaneGraph, settings: VehicleSettings) -> None:
+    global _common  # noqa: PLW0603 - what all blocks of a worker have in common
+    watch_parent()
+    _common = (graph, settings)
+
+
+def _motions_in_worker(detections: MapDetections) -> list[Motion]:
+    assert _common is not None  # noqa: S101 - set when the worker starts
+    return _motions(detections, *_common)
 
 
 @dataclass(kw_only=True)

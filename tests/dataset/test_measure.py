@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
 from gis_radar.base import step_of
+from gis_radar.tracking import VEHICLE_DEFAULTS
 
 
 def random_frames(rng, cycle_s, late_s, seconds=2.0):
@@ -130,6 +132,18 @@ def test_the_order_in_which_recordings_come_changes_no_byte(halves, both, tmp_pa
 def test_several_processes_write_the_same_bytes(halves, both, tmp_path):
     measured(tmp_path / "site", *halves.items(), processes=3)
     assert contents(tmp_path / "site") == both
+
+
+def test_blocks_of_an_hour_side_by_side_write_the_same_bytes(tmp_path):
+    recording = cut(tmp_path / "R2.parquet", "R2", 10.0, 30.0, edge_s=-600.0)
+    blocks = replace(VEHICLE_DEFAULTS.blocks, steps=100, margin_steps=40)
+    settings = gr.MeasureSettings(vehicles=replace(VEHICLE_DEFAULTS, blocks=blocks))
+    for processes in (1, 3):
+        measured(
+            tmp_path / str(processes), ("R2", recording), settings=settings, processes=processes
+        )
+    assert len(gr.open_dataset(tmp_path / "1").tracks()) > 100
+    assert contents(tmp_path / "3") == contents(tmp_path / "1")
 
 
 def of_hours(found):
