@@ -1,10 +1,12 @@
 """Child processes: none outlives its parent, and a parent that is gone ends its children."""
 
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -138,6 +140,27 @@ def test_workers_of_a_pool_go_with_their_children(tmp_path, end):
             assert run.wait(300) == 0
     for number in note.read_text().split():
         wait_for(lambda number=number: is_gone(number))
+
+
+AUTOGROUP = Path("/proc/self/autogroup")  # Linux: how its session is weighed against others
+
+
+def niceness():
+    """Return that of this process, and that of its session."""
+    return os.nice(0), int(AUTOGROUP.read_text().split()[-1])
+
+
+def begin_nicely():
+    os.nice(7)
+    watch_parent()
+
+
+@pytest.mark.skipif(not AUTOGROUP.exists(), reason="no autogroups here")
+def test_a_worker_of_low_priority_gives_way_to_other_sessions_too():
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, initializer=begin_nicely) as pool:
+        own, of_session = pool.submit(niceness).result()
+    assert own == of_session == min(os.nice(0) + 7, 19)
 
 
 def test_only_a_worker_has_a_parent_to_watch():

@@ -185,13 +185,15 @@ def watch_parent() -> None:
     """End this worker of a process pool, and what it started, when the pool's process is gone.
 
     For the initializer of a pool: makes the worker the leader of a process group, which leaves
-    interruptions from the terminal to the parent (see :func:`stop_workers`).
+    interruptions from the terminal to the parent (see :func:`stop_workers`). It keeps its niceness.
     """
     parent = multiprocessing.parent_process()
     if parent is None:
         raise RuntimeError("only a process of multiprocessing has a parent to watch")
     if sys.platform != "win32" and os.getpgrp() != os.getpid():
         os.setsid()
+        with suppress(OSError):  # Linux shares cores among sessions first, each of niceness 0
+            Path("/proc/self/autogroup").write_text(str(os.nice(0)), encoding="ascii")
     _start_watchdog(parent.join, _kill_own_group)
 
 

@@ -40,9 +40,9 @@ Work = Callable[[MeasuredSite, Sequence[Path]], Done]
 
 
 def _begin() -> None:
-    watch_parent()
     if hasattr(os, "nice"):
         os.nice(NICE)
+    watch_parent()
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, cores[1:] or cores)  # one is left to fusion
