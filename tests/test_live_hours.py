@@ -25,7 +25,7 @@ from gis_radar.live.hour_work import (
     refuse_other_settings,
     take_up,
 )
-from gis_radar.live.jobs import HourJobs
+from gis_radar.live.jobs import DOUBTS, HourJobs
 from gis_radar.live.quarters import KEPT, Quarters, read_quarters
 from gis_radar.live.recordings import end_of_hour_s
 from gis_radar.live.settings import DEFAULTS
@@ -356,7 +356,8 @@ def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_wh
 
 def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
     """At night too little moves: that ends no doubt, but is said, with the first such hour."""
-    jobs = JobsHere(SpooledSite(tmp_path).site, Quarters(), pool=pool)
+    site = SpooledSite(tmp_path).site
+    jobs = JobsHere(site, Quarters(), pool=pool)
 
     def after(number, **found):
         now_s = end_of_hour_s(HOUR + number) + 1.0
@@ -376,7 +377,18 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
     assert after(5, untold={"R1": HOUR + 5})["R1"].startswith(
         f"turned; since {hour_text(HOUR + 5)}"
     )
+    begun_anew = JobsHere(site, Quarters(), pool=pool)
+    assert begun_anew.doubts == jobs.doubts
     assert after(6, doubts={"R1": None})["R1"] is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[1]", '{"doubts": 3}', '{"doubts": {}, "untold": {"R1": {}}}']
+)
+def test_a_file_of_doubts_that_is_damaged_stops_nothing(tmp_path, pool, text):
+    site = SpooledSite(tmp_path).site
+    (site.folder / DOUBTS).write_text(text)
+    assert JobsHere(site, Quarters(), pool=pool).doubts == {}
 
 
 def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):

@@ -15,7 +15,19 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from gis_radar.base import QUIET, GisRadarError, Reporter, Text, stop_pool, watch_parent
+from gis_radar.base import (
+    QUIET,
+    GisRadarError,
+    Reporter,
+    Text,
+    atomic_write,
+    json_text,
+    read_json,
+    restored,
+    stop_pool,
+    watch_parent,
+    with_texts,
+)
 from gis_radar.dataset import hour_text
 from gis_radar.live.hour_work import (
     AFTER_US,
@@ -34,6 +46,7 @@ from gis_radar.live.settings import DEFAULTS, LiveSettings
 NICE = 15  # the map goes first
 BEHIND_S = 900.0  # from which on it is told how far hours are behind, and at each doubling
 LOOK_S = 0.1
+DOUBTS = "doubts.json"
 MOST_SAID = 1_000  # warnings that are known, and not told again
 
 Work = Callable[[MeasuredSite, Sequence[Path]], Done]
@@ -86,9 +99,6 @@ class HourJobs:
         seconds).
     wanted : bool
         Whether work waits for the spool to be closed.
-    doubts : dict
-        By sensor, what the check doubts of its pose and recording, until it finds that they fit
-        (None), with the hour from which on there was too little traffic to tell.
     """
 
     def __init__(
@@ -96,7 +106,7 @@ class HourJobs:
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
-        self.doubts: dict[str, str | None] = {}
+        self._doubts, self._untold = _kept_doubts(site.folder / DOUBTS)
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._settings, self._reporter = settings, reporter
@@ -107,7 +117,6 @@ class HourJobs:
         self._unmeasured: dict[int, _Unmeasured] = {}
         self._now = 0  # the quarter that runs
         self._quarter = 0  # that was measured last
-        self._untold: set[str] = set()  # sensors whose doubt could not be checked again
         self._said: set[str] = set()
         self._again_at, self._told_s = 0.0, BEHIND_S
 
@@ -229,17 +238,36 @@ class HourJobs:
         for hour, why in done.not_measured.items():
             self._wait(hour, why)
 
+    @property
+    def doubts(self) -> dict[str, str | None]:
+        """By sensor, what the check doubts of its pose and recording; None once it found they fit.
+
+        With the hour from which on there was too little traffic to tell: that ends no doubt.
+        """
+        again = "{}; since {} too little traffic to check it again"
+        return {
+            name: Text(again, doubt, hour_text(self._untold[name]))
+            if doubt and name in self._untold else doubt
+            for name, doubt in self._doubts.items()
+        }  # fmt: skip
+
     def _doubt(self, done: Done) -> None:
-        """Keep a doubt until the sensor fits: an hour in which too little moves ends none."""
-        self.doubts |= done.doubts
-        self._untold -= done.doubts.keys()
-        for sensor, hour in done.untold.items():
-            doubt = self.doubts.get(sensor)
-            if doubt is not None and sensor not in self._untold:
-                self._untold.add(sensor)
-                self.doubts[sensor] = Text(
-                    "{}; since {} too little traffic to check it again", doubt, hour_text(hour)
-                )
+        """Take in what the check found, and keep it for a fusion that begins anew."""
+        if not done.doubts and not done.untold:
+            return
+        self._doubts |= done.doubts
+        self._untold = {
+            name: hour
+            for name, hour in (done.untold | self._untold).items()
+            if name not in done.doubts
+        }
+        path = self._site.folder / DOUBTS
+        document = with_texts({"doubts": self._doubts, "untold": self._untold})
+        try:
+            with atomic_write(path) as part:
+                part.write_text(json_text(document, indent=1) + "\n", encoding="utf-8")
+        except GisRadarError as error:  # alarms stand all the same
+            self._say([error.message])
 
     def _wait(self, hour: int, why: str) -> None:
         """Name an hour that is not measured; try it again after a quarter, then twice that, ..."""
@@ -286,6 +314,18 @@ class HourJobs:
             "hours_not_measured": float(len(self._unmeasured)),
             "quarters_left_out": self.quarters_left_out,
         }
+
+
+def _kept_doubts(path: Path) -> tuple[dict[str, str | None], dict[str, int]]:
+    """Return what an earlier fusion doubted; nothing where that cannot be read."""
+    try:
+        found = restored(read_json(path, what="doubts"))
+        doubts: dict[str, str | None] = {
+            name: None if each is None else Text(each) for name, each in found["doubts"].items()
+        }
+        return doubts, {name: int(hour) for name, hour in found["untold"].items()}
+    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError):
+        return {}, {}
 
 
 def _of_hours(hours: Sequence[int], site: MeasuredSite, spooled: Sequence[Path]) -> Done:
