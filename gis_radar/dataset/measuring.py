@@ -203,7 +203,7 @@ def measure(
         )
     if settings is None:
         settings = MeasureSettings(filters=filters or Filters())
-    settings = replace(settings, vehicles=None) if hits_only else settings
+    settings = replace(settings, vehicles=False) if hits_only else settings
     zone_of(timezone)
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     road = SightTiles.of(tiles)
@@ -340,7 +340,7 @@ def _lanes(
     reporter: Reporter,
 ) -> tuple[LaneGraph | None, MeasureSettings]:  # fmt: skip
     """Return the lanes and the settings; without vehicles where nothing tells them."""
-    if settings.vehicles is None or roads is None:
+    if not settings.vehicles or roads is None:
         return None, settings
     reason = ""
     try:
@@ -353,7 +353,7 @@ def _lanes(
     if not reason:
         return graph, settings
     reporter.warn("{}: only hits are measured", reason)
-    return None, replace(settings, vehicles=None)
+    return None, replace(settings, vehicles=False)
 
 
 def _replace(
@@ -439,10 +439,10 @@ def _layers(roads: LaneletMap | None) -> dict[str, gpd.GeoDataFrame]:
 
 def _as_before(given: _Given, found: Manifest) -> _Given:
     """Leave out vehicles if the dataset was made without them."""
-    if given.settings.vehicles is None or found.settings.get("vehicles") is not None:
+    if not given.settings.vehicles or found.settings.get("vehicles"):
         return given
-    settings = replace(given.settings, vehicles=None)
-    manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": None})
+    settings = replace(given.settings, vehicles=False)
+    manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": False})
     return replace(given, settings=settings, manifest=manifest, graph=None)
 
 
@@ -485,7 +485,7 @@ def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None
         examined.append(Examined(entry=each, source=source, evidence=evidence))
     given.book.report(reporter)
     remark_on_recordings(examined, given.book, given.settings.hits, reporter)
-    if given.settings.vehicles is not None:
+    if given.settings.vehicles:
         on_lanes = [table for hour in made for table in hour.on_lanes]
         count = sum(hour.vehicles for hour in made)
-        remark_on_vehicles(count, on_lanes, given.settings.vehicles, reporter)
+        remark_on_vehicles(count, on_lanes, reporter)

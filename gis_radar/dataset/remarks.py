@@ -23,7 +23,7 @@ from gis_radar.scans import (
     gap_warning,
     report_contradictions,
 )
-from gis_radar.tracking import VehicleSettings, warn_of_poses
+from gis_radar.tracking import warn_of_poses
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,13 +86,11 @@ def remark_on_recordings(
         reporter.warn(line)
 
 
-def remark_on_vehicles(
-    count: int, on_lanes: Sequence[pd.DataFrame], settings: VehicleSettings, reporter: Reporter
-) -> None:
+def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: Reporter) -> None:
     """Warn where no vehicle moves, or vehicles drive beside the lanes."""
     if count == 0:
         reporter.warn("no vehicle moves in these recordings: the occupancy is zero")
-    for line in warn_of_poses(on_lanes, settings.batches):
+    for line in warn_of_poses(on_lanes):
         reporter.warn(line)
 
 

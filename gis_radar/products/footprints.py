@@ -31,7 +31,7 @@ from gis_radar.base import (
     write_stream,
 )
 from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, states_of
-from gis_radar.tracking import HEAVY, Footprints, OccupancySettings, PathBook, footprints_of
+from gis_radar.tracking import HEAVY, Footprints, PathBook, footprints_of
 
 FOOTPRINTS = "footprints"
 _SCHEMA = pa.schema([
@@ -155,7 +155,7 @@ class _Rows:
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         hours = len(self._dataset.records())
-        book = PathBook(settings=OccupancySettings())
+        book = PathBook()
         every = math.gcd(
             TRACK_EVERY_STEPS, self._settings.every_steps
         )  # rows, and where paths bend

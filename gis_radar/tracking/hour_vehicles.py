@@ -20,8 +20,6 @@ from gis_radar.measures import HourWindow, PoseSight, SensorHour
 from gis_radar.tracking.batches import BatchMaker, joined_rows
 from gis_radar.tracking.hour_blocks import blocks_of
 from gis_radar.tracking.occupancy import OccupancyEngine
-from gis_radar.tracking.occupancy_settings import OccupancySettings
-from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.tables import PASSAGES, TRACKS, VEHICLES
 from gis_radar.tracking.tracker import vehicles_in
 
@@ -67,8 +65,6 @@ def vehicles_of_hour(
     tiles: gpd.GeoDataFrame,
     sights: Mapping[str, PoseSight],
     graph: LaneGraph,
-    settings: VehicleSettings,
-    occupancy: OccupancySettings,
 ) -> HourVehicles:
     """Follow the vehicles of an hour.
 
@@ -86,16 +82,14 @@ def vehicles_of_hour(
         What sensors see, by name.
     graph : LaneGraph
         The lanes.
-    settings, occupancy : VehicleSettings, OccupancySettings
-        Constants.
     """
-    engine = OccupancyEngine(tiles, sights, occupancy)
+    engine = OccupancyEngine(tiles, sights)
     gathered = _Gathered(window=window, engine=engine, held=held)
-    makes = BatchMaker(graph, settings)
-    for (begin, _), block in blocks_of(sensors, window, graph, settings):
+    makes = BatchMaker(graph)
+    for (begin, _), block in blocks_of(sensors, window, graph):
         gathered.advance(block.first_step)  # its states go before those of this block are found
         number = np.unique(block.detections.sensor, return_inverse=True)[1].astype(np.int64)
-        motions = vehicles_in(replace(block.detections, sensor=number), graph, settings)
+        motions = vehicles_in(replace(block.detections, sensor=number), graph)
         batch = makes.batch(block, motions)
         gathered.add(batch.tracks, batch.vehicles, makes.numbers)
         if begin < window.begin:

@@ -191,7 +191,7 @@ def test_the_parts_of_vehicles_are_absent_where_only_hits_are_asked_for(tmp_path
     with pytest.raises(gr.InputError, match="without vehicles"):
         ds.tracks()
     assert len(ds.hits())
-    assert ds.manifest.settings["vehicles"] is None
+    assert ds.manifest.settings["vehicles"] is False
 
 
 def test_a_recording_without_range_rates_gives_hits_only(tmp_path):
@@ -201,7 +201,7 @@ def test_a_recording_without_range_rates_gives_hits_only(tmp_path):
     )  # fmt: skip
     notes = Listener()
     ds = measured(tmp_path / "site", ("R1", path), reporter=notes)
-    assert ds.manifest.settings["vehicles"] is None
+    assert ds.manifest.settings["vehicles"] is False
     assert any("has no range rates" in line for _, line in notes.messages)
     second = cut(tmp_path / "R2.parquet", "R2", 14.0, 16.0, edge_s=0.0)
     assert measured(tmp_path / "site", ("R2", second)).sensors == ["R1", "R2"]
