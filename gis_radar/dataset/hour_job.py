@@ -35,11 +35,9 @@ from gis_radar.dataset.tables import (
 )
 from gis_radar.hdmap import LaneGraph, TileGrid
 from gis_radar.measures import (
-    HIT_DEFAULTS,
     LONGEST_VALID_STEPS,
     Filters,
     HashedFrames,
-    HitSettings,
     HitTarget,
     HourWindow,
     PlacedRecording,
@@ -76,14 +74,11 @@ class MeasureSettings:
     ----------
     filters : Filters
         Which detections count as hits.
-    hits : HitSettings
-        Constants of the hits.
     vehicles : bool
         Whether vehicles are looked for.
     """
 
     filters: Filters = field(default_factory=Filters)
-    hits: HitSettings = HIT_DEFAULTS
     vehicles: bool = True
 
     @property
@@ -101,10 +96,7 @@ class MeasureSettings:
         filters = dict(known["filters"])
         if filters["clearance"] is not None:
             filters["clearance"] = tuple(filters["clearance"])
-        return cls(
-            filters=Filters(**filters), hits=HitSettings(**known["hits"]),
-            vehicles=bool(known["vehicles"]),
-        )  # fmt: skip
+        return cls(filters=Filters(**filters), vehicles=bool(known["vehicles"]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +132,6 @@ class HourSite:
         road = SightTiles.of(self.tiles)
         return HitTarget(
             road=road, grid=TileGrid(road.quads), filters=self.settings.filters,
-            settings=self.settings.hits,
             rcs=self.settings.vehicles or self.settings.filters.min_rcs is not None,
         )  # fmt: skip
 

@@ -105,7 +105,6 @@ def measure(
     hits_only: bool = False,
     only: bool = False,
     timezone: str = "UTC",
-    settings: MeasureSettings | None = None,
     before_hour: int | None = None,
     check: bool = True,
     accept: Collection[str] = (),
@@ -153,8 +152,6 @@ def measure(
         settings is made anew.
     timezone : str
         Of the site, for a new dataset.
-    settings : MeasureSettings, optional
-        Constants of the algorithms, in place of `filters` and `hits_only`.
     before_hour : int, optional
         Make only hours before this one (since 1970): for others recordings are still to come, and
         a later call makes them.
@@ -201,16 +198,14 @@ def measure(
             "vehicles need the map that the tiles were made from",
             hint=Text("give it by {}, or leave vehicles out by {}", "--map", "--hits-only"),
         )
-    if settings is None:
-        settings = MeasureSettings(filters=filters or Filters())
-    settings = replace(settings, vehicles=False) if hits_only else settings
+    settings = MeasureSettings(filters=filters or Filters(), vehicles=not hits_only)
     zone_of(timezone)
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     road = SightTiles.of(tiles)
     scan = open_sight(
         road, scans=scans, scan_crs=scan_crs, sight=sight, cache=sight_cache, reporter=reporter
     )
-    book = SightBook(road=road, scan=scan, settings=settings.hits)
+    book = SightBook(road=road, scan=scan)
     opened = [as_recording(each) for each in recordings]
     tracks = [as_track(pose) for pose in poses]
     refuse_swapped(opened, tracks)
@@ -240,7 +235,7 @@ def _given(
         roads, described = map_of_tiles(map_path, tiles, reporter)
         digest = described["digest"]
     sensors = sorted({source.track.sensor for source in sources})
-    validity_s = validity_of(cycles, sensors, settings.hits)
+    validity_s = validity_of(cycles, sensors)
     poses, entries = PoseBook(), list[RecordingEntry]()
     placed = dict[str, PlacedRecording]()
     for source in sources:
@@ -484,7 +479,7 @@ def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None
         source = given.sources[each.path]
         examined.append(Examined(entry=each, source=source, evidence=evidence))
     given.book.report(reporter)
-    remark_on_recordings(examined, given.book, given.settings.hits, reporter)
+    remark_on_recordings(examined, given.book, reporter)
     if given.settings.vehicles:
         on_lanes = [table for hour in made for table in hour.on_lanes]
         count = sum(hour.vehicles for hour in made)
