@@ -15,7 +15,7 @@ from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, vali
 from gis_radar.poses import View
 from gis_radar.recordings import RangeCounts, time_warnings
 from gis_radar.scans import (
-    SIGHT_DEFAULTS,
+    JUDGED_FRAMES,
     MovingHits,
     Sight,
     find_contradictions,
@@ -68,7 +68,7 @@ def remark_on_recordings(
     """
     hits = _moving_hits(examined, book.sights)
     if book.scan is not None:
-        judged = [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
+        judged = [each for each in hits if each.frames >= JUDGED_FRAMES]
         report_contradictions(find_contradictions(judged, book.road), reporter)
     if gaps := gap_warning(find_gaps(hits, book.road)):
         reporter.warn(gaps)

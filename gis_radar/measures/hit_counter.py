@@ -32,7 +32,7 @@ from gis_radar.measures.filters import Filters
 from gis_radar.measures.placing import Places, PoseNumbers
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections, RangeCounts
-from gis_radar.scans import REFLECTION_M, SIGHT_DEFAULTS, SightTiles
+from gis_radar.scans import MOVEMENT_LEVEL_M, MOVEMENT_MPS, REFLECTION_M, SightTiles
 
 ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # filled in at once; 224 KiB, 1 MiB
 NO_TILES: Integers = np.empty(0, np.int64)
@@ -238,9 +238,9 @@ def limits_of(filters: Filters) -> Limits:
         level_m=float(filters.levels_apart_m),
         moving_mps=MOVING_MPS,
         wild_mps=WILD_MPS,
-        sight_mps=float(SIGHT_DEFAULTS.moving_mps),
+        sight_mps=MOVEMENT_MPS,
         sight_over_m=REFLECTION_M,
-        sight_level_m=float(SIGHT_DEFAULTS.level_m),
+        sight_level_m=MOVEMENT_LEVEL_M,
     )
 
 

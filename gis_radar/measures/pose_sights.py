@@ -27,6 +27,7 @@ from gis_radar.scans import (
     HIDDEN,
     IN_SIGHT,
     OUT_OF_VIEW,
+    WINDOWS_KEPT,
     Sight,
     SightSource,
     SightTiles,
@@ -173,7 +174,7 @@ class SightBook:
             for name, track in tracks.items()
         }
         every = [pose for poses in looks.values() for pose in poses.values()]
-        if self.scan is not None and len(every) <= self.scan.settings.windows_kept:
+        if self.scan is not None and len(every) <= WINDOWS_KEPT:
             self.scan.read(every)  # in one pass
         found = {}
         for name, track in tracks.items():
@@ -213,7 +214,7 @@ class SightBook:
                 )
             )
             return
-        report_uncovered(self.sights.values(), reporter, self.scan.settings)
+        report_uncovered(self.sights.values(), reporter)
         if np.isnan(self.road.height).all():
             reporter.warn(
                 "the tiles have no heights: those of the scan's ground count, and levels one above "
