@@ -224,7 +224,7 @@ def test_who_hides_others_is_numbered_as_the_parts_after_cuts(monkeypatch):
     asked = []
 
     def record(number, motion, *given):
-        asked.append((number, motion, given[-2].occluders))
+        asked.append((number, motion, given[-1].occluders))
         return motion
 
     monkeypatch.setattr(track_management, "with_rest", record)
