@@ -32,7 +32,7 @@ from gis_radar.base import (
 )
 from gis_radar.measures import Runs, union_of_runs
 
-MOST_COLUMNS = 500  # intervals that become columns and bands (the contract); more are rows only
+MOST_BANDS = 500  # intervals that become columns and bands (the contract); more are rows only
 MOST_ROWS = 100_000_000  # of the layer by interval: as many are about 35 GB of GeoPackage
 
 
@@ -306,12 +306,12 @@ def intervals_of(
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
     if zone is None or follows_utc(steps):
-        if last // steps - first // steps < MOST_COLUMNS:
+        if last // steps - first // steps < MOST_BANDS:
             return aligned(first, last, steps)
         filled = intervals_with(runs, steps)
     else:
         local = local_intervals(first, last, steps, zone)
-        if len(local) <= MOST_COLUMNS:
+        if len(local) <= MOST_BANDS:
             return local
         local = those_with(local, runs)
         filled = len(local)
@@ -324,11 +324,11 @@ def intervals_of(
             hint="use a longer interval",
         )
     note = Text("only the {} intervals in which a sensor delivered a frame are kept", filled)
-    if filled > MOST_COLUMNS:
+    if filled > MOST_BANDS:
         note = Text(
             "{}; more than {}, so they are rows of by_interval, not columns and bands",
             note,
-            MOST_COLUMNS,
+            MOST_BANDS,
         )
     reporter.log(note)
     return aligned_with(runs, steps) if zone is None or follows_utc(steps) else local
