@@ -40,7 +40,12 @@ from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
 from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
 from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import StationaryTargets
+from gis_radar.calibration.stationary_targets import (
+    BLOCK_S,
+    GATE,
+    SEARCH_BLOCKS,
+    StationaryTargets,
+)
 from gis_radar.calibration.traces import Moving
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
@@ -61,7 +66,7 @@ MINUTES = 10  # a batch of simulation; streets hold the same habits in all of th
 STREETS_SEED = 77
 WINDOW_S = 100.0
 FIRST_MOVED = 3  # batches before the first move
-ALARM, STILL, TRACES = MONITOR.alarm, MONITOR.stationary, MONITOR.localization.traces
+ALARM, TRACES = MONITOR.alarm, MONITOR.localization.traces
 
 WITNESSES = {
     "whole": "both, as `track` asks them",
@@ -279,8 +284,7 @@ class Both:
         self, sensor: Sensor, known: tuple[StationaryTargets, np.ndarray] | None = None
     ) -> None:
         self.vehicles = Alarm(sensor.cells, sensor.state.position[:2])
-        fixed = replace(MONITOR, stationary=replace(STILL, search_blocks=2**62))
-        self.still = StationaryTargets(MONITOR if known is None else fixed)
+        self.still = StationaryTargets(search_blocks=SEARCH_BLOCKS if known is None else 2**62)
         if known is not None:
             self.still.know(known[0].place[known[1]], known[0].rate[known[1]])
 
@@ -295,8 +299,8 @@ class Both:
 
     def summaries(self, batch: Detected, minute: int) -> Iterator[Floats]:
         """Yield where still targets are in the blocks of a minute; to be taken one by one."""
-        for begin in 60.0 * minute + np.arange(0.0, 60.0, STILL.block_s):
-            part = batch.between(begin, begin + STILL.block_s)
+        for begin in 60.0 * minute + np.arange(0.0, 60.0, BLOCK_S):
+            part = batch.between(begin, begin + BLOCK_S)
             self.still.push(part.time, part.points, part.rate)
             yield self.still.summary()
 
@@ -307,7 +311,7 @@ class Both:
             self.still.take(part)
             told = self.still.tested
             sees = any(each.sees for each in told)
-            largest = max([largest, *(each.found.score / STILL.gate for each in told)])
+            largest = max([largest, *(each.found.score / GATE for each in told)])
         driven = self.vehicles.push(places, now)
         by_vehicles = 0.0 if driven is None else driven.score / ALARM.gate
         return Scores(still=largest, vehicles=by_vehicles, sees=sees)

@@ -23,7 +23,6 @@ from gis_radar.calibration.lane_places import WITHIN_M, LanePlaces
 from gis_radar.calibration.settings import HOUR_S
 from gis_radar.calibration.stationary_targets import GATE_M, GATE_RAD, WANDER_M, WANDER_RAD, by_move
 
-ALARM, STILL = MONITOR.alarm, MONITOR.stationary
 RUN = 3  # minutes that stay together
 MONTH_H = 720.0
 APART = 30  # minutes between independent exceedances: the longest part that is tested

@@ -25,7 +25,7 @@ from .calibration import (
     read_clocks,
     track,
 )
-from .dataset import Dataset, MeasureSettings, measure, open_dataset, relink, withdraw
+from .dataset import Dataset, measure, open_dataset, relink, withdraw
 from .demo import run_demo
 from .hdmap import (
     LaneletMap,
@@ -108,7 +108,6 @@ __all__ = [
     "LaneletMap",
     "Localization",
     "MapLabels",
-    "MeasureSettings",
     "NoAnswerError",
     "OutputError",
     "Pose",

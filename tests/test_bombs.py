@@ -21,8 +21,8 @@ import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.recordings import open_recording, settings, unpacking
 from gis_radar.recordings.readers.pcd import decompress, read_pcd
+from gis_radar.scans import point_store
 from gis_radar.scans.cells import squares_with_cells
-from gis_radar.scans.settings import RoadSettings
 
 
 @pytest.fixture
@@ -239,7 +239,7 @@ def test_a_site_file_of_megabytes(tmp_path):
         gr.read_site(tmp_path / "S.toml")
 
 
-def test_roads_that_fill_a_country(tmp_path):
+def test_roads_that_fill_a_country(tmp_path, monkeypatch):
     """Kept are counts by square, not the places of all cells: 88 km2 are 352 million."""
     scan = write_points(tmp_path / "s.laz", ground((0.0, 0.0, 20.0, 20.0), lambda x, _: 0 * x))
     roads = shapely.box(EAST - 300.0, NORTH - 100.0, EAST + 300.0, NORTH + 100.0)
@@ -249,7 +249,8 @@ def test_roads_that_fill_a_country(tmp_path):
     cells = mask.cells
     assert cells.missing[:, 2].sum() == cells.area_cells - len(cells.points)
     assert len(cells.missing) < 1.1 * 40 * 15
-    few = gr.read_roads(tmp_path / "r.gpkg", settings=RoadSettings(most_blocks=2))
+    monkeypatch.setattr(point_store, "MOST_BLOCKS", 2)
+    few = gr.read_roads(tmp_path / "r.gpkg")
     with pytest.raises(InputError, match=r"r\.gpkg: its roads fill over 2 squares of 256 m"):
         gr.mask_road([scan], few, engine="laspy")
 

@@ -30,7 +30,7 @@ from gis_radar.cli import group
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.hdmap import lanes_of
 from gis_radar.products import MapLabels, make_heatmap, read_heatmap
-from gis_radar.products.heatmap.occupancy import ERRORS, OccupancyShares, mean_occupancy
+from gis_radar.products.heatmap.occupancy import LEAST_ERROR_S, OccupancyShares, mean_occupancy
 
 BEGIN = T0 // STEPS_PER_QUARTER * STEPS_PER_QUARTER + STEPS_PER_QUARTER - 60  # 3 s before its end
 VIEW = ("R1", "a")
@@ -106,7 +106,7 @@ def test_the_error_follows_its_formula():
     assert got.occupancy_se[5] == pytest.approx(np.hypot(inferred, slope), rel=1e-5)
     assert got.occupancy_se[4] == pytest.approx(slope, rel=1e-5)  # beside both
     assert got.occupancy_se[6] == pytest.approx(2 / 260, rel=1e-5)  # of the other lane
-    assert ERRORS.least_s == 0.1
+    assert LEAST_ERROR_S == 0.1
 
 
 def test_hidden_time_adds_to_the_error_and_does_not_cut_runs():

@@ -7,12 +7,10 @@ from test_heatmap import T0, lane_tiles, make_site, two_sensors
 
 from gis_radar.base import InputError, UsageError
 from gis_radar.products import make_heatmap
-from gis_radar.products.heatmap.intervals import HeatMapSettings
 
 
 def test_too_many_rows_are_refused(monkeypatch):
-    few = HeatMapSettings(most_rows=1000)
-    monkeypatch.setattr("gis_radar.products.heatmap.intervals.SETTINGS", few)
+    monkeypatch.setattr("gis_radar.products.heatmap.intervals.MOST_ROWS", 1000)
     site = two_sensors(2000)
     with pytest.raises(UsageError, match="more than a heat map can hold") as caught:
         make_heatmap(site.dataset, interval="50ms")

@@ -11,7 +11,7 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.hdmap import fingerprint
-from gis_radar.measures import Filters, HitSettings, standing_for
+from gis_radar.measures import Filters, hit_counter, pose_sights, standing_for
 from gis_radar.poses import PoseTrack, View
 from gis_radar.scans import SightTiles, find_sight
 
@@ -272,19 +272,17 @@ def test_a_sensor_that_sees_nothing_is_warned_of(tmp_path):
     assert not (tmp_path / "blind").exists()
 
 
-def test_settings_take_effect_and_stand_in_the_manifest(tmp_path):
+def test_views_that_are_near_are_shared_and_filters_stand_in_the_manifest(tmp_path, monkeypatch):
     time = START + 0.05 * np.arange(3)
     track = PoseTrack(poses=tuple(pose(easting=EAST + 0.3 * k) for k in range(3)), since=time)
     path = recording(tmp_path / "t.parquet", time, [[12.25, 0.0, -5.0]] * 3, range_rate=0.4)
-    shared = HitSettings(view_shared_m=5.0, moving_mps=0.3)
-    settings = gr.MeasureSettings(hits=shared)
-    ds = hits_of([path], [track], crossing(), tmp_path / "site", settings=settings)
+    monkeypatch.setattr(pose_sights, "VIEW_SHARED_M", 5.0)
+    monkeypatch.setattr(hit_counter, "MOVING_MPS", 0.3)
+    ds = hits_of([path], [track], crossing(), tmp_path / "site")
     assert ds.frames()["pose"].nunique() == 1
     assert ds.frames()["moving"].tolist() == [1, 1, 1]
-    assert ds.manifest.settings["hits"]["view_shared_m"] == 5.0
+    assert ds.manifest.settings.keys() == {"sight", "filters", "vehicles"}
     assert ds.manifest.settings["filters"]["levels_apart_m"] == 2.5
-    with pytest.raises(InputError, match="other settings: hits"):
-        hits_of([path], [track], crossing(), tmp_path / "site")
 
 
 def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):

@@ -22,7 +22,7 @@ from gis_radar.measures import (
     VisibleRuns,
     measure_lanes,
 )
-from gis_radar.measures.lane_measures import DEFAULTS, SPEED_CLASSES
+from gis_radar.measures.lane_measures import SPEED_CLASSES
 from gis_radar.measures.lane_network import Turn
 from gis_radar.measures.queues import standing_states
 
@@ -77,9 +77,7 @@ def seen_all(grid, tiles=TILES, share=1.0):
 def measured(cars, grid, share=1.0, counts=None):
     """Measure cars; give lanes and turns as tables."""
     runs, steps = seen_all(grid, share=share)
-    found = measure_lanes(
-        NETWORK, grid, states_of(cars), vehicles_of(cars), runs, counts or steps, DEFAULTS
-    )
+    found = measure_lanes(NETWORK, grid, states_of(cars), vehicles_of(cars), runs, counts or steps)
     lanes = {k: np.ma.filled(v.astype(float), np.nan) if np.ma.isMA(v) else v
              for k, v in found.lanes.items()}  # fmt: skip
     lanes["speed_counts"] = found.lanes["speed_counts"].to_pylist()

@@ -31,13 +31,3 @@ def test_a_settings_record_is_frozen_and_documents_each_field(record):
     documented = {name.strip() for names, _ in entries for name in names.split(",")}
     assert documented == {field.name for field in fields(record)}
     assert all(len(text.split()) >= 3 for _, text in entries)
-
-
-def test_every_room_of_the_core_has_its_record():
-    rooms = {param.values[0].__module__.split(".")[1] for param in records()}
-    assert {
-        "calibration",
-        "tracking",
-        "scans",
-        "measures",
-    } <= rooms

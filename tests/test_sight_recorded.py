@@ -15,7 +15,7 @@ from test_sight import HOUSE, ROAD_M, ROOF_M, SENSOR, across, flat, left_m, sigh
 import gis_radar as gr
 from gis_radar.base import QUIET, InputError, UsageError
 from gis_radar.hdmap import TileGrid
-from gis_radar.measures import HitSettings, SightBook
+from gis_radar.measures import SightBook, pose_sights
 from gis_radar.poses import View, as_track
 from gis_radar.recordings import Detections, open_recording
 from gis_radar.scans import (
@@ -297,10 +297,11 @@ def test_a_short_recording_corrects_no_sight(rebuilt, run, tmp_path):
     assert (gpd.read_file("sight.gpkg", layer="sight")["state"] == "in sight").all()
 
 
-def test_sensors_that_see_the_same_tiles_keep_their_own_sight(tmp_path):
+def test_sensors_that_see_the_same_tiles_keep_their_own_sight(tmp_path, monkeypatch):
     lanes = [lane_quads(EAST + 20.0, NORTH - 10.0, 90.0), lane_quads(EAST + 60.0, NORTH, 90.0)]
     road = SightTiles.of(tiles_of(lanes, height_m=[370.0, 374.0]))
-    book = SightBook(road=road, settings=HitSettings(road_tiles=20))
+    monkeypatch.setattr(pose_sights, "ROAD_TILES", 20)
+    book = SightBook(road=road)
     near, far = pose(), pose(sensor="R2", easting=EAST + 80.0, yaw=180.0)
     time = START + np.arange(2.0)
     paths = [recording(tmp_path / f"{k}.parquet", time, np.ones((2, 3))) for k in range(2)]

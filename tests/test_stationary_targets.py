@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from gis_radar.calibration import MONITOR
 from gis_radar.calibration.alarm import Displacement
 from gis_radar.calibration.state import State
 from gis_radar.calibration.stationary_targets import (
+    BLOCKS,
+    GATE,
     GONE_BLOCKS,
     LEAST_AGE,
     StationaryTargets,
@@ -26,7 +27,6 @@ from gis_radar.calibration.stationary_targets import (
 from gis_radar.calibration.watch import BLOW_BLOCKS, Watch, decided
 from gis_radar.recordings import Detections
 
-OF = MONITOR.stationary
 FRAME_S, FRAMES = 0.5, 40  # one frame of ten
 SETTLED = 60  # blocks
 
@@ -113,7 +113,7 @@ def test_a_small_move_is_noticed_within_three_minutes_with_its_size(taught, name
     yard.feed(targets, 8, step)
     told = targets.verdict(6)
     assert told.sees
-    assert told.found.score > OF.gate
+    assert told.found.score > GATE
     assert told.found.seconds == 120.0
     error = told.found.move - step
     assert error @ np.linalg.solve(told.found.covariance, error) < 22.5  # 0.1 % of chi2, 6
@@ -131,7 +131,7 @@ def test_a_sensor_at_rest_is_not_moved_whatever_is_parked(taught):
         yard.feed(targets, points=points)
         told = targets.tested
         worst = max(worst, *(each.found.score for each in told))
-    assert worst < OF.gate
+    assert worst < GATE
     assert told[1].sees
 
 
@@ -145,7 +145,7 @@ def test_targets_are_learnt_again_after_others_have_left(taught):
     yard.feed(targets, GONE_BLOCKS + 40, points=points)
     told = targets.verdict(6)
     assert told.sees
-    assert told.found.score < OF.gate
+    assert told.found.score < GATE
     assert len(pickle.dumps(targets)) < held + 50_000  # bytes; of 22 million
     assert len(targets) < 60
 
@@ -166,23 +166,23 @@ def test_seven_minutes_are_enough():
     yard.feed(targets, 19)
     assert targets.verdict(BLOW_BLOCKS).rests
     yard.feed(targets, 2)
-    assert all(each.sees and each.found.score < OF.gate for each in targets.tested)
+    assert all(each.sees and each.found.score < GATE for each in targets.tested)
     yard.feed(targets, 8, np.array(MOVES["pitch"]))
-    assert targets.tested[0].found.score > OF.gate
+    assert targets.tested[0].found.score > GATE
 
 
 def test_targets_that_are_told_later_begin_anew(taught):
     yard, targets = again(taught, 6)
     yard.feed(targets, 8, np.array(MOVES["ahead"]))
-    assert targets.tested[0].found.score > OF.gate
+    assert targets.tested[0].found.score > GATE
     targets.know(polar_of(yard.points[:30]), np.full(30, 0.9))
     assert targets.tested == []
     assert targets.verdict(1) is None
-    yard.feed(targets, OF.blocks[-1] + LEAST_AGE)
+    yard.feed(targets, BLOCKS[-1] + LEAST_AGE)
     assert len(targets) >= 30
     told = targets.verdict(6)
     assert told.targets >= 30
-    assert told.found.score < OF.gate
+    assert told.found.score < GATE
 
 
 def test_without_still_returns_or_frames_there_is_no_target():

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,14 +18,20 @@ from gis_radar.measures.hour import STEPS_PER_HOUR
 from gis_radar.poses import as_track
 from gis_radar.recordings import Recording
 from gis_radar.recordings.recording import COLUMNS
-from gis_radar.tracking import VehicleSettings
+from gis_radar.tracking import hour_blocks
 from gis_radar.tracking.hour_blocks import blocks_of
-from gis_radar.tracking.settings import BlockSettings
 
 SAMPLE = gr.sample_folder()
 HOUR = 472_222
 BEGIN = HOUR * STEPS_PER_HOUR
-SETTINGS = VehicleSettings(blocks=BlockSettings(steps=30, margin_steps=10))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _short_blocks():
+    with pytest.MonkeyPatch.context() as shorter:
+        shorter.setattr(hour_blocks, "BLOCK_STEPS", 30)
+        shorter.setattr(hour_blocks, "MARGIN_STEPS", 10)
+        yield
 
 
 @cache
@@ -59,7 +66,7 @@ def sensor_of(steps, window, sensor="R1"):
 
 def blocks(steps, hour=HOUR):
     window = HourWindow(hour=hour, margin=20)
-    found = blocks_of([sensor_of(steps, window)], window, graph(), SETTINGS)
+    found = blocks_of([sensor_of(steps, window)], window, graph())
     return [block for _, block in found]
 
 

@@ -8,25 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gis_radar.hdmap import LaneGraph
-from gis_radar.tracking import (
-    DetectionSettings,
-    ForwardFilter,
-    MapDetections,
-    VehicleSettings,
-    still_rate,
-)
+from gis_radar.tracking import MOVING_MPS, ForwardFilter, MapDetections, stationary, still_rate
 from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.links import Part, chains
-from gis_radar.tracking.management_settings import (
-    DetectabilitySettings,
-    StationarySettings,
-    TallSettings,
-)
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
 from gis_radar.tracking.resting import rate_without, unbroken, with_rest
-from gis_radar.tracking.settings import ForwardSettings, MotionSettings
 from gis_radar.tracking.size import size_of
 from gis_radar.tracking.stationary import not_built
 from gis_radar.tracking.strips import Strips
@@ -80,7 +68,7 @@ def learned_from_two_passages():
         driven(BEGIN, 10.0, 10.0, np.arange(count)),
         driven(BEGIN + 60.0, 10.0, 10.0, count + np.arange(count)),
     ]
-    return Detectability.learned(detections, motions, DetectabilitySettings())
+    return Detectability.learned(detections, motions)
 
 
 def halves(begin, seconds):
@@ -133,7 +121,7 @@ def test_a_length_is_found_however_often_the_front_returns(length, often):
     time = np.concatenate([np.tile(np.arange(8.0), len(places)), np.linspace(0, 8, often)])
     cos = np.full(len(along), -0.95)
     size, ahead = size_of(
-        along, ends_from(cos), np.full(len(along), 0.3), time, np.ones(len(along)), MotionSettings()
+        along, ends_from(cos), np.full(len(along), 0.3), time, np.ones(len(along))
     )
     assert size.length_m == pytest.approx(length, abs=0.8)
     assert ahead == pytest.approx(0.0, abs=0.5)
@@ -143,7 +131,7 @@ def test_seen_from_one_end_only_a_length_is_that_of_a_car():
     along = np.full(400, 2.2)
     size, _ = size_of(
         along, ends_from(np.full(400, -1.0)), np.full(400, 0.3), np.linspace(0, 20, 400),
-        np.ones(400), MotionSettings(),
+        np.ones(400),
     )  # fmt: skip
     assert size.length_m == pytest.approx(4.5, abs=0.5)
     assert size.sigma_m > 1.0
@@ -153,26 +141,23 @@ def test_what_passes_by_makes_no_longer():
     along = np.concatenate([np.repeat(np.linspace(-2.0, 2.0, 9), 10), [-9.0, -8.0, -7.0, -6.0]])
     time = np.concatenate([np.tile(np.arange(10.0), 9), [4.0, 4.1, 4.2, 4.3]])
     cos = np.full(len(along), -0.9)
-    size, _ = size_of(
-        along, ends_from(cos), np.full(len(along), 0.3), time, np.ones(len(along)), MotionSettings()
-    )
+    size, _ = size_of(along, ends_from(cos), np.full(len(along), 0.3), time, np.ones(len(along)))
     assert size.length_m < 6.0
 
 
 def test_nothing_to_trust_is_a_car():
     none = np.zeros(3)
-    size, ahead = size_of(none, ends_from(none + 0.5), none + 0.3, none, none, MotionSettings())
+    size, ahead = size_of(none, ends_from(none + 0.5), none + 0.3, none, none)
     assert (size.length_m, ahead) == (4.5, 0.0)
 
 
 def test_heights_tell_lorries_from_cars_when_they_are_near():
-    settings = TallSettings()
     near, far = np.full(200, 30.0), np.full(200, 180.0)
-    assert tall_odds(np.full(200, 1.8), near, settings) > 2.0
-    assert tall_odds(np.full(200, 0.7), near, settings) < -1.0
-    assert abs(tall_odds(np.full(200, 1.8), far, settings)) < 1.0
-    assert tall_odds(np.full(200, np.nan), near, settings) == 0.0
-    assert tall_odds(np.full(3, 1.8), near[:3], settings) == 0.0
+    assert tall_odds(np.full(200, 1.8), near) > 2.0
+    assert tall_odds(np.full(200, 0.7), near) < -1.0
+    assert abs(tall_odds(np.full(200, 1.8), far)) < 1.0
+    assert tall_odds(np.full(200, np.nan), near) == 0.0
+    assert tall_odds(np.full(3, 1.8), near[:3]) == 0.0
 
 
 def test_who_stands_on_does_so_until_a_silence():
@@ -206,7 +191,7 @@ def test_branches_that_stay_on_each_other_are_one_way():
     detections = detections_at(
         0.003 * np.arange(count), np.column_stack([10.0 + s, np.zeros(count)])
     )
-    forward = ForwardFilter(road_of(2), ForwardSettings())
+    forward = ForwardFilter(road_of(2))
     number, _ = forward.push(detections)
     assert set(number[10:].tolist()) == {0}
     assert len(forward.bodies) == 1
@@ -217,8 +202,8 @@ def test_branches_that_stay_on_each_other_are_one_way():
 def test_a_detection_on_lanes_that_overlap_counts_once_for_a_new_vehicle(lanes):
     x = 50.0 + 0.5 * np.arange(3.0)
     detections = detections_at(0.05 * np.arange(3.0), np.column_stack([x, np.zeros(3)]))
-    two, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(detections.take(slice(0, 2)))
-    three, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(detections)
+    two, _ = ForwardFilter(road_of(lanes)).push(detections.take(slice(0, 2)))
+    three, _ = ForwardFilter(road_of(lanes)).push(detections)
     assert two.tolist() == [-1, -1]
     assert three.tolist() == [0, 0, 0]
 
@@ -245,12 +230,12 @@ def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
     detections, drives = setting_off(fixed)
     states = np.zeros((len(detections), 6))
     states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
-    motion = fit_motion(detections, drives, states, MotionSettings())
+    motion = fit_motion(detections, drives, states)
     free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
-    passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
-    seen = Detectability.learned(detections, [], DetectabilitySettings())
-    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
+    passes = Passes.of([], detections, Strips.of(road_of(1)))
+    seen = Detectability.learned(detections, [])
+    whole = with_rest(0, motion, detections, free, states, passes, seen)
     begin = whole.first_step / RATE
     assert begin > 39.0 if fixed else begin < 1.0
 
@@ -261,11 +246,11 @@ def test_a_place_is_judged_by_the_seconds_that_were_recorded():
     drives = np.flatnonzero(detections.range_rate > 0.0)
     states = np.zeros((len(detections), 6))
     states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
-    motion = fit_motion(detections, drives, states, MotionSettings())
+    motion = fit_motion(detections, drives, states)
     free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
-    seen = Detectability.learned(detections, [], DetectabilitySettings())
-    rate = rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
+    seen = Detectability.learned(detections, [])
+    rate = rate_without(0, motion, 0, detections, free, seen)
     assert rate == pytest.approx(5.0, rel=0.2)
 
 
@@ -273,14 +258,14 @@ def test_a_follower_that_takes_the_place_is_not_of_the_road():
     detections, drives = setting_off(fixed=True)
     states = np.zeros((len(detections), 6))
     states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
-    motion = fit_motion(detections, drives, states, MotionSettings())
+    motion = fit_motion(detections, drives, states)
     free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
-    passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
+    passes = Passes.of([], detections, Strips.of(road_of(1)))
     follower = Occluders.stationary(1, (41.0, 60.0), 50.0, 0.0, 0.0, 4.5)
-    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    seen = Detectability.learned(detections, [])
     seen = Detectability(**{**vars(seen), "occluders": follower})
-    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
+    whole = with_rest(0, motion, detections, free, states, passes, seen)
     assert whole.first_step / RATE < 1.0
 
 
@@ -290,7 +275,7 @@ def test_nobody_stood_where_another_crossed_the_place_of_its_front(crosses_m, si
     detections, drives = setting_off(fixed=False)
     states = np.zeros((len(detections), 6))
     states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
-    motion = replace(fit_motion(detections, drives, states, MotionSettings()), length_m=8.0)
+    motion = replace(fit_motion(detections, drives, states), length_m=8.0)
     free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
     over = []
@@ -301,13 +286,13 @@ def test_nobody_stood_where_another_crossed_the_place_of_its_front(crosses_m, si
         way = np.zeros((40, 6))
         way[:, :2], way[:, 2], way[:, 3] = across, 0.5 * np.pi, 12.0
         seen_across = detections_at(time, across)
-        other = fit_motion(seen_across, np.arange(40), way, MotionSettings())
+        other = fit_motion(seen_across, np.arange(40), way)
         over = [
             replace(other, rows=np.flatnonzero((detections.time > 17.9) & (detections.time < 20.1)))
         ]
-    passes = Passes.of(over, detections, Strips.of(road_of(1)), StationarySettings())
-    seen = Detectability.learned(detections, [], DetectabilitySettings())
-    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
+    passes = Passes.of(over, detections, Strips.of(road_of(1)))
+    seen = Detectability.learned(detections, [])
+    whole = with_rest(0, motion, detections, free, states, passes, seen)
     assert since - 2.0 < whole.first_step / RATE < since + 2.0
 
 
@@ -339,11 +324,10 @@ def test_a_part_of_a_motion_is_where_the_whole_is(step):
 
 @given(odds=st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0)), more=st.floats(0.0, 2.0))
 def test_one_lorry_needs_two_tall_parts(odds, more):
-    settings = TallSettings()
-    given = one_tall_odds(odds, settings)
-    assert one_tall_odds((odds[1], odds[0]), settings) == pytest.approx(given)
-    assert one_tall_odds((odds[0] + more, odds[1]), settings) >= given
-    assert one_tall_odds((4.0, -3.0), settings) < 0.0 < one_tall_odds((2.0, 2.0), settings)
+    given = one_tall_odds(odds)
+    assert one_tall_odds((odds[1], odds[0])) == pytest.approx(given)
+    assert one_tall_odds((odds[0] + more, odds[1])) >= given
+    assert one_tall_odds((4.0, -3.0)) < 0.0 < one_tall_odds((2.0, 2.0))
 
 
 def part(begin, end, places, speeds, *, stationary=False):
@@ -364,10 +348,10 @@ def part(begin, end, places, speeds, *, stationary=False):
     ],
 )
 def test_who_drove_on_unseen_is_one(other, follows, learned):
-    passes = Passes.of([], detections_at(np.zeros(1), np.ones((1, 2))), Strips.of(road_of(1)),
-                       StationarySettings())  # fmt: skip
+    nothing = detections_at(np.zeros(1), np.ones((1, 2)))
+    passes = Passes.of([], nothing, Strips.of(road_of(1)))
     one = part(0.0, 10.0, (0.0, 50.0), (10.0, 10.0))
-    found = chains([one, other], passes, learned, VehicleSettings())
+    found = chains([one, other], passes, learned)
     assert found == ([[0, 1]] if follows else [[0], [1]])
 
 
@@ -378,8 +362,8 @@ def test_who_waited_is_one_unless_its_place_was_driven_over(driven_over, follows
     time = np.arange(0.0, 60.0, 0.05)
     over = [lasting(-150.0, 30.0, 600)] if driven_over else []
     detections = detections_at(time, np.ones((len(time), 2)))
-    passes = Passes.of(over, detections, Strips.of(road_of(1)), StationarySettings())
-    found = chains([one, other], passes, learned, VehicleSettings())
+    passes = Passes.of(over, detections, Strips.of(road_of(1)))
+    found = chains([one, other], passes, learned)
     assert found == ([[0, 1]] if follows else [[0], [1]])
 
 
@@ -390,8 +374,8 @@ def test_what_is_seen_while_others_drive_over_it_holds_no_vehicle(through):
     detections = detections_at(time, np.tile([100.0, 0.0], (len(time), 1)))
     beside_m = 0.0 if through else 30.0
     drivers = [lasting(0.0, 20.0, len(time), begin, beside_m) for begin in (0, 20, 40)]
-    passes = Passes.of(drivers, detections, Strips.of(graph), StationarySettings())
-    left = not_built(detections, np.ones(len(time), bool), passes, StationarySettings())
+    passes = Passes.of(drivers, detections, Strips.of(graph))
+    left = not_built(detections, np.ones(len(time), bool), passes)
     assert left.all() != through
     assert left.any() != through
 
@@ -406,10 +390,8 @@ def test_what_comes_more_often_than_the_road_returns_is_none_of_it():
     places = rng.uniform([97.0, -1.0], [103.0, 1.0], (len(time), 2))
     detections = detections_at(time[order], places[order])
     drivers = [lasting(0.0, 20.0, len(time), begin) for begin in begins]
-    passes = Passes.of(drivers, detections, Strips.of(graph), StationarySettings())
-    left = detections.time[
-        not_built(detections, np.ones(len(time), bool), passes, StationarySettings())
-    ]
+    passes = Passes.of(drivers, detections, Strips.of(graph))
+    left = detections.time[not_built(detections, np.ones(len(time), bool), passes)]
     inside = (left > 29.0) & (left < 56.0)
     assert inside.mean() > 0.97
     assert inside.sum() > 0.9 * len(still)
@@ -417,17 +399,16 @@ def test_what_comes_more_often_than_the_road_returns_is_none_of_it():
 
 def test_a_radar_with_more_noise_needs_more_to_seem_to_move():
     rng = np.random.default_rng(1)
-    settings = DetectionSettings()
     quiet, noisy = (rng.normal(0.0, sigma, 50_000) for sigma in (0.016, 0.05))
     driven = rng.uniform(-20.0, 20.0, 5_000)
-    assert still_rate(np.append(quiet, driven), settings) == settings.moving_mps
-    limit = still_rate(np.append(noisy, driven), settings)
+    assert still_rate(np.append(quiet, driven)) == MOVING_MPS
+    limit = still_rate(np.append(noisy, driven))
     assert limit == pytest.approx(0.25, rel=0.05)
     assert (np.abs(noisy) > limit).mean() < 1e-4
     # where nothing that stands is recorded, nothing tells how much it would scatter
     creeping = rng.uniform(-2.0, 2.0, 50_000)
-    assert still_rate(driven, settings) == settings.moving_mps
-    assert still_rate(np.append(creeping, driven), settings) == settings.moving_mps
+    assert still_rate(driven) == MOVING_MPS
+    assert still_rate(np.append(creeping, driven)) == MOVING_MPS
 
 
 def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
@@ -445,7 +426,7 @@ def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
         range_rate=rate[order], sight=sight[order], range_m=np.hypot(*away.T)[order],
         sensor=np.zeros(len(when), np.int64), rcs=np.zeros(len(when)),
     )  # fmt: skip
-    number, state = ForwardFilter(road_of(1), ForwardSettings()).push(detections)
+    number, state = ForwardFilter(road_of(1)).push(detections)
     fixed = order >= len(time)
     assert (number[fixed] < 0).all()
     moving = ~fixed & (np.abs(detections.range_rate) > 0.15)
@@ -454,12 +435,12 @@ def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
 
 
 @pytest.mark.parametrize("rate", [0.25, 0.5, 5.0])
-def test_a_fixed_thing_that_returns_seldom_is_built_too(rate):
+def test_a_fixed_thing_that_returns_seldom_is_built_too(rate, monkeypatch):
     rng = np.random.default_rng(4)
     time = np.sort(rng.uniform(0.0, 300.0, int(300.0 * rate)))
     detections = detections_at(time, np.tile([100.0, 0.0], (len(time), 1)))
     drivers = [lasting(0.0, 20.0, len(time), begin) for begin in range(0, 280, 20)]
-    settings = replace(StationarySettings(), built_share=0.2)
-    passes = Passes.of(drivers, detections, Strips.of(road_of(1)), settings)
-    left = not_built(detections, np.ones(len(time), bool), passes, settings)
+    monkeypatch.setattr(stationary, "BUILT_SHARE", 0.2)
+    passes = Passes.of(drivers, detections, Strips.of(road_of(1)))
+    left = not_built(detections, np.ones(len(time), bool), passes)
     assert left.mean() < 0.1

@@ -9,10 +9,9 @@ from maps import Listener
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.tracking import VehicleSettings
+from gis_radar.tracking import hour_blocks
 from gis_radar.tracking.batches import joined_rows
 from gis_radar.tracking.map_check import describe_map
-from gis_radar.tracking.settings import BlockSettings
 
 SAMPLE = gr.sample_folder()
 
@@ -37,12 +36,10 @@ def site(tmp_path_factory):
     return tiles, folder
 
 
-def found(site, name, recordings=None, *, vehicles=None, **options):
+def found(site, name, recordings=None, **options):
     tiles, folder = site
     given = recordings or [folder / "R1.parquet", folder / "R2.parquet"]
     poses = [gr.read_pose(SAMPLE / f"{path.stem[:2]}.json") for path in given]
-    if vehicles is not None:
-        options["settings"] = gr.MeasureSettings(vehicles=vehicles)
     return gr.measure(given, poses, tiles, SAMPLE / "junction.osm", folder / name, **options)
 
 
@@ -111,9 +108,10 @@ def test_each_vehicle_states_how_likely_it_exists(whole):
     assert stated.nunique() > 20
 
 
-def test_blocks_neither_lose_nor_double_occupancy(site, whole):
-    settings = VehicleSettings(blocks=BlockSettings(steps=300, margin_steps=200))
-    cut = found(site, "cut", vehicles=settings)
+def test_blocks_neither_lose_nor_double_occupancy(site, whole, monkeypatch):
+    monkeypatch.setattr(hour_blocks, "BLOCK_STEPS", 300)
+    monkeypatch.setattr(hour_blocks, "MARGIN_STEPS", 200)
+    cut = found(site, "cut")
     tiles, _ = site
     uncut, in_blocks = occupied_s(whole, tiles), occupied_s(cut, tiles)
     assert in_blocks.sum() == pytest.approx(uncut.sum(), rel=0.1)
@@ -121,16 +119,17 @@ def test_blocks_neither_lose_nor_double_occupancy(site, whole):
     assert len(cut.vehicles()) < 1.3 * len(whole.vehicles())
 
 
-def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_path):
+def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_path, monkeypatch):
     table = begin_of(SAMPLE / "R1.parquet")
     step = (table["time"] * 20.0).round().astype(int)
     edge, gap = -(-int(step.min()) // 240) * 240, 12
     kept = table[(step < edge + 160) & ~step.between(edge - gap, edge + gap)]
     kept.to_parquet(tmp_path / "R1.parquet", index=False)
     states = []
+    monkeypatch.setattr(hour_blocks, "MARGIN_STEPS", 240)
     for name, steps in (("gap-whole", 6000), ("gap-cut", 240)):
-        settings = VehicleSettings(blocks=BlockSettings(steps=steps, margin_steps=240))
-        made = found(site, name, [tmp_path / "R1.parquet"], vehicles=settings)
+        monkeypatch.setattr(hour_blocks, "BLOCK_STEPS", steps)
+        made = found(site, name, [tmp_path / "R1.parquet"])
         tracks = made.tracks()
         step = steps_of(tracks)
         states.append(tracks[(abs(step - edge) <= gap) & (step % 4 == 0)])

@@ -1,7 +1,5 @@
 """What vehicles cover, hide and pass, against shapely and plain loops."""
 
-from dataclasses import replace
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -15,13 +13,19 @@ from sites import pose
 
 from gis_radar.hdmap import quads
 from gis_radar.measures import PoseSight
-from gis_radar.tracking import OCCUPANCY_DEFAULTS, PathBook
+from gis_radar.tracking import PathBook, footprints, visibility
 from gis_radar.tracking.footprints import MOST_PARTS, overlapped_m
 from gis_radar.tracking.occupancy import OccupancyEngine
 from gis_radar.tracking.passages import LaneletPlaces, PassageBook, levels_of
 
-EVERY_STEP = replace(OCCUPANCY_DEFAULTS, look_steps=1)
 NO_FRAMES = pd.DataFrame({"sight": [], "first_step": [], "last_step": []})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _every_step_is_looked_at():
+    with pytest.MonkeyPatch.context() as often:
+        often.setattr(visibility, "LOOK_STEPS", 1)
+        yield
 
 
 def rows_of(tracks, *, length=4.5, width=1.8, p_heavy=0.0):
@@ -68,8 +72,8 @@ def occupied_pairs(tables):
     return pairs
 
 
-def run_engine(tiles, tracks, rows, *, views=(), held=NO_FRAMES, span=None, chosen=EVERY_STEP):
-    engine = OccupancyEngine(tiles, {each.name: each for each in views}, chosen)
+def run_engine(tiles, tracks, rows, *, views=(), held=NO_FRAMES, span=None):
+    engine = OccupancyEngine(tiles, {each.name: each for each in views})
     span = span or (int(tracks["step"].min()), int(tracks["step"].max()) + 1)
     passages = engine.advance(tracks, rows, held, span)
     return passages, *engine.flush()
@@ -138,9 +142,9 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
         [fronts - move * length / 2, move, np.full(len(move), length / 2), np.full(len(move), 1.25)]
     )
     long = np.ones(len(fronts), np.bool_)
-    path, points, begins = PathBook(settings=replace(OCCUPANCY_DEFAULTS, path_step_m=0.5)).extend(
-        np.zeros(len(fronts), np.int64), boxes, long
-    )
+    with pytest.MonkeyPatch.context() as finer:
+        finer.setattr(footprints, "PATH_STEP_M", 0.5)
+        path, points, begins = PathBook().extend(np.zeros(len(fronts), np.int64), boxes, long)
     ends = shapely.affinity.rotate(
         shapely.LineString([(line[0], line[1] - line[3] / 2), (line[0], line[1] + line[3] / 2)]),
         line[2],
@@ -164,7 +168,7 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
     assert least - 0.1 < got < most + 0.1
 
 
-def test_the_strip_of_a_truck_bends_and_goes_on_from_piece_to_piece():
+def test_the_strip_of_a_truck_bends_and_goes_on_from_piece_to_piece(monkeypatch):
     """On a curve of 15 m radius the rear of 18 m lies 9 m beside the straight rectangle."""
     angle = np.radians(np.arange(0, 120, 1.5))
     front = 15 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
@@ -175,11 +179,11 @@ def test_the_strip_of_a_truck_bends_and_goes_on_from_piece_to_piece():
     tiles = crossing_tiles([0.0, 90.0], [np.nan] * 2, [3.0] * 2)
     tiles.geometry = tiles.geometry.translate(14.0, 8.0)
     rows = rows_of(tracks, length=18.0, width=2.5)
-    exact = replace(EVERY_STEP, path_step_m=0.1)
     coarse = occupied_pairs(run_engine(tiles, tracks, rows)[1])
-    whole = occupied_pairs(run_engine(tiles, tracks, rows, chosen=exact)[1])
+    monkeypatch.setattr(footprints, "PATH_STEP_M", 0.1)
+    whole = occupied_pairs(run_engine(tiles, tracks, rows)[1])
     assert len(whole.keys() ^ coarse.keys()) < 0.03 * len(whole)
-    engine = OccupancyEngine(tiles, (), exact)
+    engine = OccupancyEngine(tiles, ())
     for low, high in ((0, 33), (33, 34), (34, len(tracks))):
         part = tracks.iloc[low:high].reset_index(drop=True)
         engine.advance(part, rows, NO_FRAMES, (FIRST + low, FIRST + high))
@@ -269,10 +273,10 @@ def test_lines_of_sight_are_hidden_as_by_samples(eyes, cars):
     ]
     tracks = pd.concat(states).sort_values(["step", "vehicle"], ignore_index=True)
     rows = rows_of(tracks, p_heavy=[float(car[3]) for car in cars])
-    at_once = replace(EVERY_STEP, hidden_s=0.0)
-    _, _, visible = run_engine(
-        tiles, tracks, rows, views=views, held=held_by(views, FIRST, FIRST + 1), chosen=at_once
-    )
+    held = held_by(views, FIRST, FIRST + 1)
+    with pytest.MonkeyPatch.context() as at_once:
+        at_once.setattr(visibility, "HIDDEN_S", 0.0)
+        _, _, visible = run_engine(tiles, tracks, rows, views=views, held=held)
     cars = tracks[tracks["step"] == FIRST].to_dict("records")
     clear = np.zeros(len(tiles), np.bool_)
     for view in views:
@@ -357,7 +361,7 @@ def test_passages_are_counted_once_and_where_visible():
     )
     rows = rows_of(tracks, p_heavy=0.9)
     views = tower_views(tiles, [((-20.0, 0.0, 6.0), slice(None))])
-    engine, passed = OccupancyEngine(tiles, {each.name: each for each in views}, EVERY_STEP), []
+    engine, passed = OccupancyEngine(tiles, {each.name: each for each in views}), []
     held = held_by(views, FIRST, FIRST + 11)
     for low, high in ((0, 2), (2, 10), (10, 12)):
         part = tracks.iloc[low:high].reset_index(drop=True)

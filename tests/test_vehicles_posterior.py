@@ -19,7 +19,6 @@ from gis_radar.tracking.posterior.ends import with_undetected_ends
 from gis_radar.tracking.posterior.existence import probability, with_existence
 from gis_radar.tracking.posterior.likelihood import gain_of, on_body, overlap
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
-from gis_radar.tracking.settings import MotionSettings
 
 BEGIN, RATE = 1e9, 20
 EYE = np.array([-30.0, -20.0])
@@ -97,7 +96,7 @@ def test_a_right_track_stays_and_one_of_nothing_goes(graph):
     right = track(found, 0, 12, 20.0, 10.0)
     wrong = track(found, 4, 16, 200.0, -10.0)
     assert Posterior(found, [right]).total.min() > 0.0
-    kept = improve([right, wrong], found, graph, MotionSettings())
+    kept = improve([right, wrong], found, graph)
     assert len(kept) == 1
     assert span_s(kept[0]) == pytest.approx((0.0, 12.0), abs=1.0)
     places = np.interp(5.0, np.arange(len(kept[0].s_m)) / RATE, kept[0].places[0][:, 0])
@@ -112,9 +111,7 @@ def test_a_track_that_runs_on_without_support_is_trimmed(graph):
     others = track(found, 10, 20, 20.0, 10.0)
     (first, *_), *_ = sorted(
         (span_s(each), k)
-        for k, each in enumerate(
-            improve([track(found, 0, 14, 20.0, 10.0), others], found, graph, MotionSettings())
-        )
+        for k, each in enumerate(improve([track(found, 0, 14, 20.0, 10.0), others], found, graph))
     )
     assert first == pytest.approx((0.0, 8.0), abs=1.0)
 
@@ -122,7 +119,7 @@ def test_a_track_that_runs_on_without_support_is_trimmed(graph):
 def test_a_track_goes_on_along_the_lane_as_far_as_it_is_detected(graph):
     rng = np.random.default_rng(3)
     found = detected(returns(rng, 0, 15, 20.0, 10.0), clutter(rng, 20))
-    (longer,) = improve([track(found, 6, 9, 80.0, 10.0)], found, graph, MotionSettings())
+    (longer,) = improve([track(found, 6, 9, 80.0, 10.0)], found, graph)
     assert span_s(longer) == pytest.approx((0.0, 15.0), abs=1.6)
     assert len(longer.rows) > 400
 
@@ -163,7 +160,7 @@ def test_two_tracks_on_one_bus_become_one_that_is_as_long(graph):
     rng = np.random.default_rng(4)
     found = detected(returns(rng, 0, 12, 30.0, 10.0, length=BUS, each=5.0), clutter(rng, 14))
     parts = [track(found, 0, 12, 30.0 + shift, 10.0) for shift in (-3.7, 3.7)]
-    (bus,) = improve(parts, found, graph, MotionSettings())
+    (bus,) = improve(parts, found, graph)
     assert bus.length_m == pytest.approx(BUS, abs=0.6)
     assert bus.p_heavy > 0.5
 
@@ -178,11 +175,7 @@ def test_a_track_on_two_cars_becomes_two(graph):
     lorry, car = track(found, 0, 30, 106.0, 0.0, length=16.5), track(found, 0, 9, 10.0, 9.0)
     posterior = Posterior(found, [lorry, car])
     assert len(split_long(posterior)) == 3
-    standing = [
-        each
-        for each in improve([lorry, car], found, graph, MotionSettings())
-        if each.speed.max() < 1.0
-    ]
+    standing = [each for each in improve([lorry, car], found, graph) if each.speed.max() < 1.0]
     places = sorted(float(each.places[0][0, 0]) for each in standing)
     assert places == pytest.approx([100.0, 112.0], abs=1.0)
 
@@ -253,7 +246,7 @@ def test_who_stands_throughout_is_not_taken_for_what_is_built(graph):
         returns(rng, 0, 60, 100.0, 0.0), returns(rng, 0, 9, 10.0, 9.0), clutter(rng, 60, 0.3)
     )
     stands = track(found, 0, 60, 100.0, 0.0)
-    kept = improve([stands, track(found, 0, 9, 10.0, 9.0)], found, graph, MotionSettings())
+    kept = improve([stands, track(found, 0, 9, 10.0, 9.0)], found, graph)
     assert max(len(each.s_m) for each in kept if each.speed.max() < 1.0) > 55 * RATE
 
 
@@ -261,7 +254,7 @@ def test_no_two_are_in_one_place_for_over_a_second(graph):
     rng = np.random.default_rng(6)
     found = detected(returns(rng, 0, 12, 20.0, 10.0, each=4.0), clutter(rng, 14))
     twice = [track(found, 0, 12, 20.0 + shift, 10.0) for shift in (0.0, 0.5)]
-    assert len(improve(twice, found, graph, MotionSettings())) == 1
+    assert len(improve(twice, found, graph)) == 1
 
 
 def test_who_exists_is_told_from_a_second_one_on_the_same_detections():
@@ -308,9 +301,9 @@ def test_the_same_detections_give_the_same_vehicles(graph):
         returns(rng, 0, 12, 20.0, 10.0), returns(rng, 3, 12, 20.0, 12.0), clutter(rng, 14)
     )
     given_tracks = [track(found, 0, 12, 20.0, 10.0), track(found, 3, 12, 20.0, 12.0)]
-    one, other = (improve(given_tracks, found, graph, MotionSettings()) for _ in range(2))
+    one, other = (improve(given_tracks, found, graph) for _ in range(2))
     assert [each.s_m.tobytes() for each in one] == [each.s_m.tobytes() for each in other]
-    assert improve([], found, graph, MotionSettings()) == []
+    assert improve([], found, graph) == []
 
 
 def test_gains_are_those_of_the_sum_of_all_vehicles():

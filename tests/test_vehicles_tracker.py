@@ -9,17 +9,14 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.hdmap import lane_graph
-from gis_radar.tracking import ForwardFilter, MapDetections, VehicleSettings
+from gis_radar.tracking import ForwardFilter, MapDetections
 from gis_radar.tracking.bodies import join_directions
 from gis_radar.tracking.columns import NONE
-from gis_radar.tracking.management_settings import StationarySettings
 from gis_radar.tracking.motion import fit_motion, without_way_back
 from gis_radar.tracking.paths import Path, path_through
-from gis_radar.tracking.stationary import pack
+from gis_radar.tracking.stationary import CELL_M, pack
 from gis_radar.tracking.strips import Strips
 from gis_radar.tracking.tracker import vehicles_in
-
-SETTINGS = VehicleSettings()
 
 
 def lanelets(*rows):
@@ -98,7 +95,7 @@ def test_the_filter_follows_one_vehicle_from_end_to_end(straight):
     time, points, rate = driving(12.0, 0.0, 15.0, 5.0, rng)
     keep = rng.random(len(time)) < 0.5
     detections = detections_at(time[keep], points[keep] - straight.origin, rate[keep])
-    number, state = ForwardFilter(straight, SETTINGS.forward).push(detections)
+    number, state = ForwardFilter(straight).push(detections)
     assert set(number.tolist()) <= {NONE, 0}
     assert (number == 0).mean() > 0.95
     assert state[number == 0][50:, 3] == pytest.approx(12.0, abs=0.5)
@@ -167,16 +164,16 @@ def test_speeds_in_a_bend_that_is_drawn_in_chords_are_right_where_it_is_seen_acr
     detections = detections_at(
         1e9 + time[kept], points[kept] - graph.origin, rate[kept], eye - graph.origin
     )
-    number, state = ForwardFilter(graph, SETTINGS.forward).push(detections)
+    number, state = ForwardFilter(graph).push(detections)
     assert set(number.tolist()) <= {NONE, 0}
-    motion = fit_motion(detections, np.flatnonzero(number == 0), state, SETTINGS.motion)
+    motion = fit_motion(detections, np.flatnonzero(number == 0), state)
     assert motion.speed[20:-20] == pytest.approx(speed, abs=1.0)
 
 
 @pytest.mark.parametrize("turns", [False, True])
 def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, turns):
     detections, true, angle = through(fork, turns=turns)
-    number, state = ForwardFilter(fork, SETTINGS.forward).push(detections)
+    number, state = ForwardFilter(fork).push(detections)
     assert set(number[10:].tolist()) == {0}
     away = state[10:, :2] + fork.origin - true[10:]
     assert np.hypot(*away.T).max() < 2.0  # also where the lanes still lie on each other
@@ -186,8 +183,8 @@ def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, tur
 
 def test_what_comes_later_tells_which_branch_was_taken(fork):
     detections, _, _ = through(fork, turns=False, strays=True)
-    number, state = ForwardFilter(fork, SETTINGS.forward).push(detections)
-    alone = ForwardFilter(fork, SETTINGS.forward)
+    number, state = ForwardFilter(fork).push(detections)
+    alone = ForwardFilter(fork)
     singly = [alone.push(detections.take(slice(k, k + 1))) for k in range(len(detections))]
     then = np.vstack([each for _, each in singly])
     own = number[10:] == 0
@@ -200,8 +197,8 @@ def test_what_comes_later_tells_which_branch_was_taken(fork):
 @pytest.mark.parametrize("size", [1, 3, 50])
 def test_detections_in_chunks_are_of_the_same_vehicles(fork, size):
     detections, _, _ = through(fork, turns=True)
-    whole, state = ForwardFilter(fork, SETTINGS.forward).push(detections)
-    chunked = ForwardFilter(fork, SETTINGS.forward)
+    whole, state = ForwardFilter(fork).push(detections)
+    chunked = ForwardFilter(fork)
     parts = [
         chunked.push(detections.take(slice(k, k + size))) for k in range(0, len(detections), size)
     ]
@@ -214,7 +211,7 @@ def test_of_branches_only_the_best_is_a_body(fork):
     points = np.column_stack([s, np.zeros(len(s))]) - fork.origin
     eye = np.array([-50.0, 0.0]) - fork.origin
     detections = detections_at(1e9 + (s - 60.0) / 8.0, points, np.full(len(s), 8.0), eye)
-    forward = ForwardFilter(fork, SETTINGS.forward)
+    forward = ForwardFilter(fork)
     forward.push(detections)
     assert len(forward.bodies) == 1
 
@@ -280,7 +277,7 @@ def test_a_few_detections_of_something_else_do_not_spoil_a_motion(at):
     eye = np.array([-200.0, -10.0])
     detections = detections_at(1e9 + all_time[order], points, rates, eye)
     states = np.column_stack([points, np.zeros(len(points)), rates, np.full((len(points), 2), 2.0)])
-    motion = fit_motion(detections, np.arange(len(points)), states, SETTINGS.motion)
+    motion = fit_motion(detections, np.arange(len(points)), states)
     s_m, speed = motion.at(detections.time[~walks])
     sure = (time > 1.5) & (time < 6.5)
     assert speed[sure] == pytest.approx(12.0, abs=0.5)
@@ -297,7 +294,7 @@ def test_who_is_followed_for_long_is_not_given_up_for_one_who_comes_behind():
     points = np.column_stack([s, np.zeros(len(s))])
     detections = detections_at(1e9 + time, points, rate, (-200.0, -10.0))
     states = np.column_stack([points, np.zeros(len(s)), rate, np.full((len(s), 2), 2.0)])
-    motion = fit_motion(detections, np.arange(len(s)), states, SETTINGS.motion)
+    motion = fit_motion(detections, np.arange(len(s)), states)
     s_m, _ = motion.at(detections.time[~behind])
     assert motion.path.at(s_m)[0][:, 0] == pytest.approx(s[~behind], abs=4.0)
     assert motion.speed[-1] > 10.0  # as far as its own detections tell
@@ -337,9 +334,7 @@ def test_speed_place_and_length_of_a_vehicle_that_stops_and_goes(straight):
     points += rng.normal(0.0, (0.1, 0.2), points.shape)
     rate = speed + rng.normal(0, 0.02, len(time))
     rate[speed == 0.0] = 0.0
-    (one,) = vehicles_in(
-        detections_at(time + 1e9, points - straight.origin, rate), straight, SETTINGS
-    )
+    (one,) = vehicles_in(detections_at(time + 1e9, points - straight.origin, rate), straight)
     own = np.arange(one.first_step, one.last_step + 1) / 20.0 - 1e9
     assert own[[0, -1]] == pytest.approx([0.0, 32.0], abs=0.3)
     stationary = (own > 10.0) & (own < 19.0)
@@ -354,7 +349,7 @@ def test_a_sign_at_the_edge_of_a_lane_is_no_vehicle(straight):
     time = np.arange(0.0, 60.0, 0.05) + 1e9
     points = np.column_stack([rng.normal(60, 0.1, len(time)), rng.normal(-1.7, 0.05, len(time))])
     detections = detections_at(time, points - straight.origin, np.zeros(len(time)))
-    assert vehicles_in(detections, straight, SETTINGS) == []
+    assert vehicles_in(detections, straight) == []
 
 
 def test_what_others_drive_over_does_not_stand(straight):
@@ -365,7 +360,7 @@ def test_what_others_drive_over_does_not_stand(straight):
     parts += [driving(12.0, at, at + 12.0, 5.0, rng) for at in (3.0, 12.0, 21.0, 30.0, 39.0, 48.0)]
     order = np.argsort(np.concatenate([each[0] for each in parts]), kind="stable")
     time, points, rate = (np.concatenate([each[k] for each in parts])[order] for k in range(3))
-    found = vehicles_in(detections_at(time, points - straight.origin, rate), straight, SETTINGS)
+    found = vehicles_in(detections_at(time, points - straight.origin, rate), straight)
     standing_s = sum(float((each.speed < 0.5).sum()) / 20.0 for each in found)
     assert sum(each.speed.max() > 5.0 for each in found) == 6
     assert standing_s < 30.0
@@ -374,13 +369,12 @@ def test_what_others_drive_over_does_not_stand(straight):
 @settings(deadline=None)
 @given(gap_m=st.floats(1.5, 6.0), count=st.integers(1, 4))
 def test_a_queue_is_packed_into_its_vehicles(gap_m, count):
-    limits = StationarySettings()
     weights = np.zeros((3, 400))
     rears = [10.0 + k * (4.5 + gap_m) for k in range(count)]
     for rear in rears:
         for place, kind in ((rear + 0.1, 1), (rear + 4.4, 0)):
-            weights[kind, int(place / limits.cell_m)] = 8.0
-    found = pack(weights, np.full(401, NONE, np.int64), limits) * limits.cell_m
+            weights[kind, int(place / CELL_M)] = 8.0
+    found = pack(weights, np.full(401, NONE, np.int64)) * CELL_M
     assert len(found) == count
     assert np.sort(found[:, 0]) == pytest.approx(rears, abs=0.6)
     assert np.sort(found[:, 1]) == pytest.approx(np.add(rears, 4.5), abs=0.6)

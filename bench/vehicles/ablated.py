@@ -74,14 +74,14 @@ def _same(posterior: Any, *_: Any) -> Any:
     return list(posterior.motions)
 
 
-def _once(motions: Any, detections: Any, graph: Any, settings: Any) -> Any:
+def _once(motions: Any, detections: Any, graph: Any) -> Any:
     if not motions:
         return []
     posterior = estimate.Posterior(detections, motions)
     posterior.learn(moves._sized_and_cut(posterior))  # noqa: SLF001
     posterior.place(moves.lengthen(posterior, graph))
     posterior.motions = moves.reassign(posterior)
-    posterior.place(moves.refit(posterior, settings))
+    posterior.place(moves.refit(posterior))
     return moves.with_undetected_ends(posterior, moves._sized_and_cut(posterior))  # noqa: SLF001
 
 
@@ -99,15 +99,13 @@ def _straight(*given: Any) -> Any:
 _bent = estimate.motion_states
 
 
-def _forward_alone(detections: Any, graph: Any, settings: Any) -> Any:
-    numbers, both = tracker.follow_both_ways(
-        detections, graph, settings.forward, settings.detections.moving_mps
-    )
+def _forward_alone(detections: Any, graph: Any) -> Any:
+    numbers, both = tracker.follow_both_ways(detections, graph)
     return numbers[0], both[0]
 
 
-def _as_it_is(detections: Any, rows: Any, states: Any, _: Any, settings: Any) -> Any:
-    return [motion.fit_motion(detections, rows, states, settings)]
+def _as_it_is(detections: Any, rows: Any, states: Any) -> Any:
+    return [motion.fit_motion(detections, rows, states)]
 
 
 class _Persons:
@@ -116,15 +114,15 @@ class _Persons:
     def __init__(self, off: int) -> None:
         self.calls, self.off = 0, off
 
-    def __call__(self, detections: Any, motions: Any, every: Any) -> Any:
+    def __call__(self, detections: Any, motions: Any) -> Any:
         self.calls += 1
         if self.calls % 2 == self.off:
             return [False] * len(motions)
-        return bodies.is_person(detections, motions, every)
+        return bodies.is_person(detections, motions)
 
 
 def _last_persons() -> AbstractContextManager[Any]:
-    return patch.object(tracker, "is_person", lambda _, motions, __: [False] * len(motions))
+    return patch.object(tracker, "is_person", lambda _, motions: [False] * len(motions))
 
 
 def _first_persons() -> AbstractContextManager[Any]:

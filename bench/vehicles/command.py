@@ -2,7 +2,7 @@
 
     python bench/vehicles                                        all methods, development scenes
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
-    python bench/vehicles --scene town --set links.end_cost=0    with true poses, settings changed
+    python bench/vehicles --scene town --set links.END_COST=0    with true poses, constants changed
     python bench/vehicles --scene town --score-only dataset/     a dataset, or a table
     python bench/vehicles --into docs/accuracy.md                its tables, from what is kept
 
@@ -24,7 +24,7 @@ from typing import Any
 
 import pandas as pd
 import tables
-from methods import METHODS, NotThereError, figures_of_dataset, figures_of_table, with_settings
+from methods import METHODS, NotThereError, figures_of_dataset, figures_of_table, with_constants
 from scenes import OUT, RECIPES, SHARED, is_there, scene
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
@@ -48,7 +48,7 @@ def main() -> None:
             rows = {options.score_only.name: score(name, options.score_only)}
         elif changes:
             values = {place: ast.literal_eval(value) for place, value in changes.items()}
-            rows = {", ".join(options.set): with_settings(scene(name), values)}
+            rows = {", ".join(options.set): with_constants(scene(name), values)}
         else:
             rows = compare(name, options.methods.split(","))
         named = {f"{name}, {method}": row for method, row in rows.items()}
@@ -63,7 +63,7 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--scene", default=",".join(usual), help=f"of {', '.join(names)}")
     parser.add_argument("--methods", default=",".join(METHODS), help=f"of {', '.join(METHODS)}")
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="settings")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="constants")
     parser.add_argument("--score-only", type=Path, metavar="DIR", help="dataset, or table")
     parser.add_argument("--into", type=Path, metavar="MD", help="put the tables into this page")
     options = parser.parse_args()

@@ -6,9 +6,12 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from contextlib import ExitStack
+from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import own
 import pandas as pd
@@ -20,7 +23,6 @@ from score import score_by_tiles, score_occupancy
 from tracks import compared, score_tracks
 
 import gis_radar as gr
-from gis_radar.tracking import VehicleSettings
 
 Figures = dict[str, Any]
 
@@ -54,26 +56,26 @@ def figures_of(site: SceneFiles, found: Found) -> Figures:
     return figures
 
 
-def with_settings(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
-    """Return the figures with true poses and other settings of the search for vehicles.
+def with_constants(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
+    """Return the figures with true poses and other constants of the search for vehicles.
 
     Parameters
     ----------
     site : SceneFiles
         A scene.
     values : mapping
-        By their places in `VehicleSettings`, such as ``links.end_cost``.
+        By module and name, such as ``links.END_COST``, also in each module that imports it.
+        Compiled code takes them when it is first called: one process a set of values.
     """
-    settings = VehicleSettings()
-    for place, value in values.items():
-        part, name = place.split(".")
-        changed = replace(getattr(settings, part), **{name: value})
-        settings = replace(settings, **{part: changed})
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as changed:
+        for place, value in values.items():
+            module, name = place.rsplit(".", 1)
+            owner = import_module(f"gis_radar.tracking.{module}")
+            changed.enter_context(patch.object(owner, name, value))
         begin = time.process_time()
         dataset = gr.measure(
             site.recordings, site.poses, site.tiles(), site.map, Path(folder) / "dataset",
-            scans=[site.scan], settings=gr.MeasureSettings(vehicles=settings),
+            scans=[site.scan],
         )  # fmt: skip
         cpu_s = time.process_time() - begin
         minutes = own.sensor_minutes(site)

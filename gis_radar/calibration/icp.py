@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from gis_radar.base import INSTALL_LOCALIZE, Floats, InputError, Integers, NoAnswerError, Reporter
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.calibration.result import STAGE, Localization, Problem, common
-from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, IcpSettings, LocalizationSettings
+from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.solver import FLOOR, at_least
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import CROWD_M, Moving
@@ -23,6 +23,11 @@ from gis_radar.calibration.traces import CROWD_M, Moving
 PROFILE_M = 2.0
 MAST_M = 5.0  # height of a usual mast, where the guess has none
 HEADINGS = 8  # tried where none is given, evenly around
+VOXEL_M = 0.5  # edge of the voxels of traces and road (the paper)
+# DBSCAN of the traces' voxels: gaps between the lanes of a street stay closed.
+EPS_M, MIN_POINTS = 2.0, 10
+DISTANCES_M = (10.0, 1.0, 0.5)  # of correspondences: large, then two voxels and one (the paper)
+ITERATIONS = 60  # most at each distance
 FARTHEST = 2.0  # an answer farther off than so many times the error of a guess is refused
 
 
@@ -59,7 +64,7 @@ def voxels(points: Floats, size_m: float) -> Floats:
     return np.asarray((np.unique(cells, axis=0) + 0.5) * size_m, dtype=np.float64)
 
 
-def source_voxels(moving: Moving, settings: IcpSettings = LOCALIZATION.icp) -> Floats:
+def source_voxels(moving: Moving) -> Floats:
     """Return the traces as the paper makes them: the voxels of the largest cluster.
 
     The paper clusters first; of voxels DBSCAN stores bounded lists of neighbours.
@@ -68,8 +73,6 @@ def source_voxels(moving: Moving, settings: IcpSettings = LOCALIZATION.icp) -> F
     ----------
     moving : Moving
         Detections faster than 0.15 m/s of the last 2000 frames.
-    settings : IcpSettings
-        Of clusters and voxels.
 
     Raises
     ------
@@ -79,16 +82,14 @@ def source_voxels(moving: Moving, settings: IcpSettings = LOCALIZATION.icp) -> F
         If Open3D is not installed.
     """
     o3d = _open3d()
-    centres = voxels(moving.points, settings.voxel_m)
-    labels = np.asarray(_cloud(o3d, centres).cluster_dbscan(settings.eps_m, settings.min_points))
+    centres = voxels(moving.points, VOXEL_M)
+    labels = np.asarray(_cloud(o3d, centres).cluster_dbscan(EPS_M, MIN_POINTS))
     if (labels < 0).all():
         raise NoAnswerError("nothing moved on the same place often enough", hint="record longer")
     return np.asarray(centres[labels == np.argmax(np.bincount(labels[labels >= 0]))])
 
 
-def register_icp(
-    source: Floats, road: Floats, starts: list[State], settings: IcpSettings = LOCALIZATION.icp
-) -> IcpFit:
+def register_icp(source: Floats, road: Floats, starts: list[State]) -> IcpFit:
     """Register traces to the road by point-to-point ICP at three distances, eq. (1) of the paper.
 
     Parameters
@@ -99,8 +100,6 @@ def register_icp(
         Cells of the road, local map coordinates, metres.
     starts : list of State
         Where to begin; the best end wins.
-    settings : IcpSettings
-        Of distances and iterations.
 
     Raises
     ------
@@ -109,7 +108,7 @@ def register_icp(
     """
     o3d = _open3d()
     traces, target = _cloud(o3d, source), _cloud(o3d, road)
-    fits = [_register(o3d, traces, target, start, settings) for start in starts]
+    fits = [_register(o3d, traces, target, start) for start in starts]
     return max(fits, key=lambda fit: (fit.fitness, -fit.rmse_m))
 
 
@@ -126,27 +125,25 @@ def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
     ]
 
 
-def _register(o3d: Any, source: Any, target: Any, start: State, settings: IcpSettings) -> IcpFit:
+def _register(o3d: Any, source: Any, target: Any, start: State) -> IcpFit:
     T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
     T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
     pipeline = o3d.pipelines.registration
-    for distance_m in settings.distances_m:
+    for distance_m in DISTANCES_M:
         result = pipeline.registration_icp(
             source,
             target,
             distance_m,
             T_map_sensor,
             pipeline.TransformationEstimationPointToPoint(),
-            pipeline.ICPConvergenceCriteria(max_iteration=settings.iterations),
+            pipeline.ICPConvergenceCriteria(max_iteration=ITERATIONS),
         )
         T_map_sensor = np.array(result.transformation)  # noqa: N806
     state = State(position=T_map_sensor[:3, 3], R_map_sensor=T_map_sensor[:3, :3], reflection=0.0)
     return IcpFit(state=state, fitness=float(result.fitness), rmse_m=float(result.inlier_rmse))
 
 
-def pose_information(
-    source: Floats, road: Floats, state: State, settings: LocalizationSettings = LOCALIZATION
-) -> Floats:
+def pose_information(source: Floats, road: Floats, state: State) -> Floats:
     """Return the (6, 6) information of a registration about its pose, order as a state's step.
 
     Point-to-point correspondences hold a trace even along a road on which it slides. The curvature
@@ -162,20 +159,18 @@ def pose_information(
         Cells of the road, local map coordinates, metres.
     state : State
         The pose.
-    settings : LocalizationSettings
-        Of steps, voxels and crowds.
     """
-    icp, tree = settings.icp, cKDTree(road)
+    tree = cKDTree(road)
     cells = np.floor(source[:, :2] / CROWD_M).astype(np.int64)
     _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    weight = 0.5 / (count[number.ravel()] * icp.voxel_m**2)
+    weight = 0.5 / (count[number.ravel()] * VOXEL_M**2)
 
     def cost(step: Floats) -> float:
         points = state.moved(np.append(step, 0.0)).to_map(source)
         gap = tree.query(points, distance_upper_bound=PROFILE_M)[0]
         return float(weight @ np.minimum(gap, PROFILE_M) ** 2)
 
-    size = np.array([PROFILE_M, PROFILE_M] + [icp.voxel_m] * 3 + [PROFILE_M])
+    size = np.array([PROFILE_M, PROFILE_M] + [VOXEL_M] * 3 + [PROFILE_M])
     size /= [1.0, 1.0, 1.0, *[LEVER_M] * 3]
     steps = np.diag(size)
     rise = np.diag([cost(step) + cost(-step) for step in steps]) - 2.0 * cost(np.zeros(6)) * np.eye(
@@ -212,8 +207,8 @@ def by_icp(
 ) -> Localization:
     """Lay the traces on the road's surface, as the paper does."""
     reporter.progress(STAGE, 1, 3)
-    guess_m, icp = settings.search.guess_m, settings.icp
-    source = source_voxels(moving, icp)
+    guess_m = settings.search.guess_m
+    source = source_voxels(moving)
     local = problem.road - [*problem.guess[:2], 0.0]
     reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + guess_m
     local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
@@ -222,7 +217,7 @@ def by_icp(
     reporter.progress(STAGE, 2, 3)
     height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
     starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
-    fit = register_icp(source, voxels(local, icp.voxel_m), starts, icp)
+    fit = register_icp(source, voxels(local, VOXEL_M), starts)
     away = float(np.hypot(*fit.state.position[:2]))
     if away > FARTHEST * guess_m:
         raise NoAnswerError(
@@ -232,7 +227,7 @@ def by_icp(
             hint="guess closer",
         )
     reporter.progress(STAGE, 3, 3)
-    information = pose_information(source, local, fit.state, settings)
+    information = pose_information(source, local, fit.state)
     observable = is_fixed(pose_covariance(information, fit.state), settings.answer)
     evidence = {**common(moving, "icp"), "fitness": fit.fitness, "observable": observable}
     return Localization(

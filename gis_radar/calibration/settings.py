@@ -146,45 +146,19 @@ class AnswerSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IcpSettings:
-    """The paper's registration.
-
-    Parameters
-    ----------
-    voxel_m : float
-        Edge of the voxels of traces and road (the paper).
-    eps_m, min_points : float, int
-        DBSCAN of the traces' voxels: gaps between the lanes of a street stay closed.
-    distances_m : tuple of float
-        Correspondence distances: large, then two voxels and one (the paper).
-    iterations : int
-        Most at each distance.
-    """
-
-    voxel_m: float = 0.5
-    eps_m: float = 2.0
-    min_points: int = 10
-    distances_m: tuple[float, ...] = (10.0, 1.0, 0.5)
-    iterations: int = 60
-
-
-@dataclass(frozen=True, kw_only=True)
 class LocalizationSettings:
     """All settings of the localization.
 
     Parameters
     ----------
     traces, search, hypotheses, answer : settings records
-        Of the method `lane`, step by step.
-    icp : IcpSettings
-        Of the method `icp`.
+        Of the method `lane`, step by step; of those of `icp` the guess and the answer.
     """
 
     traces: TraceSettings = field(default_factory=TraceSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
     hypotheses: HypothesisSettings = field(default_factory=HypothesisSettings)
     answer: AnswerSettings = field(default_factory=AnswerSettings)
-    icp: IcpSettings = field(default_factory=IcpSettings)
 
     def changed(self, changes: Mapping[str, Any]) -> LocalizationSettings:
         """Return the settings with other values, by dotted name: `{"hypotheses.finalists": 1}`."""
@@ -268,43 +242,6 @@ class AlarmSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StationaryTargetSettings:
-    """Settings of the change detector by stationary targets.
-
-    *Recorded* is on recordings of an ARS548 (a target repeats to 0.01 m, 0.05 and 0.1 to 2 degrees;
-    over seconds it wanders by 0.1 m, 0.15 and 1 degree), *measured* on `bench/alarm.py`.
-
-    Parameters
-    ----------
-    block_s : float
-        The place of a target is its median over so long: a shake is shorter, and four cycles.
-    search_blocks : int
-        New targets are looked for every so many blocks, five minutes.
-    reference_blocks : int
-        The mean forgets within so many blocks, 10 minutes: twice what is tested; over an hour the
-        drift allowed to a mast would hide half a degree.
-    blocks : tuple of int
-        Newest blocks that are tested for a move, longer than any gust.
-    least_targets : int
-        Fewer targets contradict nothing.
-    wanted_m, wanted_rad : float
-        The move to be noticed, in the plane and of an angle.
-    gate : float
-        Score beyond which a move is noticed, from 120 hours of changing days of one radar
-        (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
-    """
-
-    block_s: float = 20.0
-    search_blocks: int = 15
-    reference_blocks: int = 30
-    blocks: tuple[int, ...] = (6, 15)
-    least_targets: int = 12
-    wanted_m: float = 0.3
-    wanted_rad: float = radians(0.5)
-    gate: float = 28.0
-
-
-@dataclass(frozen=True, kw_only=True)
 class MonitorSettings:
     """What may be set of the calibration monitor.
 
@@ -335,8 +272,6 @@ class MonitorSettings:
         `moved` with unknown pose after so many seconds of rejected fits: a whole window.
     alarm : AlarmSettings
         Of small moves, by where vehicles drive.
-    stationary : StationaryTargetSettings
-        Of small moves, by stationary targets.
     localization : LocalizationSettings
         Of window, traces, lanes and fits. Where the map lies and drivers keep is the same in every
         window: it moves no pose, and the start pose states it.
@@ -352,7 +287,6 @@ class MonitorSettings:
     knock: Six = (0.7, 0.7, 0.4, radians(3.0), radians(3.0), radians(4.0))
     lost_s: float = 100.0
     alarm: AlarmSettings = field(default_factory=AlarmSettings)
-    stationary: StationaryTargetSettings = field(default_factory=StationaryTargetSettings)
     localization: LocalizationSettings = OF_WINDOWS
 
     @property

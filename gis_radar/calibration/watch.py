@@ -11,7 +11,7 @@ from gis_radar.calibration.alarm import Alarm, Displacement
 from gis_radar.calibration.lane_places import Cells, cells_along, lane_places
 from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import StationaryTargets, Verdict
+from gis_radar.calibration.stationary_targets import BLOCK_S, GATE, StationaryTargets, Verdict
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
 from gis_radar.recordings import Detections
 
@@ -41,7 +41,7 @@ def decided(
         Both gates.
     """
     found = max((each.found for each in verdicts), key=lambda f: f.score, default=None)
-    if found is not None and found.score > settings.stationary.gate:
+    if found is not None and found.score > GATE:
         return found
     if driven is None or any(each.sees for each in verdicts):
         return None
@@ -107,10 +107,9 @@ class Watch:
 
     def _still_block(self, time: float) -> bool:
         """Compare stationary targets, at the end of a block."""
-        of = self._settings.stationary
         if np.isnan(self._block_since):
             self._block_since = time
-        if time - self._block_since < of.block_s:
+        if time - self._block_since < BLOCK_S:
             return False
         self._block_since = time
         self._still.end_block()

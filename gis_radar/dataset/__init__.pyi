@@ -20,13 +20,12 @@ from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .states import no_states, states_of
 from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
-from .tile_counts import RUN_ERRORS, HourSpans, count_spans, update_counts
+from .tile_counts import HourSpans, count_spans, run_variance, update_counts
 from .upkeep import relink, withdraw
 
 __all__ = [
     "FRAMES",
     "PASSAGES",
-    "RUN_ERRORS",
     "STEPS_PER_HOUR",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
@@ -57,6 +56,7 @@ __all__ = [
     "rename_whole",
     "require_same_settings",
     "require_same_site",
+    "run_variance",
     "states_of",
     "sync_folder",
     "unfinished",

@@ -94,7 +94,7 @@ class Dataset(TrafficTables):
     @property
     def has_vehicles(self) -> bool:
         """Whether vehicles were looked for: there are tracks and occupancy."""
-        return self.manifest.settings.get("vehicles") is not None
+        return bool(self.manifest.settings.get("vehicles"))
 
     @property
     def sensors(self) -> list[str]:

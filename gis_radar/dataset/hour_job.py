@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -35,11 +35,9 @@ from gis_radar.dataset.tables import (
 )
 from gis_radar.hdmap import LaneGraph, TileGrid
 from gis_radar.measures import (
-    HIT_DEFAULTS,
     LONGEST_VALID_STEPS,
     Filters,
     HashedFrames,
-    HitSettings,
     HitTarget,
     HourWindow,
     PlacedRecording,
@@ -56,15 +54,12 @@ from gis_radar.measures import (
 )
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import (
-    OCCUPANCY_DEFAULTS,
-    VEHICLE_DEFAULTS,
+    MARGIN_STEPS,
     HourVehicles,
-    OccupancySettings,
-    VehicleSettings,
     vehicles_of_hour,
 )
 
-METHOD = 8
+METHOD = 9
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
@@ -79,25 +74,17 @@ class MeasureSettings:
     ----------
     filters : Filters
         Which detections count as hits.
-    hits : HitSettings
-        Constants of the hits.
-    vehicles : VehicleSettings, optional
-        Of the tracker; without it, no vehicles are looked for.
-    occupancy : OccupancySettings
-        Of footprints and visibility.
+    vehicles : bool
+        Whether vehicles are looked for.
     """
 
     filters: Filters = field(default_factory=Filters)
-    hits: HitSettings = HIT_DEFAULTS
-    vehicles: VehicleSettings | None = VEHICLE_DEFAULTS
-    occupancy: OccupancySettings = OCCUPANCY_DEFAULTS
+    vehicles: bool = True
 
     @property
     def margin(self) -> int:
         """Steps on either side of an hour that its parts follow from."""
-        if self.vehicles is None:
-            return LONGEST_VALID_STEPS
-        return max(LONGEST_VALID_STEPS, 2 * self.vehicles.blocks.margin_steps)
+        return max(LONGEST_VALID_STEPS, 2 * MARGIN_STEPS if self.vehicles else 0)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of them, as the manifest holds them."""
@@ -105,17 +92,11 @@ class MeasureSettings:
 
     @classmethod
     def from_dict(cls, known: Mapping[str, Any]) -> Self:
-        """Return settings as a manifest holds them."""
-        filters, tracker = dict(known["filters"]), known["vehicles"]
+        """Return settings as a manifest holds them, or one of a version that listed constants."""
+        filters = dict(known["filters"])
         if filters["clearance"] is not None:
             filters["clearance"] = tuple(filters["clearance"])
-        stages = [] if tracker is None else fields(VehicleSettings)
-        made = {s.name: type(getattr(VEHICLE_DEFAULTS, s.name))(**tracker[s.name]) for s in stages}
-        return cls(
-            filters=Filters(**filters), hits=HitSettings(**known["hits"]),
-            vehicles=None if tracker is None else VehicleSettings(**made),
-            occupancy=OccupancySettings(**known["occupancy"]),
-        )  # fmt: skip
+        return cls(filters=Filters(**filters), vehicles=bool(known["vehicles"]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,14 +132,13 @@ class HourSite:
         road = SightTiles.of(self.tiles)
         return HitTarget(
             road=road, grid=TileGrid(road.quads), filters=self.settings.filters,
-            settings=self.settings.hits,
-            rcs=self.settings.vehicles is not None or self.settings.filters.min_rcs is not None,
+            rcs=self.settings.vehicles or self.settings.filters.min_rcs is not None,
         )  # fmt: skip
 
     @property
     def finds_vehicles(self) -> bool:
         """Whether vehicles are looked for."""
-        return self.settings.vehicles is not None and self.graph is not None
+        return self.settings.vehicles and self.graph is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,12 +316,10 @@ def _vehicles(
     sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame,
     sights: Mapping[str, PoseSight], site: HourSite, processes: int,
 ) -> HourVehicles:  # fmt: skip
-    settings = site.settings.vehicles
-    assert settings is not None  # noqa: S101 - the caller has looked
-    assert site.graph is not None  # noqa: S101
+    assert site.graph is not None  # noqa: S101 - the caller has looked
     return vehicles_of_hour(
         sensors, window, held=held, tiles=site.tiles, sights=sights, graph=site.graph,
-        settings=settings, occupancy=site.settings.occupancy, processes=processes,
+        processes=processes,
     )  # fmt: skip
 
 

@@ -36,7 +36,6 @@ from gis_radar.dataset.tile_counts import HourSpans, count_spans, read_counts
 from gis_radar.hdmap import LANES_LAYER, read_tiles
 from gis_radar.measures import (
     FrontStates,
-    LaneMeasureSettings,
     LaneNetwork,
     Measured,
     StepGrid,
@@ -49,7 +48,6 @@ from gis_radar.measures import (
 METHOD = 1
 """Raised whenever the same parts would give other lane measures or turns."""
 
-SETTINGS = LaneMeasureSettings()
 TRAFFIC_TABLES = (LANE_MEASURES, TURNS)
 _TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_variance")
 
@@ -202,7 +200,6 @@ class LaneTraffic:
                 tile_id=tile, interval=interval.astype(np.int64), visible=visible,
                 occupied=occupied, inferred=inferred, variance=variance,
             ),
-            SETTINGS,
         )  # fmt: skip
 
     def _states(self, record: HourRecord) -> FrontStates:

@@ -229,7 +229,8 @@ def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None
 
 def _difference(name: str, was: Any, now: Any) -> str:
     """Return the first setting that is not what it was, with both values; nothing where none is."""
-    if isinstance(was, Mapping) and isinstance(now, Mapping):
+    if isinstance(was, Mapping) or isinstance(now, Mapping):  # another version's may be none now
+        was, now = (each if isinstance(each, Mapping) else {} for each in (was, now))
         keys = sorted(was.keys() | now.keys())
         found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)
         return next(filter(None, found), "")

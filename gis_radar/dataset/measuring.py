@@ -105,7 +105,6 @@ def measure(
     hits_only: bool = False,
     only: bool = False,
     timezone: str = "UTC",
-    settings: MeasureSettings | None = None,
     before_hour: int | None = None,
     check: bool = True,
     accept: Collection[str] = (),
@@ -153,8 +152,6 @@ def measure(
         settings is made anew.
     timezone : str
         Of the site, for a new dataset.
-    settings : MeasureSettings, optional
-        Constants of the algorithms, in place of `filters` and `hits_only`.
     before_hour : int, optional
         Make only hours before this one (since 1970): for others recordings are still to come, and
         a later call makes them.
@@ -201,16 +198,14 @@ def measure(
             "vehicles need the map that the tiles were made from",
             hint=Text("give it by {}, or leave vehicles out by {}", "--map", "--hits-only"),
         )
-    if settings is None:
-        settings = MeasureSettings(filters=filters or Filters())
-    settings = replace(settings, vehicles=None) if hits_only else settings
+    settings = MeasureSettings(filters=filters or Filters(), vehicles=not hits_only)
     zone_of(timezone)
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     road = SightTiles.of(tiles)
     scan = open_sight(
         road, scans=scans, scan_crs=scan_crs, sight=sight, cache=sight_cache, reporter=reporter
     )
-    book = SightBook(road=road, scan=scan, settings=settings.hits)
+    book = SightBook(road=road, scan=scan)
     opened = [as_recording(each) for each in recordings]
     tracks = [as_track(pose) for pose in poses]
     refuse_swapped(opened, tracks)
@@ -240,7 +235,7 @@ def _given(
         roads, described = map_of_tiles(map_path, tiles, reporter)
         digest = described["digest"]
     sensors = sorted({source.track.sensor for source in sources})
-    validity_s = validity_of(cycles, sensors, settings.hits)
+    validity_s = validity_of(cycles, sensors)
     poses, entries = PoseBook(), list[RecordingEntry]()
     placed = dict[str, PlacedRecording]()
     for source in sources:
@@ -340,7 +335,7 @@ def _lanes(
     reporter: Reporter,
 ) -> tuple[LaneGraph | None, MeasureSettings]:  # fmt: skip
     """Return the lanes and the settings; without vehicles where nothing tells them."""
-    if settings.vehicles is None or roads is None:
+    if not settings.vehicles or roads is None:
         return None, settings
     reason = ""
     try:
@@ -353,7 +348,7 @@ def _lanes(
     if not reason:
         return graph, settings
     reporter.warn("{}: only hits are measured", reason)
-    return None, replace(settings, vehicles=None)
+    return None, replace(settings, vehicles=False)
 
 
 def _replace(
@@ -439,10 +434,10 @@ def _layers(roads: LaneletMap | None) -> dict[str, gpd.GeoDataFrame]:
 
 def _as_before(given: _Given, found: Manifest) -> _Given:
     """Leave out vehicles if the dataset was made without them."""
-    if given.settings.vehicles is None or found.settings.get("vehicles") is not None:
+    if not given.settings.vehicles or found.settings.get("vehicles"):
         return given
-    settings = replace(given.settings, vehicles=None)
-    manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": None})
+    settings = replace(given.settings, vehicles=False)
+    manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": False})
     return replace(given, settings=settings, manifest=manifest, graph=None)
 
 
@@ -484,8 +479,8 @@ def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None
         source = given.sources[each.path]
         examined.append(Examined(entry=each, source=source, evidence=evidence))
     given.book.report(reporter)
-    remark_on_recordings(examined, given.book, given.settings.hits, reporter)
-    if given.settings.vehicles is not None:
+    remark_on_recordings(examined, given.book, reporter)
+    if given.settings.vehicles:
         on_lanes = [table for hour in made for table in hour.on_lanes]
         count = sum(hour.vehicles for hour in made)
-        remark_on_vehicles(count, on_lanes, given.settings.vehicles, reporter)
+        remark_on_vehicles(count, on_lanes, reporter)

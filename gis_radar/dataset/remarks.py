@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import STEP_US, Reporter, Text, iso_from_step
+from gis_radar.base import CLOCK_SET_S, STEP_US, Reporter, Text, iso_from_step
 from gis_radar.dataset.registry import RecordingEntry
-from gis_radar.measures import HitSettings, PlacedRecording, RecordingCounts, SightBook, valid_steps
+from gis_radar.measures import PlacedRecording, RecordingCounts, SightBook, valid_steps
 from gis_radar.poses import View
 from gis_radar.recordings import RangeCounts, time_warnings
 from gis_radar.scans import (
-    SIGHT_DEFAULTS,
+    JUDGED_FRAMES,
     MovingHits,
     Sight,
     find_contradictions,
@@ -23,7 +23,12 @@ from gis_radar.scans import (
     gap_warning,
     report_contradictions,
 )
-from gis_radar.tracking import VehicleSettings, warn_of_poses
+from gis_radar.tracking import warn_of_poses
+
+SLOW_CYCLE = 1.1  # warn of a cycle so many times the validity: 10 % of the steps are empty
+# Warn where this share of the detections lies within less than REACH_SHARE of the range of the view
+# (the contract).
+RANGE_SHARE, REACH_SHARE = 0.999, 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +53,6 @@ class Examined:
 def remark_on_recordings(
     examined: Sequence[Examined],
     book: SightBook,
-    settings: HitSettings,
     reporter: Reporter,
 ) -> None:
     """Warn of what does not fit in recordings.
@@ -59,24 +63,17 @@ def remark_on_recordings(
         Those of this run.
     book : SightBook
         What their sensors see.
-    settings : HitSettings
-        Limits.
     reporter : Reporter
         Receives the warnings.
     """
     hits = _moving_hits(examined, book.sights)
     if book.scan is not None:
-        judged = [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
+        judged = [each for each in hits if each.frames >= JUDGED_FRAMES]
         report_contradictions(find_contradictions(judged, book.road), reporter)
     if gaps := gap_warning(find_gaps(hits, book.road)):
         reporter.warn(gaps)
     for each in examined:
-        lines = (
-            *_view_warnings(each, settings),
-            *_cycle_warnings(each, settings),
-            *_placing_warnings(each, settings),
-        )
-        for line in lines:
+        for line in (*_view_warnings(each), *_cycle_warnings(each), *_placing_warnings(each)):
             reporter.warn(line)
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for each in examined:
@@ -86,13 +83,11 @@ def remark_on_recordings(
         reporter.warn(line)
 
 
-def remark_on_vehicles(
-    count: int, on_lanes: Sequence[pd.DataFrame], settings: VehicleSettings, reporter: Reporter
-) -> None:
+def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: Reporter) -> None:
     """Warn where no vehicle moves, or vehicles drive beside the lanes."""
     if count == 0:
         reporter.warn("no vehicle moves in these recordings: the occupancy is zero")
-    for line in warn_of_poses(on_lanes, settings.batches):
+    for line in warn_of_poses(on_lanes):
         reporter.warn(line)
 
 
@@ -112,12 +107,12 @@ def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> l
     ]  # fmt: skip
 
 
-def _view_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
+def _view_warnings(each: Examined) -> Iterator[str]:
     """Yield what does not fit in the view, given what was recorded."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     ranges = RangeCounts()
     ranges.counts = each.evidence.ranges
-    reached_m = ranges.reached_m(settings.range_share)
+    reached_m = ranges.reached_m(RANGE_SHARE)
     view = each.source.track.poses[0].view or View()
     if each.evidence.hits == 0:
         yield Text(
@@ -127,12 +122,12 @@ def _view_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
             sensor,
         )
     limit = Text("the view's max_range_m or {}", "--max-range")
-    if 0 < reached_m < settings.reach_share * view.max_range_m:
+    if 0 < reached_m < REACH_SHARE * view.max_range_m:
         yield Text(
             "{}: {:g} % of the detections lie within {:.0f} m, but the view of {} "
             "reaches {:g} m: what lies beyond reads as observed and empty; set {}",
             file,
-            100 * settings.range_share,
+            100 * RANGE_SHARE,
             reached_m,
             sensor,
             view.max_range_m,
@@ -140,12 +135,12 @@ def _view_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
         )
 
 
-def _cycle_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
+def _cycle_warnings(each: Examined) -> Iterator[str]:
     """Yield that a sensor is slower than its frames are valid."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     validity_s, cycle_us = each.entry.validity_s, each.evidence.times.cycle_us
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
-    if settings.slow_cycle * valid_us < cycle_us < np.inf:
+    if SLOW_CYCLE * valid_us < cycle_us < np.inf:
         cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - valid_us / cycle_us)
         stated = Text("--cycle {}={}ms", sensor, cycle_ms)
         yield Text(
@@ -161,7 +156,7 @@ def _cycle_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
         )
 
 
-def _placing_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
+def _placing_warnings(each: Examined) -> Iterator[str]:
     """Yield what is odd about heights and clock."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     evidence = each.evidence
@@ -174,7 +169,7 @@ def _placing_warnings(each: Examined, settings: HitSettings) -> Iterator[str]:
             sensor,
             ", ".join(heights),
         )
-    if each.entry.first_time < settings.clock_set_s:
+    if each.entry.first_time < CLOCK_SET_S:
         begin = iso_from_step(evidence.times.first_us // STEP_US)
         yield Text(
             "{}: times begin at {}: the clock of {} may count since it was switched on; "

@@ -24,38 +24,19 @@ from gis_radar.dataset.tables import (
     TableSchema,
 )
 
-
-@dataclass(frozen=True, kw_only=True)
-class RunErrorSettings:
-    """What the length of a run of occupied steps leaves open.
-
-    Parameters
-    ----------
-    end_share : float
-        Error of a run by the ends of its vehicle, as a share of its length: both ends of a car of
-        4.5 m are known to 0.5 m.
-    end_most_s : float
-        No more than this, seconds: both ends of a vehicle that stops, at 1.5 m/s.
-    false_share : float
-        Root of the variance of a run that was seen, relative to its length, from false
-        and missed vehicles: 7 % and 13 % of the time in five simulated places.
-    inferred_share : float
-        The same of a run that was inferred: 25 % of each kind.
-    """
-
-    end_share: float = 0.16
-    end_most_s: float = 0.5
-    false_share: float = 0.45
-    inferred_share: float = 0.7
-
-    def variance(self, steps: Integers, seen: Booleans) -> Floats:
-        """Return the variance of the length of runs, steps squared."""
-        ends = np.minimum(self.end_share * steps, self.end_most_s * STEPS_PER_SECOND)
-        share = np.where(seen, self.false_share, self.inferred_share)
-        return np.asarray(ends**2 + (share * steps) ** 2, np.float64)
+# Error of a run of occupied steps by the ends of its vehicle, as a share of its length: both ends
+# of a car of 4.5 m are known to 0.5 m; and at most so long: those of one that stops, at 1.5 m/s.
+END_SHARE, END_MOST_S = 0.16, 0.5
+# Root of the variance of a run that was seen, relative to its length, from false and missed
+# vehicles: 7 % and 13 % of the time in five simulated places; of one that was inferred: 25 % each.
+FALSE_SHARE, INFERRED_SHARE = 0.45, 0.7
 
 
-RUN_ERRORS = RunErrorSettings()
+def run_variance(steps: Integers, seen: Booleans) -> Floats:
+    """Return the variance of the length of runs of occupied steps, steps squared."""
+    ends = np.minimum(END_SHARE * steps, END_MOST_S * STEPS_PER_SECOND)
+    share = np.where(seen, FALSE_SHARE, INFERRED_SHARE)
+    return np.asarray(ends**2 + (share * steps) ** 2, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,7 +188,7 @@ def count_spans(
     occupied = occupied.during(visible.joined())
     observed, visible, occupied = (each.within(spans) for each in (observed, visible, occupied))
     cells = len(tiles) * len(spans.first)
-    variance = RUN_ERRORS.variance(occupied.steps, occupied.seen)
+    variance = run_variance(occupied.steps, occupied.seen)
     sums = {
         "hit_steps": observed.total(_hits_in(observed, folder, record, tiles), cells),
         "observed_steps": observed.total(observed.steps, cells),

@@ -27,14 +27,14 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER
-from gis_radar.dataset.lane_measures import SETTINGS, LaneTraffic
+from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_text
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS, TableSchema
 from gis_radar.hdmap import LANES_LAYER
-from gis_radar.measures import SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
+from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
 
 LEAST_STEPS = 60 * STEPS_PER_SECOND  # of an interval: in less a lane has no volume to speak of
 _DAY_STEPS = 24 * STEPS_PER_HOUR
@@ -341,7 +341,7 @@ def _rolled_up(
     quarters = _hours(sums.index) * QUARTERS
     more = quarters / np.maximum(sums["known"].to_numpy(np.float64), 1e-9)
     share = sums["visible_share"].to_numpy(np.float64) / quarters
-    enough = (sums["known"].to_numpy() > 0) & (share >= SETTINGS.least_share)
+    enough = (sums["known"].to_numpy() > 0) & (share >= LEAST_SHARE)
     error = np.sqrt(more**2 * sums["variance"] + (volume + 0.5) * (more**2 - more))
     found = pd.DataFrame(
         {
@@ -403,7 +403,7 @@ def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -
     length, free = network.length_m[at], network.free_speed[at]
     with np.errstate(divide="ignore", invalid="ignore"):
         speed = np.where(found["density"] > 0.0, found["flow"] / found["density"] / 3.6, np.nan)
-        enough = ends["visible_km_h"] >= SETTINGS.least_share * length / 1000.0 * hours
+        enough = ends["visible_km_h"] >= LEAST_SHARE * length / 1000.0 * hours
         travel_s = np.where(enough & (speed > 0.0), length / speed, np.nan)
     return {
         "speed_mean": speed,

@@ -63,7 +63,7 @@ def withdraw(
         after = replace(before, entries=kept, poses=poses).without_hours(hours)
         tiles = dataset.tiles().sort_values("tile_id", ignore_index=True)
         graph = None
-        if settings.vehicles is not None:
+        if settings.vehicles:
             graph = lane_graph(map_of_tiles(folder / MAP, tiles, reporter)[0].lanelets)
         site = HourSite(
             folder=folder, tiles=tiles, graph=graph, origin=dataset.manifest.origin,

@@ -24,7 +24,7 @@ from gis_radar.measures import NO_FURTHER
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
 from gis_radar.scans import SightTiles
-from gis_radar.tracking import VEHICLE_DEFAULTS, DetectionSettings, still_rate
+from gis_radar.tracking import HEIGHT_RAD, HIGH_M, LOW_M, NOISE_S, SLOW_MPS, still_rate
 
 UNITS, RATES = 250, 500  # in a metre, and in a metre a second
 UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
@@ -93,18 +93,14 @@ class DetectionSelector:
     ----------
     road : SightTiles
         All tiles.
-    settings : DetectionSettings
-        Which heights over the road count, and how noise is told.
     """
 
-    def __init__(
-        self, road: SightTiles, settings: DetectionSettings = VEHICLE_DEFAULTS.detections
-    ) -> None:
-        self._height, self._settings = road.height, settings
+    def __init__(self, road: SightTiles) -> None:
+        self._height = road.height
         self._grid = TileGrid(_widened(road.quads, LANE_MARGIN_M))
         self._rates: list[Floats] = []
         self._begun = self._learned = np.nan
-        self.still_mps = settings.slow_mps  # till it is learned: what stands must not seem to move
+        self.still_mps = SLOW_MPS  # till it is learned: what stands must not seem to move
 
     def find(self, frame: Detections, pose: Pose, *, road_m: float) -> FrameDetections:
         """Return what a tracker needs of a frame.
@@ -124,8 +120,8 @@ class DetectionSelector:
         point, tile = self._grid.assign(place[:, 0], place[:, 1])
         over = place[point, 2] - self._height[tile]
         over[np.isnan(frame.points[point, 2])] = np.nan
-        more = self._settings.height_rad * frame.range_m[point]
-        fits = (over >= self._settings.low_m - more) & (over <= self._settings.high_m + more)
+        more = HEIGHT_RAD * frame.range_m[point]
+        fits = (over >= LOW_M - more) & (over <= HIGH_M + more)
         keep = np.zeros(len(frame), np.bool_)
         keep[point[fits | np.isnan(over)]] = True
         points, rate, rcs = frame.points[keep], frame.range_rate[keep], frame.rcs[keep]
@@ -143,12 +139,12 @@ class DetectionSelector:
             self._begun = self._learned = time
         elif not self._rates:
             return
-        if time < self._begun + self._settings.noise_s:
+        if time < self._begun + NOISE_S:
             self._rates.append(frame.range_rate[np.isfinite(frame.range_rate)])
-        done = time >= self._begun + self._settings.noise_s
+        done = time >= self._begun + NOISE_S
         if done or time >= self._learned + _AGAIN_S:
             self._learned = time
-            self.still_mps = still_rate(np.concatenate(self._rates), self._settings)
+            self.still_mps = still_rate(np.concatenate(self._rates))
         if done:
             self._rates = []
 

@@ -357,8 +357,8 @@ def refuse_other_settings(
         return
     found = Manifest.read(site.dataset)
     settings = MeasureSettings(filters=site.filters)
-    if not site.vehicles or found.settings.get("vehicles") is None:
-        settings = replace(settings, vehicles=None)
+    if not site.vehicles or not found.settings.get("vehicles"):
+        settings = replace(settings, vehicles=False)
     _, described = map_of_tiles(site.map, tiles)
     mine = manifest_of(tiles, described["digest"], scan, settings, site.timezone)
     require_same_settings(site.dataset, found, mine)

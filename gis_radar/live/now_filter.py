@@ -14,9 +14,10 @@ import numpy as np
 from gis_radar.base import Floats
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking import (
+    MOVING_MPS,
+    STAND_S,
     ForwardFilter,
     MapDetections,
-    VehicleSettings,
     are_persons,
     columns,
     usual_rcs,
@@ -96,8 +97,6 @@ class NowFilter:
     ----------
     graph : LaneGraph
         The lanes.
-    tracker : VehicleSettings
-        Those of the tracker.
 
     Attributes
     ----------
@@ -106,7 +105,6 @@ class NowFilter:
     """
 
     graph: LaneGraph
-    tracker: VehicleSettings
     late: int = 0
     _waiting: list[MapDetections] = field(default_factory=list)
     _known: dict[int, _Known] = field(default_factory=dict)
@@ -117,8 +115,7 @@ class NowFilter:
     _still: float = np.nan
 
     def __post_init__(self) -> None:
-        moving = self.tracker.detections.moving_mps
-        self._filter = ForwardFilter(self.graph, self.tracker.forward, moving_mps=moving)
+        self._filter = ForwardFilter(self.graph)
 
     def take(self, detections: MapDetections) -> None:
         """Take the detections of a frame, unless it is older than the last published moment."""
@@ -131,7 +128,7 @@ class NowFilter:
         waiting = MapDetections.join(self._waiting)
         ready = waiting.time <= until
         self._waiting = [waiting.take(~ready)]
-        if until > self._reached + self.tracker.forward.stand_s:  # nothing came for long
+        if until > self._reached + STAND_S:  # nothing came for long
             self._stood, self._shown = {}, {}
         self._reached = max(self._reached, until)
         detections = waiting.take(ready)
@@ -142,7 +139,7 @@ class NowFilter:
 
     def _learn(self, detections: MapDetections, number: np.ndarray, states: Floats) -> None:
         """Note cross sections and speeds, by which walkers are told."""
-        still = np.abs(detections.range_rate) < self.tracker.detections.moving_mps
+        still = np.abs(detections.range_rate) < MOVING_MPS
         known = usual_rcs(detections.rcs[still])
         self._still = known if np.isnan(self._still) else self._still
         if not np.isnan(known):
@@ -162,7 +159,6 @@ class NowFilter:
         fast = np.array([each.fast for each in self._known.values()])
         person = are_persons(
             rcs, fast, np.full(len(rcs), np.nan), np.ones(len(rcs), np.bool_), self._still,
-            self.tracker.bodies,
         )  # fmt: skip
         return {numbers[k] for k in np.flatnonzero(person).tolist()}
 

@@ -28,7 +28,6 @@ from gis_radar.live.payload import POSE_BYTES
 from gis_radar.measures import rows_of
 from gis_radar.poses import Pose
 from gis_radar.tracking import (
-    VEHICLE_DEFAULTS,
     map_detections,
 )
 
@@ -83,7 +82,7 @@ class VehicleFollower:
     """
 
     def __init__(self, graph: LaneGraph) -> None:
-        self._filter = NowFilter(graph=graph, tracker=VEHICLE_DEFAULTS)
+        self._filter = NowFilter(graph=graph)
         self._graph, self._newest = graph, -np.inf
         self._placed: dict[PoseName, Placed] = {}
         self._unread = 0
@@ -127,10 +126,9 @@ class VehicleFollower:
             self._newest = max(self._newest, frame.time_us / 1e6)
             self._filter.take(
                 map_detections(
-                    rows_of(rows, rows.present), pose, number, self._graph,
-                    VEHICLE_DEFAULTS.detections, road_m=road_m,
+                    rows_of(rows, rows.present), pose, number, self._graph, road_m=road_m
                 )
-            )  # fmt: skip
+            )
 
 
 _following: VehicleFollower | None = None  # of the process

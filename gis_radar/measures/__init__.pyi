@@ -1,12 +1,13 @@
-from .differences import COMPARISON, INTERVALS, ComparisonSettings, compare_values, holm_corrected
+from .differences import INTERVALS, LEVEL, compare_values, holm_corrected
+from .filters import Filters
 from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .hit_counter import FrameCounter
 from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
 from .lane_measures import (
+    LEAST_SHARE,
     SPEED_CLASS_KMH,
-    LaneMeasureSettings,
     Measured,
     TileSteps,
     VehicleTable,
@@ -27,29 +28,25 @@ from .pose_sights import (
     standing_for,
 )
 from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
-from .settings import HIT_DEFAULTS, Filters, HitSettings
 from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 
 __all__ = [
-    "COMPARISON",
-    "HIT_DEFAULTS",
     "INTERVALS",
+    "LEAST_SHARE",
+    "LEVEL",
     "LONGEST_VALID_STEPS",
     "MARGIN_STEPS",
     "NO_FURTHER",
     "SPEED_CLASS_KMH",
     "TURN_WORDS",
-    "ComparisonSettings",
     "Filters",
     "FrameCounter",
     "FrameIndex",
     "FrameTimes",
     "FrontStates",
     "HashedFrames",
-    "HitSettings",
     "HitTarget",
     "HourWindow",
-    "LaneMeasureSettings",
     "LaneNetwork",
     "Measured",
     "PlacedRecording",

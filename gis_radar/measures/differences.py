@@ -28,28 +28,9 @@ import scipy
 from gis_radar.base import Floats, Text
 
 DAYS, TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ComparisonSettings:
-    """Constants of comparisons.
-
-    Parameters
-    ----------
-    level : float
-        Chance to name any lane where nothing changed.
-    least_units : int
-        Days, pairs or intervals of which a variance is estimated; of two it is worth nothing.
-    most_alike : float
-        Bound of the correlation of neighbours: from few values it is known badly.
-    """
-
-    level: float = 0.05
-    least_units: int = 3
-    most_alike: float = 0.8
-
-
-COMPARISON = ComparisonSettings()
+LEVEL = 0.05  # chance to name any lane where nothing changed
+LEAST_UNITS = 3  # days, pairs or intervals of which a variance is estimated; of two it is nothing
+MOST_ALIKE = 0.8  # correlation of neighbours that counts at most: from few values it is known badly
 
 
 @dataclass(frozen=True)
@@ -95,9 +76,7 @@ class Difference:
         return float(2.0 * scipy.stats.t.sf(abs(self.difference) / self.se, self.freedom))
 
 
-def compare_values(
-    before: pd.DataFrame, after: pd.DataFrame, settings: ComparisonSettings = COMPARISON
-) -> Difference:
+def compare_values(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     """Compare a measure in two periods.
 
     Parameters
@@ -105,28 +84,28 @@ def compare_values(
     before, after : DataFrame
         `day` (which day, ascending), `time` (when in it the interval begins, any unit) and `value`;
         rows in the order of time. Values that are not known are left out.
-    settings : ComparisonSettings
-        Constants.
 
     Returns
     -------
     Difference
         With `se` NaN where there is too little to tell.
     """
-    least = settings.least_units
     shared = np.intersect1d(before["time"], after["time"])
-    if len(shared) >= least or min(before["day"].nunique(), after["day"].nunique()) >= least:
+    if (
+        len(shared) >= LEAST_UNITS
+        or min(before["day"].nunique(), after["day"].nunique()) >= LEAST_UNITS
+    ):
         before, after = (each[each["time"].isin(shared)] for each in (before, after))
     days = [_day_means(each, before, after) for each in (before, after)]
-    if len(shared) and min(map(len, days)) >= least:
+    if len(shared) and min(map(len, days)) >= LEAST_UNITS:
         return _welch(days[0], days[1], DAYS, 0.0)
-    if len(shared) >= least:
-        return _paired(before, after, settings)
+    if len(shared) >= LEAST_UNITS:
+        return _paired(before, after)
     values = [each["value"].to_numpy(np.float64) for each in (before, after)]
-    if min(map(len, values)) < least:
+    if min(map(len, values)) < LEAST_UNITS:
         means = [float(each.mean()) if len(each) else np.nan for each in values]
         return Difference(means[0], means[1], np.nan, np.nan, INTERVALS, min(map(len, values)))
-    alike = max(_alike(each, settings) for each in values)
+    alike = max(_alike(each) for each in values)
     return _welch(values[0], values[1], INTERVALS, alike)
 
 
@@ -144,10 +123,10 @@ def _day_means(table: pd.DataFrame, before: pd.DataFrame, after: pd.DataFrame) -
     return np.asarray(found.to_numpy(np.float64))
 
 
-def _paired(before: pd.DataFrame, after: pd.DataFrame, settings: ComparisonSettings) -> Difference:
+def _paired(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     first, second = (each.groupby("time")["value"].mean().sort_index() for each in (before, after))
     apart = (second - first).to_numpy(np.float64)
-    alike = _alike(apart, settings)
+    alike = _alike(apart)
     worth = len(apart) * (1.0 - alike) / (1.0 + alike)
     se = float(apart.std(ddof=1) / np.sqrt(worth))
     freedom = max(worth - 1.0, 1.0)
@@ -165,18 +144,18 @@ def _welch(before: Floats, after: Floats, units: str, alike: float) -> Differenc
     )
 
 
-def _alike(values: Floats, settings: ComparisonSettings) -> float:
+def _alike(values: Floats) -> float:
     """Return the correlation of neighbouring values, 0 where they are not alike.
 
     That of a sample is too low by about (1 + 4 r) / n (Marriott and Pope 1954).
     """
     count = len(values)
     if count <= 4:
-        return settings.most_alike
+        return MOST_ALIKE
     off = values - values.mean()
     power = float((off**2).sum())
     found = float((off[1:] * off[:-1]).sum()) / power if power > 0.0 else 0.0
-    return min(max((count * found + 1.0) / (count - 4), 0.0), settings.most_alike)
+    return min(max((count * found + 1.0) / (count - 4), 0.0), MOST_ALIKE)
 
 
 def holm_corrected(p: Floats) -> Floats:

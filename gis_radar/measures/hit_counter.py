@@ -28,14 +28,17 @@ from gis_radar.measures.counting_loop import (
     count_rows,
     end_frame,
 )
+from gis_radar.measures.filters import Filters
 from gis_radar.measures.placing import Places, PoseNumbers
-from gis_radar.measures.settings import HIT_DEFAULTS, Filters, HitSettings
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections, RangeCounts
-from gis_radar.scans import REFLECTION_M, SIGHT_DEFAULTS, SightTiles
+from gis_radar.scans import MOVEMENT_LEVEL_M, MOVEMENT_MPS, REFLECTION_M, SightTiles
 
 ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # filled in at once; 224 KiB, 1 MiB
 NO_TILES: Integers = np.empty(0, np.int64)
+# For the frame log only: a detection moves from this absolute range rate on, over the Doppler noise
+# of a radar (0.1 to 0.3 m/s) and of leaves; no vehicle is faster than 250 km/h.
+MOVING_MPS, WILD_MPS = 0.5, 70.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +68,6 @@ class HitCounter:
         Of the same tiles.
     filters : Filters
         Which detections count.
-    settings : HitSettings
-        Constants of the frame log.
     ranges : RangeCounts, optional
         Takes the ranges of all detections.
     """
@@ -77,12 +78,11 @@ class HitCounter:
         grid: TileGrid,
         *,
         filters: Filters | None = None,
-        settings: HitSettings = HIT_DEFAULTS,
         ranges: RangeCounts | None = None,
     ) -> None:
         count = len(tiles.tile_id)
         self._index = TileIndex(np.ascontiguousarray(tiles.height), grid.cells)
-        self._limits = limits_of(filters or Filters(), settings)
+        self._limits = limits_of(filters or Filters())
         self._sums = Accumulator(
             counts=np.zeros(COUNTS, np.int64),
             time=np.array([math.nan]),
@@ -226,7 +226,7 @@ class FrameCounter:
         ]  # fmt: skip
 
 
-def limits_of(filters: Filters, settings: HitSettings) -> Limits:
+def limits_of(filters: Filters) -> Limits:
     """Return what the counting loop asks of a detection."""
     lowest_m, highest_m = filters.clearance or (math.nan, math.nan)
     return Limits(
@@ -236,11 +236,11 @@ def limits_of(filters: Filters, settings: HitSettings) -> Limits:
         highest_m=float(highest_m),
         widening=filters.widening,
         level_m=float(filters.levels_apart_m),
-        moving_mps=float(settings.moving_mps),
-        wild_mps=float(settings.wild_mps),
-        sight_mps=float(SIGHT_DEFAULTS.moving_mps),
+        moving_mps=MOVING_MPS,
+        wild_mps=WILD_MPS,
+        sight_mps=MOVEMENT_MPS,
         sight_over_m=REFLECTION_M,
-        sight_level_m=float(SIGHT_DEFAULTS.level_m),
+        sight_level_m=MOVEMENT_LEVEL_M,
     )
 
 

@@ -32,41 +32,18 @@ from gis_radar.measures.lane_traffic import (
     crossings,
     driven,
 )
-from gis_radar.measures.queues import QUEUES, QueueSettings, queues, standing_states
+from gis_radar.measures.queues import LOOK_STEPS, queues, standing_states
 
 SPEED_CLASS_KMH = 5.0
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
-
-
-@dataclass(frozen=True, kw_only=True)
-class LaneMeasureSettings:
-    """Constants of the measures of lanes.
-
-    Parameters
-    ----------
-    least_share : float
-        Share of an interval that must be visible for an estimate of all of it: from less, its
-        error is that of a guess.
-    counting_seen : float
-        Root of the variance that a counted vehicle adds, where it was measured: 5 % are none, and
-        as many are missing.
-    counting_inferred : float
-        The same where it was inferred: 25 % of each kind. Hidden parts of the visible time have
-        this error, too.
-    least_occupied_s : float
-        Least error of the occupied time of a tile, seconds: two steps.
-    queues : QueueSettings
-        What stands, and what is a queue.
-    """
-
-    least_share: float = 0.2
-    counting_seen: float = 0.3
-    counting_inferred: float = 0.7
-    least_occupied_s: float = 0.1
-    queues: QueueSettings = QUEUES
-
-
-DEFAULTS = LaneMeasureSettings()
+# Share of an interval that must be visible for an estimate of all of it: from less, its error is
+# that of a guess.
+LEAST_SHARE = 0.2
+# Root of the variance that a counted vehicle adds, where it was measured: 5 % are none, and as many
+# are missing; where it was inferred: 25 % of each kind. Hidden parts of the visible time have the
+# error of what is inferred, too.
+COUNTING_SEEN, COUNTING_INFERRED = 0.3, 0.7
+LEAST_OCCUPIED_S = 0.1  # least error of the occupied time of a tile: two steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,7 +103,6 @@ def measure_lanes(
     vehicles: VehicleTable,
     visible: VisibleRuns,
     tiles: TileSteps,
-    settings: LaneMeasureSettings = DEFAULTS,
 ) -> Measured:
     """Measure lanes and turns.
 
@@ -144,25 +120,23 @@ def measure_lanes(
         Of all tiles in the grid.
     tiles : TileSteps
         Steps of tiles; a lane has a row in the intervals in which one of its tiles does.
-    settings : LaneMeasureSettings
-        Constants.
     """
     moves = states.moves(network)
     crossed = crossings(states, moves, network, grid)
     line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
     crossed = crossed.taken(visible.at(line[crossed.lane], crossed.step))
-    areas = _areas(network, grid, tiles, settings)
+    areas = _areas(network, grid, tiles)
     share = _share_at(line, grid, tiles)
-    counts = _Counts.of(crossed, vehicles, network, grid, settings)
+    counts = _Counts.of(crossed, vehicles, network, grid)
     edie = driven(states, moves, network, visible, grid)
-    stand = standing_states(states, settings.queues)
+    stand = standing_states(states)
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
-    backs = queues(states, stand.stands, length_m, network, visible, grid, settings.queues)
-    columns: dict[str, Any] = _volumes(counts, share, settings)
+    backs = queues(states, stand.stands, length_m, network, visible, grid)
+    columns: dict[str, Any] = _volumes(counts, share)
     columns |= _speeds(counts, edie.seconds, edie.metres, share)
     columns |= _occupancies(areas)
-    columns |= _flows(network, grid, areas, edie.seconds, edie.metres, settings)
-    looks = share * grid.steps / settings.queues.every_steps
+    columns |= _flows(network, grid, areas, edie.seconds, edie.metres)
+    looks = share * grid.steps / LOOK_STEPS
     stop = np.repeat(network.has_stop_line, grid.count) & (share > 0.0)
     columns["queue_max_m"] = np.where(stop, backs.most_m, np.nan)
     columns["queue_mean_m"] = np.where(stop, _quotient(backs.sum_m, looks), np.nan)
@@ -178,7 +152,7 @@ def measure_lanes(
     lanes |= {name: values[rows] for name, values in columns.items()}
     lanes["speed_counts"] = _lists(counts.speeds[rows], columns["counted"].mask[rows])
     lanes["visible_km_h"] = areas.visible_km_h[rows]
-    turns = _turns(network, grid, states, crossed, columns, areas, tiles, settings)
+    turns = _turns(network, grid, states, crossed, columns, areas, tiles)
     return Measured(lanes, turns)
 
 
@@ -192,15 +166,13 @@ class _Areas(NamedTuple):
     visible_km_h: Floats
 
 
-def _areas(
-    network: LaneNetwork, grid: StepGrid, tiles: TileSteps, settings: LaneMeasureSettings
-) -> _Areas:
+def _areas(network: LaneNetwork, grid: StepGrid, tiles: TileSteps) -> _Areas:
     order = np.argsort(network.tile_id, kind="stable")
     at = order[np.searchsorted(network.tile_id, tiles.tile_id, sorter=order)]
     cell, size = network.tile_lane[at] * grid.count + tiles.interval, len(network.lane) * grid.count
     share = _quotient(tiles.occupied, tiles.visible)
-    hidden = (settings.counting_inferred * tiles.inferred) ** 2 * np.nan_to_num(share * (1 - share))
-    least = settings.least_occupied_s * STEPS_PER_SECOND
+    hidden = (COUNTING_INFERRED * tiles.inferred) ** 2 * np.nan_to_num(share * (1 - share))
+    least = LEAST_OCCUPIED_S * STEPS_PER_SECOND
     error = np.where(tiles.visible > 0, np.maximum(np.sqrt(tiles.variance + hidden), least), 0.0)
     metre_hours = tiles.visible * network.tile_length_m[at] / STEPS_PER_SECOND / 3.6e6
     sums = (
@@ -232,12 +204,11 @@ class _Counts:
 
     @classmethod
     def of(
-        cls, crossed: Crossings, vehicles: VehicleTable, network: LaneNetwork, grid: StepGrid,
-        settings: LaneMeasureSettings,
-    ) -> _Counts:  # fmt: skip
+        cls, crossed: Crossings, vehicles: VehicleTable, network: LaneNetwork, grid: StepGrid
+    ) -> _Counts:
         size, row = len(network.lane) * grid.count, vehicles.of(crossed.vehicle)
         cell = crossed.lane * grid.count + grid.of(crossed.step)
-        error = np.where(crossed.seen, settings.counting_seen, settings.counting_inferred)
+        error = np.where(crossed.seen, COUNTING_SEEN, COUNTING_INFERRED)
         exists = vehicles.p_exists[row]
         known = 0.5 * error**2 + exists * (1.0 - exists)  # half is for those that are missing
         variance = np.where(np.isnan(exists), error**2, known)
@@ -254,9 +225,9 @@ class _Counts:
         )  # fmt: skip
 
 
-def _volumes(counts: _Counts, share: Floats, settings: LaneMeasureSettings) -> dict[str, Any]:
+def _volumes(counts: _Counts, share: Floats) -> dict[str, Any]:
     """Return what was counted, and the estimates for whole intervals."""
-    estimated = share >= settings.least_share
+    estimated = share >= LEAST_SHARE
     whole = np.where(estimated, share, 1.0)
     unseen = (counts.counted + 0.5) * (1.0 - whole)
     return {
@@ -286,13 +257,12 @@ def _occupancies(areas: _Areas) -> dict[str, Any]:
 
 
 def _flows(
-    network: LaneNetwork, grid: StepGrid, areas: _Areas, seconds: Floats, metres: Floats,
-    settings: LaneMeasureSettings,
-) -> dict[str, Any]:  # fmt: skip
+    network: LaneNetwork, grid: StepGrid, areas: _Areas, seconds: Floats, metres: Floats
+) -> dict[str, Any]:
     """Return density, flow, travel time and delay."""
     length, free = (np.repeat(each, grid.count) for each in (network.length_m, network.free_speed))
     whole_km_h = length * grid.steps / STEPS_PER_SECOND / 3.6e6
-    enough = areas.visible_km_h >= settings.least_share * whole_km_h
+    enough = areas.visible_km_h >= LEAST_SHARE * whole_km_h
     pace = np.where(enough & (metres > 0.0), _quotient(seconds, metres), np.nan)
     return {
         "density": _quotient(seconds / 3600.0, areas.visible_km_h),
@@ -317,7 +287,7 @@ def _stops(
 
 def _turns(
     network: LaneNetwork, grid: StepGrid, states: FrontStates, crossed: Crossings,
-    lanes: Mapping[str, Any], areas: _Areas, tiles: TileSteps, settings: LaneMeasureSettings,
+    lanes: Mapping[str, Any], areas: _Areas, tiles: TileSteps,
 ) -> dict[str, Any]:  # fmt: skip
     """Share the volume of each approach among its turns, by the vehicles whose exit is known.
 
@@ -332,7 +302,7 @@ def _turns(
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
     )
-    size, seen = len(network.lane) * grid.count, share >= settings.least_share
+    size, seen = len(network.lane) * grid.count, share >= LEAST_SHARE
     total = np.bincount(start, known * seen, size)[start]
     blind = np.bincount(start, ~seen, size)[start] > 0
     counted = np.ma.filled(by_lane["counted"].astype(np.float64), 0.0)

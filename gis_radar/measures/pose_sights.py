@@ -21,19 +21,27 @@ import scipy
 
 from gis_radar.base import Floats, Integers, NoAnswerError, Reporter, Text, require_same
 from gis_radar.calibration import SensorClock
-from gis_radar.measures.settings import HIT_DEFAULTS, HitSettings
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Recording, as_recording
 from gis_radar.scans import (
     HIDDEN,
     IN_SIGHT,
     OUT_OF_VIEW,
+    WINDOWS_KEPT,
     Sight,
     SightSource,
     SightTiles,
     find_sight,
     report_uncovered,
 )
+
+# A pose of a track shares the view of an earlier one that is so near: half a tile, and about the
+# sigma of a tracked angle. Smaller values make more views; hits do not depend on them.
+VIEW_SHARED_M, VIEW_SHARED_DEG = 0.25, 0.2
+VIEWS_COMPARED = 64  # latest ones of a track that a pose is compared with: bounds the work
+# Nearest tiles of a view whose median height is the road's for detections without elevation: 100 m
+# of lane, where the height matters: 5 m shift a place by 0.6 m at 20 m, 0.1 m at 120 m.
+ROAD_TILES = 200
 
 
 def name_of_track(track: PoseTrack) -> str:
@@ -70,13 +78,11 @@ class PoseSight:
     road_m: float
 
     @classmethod
-    def of(
-        cls, sight: Sight, road: SightTiles, *, name: str, settings: HitSettings = HIT_DEFAULTS
-    ) -> Self:
+    def of(cls, sight: Sight, road: SightTiles, *, name: str) -> Self:
         """Keep of a sight what frames are counted by."""
         return cls(
             name=name, pose=sight.pose, tile_id=np.sort(sight.seen),
-            road_m=road_near(sight, road, settings),
+            road_m=road_near(sight, road),
         )  # fmt: skip
 
 
@@ -123,15 +129,12 @@ class SightBook:
         All tiles.
     scan : SightScan or SightFile, optional
         What hides tiles; without it, all that is within range and angles is in sight.
-    settings : HitSettings
-        Which poses share a sight.
     sights : dict
         What was found, by the name of the pose.
     """
 
     road: SightTiles
     scan: SightSource | None = None
-    settings: HitSettings = HIT_DEFAULTS
     sights: dict[str, Sight] = field(default_factory=dict)
 
     def place(
@@ -165,13 +168,13 @@ class SightBook:
 
     def _see(self, tracks: Mapping[str, PoseTrack]) -> dict[str, tuple[PoseSight, ...]]:
         """Return by the name of each track what is seen from its poses."""
-        standing = {name: standing_for(each.poses, self.settings) for name, each in tracks.items()}
+        standing = {name: standing_for(each.poses) for name, each in tracks.items()}
         looks = {
             name: {k: track.poses[k] for k in np.unique(standing[name]).tolist()}
             for name, track in tracks.items()
         }
         every = [pose for poses in looks.values() for pose in poses.values()]
-        if self.scan is not None and len(every) <= self.scan.settings.windows_kept:
+        if self.scan is not None and len(every) <= WINDOWS_KEPT:
             self.scan.read(every)  # in one pass
         found = {}
         for name, track in tracks.items():
@@ -184,7 +187,7 @@ class SightBook:
 
     def _look(self, name: str, pose: Pose) -> PoseSight:
         self.sights[name] = find_sight(pose, self.road, self.scan)
-        return PoseSight.of(self.sights[name], self.road, name=name, settings=self.settings)
+        return PoseSight.of(self.sights[name], self.road, name=name)
 
     def _report_blind(self, seen: Mapping[str, Sequence[PoseSight]], reporter: Reporter) -> None:
         blind = [
@@ -211,7 +214,7 @@ class SightBook:
                 )
             )
             return
-        report_uncovered(self.sights.values(), reporter, self.scan.settings)
+        report_uncovered(self.sights.values(), reporter)
         if np.isnan(self.road.height).all():
             reporter.warn(
                 "the tiles have no heights: those of the scan's ground count, and levels one above "
@@ -219,7 +222,7 @@ class SightBook:
             )  # fmt: skip
 
 
-def road_near(sight: Sight, road: SightTiles, settings: HitSettings = HIT_DEFAULTS) -> float:
+def road_near(sight: Sight, road: SightTiles) -> float:
     """Return the height of the road near a sensor, metres; NaN where it is not known.
 
     Parameters
@@ -228,25 +231,21 @@ def road_near(sight: Sight, road: SightTiles, settings: HitSettings = HIT_DEFAUL
         What the sensor sees: tiles in its view count.
     road : SightTiles
         All tiles.
-    settings : HitSettings
-        How many of the nearest tiles count.
     """
     centres = road.centres[(sight.state != OUT_OF_VIEW) & np.isfinite(road.height)]
     if len(centres) == 0:
         return float("nan")
     near = np.argsort(np.hypot(*(centres[:, :2] - sight.pose.position[:2]).T), kind="stable")
-    return float(np.median(centres[near[: settings.road_tiles], 2]))
+    return float(np.median(centres[near[:ROAD_TILES], 2]))
 
 
-def standing_for(poses: Sequence[Pose], settings: HitSettings = HIT_DEFAULTS) -> Integers:
+def standing_for(poses: Sequence[Pose]) -> Integers:
     """Return for each pose of a track the one whose sight it shares: an earlier one, or itself.
 
     Parameters
     ----------
     poses : sequence of Pose
         In order of time.
-    settings : HitSettings
-        Which of them share a sight.
 
     Returns
     -------
@@ -258,9 +257,9 @@ def standing_for(poses: Sequence[Pose], settings: HitSettings = HIT_DEFAULTS) ->
         if pose.evidence.get("event") == "moved":
             heads = []
         new = _Head.of(number, pose)
-        found = next((head for head in reversed(heads) if head.is_near(new, settings)), new)
+        found = next((head for head in reversed(heads) if head.is_near(new)), new)
         others = [head for head in heads if head.number != found.number]
-        heads = [*others, found][-settings.views_compared :]
+        heads = [*others, found][-VIEWS_COMPARED:]
         standing.append(found.number)
     return np.array(standing, np.int64)
 
@@ -278,15 +277,15 @@ class _Head(NamedTuple):
         turn = scipy.spatial.transform.Rotation.from_quat(pose.quaternion)
         return cls(number, pose, pose.position, turn)
 
-    def is_near(self, other: _Head, settings: HitSettings) -> bool:
+    def is_near(self, other: _Head) -> bool:
         """Return whether another pose shares the sight."""
         if self.pose.view != other.pose.view:
             return False
         apart_m = float(np.linalg.norm(self.position - other.position))
-        if apart_m > settings.view_shared_m:
+        if apart_m > VIEW_SHARED_M:
             return False
         apart_deg = math.degrees((other.turn.inv() * self.turn).magnitude())
-        return apart_deg <= settings.view_shared_deg
+        return apart_deg <= VIEW_SHARED_DEG
 
 
 def places_of(poses: Sequence[Pose]) -> Integers:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,34 +10,12 @@ from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, ranges
 from gis_radar.measures.lane_network import LaneNetwork
 from gis_radar.measures.lane_traffic import FrontStates, StepGrid, VisibleRuns
 
-
-@dataclass(frozen=True, kw_only=True)
-class QueueSettings:
-    """What stands, and what is a queue.
-
-    Parameters
-    ----------
-    slow : float
-        A slower vehicle stands, m/s: 5 km/h, as traffic engineering counts stops (HCM, chapter 31).
-    slow_steps : int
-        After so many steps: 1 s.
-    joined_m : float
-        Largest gap to the vehicle before, or to the stop line: the length of two cars.
-    over_line_m : float
-        By how much who waits may stand over the line.
-    every_steps : int
-        Steps from one look to the next, those of absolute time that so many divide: all tracks
-        have a state then.
-    """
-
-    slow: float = 5.0 / 3.6
-    slow_steps: int = STEPS_PER_SECOND
-    joined_m: float = 10.0
-    over_line_m: float = 2.0
-    every_steps: int = 4
-
-
-QUEUES = QueueSettings()
+SLOW_MPS = 5.0 / 3.6  # a slower vehicle stands, as traffic engineering counts stops (HCM, ch. 31)
+SLOW_STEPS = STEPS_PER_SECOND  # after so long
+JOINED_M = 10.0  # largest gap to the vehicle before, or to the stop line: the length of two cars
+OVER_LINE_M = 2.0  # by how much who waits may stand over the line
+# From one look to the next, those of absolute time that so many divide: all tracks have a state.
+LOOK_STEPS = 4
 
 
 class StandingStates(NamedTuple):
@@ -57,15 +34,15 @@ class StandingStates(NamedTuple):
     stops: Booleans
 
 
-def standing_states(states: FrontStates, settings: QueueSettings = QUEUES) -> StandingStates:
+def standing_states(states: FrontStates) -> StandingStates:
     """Tell the states in which vehicles stand."""
-    slow = states.speed < settings.slow
+    slow = states.speed < SLOW_MPS
     new = np.ones(len(slow), np.bool_)
     new[1:] = np.diff(states.vehicle) != 0
     begins = new.copy()
     begins[1:] |= slow[1:] != slow[:-1]
     run = np.maximum.accumulate(np.where(begins, np.arange(len(slow)), 0))
-    stands = slow & (states.step - states.step[run] >= settings.slow_steps)
+    stands = slow & (states.step - states.step[run] >= SLOW_STEPS)
     stops = stands & ~new[run]
     stops[1:] &= ~stands[:-1] | new[1:]
     return StandingStates(stands, stops)
@@ -88,7 +65,7 @@ class QueueBacks(NamedTuple):
 
 def queues(
     states: FrontStates, stands: Booleans, length_m: Floats, network: LaneNetwork,
-    visible: VisibleRuns, grid: StepGrid, settings: QueueSettings = QUEUES,
+    visible: VisibleRuns, grid: StepGrid,
 ) -> QueueBacks:  # fmt: skip
     """Find the queues at stop lines: vehicles that stand, from the line back, without a large gap.
 
@@ -102,12 +79,10 @@ def queues(
         Lengths of their vehicles.
     network, visible, grid
         As for :func:`gis_radar.measures.lane_traffic.driven`.
-    settings : QueueSettings
-        Constants.
     """
     size = len(network.lane) * grid.count
     strips = network.queue_strips()
-    looked = stands & (states.lane >= 0) & (states.step % settings.every_steps == 0)
+    looked = stands & (states.lane >= 0) & (states.step % LOOK_STEPS == 0)
     row = np.flatnonzero(looked & (states.step >= grid.begin) & (states.step < grid.end))
     low = np.searchsorted(strips.lane, states.lane[row])
     count = np.searchsorted(strips.lane, states.lane[row], side="right") - low
@@ -115,14 +90,14 @@ def queues(
     stop, step = strips.stop_lane[at], states.step[row]
     front = strips.to_line_m[at] - states.along_m[row]
     order = np.lexsort((front, step, stop))
-    order = order[front[order] >= -settings.over_line_m]
+    order = order[front[order] >= -OVER_LINE_M]
     stop, step, front = stop[order], step[order], front[order]
     rear = front + length_m[row[order]]
     new = np.ones(len(stop), np.bool_)
     new[1:] = (np.diff(stop) != 0) | (np.diff(step) != 0)
     reach = _farthest(rear, new)  # a lorry may reach farther back than a car that begins behind it
     ahead = np.where(new, 0.0, np.concatenate([[0.0], reach])[: len(reach)])
-    joined = _unbroken(front - ahead <= settings.joined_m, new)
+    joined = _unbroken(front - ahead <= JOINED_M, new)
     line = network.tile_id[network.tile_at(stop, network.line_m[stop])]
     joined &= visible.at(line, step)
     stop, step, rear = stop[joined], step[joined], rear[joined]

@@ -10,12 +10,12 @@ import numpy as np
 from gis_radar.base import STEP_S, STEP_US, Floats, InputError, Integers, iso_from_step, step_of
 from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import POSE, TILES_HIT, TIME_US
+from gis_radar.measures.filters import Filters
 from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
 from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.placing import PoseNumbers
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, places_of
-from gis_radar.measures.settings import Filters, HitSettings
 from gis_radar.measures.validity import FrameTimes
 from gis_radar.recordings import RangeCounts, RawRows, read_raw
 from gis_radar.scans import SightTiles
@@ -35,8 +35,6 @@ class HitTarget:
         Of the same tiles.
     filters : Filters
         Which detections count.
-    settings : HitSettings
-        Constants.
     rcs : bool
         Whether radar cross sections are read, by which frames are told apart, too.
     """
@@ -44,7 +42,6 @@ class HitTarget:
     road: SightTiles
     grid: TileGrid
     filters: Filters
-    settings: HitSettings
     rcs: bool
 
 
@@ -246,7 +243,7 @@ class _Counter:
         self._reading, target = reading, reading.target
         self._ranges = RangeCounts()
         self._counter = HitCounter(
-            target.road, target.grid, filters=target.filters, settings=target.settings,
+            target.road, target.grid, filters=target.filters,
             ranges=self._ranges,
         )  # fmt: skip
         self._placed: dict[int, PoseNumbers] = {}

@@ -19,17 +19,17 @@ from gis_radar.base import (
     Integers,
     UsageError,
 )
-from gis_radar.measures.settings import HIT_DEFAULTS, HitSettings
 
+# Of a frame where no cycle is stated: two cycles of 50 ms, so that one lost frame leaves no gap.
+VALIDITY_S = 0.1
+# How long a frame is valid where a cycle is stated, in cycles: over any jitter, under two, so that
+# time without frames is not observed.
+CYCLES_VALID = 1.5
 GAP_US = 100  # resolution of measured cycles: jitter is larger
 MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
 
 
-def validity_of(
-    cycles: Mapping[str, float] | None,
-    sensors: Sequence[str],
-    settings: HitSettings = HIT_DEFAULTS,
-) -> dict[str, float]:
+def validity_of(cycles: Mapping[str, float] | None, sensors: Sequence[str]) -> dict[str, float]:
     """Return the validity of the frames of each sensor, seconds.
 
     Parameters
@@ -38,8 +38,6 @@ def validity_of(
         The stated time from frame to frame of some sensors, seconds.
     sensors : sequence of str
         All sensors.
-    settings : HitSettings
-        How long frames are valid: by default, and in cycles.
 
     Raises
     ------
@@ -48,7 +46,7 @@ def validity_of(
     """
     if isinstance(cycles, str):
         raise UsageError("cycles is {}, expected seconds by sensor", repr(cycles), hint=CYCLE_HINT)
-    validity = dict.fromkeys(sensors, settings.validity_s)
+    validity = dict.fromkeys(sensors, VALIDITY_S)
     for sensor, cycle_s in (cycles or {}).items():
         if sensor not in validity:
             others = ", ".join(validity)
@@ -62,7 +60,7 @@ def validity_of(
                 LONGEST_CYCLE_S,
                 hint="the time from one of its frames to the next, such as 150ms",
             )
-        validity[sensor] = round(settings.cycles_valid * cycle_s, 6)
+        validity[sensor] = round(CYCLES_VALID * cycle_s, 6)
     return validity
 
 

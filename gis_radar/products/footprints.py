@@ -6,7 +6,6 @@ import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,7 @@ from gis_radar.base import (
     write_stream,
 )
 from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, states_of
-from gis_radar.tracking import HEAVY, Footprints, OccupancySettings, PathBook, footprints_of
+from gis_radar.tracking import HEAVY, Footprints, PathBook, footprints_of
 
 FOOTPRINTS = "footprints"
 _SCHEMA = pa.schema([
@@ -49,40 +48,15 @@ _SCHEMA = pa.schema([
     ("geometry", pa.binary()),
 ])  # fmt: skip
 
-
-@dataclass(frozen=True, kw_only=True)
-class FootprintLayerSettings:
-    """Constants of the layer of footprints.
-
-    Parameters
-    ----------
-    every_steps : int
-        A vehicle has a row every so many steps, those of absolute time that so many divide: half a
-        second, in which a car at 50 km/h goes 7 m, one and a half of its lengths. All steps would
-        be ten times as many rows.
-    standing_kmh : float
-        A slower vehicle is standing, km/h: as traffic engineering counts stops.
-    """
-
-    every_steps: int = 10
-    standing_kmh: float = 5.0
-
-    @property
-    def shown_s(self) -> float:
-        """How long a row is shown, seconds."""
-        return self.every_steps * STEP_S
+# A vehicle has a row every so many steps, those of absolute time that so many divide: half a
+# second, in which a car at 50 km/h goes 7 m, one and a half of its lengths. All steps would be ten
+# times as many rows.
+EVERY_STEPS = 10
+SHOWN_S = EVERY_STEPS * STEP_S  # how long a row is shown
+STANDING_KMH = 5.0  # a slower vehicle is standing: as traffic engineering counts stops
 
 
-LAYER_DEFAULTS = FootprintLayerSettings()
-
-
-def write_footprints(
-    dataset: Dataset,
-    path: str | Path,
-    *,
-    settings: FootprintLayerSettings = LAYER_DEFAULTS,
-    reporter: Reporter = QUIET,
-) -> int:
+def write_footprints(dataset: Dataset, path: str | Path, *, reporter: Reporter = QUIET) -> int:
     """Write the footprints of single vehicles as a layer, a row a vehicle and half second.
 
     It holds tracks of single vehicles, as the dataset does: a working file, not to be published.
@@ -95,8 +69,6 @@ def write_footprints(
     path : str or Path
         The GeoPackage, layer `footprints`; it appears whole or not at all. QGIS loads its style by
         itself, in which its temporal controller moves the vehicles.
-    settings : FootprintLayerSettings
-        How often, and what is standing.
     reporter : Reporter
         Receives progress.
 
@@ -118,7 +90,7 @@ def write_footprints(
     if path.suffix.lower() != ".gpkg":
         raise UsageError("{}: footprints are written as GeoPackage", path, hint="end it in .gpkg")
     require_vehicles(dataset)
-    rows = _Rows(dataset, settings, reporter)
+    rows = _Rows(dataset, reporter)
     with atomic_write(path) as part:
         write_stream(
             rows, _SCHEMA, part, layer=FOOTPRINTS, geometry_name="geometry",
@@ -147,23 +119,19 @@ def footprint_style() -> str:
 class _Rows:
     """The rows of the layer as batches, made while the tracks are read, once."""
 
-    def __init__(
-        self, dataset: Dataset, settings: FootprintLayerSettings, reporter: Reporter
-    ) -> None:
-        self._dataset, self._settings, self._reporter = dataset, settings, reporter
+    def __init__(self, dataset: Dataset, reporter: Reporter) -> None:
+        self._dataset, self._reporter = dataset, reporter
         self.count = 0
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         hours = len(self._dataset.records())
-        book = PathBook(settings=OccupancySettings())
-        every = math.gcd(
-            TRACK_EVERY_STEPS, self._settings.every_steps
-        )  # rows, and where paths bend
+        book = PathBook()
+        every = math.gcd(TRACK_EVERY_STEPS, EVERY_STEPS)  # rows, and where paths bend
         states_by_hour = states_of(self._dataset, every=every)
         for done, (table, states) in enumerate(states_by_hour, start=1):
             level_m = np.full(len(states), np.nan)  # shapes need no heights
             prints = footprints_of(states, table, level_m, np.zeros(2), book)
-            shown = np.flatnonzero(prints.step % self._settings.every_steps == 0)
+            shown = np.flatnonzero(prints.step % EVERY_STEPS == 0)
             row = np.searchsorted(table["vehicle"], states["vehicle"].iloc[shown])
             self.count += len(shown)
             yield self._batch(
@@ -175,10 +143,10 @@ class _Rows:
         self, states: pd.DataFrame, vehicles: pd.DataFrame, shapes: np.ndarray
     ) -> pa.RecordBatch:
         begin_ms = states["step"].to_numpy(np.int64) * (STEP_US // 1000)
-        end_ms = begin_ms + self._settings.every_steps * (STEP_US // 1000)
+        end_ms = begin_ms + EVERY_STEPS * (STEP_US // 1000)
         speed_kmh = states["speed"].to_numpy(float) * 3.6
         heavy = vehicles["p_heavy"].to_numpy(float) >= HEAVY
-        standing = np.abs(speed_kmh) < self._settings.standing_kmh
+        standing = np.abs(speed_kmh) < STANDING_KMH
         columns = [
             states["vehicle"].to_numpy(np.int64),
             begin_ms,

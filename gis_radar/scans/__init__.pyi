@@ -7,18 +7,21 @@ from .sight.gaps import find_gaps, gap_warning
 from .sight.layers import SIGHT_LAYER, SightFile, open_sight, write_sights
 from .sight.picture import SIGHT_COLOURS, SIGHT_NAMES, draw_sight
 from .sight.recorded import (
+    JUDGED_FRAMES,
+    MOVEMENT_LEVEL_M,
+    MOVEMENT_MPS,
     REFLECTION_M,
     MovementCounter,
     MovingHits,
     find_contradictions,
     report_contradictions,
 )
-from .sight.settings import SIGHT_DEFAULTS
 from .sight.sight import (
     HIDDEN,
     IN_SIGHT,
     OUT_OF_VIEW,
     VIEW_ONLY,
+    WINDOWS_KEPT,
     Sight,
     SightScan,
     SightSource,
@@ -31,13 +34,16 @@ from .sight.sight import (
 __all__ = [
     "HIDDEN",
     "IN_SIGHT",
+    "JUDGED_FRAMES",
+    "MOVEMENT_LEVEL_M",
+    "MOVEMENT_MPS",
     "OUT_OF_VIEW",
     "REFLECTION_M",
     "SIGHT_COLOURS",
-    "SIGHT_DEFAULTS",
     "SIGHT_LAYER",
     "SIGHT_NAMES",
     "VIEW_ONLY",
+    "WINDOWS_KEPT",
     "MovementCounter",
     "MovingHits",
     "RoadMask",

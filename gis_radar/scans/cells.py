@@ -29,6 +29,8 @@ from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, PointStore
 from gis_radar.scans.roads import RoadLevel
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
+SQUARE_M = 16.0  # side of the squares in which it is told whether scans have points there
+
 _TINY = 1e-6
 
 
@@ -299,10 +301,10 @@ class RoadCells:
     area_cells : int
         How many cells have their centre on a road, each level counted.
     missing : (k, 3) array
-        South-west corners of the squares of `square_m` with cells for which there is no point,
+        South-west corners of the squares of `SQUARE_M` with cells for which there is no point,
         and how many of them; a square may be there several times.
     seen : (k, 2) array
-        South-west corners of the squares of `square_m` that hold points on roads.
+        South-west corners of the squares of `SQUARE_M` that hold points on roads.
     removed : int
         How many cells were left out as small clusters.
     offset_m : float
@@ -350,7 +352,7 @@ def make_cells(
     for block in range(len(blocks.shapes)):
         xyz, ground = store.points(block, settings.block_margin_m)
         corner = np.array(blocks.cells(block).corner)
-        seen.append(_squares(xyz, settings.square_m) + corner)
+        seen.append(_squares(xyz, SQUARE_M) + corner)
         for number, level in enumerate(blocks.roads.levels):
             area = blocks.area(number, block, margin)
             parts.append(_cells_of_level(xyz, ground, level, area, corner, offset_m, settings))
@@ -382,7 +384,7 @@ def _cells_of_level(
         ground = _at_height(off, ground, cell, settings)
     xyz, cell = xyz[ground], cell[ground]
     if len(xyz) == 0 or not road.any():
-        bare = squares_with_cells(road, grid, corner, settings.square_m)
+        bare = squares_with_cells(road, grid, corner, SQUARE_M)
         return _Part(np.empty((0, 3)), 0, int(np.count_nonzero(road)), bare, 0)
     surface = fit_ground(xyz, settings)
     over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
@@ -401,7 +403,7 @@ def _cells_of_level(
         points=np.column_stack([centres + corner, up]),
         used=int(np.count_nonzero(large.ravel()[cell])),
         area_cells=int(np.count_nonzero(road)),
-        missing=squares_with_cells(road & ~large, grid, corner, settings.square_m),
+        missing=squares_with_cells(road & ~large, grid, corner, SQUARE_M),
         removed=int(np.count_nonzero(filled & block & ~large)),
     )
 

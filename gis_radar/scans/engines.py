@@ -44,9 +44,11 @@ from gis_radar.scans.scan import (
     ground_share,
     open_scan,
 )
-from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
 LAYER, COLUMN = "roads", "road"
+LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
+# What PDAL's ground filter reads around a road: wider than its window (SMRF, 18 m).
+FILTER_MARGIN_M = 30.0
 MARK = "UserData"
 
 
@@ -69,7 +71,7 @@ class Pipeline:
     scans: tuple[Scan, ...]
     classified: tuple[bool, ...]
     roads: Roads = field(repr=False)
-    margin_m: float = DEFAULTS.filter_margin_m
+    margin_m: float = FILTER_MARGIN_M
 
     def document(self, *, roads: Path, points: Path, within: Box | None = None) -> dict[str, Any]:
         """Return the pipeline as PDAL reads it.
@@ -224,7 +226,7 @@ class ReadStatistics:
     flown: Days | None
 
 
-Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], MaskSettings, Reporter], ReadStatistics]
+Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], ReadStatistics]
 """Puts those points of scans that are on the roads into a store."""
 
 
@@ -250,9 +252,7 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
     return f"built-in (laspy {laspy.__version__})", _fill_by_laspy
 
 
-def _fill_by_laspy(
-    store: PointStore, scans: Sequence[Scan], settings: MaskSettings, reporter: Reporter
-) -> ReadStatistics:
+def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter) -> ReadStatistics:
     total, done, on_road = sum(scan.points for scan in scans), 0, 0
     classified: list[bool] = []
     times: list[float] = []
@@ -265,27 +265,21 @@ def _fill_by_laspy(
             times += _keep(store, number, batch)
             done += batch.read
             reporter.progress(STAGE, done, total)
-        classified.append(ground >= settings.least_ground * scan.points)
+        classified.append(ground >= LEAST_GROUND * scan.points)
         store.classified(number, ground=classified[-1])
         counts = store.counts[number]
         on_road += int(counts[passing].sum() if classified[-1] else counts.sum())
-    pipeline = Pipeline(
-        scans=tuple(scans), classified=tuple(classified), roads=roads,
-        margin_m=settings.filter_margin_m,
-    )  # fmt: skip
+    pipeline = Pipeline(scans=tuple(scans), classified=tuple(classified), roads=roads)
     return ReadStatistics(pipeline=pipeline, on_road=on_road, flown=days_flown(times))
 
 
 def _fill_by_pdal(
-    runner: PdalRunner, store: PointStore, scans: Sequence[Scan], settings: MaskSettings,
-    reporter: Reporter,
-) -> ReadStatistics:  # fmt: skip
+    runner: PdalRunner, store: PointStore, scans: Sequence[Scan], reporter: Reporter
+) -> ReadStatistics:
     shares = [ground_share(scan, reporter=reporter) for scan in scans]
-    classified = tuple(share >= settings.least_ground for share in shares)
+    classified = tuple(share >= LEAST_GROUND for share in shares)
     roads = store.blocks.roads
-    pipeline = Pipeline(
-        scans=tuple(scans), classified=classified, roads=roads, margin_m=settings.filter_margin_m
-    )
+    pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=roads)
     store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
     times: list[float] = []
     with scratch_folder() as folder:

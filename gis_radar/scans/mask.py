@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from gis_radar.base import (
     scratch_folder,
 )
 from gis_radar.hdmap import LaneletMap
-from gis_radar.scans.cells import RoadCells, make_cells
+from gis_radar.scans.cells import SQUARE_M, RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, write_layer
 from gis_radar.scans.point_store import PointStore, cut_into_blocks
 from gis_radar.scans.roads import Roads, roads_of_map
@@ -36,6 +36,13 @@ from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
 BESIDE = (".roads.gpkg", ".pipeline.json")
+BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
+WARN_OUTSIDE = 0.001  # share of roads outside the scans from which on a warning is logged
+WARN_OFFSET_M = 2.0  # height of the scan over the map from which on one is: of another level
+DATUM_M = 110.0  # beyond is no vertical datum's: geoid undulations are under 107 m (EGM2008)
+# Share of the road's cells inside the scans' extents below which there is no mask, and below which
+# a warning is logged. A scan of 1 point/m2 fills 0.2 of the cells of 0.5 m.
+LEAST_COVERED, WARN_COVERED = 0.02, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,7 +219,7 @@ def mask_road(
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
     settings : MaskSettings
-        Choices of the algorithm; those for the roads are of use where `roads` is a map.
+        Choices of the algorithm.
     reporter : Reporter
         Where progress and remarks go.
 
@@ -223,8 +230,7 @@ def mask_road(
         coordinate system; NoAnswerError if nothing on the roads is a road's surface.
     """
     if isinstance(roads, LaneletMap):
-        roads = roads_of_map(roads, settings=settings.roads)
-    settings = replace(settings, roads=roads.settings)
+        roads = roads_of_map(roads)
     name, fill = engine_of(engine, reporter=reporter)
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     touching = [scan for scan in opened if scan.touches(roads.area.bounds, roads.crs)]
@@ -233,7 +239,7 @@ def mask_road(
     blocks = cut_into_blocks(roads)
     with scratch_folder() as folder:
         store = PointStore(blocks, folder)
-        statistics = fill(store, touching, settings, reporter)
+        statistics = fill(store, touching, reporter)
         if store.total == 0:
             raise _no_overlap(touching, roads)
         cells = make_cells(store, settings=settings, reporter=reporter)
@@ -243,7 +249,7 @@ def mask_road(
         )
     mask = RoadMask(
         points=cells.points, roads=roads, engine=name,
-        outside=_outside(cells, touching, roads, settings),
+        outside=_outside(cells, touching, roads),
         vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=statistics.flown,
         pipeline=statistics.pipeline,
         points_in=sum(scan.points for scan in touching), points_on_road=statistics.on_road,
@@ -270,21 +276,18 @@ def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
     )
 
 
-def _outside(
-    cells: RoadCells, scans: Sequence[Scan], roads: Roads, settings: MaskSettings
-) -> shapely.MultiPolygon:
+def _outside(cells: RoadCells, scans: Sequence[Scan], roads: Roads) -> shapely.MultiPolygon:
     """Return the roads beyond the scans' extents, and in squares without a single point."""
     extents = [moved_box(scan.bounds, scan.crs, roads.crs) for scan in scans]
     known = np.isfinite(extents).all()
     boxes = [shapely.box(*extent) for extent in extents] if known else [roads.area]
     beyond = shapely.difference(roads.area, shapely.union_all(boxes))
-    side_m = settings.square_m
-    bare, which = np.unique(cells.missing[:, :2] // side_m, axis=0, return_inverse=True)
+    bare, which = np.unique(cells.missing[:, :2] // SQUARE_M, axis=0, return_inverse=True)
     count = np.bincount(which.ravel(), cells.missing[:, 2], len(bare))
-    bare = bare[count * CELL_M**2 >= settings.bare_m2]
-    seen = set(map(tuple, (cells.seen // side_m).tolist()))
+    bare = bare[count * CELL_M**2 >= BARE_M2]
+    seen = set(map(tuple, (cells.seen // SQUARE_M).tolist()))
     unseen = np.array([place for place in bare.tolist() if tuple(place) not in seen])
-    empty = shapely.intersection(shapely.union_all(_strips(unseen, side_m)), roads.area)
+    empty = shapely.intersection(shapely.union_all(_strips(unseen, SQUARE_M)), roads.area)
     parts = shapely.get_parts(shapely.union(beyond, empty))
     return shapely.MultiPolygon(list(parts[shapely.area(parts) > 0.0]))
 
@@ -315,7 +318,7 @@ def _inside_share(mask: RoadMask, scans: Sequence[Scan]) -> float:
 def _refuse_bare(mask: RoadMask, scans: Sequence[Scan]) -> None:
     """Refuse a mask with next to nothing of the road that the scans should show."""
     share = _inside_share(mask, scans)
-    if share < mask.settings.least_covered:
+    if share < LEAST_COVERED:
         raise NoAnswerError(
             "{}: only {:.1%} of the road inside the scans has points",
             scans[0].path,
@@ -332,7 +335,7 @@ def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             Text("{} of {} scans do not touch the site and were skipped", skipped, len(opened))
         )
     share = mask.outside.area / mask.roads.area.area
-    if share > mask.settings.warn_outside:
+    if share > WARN_OUTSIDE:
         west, south, east, north = mask.outside.bounds
         reporter.warn(
             "{:.1%} of the map's roads lie outside the scans: {:.0f} m2 within {:.0f} "
@@ -345,13 +348,13 @@ def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             north,
         )
     covered = _inside_share(mask, mask.pipeline.scans)
-    if covered < mask.settings.warn_covered:
+    if covered < WARN_COVERED:
         reporter.warn("only {:.0%} of the road inside the scans has points", covered)
     offset = mask.cells.offset_m
-    if abs(offset) > mask.settings.warn_offset_m:
+    if abs(offset) > WARN_OFFSET_M:
         text = Text(
             "the scans lie {:.2f} m over the map's heights: another vertical datum?", offset
         )
-        if abs(offset) > mask.settings.datum_m:
+        if abs(offset) > DATUM_M:
             text = Text("{} none is so far off: are they in feet, or of another place?", text)
         reporter.warn(text)

@@ -21,6 +21,9 @@ from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 BLOCK_CELLS = 512
 BLOCK_M = CELL_M * BLOCK_CELLS
 OUTSIDE, INSIDE, EDGE = 0, 1, 2
+# Roads in more squares are no site: these are a city of 16 by 16 km, without a gap. Each takes
+# 10 ms and more with points.
+MOST_BLOCKS = 4_000
 MOST_STATES = 512  # blocks whose cells are kept: 128 MiB
 
 
@@ -146,11 +149,11 @@ def cut_into_blocks(roads: Roads) -> RoadBlocks:
             if shapely.area(inside) > 0.0:
                 places.append((column, row))
                 shapes.append(inside)
-        if len(places) > (most := roads.settings.most_blocks):
+        if len(places) > MOST_BLOCKS:
             raise InputError(
                 "{}: its roads fill over {:,} squares of {:.0f} m, which is no site",
                 roads.source,
-                most,
+                MOST_BLOCKS,
                 BLOCK_M,
                 hint="cut out the roads around the scans",
             )

@@ -35,7 +35,13 @@ from gis_radar.base import (
     utm_zone,
 )
 from gis_radar.hdmap import ON_FOOT_OR_BICYCLE, LaneletMap, at_fractions, bound_length, read_map
-from gis_radar.scans.settings import DEFAULTS, RoadSettings
+
+SAMPLE_M = 2.0  # spacing of the map's heights, and side of the squares that share one
+# Two lanelets so close belong to one surface, unless their heights differ by more than a step and a
+# slope of 30 %: no road is so steep.
+NEAR_M, STEP_M, STEEPEST = 6.0, 1.0, 0.3
+SAME_AREA = 1e-3  # share by which mending a polygon may change its area
+MOST_EXTENT_M = 200_000.0  # a wider map has a node in the wrong place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +54,10 @@ class RoadLevel:
         Their outlines, which may overlap.
     heights : (n, 3) array
         Easting, northing and height of points on them; empty where the map has no heights.
-    sample_m : float
-        Side of the squares that share a height, metres.
     """
 
     shapes: Any = field(repr=False)
     heights: Floats = field(default_factory=lambda: np.empty((0, 3)), repr=False)
-    sample_m: float = RoadSettings.sample_m
 
     @property
     def has_heights(self) -> bool:
@@ -66,7 +69,7 @@ class RoadLevel:
         if len(xy) == 0:
             return np.empty(0)
         x, y = xy.T
-        grid = Grid.around(x, y, self.sample_m)
+        grid = Grid.around(x, y, SAMPLE_M)
         squares, which = np.unique(grid.keys(x, y), return_inverse=True)
         _, nearest = self._samples.query(grid.centres(squares))
         return np.asarray(self.heights[nearest, 2][which])
@@ -76,27 +79,21 @@ class RoadLevel:
         return scipy.spatial.cKDTree(self.heights[:, :2])
 
 
-def _levels_of(
-    outlines: Any, lefts: Iterable[Any], rights: Iterable[Any], settings: RoadSettings
-) -> tuple[RoadLevel, ...]:
+def _levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tuple[RoadLevel, ...]:
     """Sort lanelets into levels by the heights of their bounds, where the map has them."""
     outlines = np.asarray(outlines)
-    spacing_m = settings.sample_m
-    samples = [_sampled(left, right, spacing_m) for left, right in zip(lefts, rights, strict=True)]
+    samples = [_sampled(left, right, SAMPLE_M) for left, right in zip(lefts, rights, strict=True)]
     owner = np.repeat(np.arange(len(samples)), [len(sample) for sample in samples])
     points = np.concatenate(samples)
     known = np.isfinite(points[:, 2])
     if not known.any():
         return (RoadLevel(shapes=outlines),)
     points, owner = points[known], owner[known]
-    number = _numbered(_conflicts(points, owner, settings), points, owner, len(outlines))
+    number = _numbered(_conflicts(points, owner), points, owner, len(outlines))
     return tuple(
-        RoadLevel(
-            shapes=outlines[number == level], heights=points[number[owner] == level],
-            sample_m=spacing_m,
-        )
+        RoadLevel(shapes=outlines[number == level], heights=points[number[owner] == level])
         for level in range(int(number.max()) + 1)
-    )  # fmt: skip
+    )
 
 
 def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: float) -> Floats:
@@ -124,15 +121,15 @@ def _numbered(conflicts: Integers, points: Floats, owner: Integers, count: int) 
     return number
 
 
-def _conflicts(points: Floats, owner: Integers, settings: RoadSettings) -> Integers:
+def _conflicts(points: Floats, owner: Integers) -> Integers:
     """Return pairs of lanelets that cannot be one surface, (n, 2)."""
-    if np.ptp(points[:, 2]) <= settings.step_m:
+    if np.ptp(points[:, 2]) <= STEP_M:
         return np.empty((0, 2), np.int64)
-    pairs = scipy.spatial.cKDTree(points[:, :2]).query_pairs(settings.near_m, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(points[:, :2]).query_pairs(NEAR_M, output_type="ndarray")
     a, b = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]].T
     step = np.abs(points[a, 2] - points[b, 2])
     near = np.hypot(*(points[a, :2] - points[b, :2]).T)
-    steep = step > settings.step_m + settings.steepest * near
+    steep = step > STEP_M + STEEPEST * near
     return np.unique(np.column_stack([owner[a[steep]], owner[b[steep]]]), axis=0)
 
 
@@ -140,9 +137,7 @@ _BEYOND_M = 1e9  # no coordinate of a projected system is as far from its origin
 _POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
-def _read_polygons(
-    path: Path, crs: Any, layer: str | None, settings: RoadSettings, reporter: Reporter
-) -> gpd.GeoDataFrame:
+def _read_polygons(path: Path, crs: Any, layer: str | None, reporter: Reporter) -> gpd.GeoDataFrame:
     """Read the polygons of a layer of a vector file, or of a CSV.
 
     A polygon that touches itself or repeats points is mended. One that crosses itself, so that
@@ -159,7 +154,7 @@ def _read_polygons(
     if not np.isin(shapely.get_type_id(shapes[kept]), _POLYGONAL).all() or not kept.any():
         kinds = ", ".join(sorted(set(table.geom_type[kept]))) or "nothing"
         raise InputError("{}: holds {}, polygons of the roads are needed", path, kinds)
-    mended = _mended(shapes[kept], path, settings.same_area, reporter)
+    mended = _mended(shapes[kept], path, SAME_AREA, reporter)
     known = _given_crs(crs, path) if table.crs is None else table.crs
     return gpd.GeoDataFrame(geometry=mended, crs=known)
 
@@ -265,15 +260,12 @@ class Roads:
         The same by level: roads that pass over each other are on different ones.
     source : str
         The file it came from.
-    settings : RoadSettings
-        With which they were read.
     """
 
     crs: CRS
     area: shapely.MultiPolygon = field(repr=False)
     levels: tuple[RoadLevel, ...] = field(repr=False)
     source: str
-    settings: RoadSettings = field(default=DEFAULTS.roads, repr=False)
 
     @property
     def has_heights(self) -> bool:
@@ -291,7 +283,6 @@ def read_roads(
     map_crs: Any = None,
     origin: tuple[float, float] | None = None,
     layer: str | None = None,
-    settings: RoadSettings = DEFAULTS.roads,
     reporter: Reporter = QUIET,
 ) -> Roads:
     """Read the roads of a Lanelet2 map or of a polygon layer.
@@ -310,8 +301,6 @@ def read_roads(
         Of the map's local coordinates, see :func:`read_map`.
     layer : str, optional
         Which layer, where a file has several with polygons.
-    settings : RoadSettings
-        How the roads become levels.
     reporter : Reporter
         Where progress and remarks go.
 
@@ -322,26 +311,24 @@ def read_roads(
     """
     if Path(path).suffix.lower() in {".osm", ".xml"}:
         roads = read_map(path, crs=crs, origin=origin, reporter=reporter)
-        return roads_of_map(roads, source=str(path), settings=settings)
-    table = _projected(_read_polygons(Path(path), map_crs, layer, settings, reporter), crs, path)
-    area = _area(table.geometry.array, str(path), settings.max_extent_m)
+        return roads_of_map(roads, source=str(path))
+    table = _projected(_read_polygons(Path(path), map_crs, layer, reporter), crs, path)
+    area = _area(table.geometry.array, str(path), MOST_EXTENT_M)
     levels = (RoadLevel(shapes=shapely.get_parts(area)),)
     metric = metric_crs(table.crs, what=str(path))
-    return Roads(crs=metric, area=area, levels=levels, source=str(path), settings=settings)
+    return Roads(crs=metric, area=area, levels=levels, source=str(path))
 
 
-def roads_of_map(
-    roads: LaneletMap, *, source: str = "the map", settings: RoadSettings = DEFAULTS.roads
-) -> Roads:
+def roads_of_map(roads: LaneletMap, *, source: str = "the map") -> Roads:
     """Return the roads that the lanelets for vehicles make, as `make_tiles` takes them."""
     lanelets = roads.lanelets[~roads.lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
     if lanelets.empty:
         raise InputError("{}: has no lanelet for vehicles", source)
     # The outline of a mended lanelet may still touch itself.
     outlines = shapely.make_valid(lanelets.geometry.array)
-    area = _area(outlines, source, settings.max_extent_m)
-    levels = _levels_of(outlines, lanelets["left"], lanelets["right"], settings)
-    return Roads(crs=roads.crs, area=area, levels=levels, source=source, settings=settings)
+    area = _area(outlines, source, MOST_EXTENT_M)
+    levels = _levels_of(outlines, lanelets["left"], lanelets["right"])
+    return Roads(crs=roads.crs, area=area, levels=levels, source=source)
 
 
 def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDataFrame:

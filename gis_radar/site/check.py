@@ -43,33 +43,16 @@ from gis_radar.scans import open_scan, road_crs
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
 
-
-@dataclass(frozen=True, kw_only=True)
-class CheckSettings:
-    """Constants of the check of a site.
-
-    Parameters
-    ----------
-    near_map_m : float
-        A sensor farther from all lanes, metres, is not of this map: no radar that sees a road
-        stands so far beside it (the farthest of the view, 300 m).
-    least_s : float
-        Of a sensor whose pose is to be found, recordings shorter than that, seconds, are named:
-        100 s of traffic are a good length, half of it rarely does.
-    zone_hours : float
-        A time zone so many hours from the sun's time at the site is probably another place's:
-        the widest of the world, China's in its west, is 3.2 off.
-    angle_share : float
-        Share of the detections within the measured view, as its range has it.
-    """
-
-    near_map_m: float = 300.0
-    least_s: float = 60.0
-    zone_hours: float = 3.5
-    angle_share: float = 0.999
-
-
-DEFAULTS = CheckSettings()
+# A sensor farther from all lanes is not of this map: no radar that sees a road stands so far beside
+# it (the farthest of the view).
+NEAR_MAP_M = 300.0
+# Shorter recordings of a sensor whose pose is to be found are named: 100 s of traffic are a good
+# length, half of it rarely does.
+LEAST_S = 60.0
+# A time zone so many hours from the sun's time at the site is probably another place's: the widest
+# of the world, China's in its west, is 3.2 off.
+ZONE_HOURS = 3.5
+ANGLE_SHARE = 0.999  # of the detections within the measured view, as its range has it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,17 +135,13 @@ class SiteCheck:
         return None
 
 
-def check_site(
-    path: str | Path, *, settings: CheckSettings = DEFAULTS, reporter: Reporter = QUIET
-) -> SiteCheck:
+def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     """Check a site without running it: its file, map, scans, poses and recordings.
 
     Parameters
     ----------
     path : str or Path
         The site file, see :func:`read_site`.
-    settings : CheckSettings
-        From where on something is odd.
     reporter : Reporter
         Receives progress, and a warning for each thing that is odd.
 
@@ -181,8 +160,8 @@ def check_site(
     roads = read_map(site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=reporter)
     _check_scans(site, roads)
     for sensor in site.sensor:
-        _check_place(sensor, roads, settings)
-    warnings = list(_zone_warning(site, roads, settings))
+        _check_place(sensor, roads)
+    warnings = list(_zone_warning(site, roads))
     told = _Warnings(warnings)
     lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=told)
     found: dict[str, SensorCheck] = {}
@@ -192,7 +171,7 @@ def check_site(
         counts = _ViewCounts()
         ours = [path for path in sensor.recordings if path not in sensor.foreign]
         spans = [(*counts.add(open_recording(path)), path) for path in ours]
-        found[sensor.name] = _sensor_check(sensor, spans, counts, settings, warnings)
+        found[sensor.name] = _sensor_check(sensor, spans, counts, warnings)
         if spans:
             recorded[sensor.name] = spans
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
@@ -229,7 +208,7 @@ def _check_scans(site: Site, roads: LaneletMap) -> None:
         )
 
 
-def _check_place(sensor: Sensor, roads: LaneletMap, settings: CheckSettings) -> None:
+def _check_place(sensor: Sensor, roads: LaneletMap) -> None:
     """Refuse a guess or a pose that is far from all lanes."""
     if sensor.pose is not None:
         pose = read_track(sensor.pose).poses[0]
@@ -245,7 +224,7 @@ def _check_place(sensor: Sensor, roads: LaneletMap, settings: CheckSettings) -> 
     else:
         place = shapely.Point((sensor.guess or ())[:2])
     far_m = float(shapely.distance(place, roads.lanelets.geometry.values).min())
-    if far_m > settings.near_map_m:
+    if far_m > NEAR_MAP_M:
         raise InputError(
             "{} stands {:,.0f} m from the nearest lane of the map",
             sensor.name,
@@ -270,7 +249,7 @@ def _check_poses(site: Site, roads: LaneletMap, reporter: Reporter) -> tuple[Fin
     return check_plausibility(given, lanes, reporter=reporter)
 
 
-def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Iterator[str]:
+def _zone_warning(site: Site, roads: LaneletMap) -> Iterator[str]:
     """Yield a warning where the time zone is probably that of another place."""
     west, south, east, north = roads.lanelets.total_bounds
     x, y = (west + east) / 2, (south + north) / 2
@@ -278,7 +257,7 @@ def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Ite
     offset = zone_of(site.timezone).utcoffset(datetime(2025, 1, 1))  # noqa: DTZ001 - of the zone
     hours = (offset.total_seconds() if offset else 0.0) / 3600.0
     off = (hours - longitude / 15.0 + 12.0) % 24.0 - 12.0
-    if abs(off) > settings.zone_hours:
+    if abs(off) > ZONE_HOURS:
         yield Text(
             "timezone {} is {:.0f} hours from the sun at the site: choose the zone whose "
             "clocks people there follow",
@@ -289,13 +268,13 @@ def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Ite
 
 def _sensor_check(
     sensor: Sensor, spans: list[tuple[float, float, Path]], counts: _ViewCounts,
-    settings: CheckSettings, warnings: list[str],
+    warnings: list[str],
 ) -> SensorCheck:  # fmt: skip
     """Return what the recordings of a sensor hold; what is odd goes to the warnings."""
     if not spans:
         return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
     longest = max(each[1] - each[0] for each in spans)
-    if sensor.guess is not None and longest < settings.least_s and not sensor.foreign:
+    if sensor.guess is not None and longest < LEAST_S and not sensor.foreign:
         warnings.append(
             Text(
                 "{}: {:.0f} s in one recording rarely suffice to find its pose, 100 s are a "
@@ -306,7 +285,7 @@ def _sensor_check(
         )
     return SensorCheck(
         begin=min(each[0] for each in spans), end=max(each[1] for each in spans),
-        detections=counts.detections, view=counts.view(settings),
+        detections=counts.detections, view=counts.view,
     )  # fmt: skip
 
 
@@ -344,16 +323,17 @@ class _ViewCounts:
             self._elevation += _degrees(z[np.isfinite(z)], np.hypot(x, y)[np.isfinite(z)])
         return first, last
 
-    def view(self, settings: CheckSettings) -> dict[str, float]:
+    @property
+    def view(self) -> dict[str, float]:
         """Return full angles and the range that hold nearly all detections."""
         if not self.detections:
             return {}
         seen = {
-            "azimuth_deg": 2.0 * _reached(self._azimuth, settings.angle_share),
+            "azimuth_deg": 2.0 * _reached(self._azimuth, ANGLE_SHARE),
             "max_range_m": self._range.reached_m(),
         }
         if self._elevation.any():
-            half = min(90.0, _reached(self._elevation, settings.angle_share))
+            half = min(90.0, _reached(self._elevation, ANGLE_SHARE))
             seen["elevation_deg"] = 2.0 * half
         return seen
 

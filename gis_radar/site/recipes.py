@@ -253,7 +253,7 @@ def _moving_hits(
     from gis_radar.hdmap import TileGrid
     from gis_radar.measures import places_of, road_near, rows_of, standing_for, whole_frames
     from gis_radar.recordings import open_recording
-    from gis_radar.scans import SIGHT_DEFAULTS, MovementCounter, MovingHits
+    from gis_radar.scans import JUDGED_FRAMES, MovementCounter, MovingHits
 
     engine = TileGrid(road.quads)
     first, standing = places_of(track.poses), standing_for(track.poses)
@@ -272,14 +272,14 @@ def _moving_hits(
             reporter.progress("comparing with the recording", done, opened.rows)
     hits = [MovingHits.of(sights[id(track.poses[k])], [each]) for k, each in counters.items()]
     for each in hits:
-        if each.frames < SIGHT_DEFAULTS.judged_frames:
+        if each.frames < JUDGED_FRAMES:
             reporter.warn(
                 "{}: {} frames from one place are too few to correct its sight by, {} are needed",
                 track.sensor,
                 each.frames,
-                SIGHT_DEFAULTS.judged_frames,
+                JUDGED_FRAMES,
             )
-    return [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
+    return [each for each in hits if each.frames >= JUDGED_FRAMES]
 
 
 def _clocks(

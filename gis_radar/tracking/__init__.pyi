@@ -1,27 +1,39 @@
 from . import columns
 from .batches import warn_of_poses
 from .bodies import are_persons, usual_rcs
-from .detections import MapDetections, map_detections, still_rate
+from .detections import (
+    HEIGHT_RAD,
+    HIGH_M,
+    LOW_M,
+    MOVING_MPS,
+    NOISE_S,
+    SLOW_MPS,
+    MapDetections,
+    map_detections,
+    still_rate,
+)
 from .footprints import Footprints, PathBook, footprints_of
-from .forward import ForwardFilter
+from .forward import STAND_S, ForwardFilter
+from .hour_blocks import MARGIN_STEPS
 from .hour_vehicles import HourVehicles, vehicles_of_hour
 from .map_check import map_of_tiles
-from .occupancy_settings import OCCUPANCY_DEFAULTS, OccupancySettings
 from .passages import HEAVY
-from .settings import VEHICLE_DEFAULTS, DetectionSettings, VehicleSettings
 
 __all__ = [
     "HEAVY",
-    "OCCUPANCY_DEFAULTS",
-    "VEHICLE_DEFAULTS",
-    "DetectionSettings",
+    "HEIGHT_RAD",
+    "HIGH_M",
+    "LOW_M",
+    "MARGIN_STEPS",
+    "MOVING_MPS",
+    "NOISE_S",
+    "SLOW_MPS",
+    "STAND_S",
     "Footprints",
     "ForwardFilter",
     "HourVehicles",
     "MapDetections",
-    "OccupancySettings",
     "PathBook",
-    "VehicleSettings",
     "are_persons",
     "columns",
     "footprints_of",

@@ -16,7 +16,6 @@ from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.routes import route_of
-from gis_radar.tracking.settings import BatchSettings, VehicleSettings
 from gis_radar.tracking.tables import TRACKS, VEHICLES
 
 WAY_RAD = np.pi / 9.0  # lanes within it show the same side of a pose
@@ -25,6 +24,16 @@ LEAST_ROWS = 5  # detections of a vehicle on a lane, of which the median tells i
 SURE = 4.0  # sigma of a shift that is named: of hundreds of sensors hardly one is blamed wrongly
 DRAWN = 0.75  # who is off by a smaller share of the worst is drawn along by that one
 SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+SEEN_S = 0.5  # a state is seen within so many seconds of a detection (the contract)
+THROUGH_MPS = 3.0  # slower vehicles may turn in, park or load beside the lanes
+LEAST_JUDGED = 8  # vehicles by which a pose is judged
+MOST_OFF_LANE = 0.2  # share of a sensor's vehicles on no lanelet above which its pose is doubtful
+# Distance from the centres of lanes, common to all vehicles of a sensor or beyond that of other
+# sensors, above which its pose is doubtful.
+MOST_BESIDE_M = 0.6
+# Sigma: of the mean distance from a lane's centre of all its drivers, as recorded at three
+# junctions; of a driver from that; of a pose.
+LANE_M, BESIDE_M, SHIFT_M = 0.25, 0.7, 1.0
 POSE_HINT = "gis-radar track, gis-radar localize"
 
 
@@ -59,12 +68,10 @@ class BatchMaker:
     ----------
     graph : LaneGraph
         The lanes.
-    settings : VehicleSettings
-        Of routes, of when a state counts as seen, and of the check of poses.
     """
 
-    def __init__(self, graph: LaneGraph, settings: VehicleSettings) -> None:
-        self._graph, self._settings = graph, settings
+    def __init__(self, graph: LaneGraph) -> None:
+        self._graph = graph
         self._known: pd.DataFrame | None = None  # detections of vehicles at the edge: key, vehicle
         self._edge = -1
         self._on_lanes: list[pd.DataFrame] = []
@@ -80,7 +87,7 @@ class BatchMaker:
 
         A vehicle is the one of the block before with which it shares most detections.
         """
-        states = [_States.of(each, block, self._settings) for each in motions]
+        states = [_States.of(each, block) for each in motions]
         inside = [k for k, each in enumerate(states) if len(each.step)]
         motions, states = [motions[k] for k in inside], [states[k] for k in inside]
         self.numbers = numbers = self._numbers(block, motions, states)
@@ -88,7 +95,7 @@ class BatchMaker:
         rows, driven = [], []
         for number, motion, each in zip(numbers, motions, states, strict=True):
             table, lanelets = self._tables(each, motion)
-            driven.append(_driven(number, table, motion, block.detections, self._settings.batches))
+            driven.append(_driven(number, table, motion, block.detections))
             tables.append(table.assign(vehicle=number))
             rows.append(
                 {
@@ -159,7 +166,7 @@ class BatchMaker:
         graph = self._graph
         way = np.column_stack([np.cos(states.heading), np.sin(states.heading)])
         fronts = states.middle + 0.5 * motion.length_m * way
-        route = route_of(fronts, states.heading, graph, self._settings.routes)
+        route = route_of(fronts, states.heading, graph)
         on = route.lane >= 0
         lanelet = pd.Series(graph.lanelet_id[np.maximum(route.lane, 0)], dtype="Int64")
         towards = np.full(len(on), np.nan)
@@ -188,16 +195,12 @@ class BatchMaker:
 
 
 def _driven(
-    number: int,
-    table: pd.DataFrame,
-    motion: Motion,
-    detections: MapDetections,
-    settings: BatchSettings,
+    number: int, table: pd.DataFrame, motion: Motion, detections: MapDetections
 ) -> pd.DataFrame:
     """Return the detections of a vehicle while it drives: how far left of its lane it is then."""
     step = (detections.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
     inside = np.flatnonzero((step >= 0) & (step < len(table)))
-    drives = inside[table["speed"].to_numpy()[step[inside]] > settings.through_mps]
+    drives = inside[table["speed"].to_numpy()[step[inside]] > THROUGH_MPS]
     at = step[drives]
     towards = table["towards"].to_numpy()[at]
     left_m = table["d_m"].to_numpy(np.float64, na_value=np.nan)[at]
@@ -242,15 +245,13 @@ def joined_rows(known: dict[str, Any] | None, row: dict[str, Any]) -> dict[str, 
     }
 
 
-def warn_of_poses(seen: Sequence[pd.DataFrame], settings: BatchSettings) -> list[str]:
+def warn_of_poses(seen: Sequence[pd.DataFrame]) -> list[str]:
     """Return a line for each sensor whose vehicles do not drive where the lanes are.
 
     Parameters
     ----------
     seen : sequence of DataFrame
         Of :meth:`BatchMaker.on_lanes`; vehicles of different tables are different ones.
-    settings : BatchSettings
-        What is too far.
     """
     if not seen:
         return []
@@ -260,10 +261,10 @@ def warn_of_poses(seen: Sequence[pd.DataFrame], settings: BatchSettings) -> list
         first = int(whole[-1]["vehicle"].max()) + 1
     table = pd.concat(whole, ignore_index=True)
     names, number = np.unique(table["sensor"].to_numpy(str), return_inverse=True)
-    return pose_warnings(table.assign(sensor=number), names.tolist(), settings)
+    return pose_warnings(table.assign(sensor=number), names.tolist())
 
 
-def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSettings) -> list[str]:
+def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
     """Return a line for each sensor whose vehicles drive beside the lanes: its pose may be off.
 
     Parameters
@@ -274,19 +275,17 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSet
         direction (steps of 20 degrees, and the mean, radians), and how far left of its centre.
     sensors : sequence of str
         Names, by number.
-    settings : BatchSettings
-        What is too far.
     """
     judged: dict[int, tuple[float, float, Floats, float]] = {}
     for number in np.unique(seen["sensor"]).tolist():
         mine = seen[seen["sensor"] == number]
-        if mine["vehicle"].nunique() >= settings.least_judged:
+        if mine["vehicle"].nunique() >= LEAST_JUDGED:
             counts = mine.groupby("vehicle")[["size", "on"]].sum()
             off = float((counts["on"] < 0.5 * counts["size"]).mean())
             left = mine[mine["count"] >= LEAST_ROWS]
-            enough = left["vehicle"].nunique() >= settings.least_judged
+            enough = left["vehicle"].nunique() >= LEAST_JUDGED
             beside = float(left["left_m"].abs().median()) if enough else np.nan
-            judged[number] = off, beside, *_shift(left, settings)
+            judged[number] = off, beside, *_shift(left)
     shifts = {number: float(np.hypot(*each[2])) for number, each in judged.items()}
     lines: list[str] = []
     for number, (off, beside, shift, sigma) in judged.items():
@@ -294,13 +293,13 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSet
             each[1] for other, each in judged.items() if other != number and np.isfinite(each[1])
         ]
         apart = beside - float(np.median(others)) if others else 0.0
-        least = max(settings.most_beside_m, SURE * sigma, DRAWN * max(shifts.values()))
-        if off > settings.most_off_lane:
+        least = max(MOST_BESIDE_M, SURE * sigma, DRAWN * max(shifts.values()))
+        if off > MOST_OFF_LANE:
             what = Text("{:.0%} of its vehicles follow no lanelet", off)
         elif shifts[number] > least:
             side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
             what = Text("its vehicles drive {:.1f} m {} of the lanes", shifts[number], Text(side))
-        elif apart > settings.most_beside_m:
+        elif apart > MOST_BESIDE_M:
             what = Text(
                 "its vehicles drive {:.1f} m farther from their lanes' centres than "
                 "those of others",
@@ -313,7 +312,7 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSet
     return lines
 
 
-def _shift(left: pd.DataFrame, settings: BatchSettings) -> tuple[Floats, float]:
+def _shift(left: pd.DataFrame) -> tuple[Floats, float]:
     """Return by how much all vehicles of a sensor are beside their lanes, east and north, metres.
 
     Beside it the 1 sigma of how much that is.
@@ -326,9 +325,9 @@ def _shift(left: pd.DataFrame, settings: BatchSettings) -> tuple[Floats, float]:
     )
     way = ways["towards"].to_numpy(np.float64)
     normal = np.column_stack([-np.sin(way), np.cos(way)])
-    var = settings.lane_m**2 + settings.beside_m**2 / ways["count"].to_numpy(np.float64)
+    var = LANE_M**2 + BESIDE_M**2 / ways["count"].to_numpy(np.float64)
     weighted = normal / var[:, None]
-    prior = np.eye(2) / settings.shift_m**2
+    prior = np.eye(2) / SHIFT_M**2
     beside = ways["left_m"].to_numpy(np.float64)
     spread = np.linalg.inv(normal.T @ weighted + prior)
     shift = spread @ (weighted.T @ beside)
@@ -346,7 +345,7 @@ class _States:
         self.speed, self.seen = speed, seen
 
     @classmethod
-    def of(cls, motion: Motion, block: Block, settings: VehicleSettings) -> _States:
+    def of(cls, motion: Motion, block: Block) -> _States:
         """Return the states of a motion from its first step to its last."""
         first = max(motion.first_step, block.first_step)
         last = min(motion.last_step, block.last_step)
@@ -355,7 +354,7 @@ class _States:
         s_m, speed = motion.at(time)
         middle, heading = motion.path.at(s_m)
         hits = block.detections.time[motion.rows]
-        seen = np.abs(hits[nearest(hits, time)] - time) <= settings.batches.seen_s
+        seen = np.abs(hits[nearest(hits, time)] - time) <= SEEN_S
         return cls(step, middle, heading, speed, seen)
 
 

@@ -9,11 +9,8 @@ from gis_radar.hdmap import FieldArrays, lanes_at
 from gis_radar.tracking.columns import (  # fmt: skip
     ALIVE,
     BEGUN,
-    BIRTH_S,
-    BIRTHS,
     BRANCH,
     BRANCHES,
-    CAR_M,
     FOLLOWED,
     FRONT,
     HALF,
@@ -21,7 +18,6 @@ from gis_radar.tracking.columns import (  # fmt: skip
     HITS,
     LANE,
     LAST,
-    LEAST_COS,
     LEFT,
     MISFIT,
     NUMBER,
@@ -43,13 +39,17 @@ from gis_radar.tracking.columns import (  # fmt: skip
 )
 
 FASTEST_MPS = 60.0
+# A track begins with so many detections within this time whose places and range rates agree: beyond
+# 150 m a car gives one in half a second; false moving detections are at most one a frame, anywhere.
+BIRTHS, BIRTH_S = 3, 1.5
+LEAST_COS = 0.3  # between line of sight and lane, from which on a range rate gives the speed
+CAR_M = 4.6  # length of a car, the first guess for all vehicles
 
 
 @compiled
-def begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+def begin(  # pragma: no cover - compiled
     row: int,
     detection: Floats,
-    limits: Floats,
     bodies: Floats,
     waiting: Floats,
     counts: Integers,
@@ -60,7 +60,7 @@ def begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - com
     """Store a moving detection, or begin a track where several agree; return its number of rows."""
     kept = 0
     for k in range(counts[WAITS]):
-        if detection[6] - waiting[k, WAIT_TIME] <= limits[BIRTH_S]:
+        if detection[6] - waiting[k, WAIT_TIME] <= BIRTH_S:
             waiting[kept] = waiting[k]
             kept += 1
     counts[WAITS] = kept
@@ -68,11 +68,11 @@ def begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - com
     first = counts[ALIVE]
     for k in range(found):
         cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
-        speed = detection[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
+        speed = detection[2] / cos if abs(cos) >= LEAST_COS else -1.0
         if not 0.3 <= speed <= FASTEST_MPS or abs(lanes[k, LEFT]) > lanes[k, HALF] + 0.5:
             continue
         matches, moments = _agreeing(detection, speed, lanes[k, TOWARDS], waiting, counts[WAITS])
-        if matches >= limits[BIRTHS] and moments >= 2 and counts[ALIVE] < len(bodies):
+        if matches >= BIRTHS and moments >= 2 and counts[ALIVE] < len(bodies):
             body = bodies[counts[ALIVE]]
             body[:] = 0.0
             body[X], body[Y], body[HEADING], body[SPEED] = (
@@ -81,7 +81,7 @@ def begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - com
                 lanes[k, TOWARDS],
                 speed,
             )
-            body[FRONT] = body[REAR] = 0.5 * limits[CAR_M]
+            body[FRONT] = body[REAR] = 0.5 * CAR_M
             body[VAR_S], body[VAR_V], body[VAR_D] = 2.0, 1.0, 0.5
             body[LAST] = body[TIME] = detection[6]
             body[NUMBER], body[HITS], body[FOLLOWED] = counts[BEGUN], matches, lanes[k, LANE]
@@ -94,7 +94,7 @@ def begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - com
         return _claim(row, detection, bodies[first : counts[ALIVE]], waiting, counts, born)
     for k in range(found):
         cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
-        speed = detection[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
+        speed = detection[2] / cos if abs(cos) >= LEAST_COS else -1.0
         if 0.3 <= speed <= FASTEST_MPS and counts[WAITS] < len(waiting):
             wait = waiting[counts[WAITS]]
             wait[X], wait[Y], wait[WAIT_SPEED] = detection[0], detection[1], speed

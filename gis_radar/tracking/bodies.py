@@ -14,13 +14,39 @@ import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, nearest
 from gis_radar.tracking.columns import NONE
-from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.motion import Motion, fit_motion
-from gis_radar.tracking.settings import BodySettings, MotionSettings, VehicleSettings
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
 UNKNOWN_SIZE = -1.0  # log odds of a person of whom no size is known: on lanes they are fewer
+# A part is split, at most so often, while a smaller share of it keeps its place in the moving
+# frame; of fewer rows it is none.
+LEAST_PURE, MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
+SEEN_S = 0.35  # before and after a detection: the state of its vehicle is known
+LEFT_M, BEARING_RAD = 1.7, 0.006  # half the width of a truck, error of a bearing: sideways
+# Tolerance of a range rate: noise, a share of the speed, and a share of it at which the ends of a
+# turning body swing.
+RATE_MPS, WHEEL_SHARE, SWING = 0.8, 0.08, 0.6
+LEAST_FIT = 0.7  # share of detections whose places and range rates fit
+SCATTER_M = 2.5  # largest median scatter of places: scatterers change along a body
+PLACE_M = 0.4  # sigma of a mean place, for which scatterers last
+REACH_M = 16.5  # from the middle of what is detected to any part of a truck with trailer
+CAR_M = 4.7  # length of a car
+GAP_S, GAP_SPREAD = 1.8, 0.6  # median time gap between drivers, and sigma of its logarithm
+LONG_SHARE = 0.12  # of vehicles over 7 m in traffic
+LEAST_ODDS = 0.5  # logarithm of the odds above which two parts are joined
+DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
+CYCLIST_MPS = 7.5  # largest speed of cyclists
+# Mean and sigma of the cross section, dB over that of vehicles, and of the logarithm of the spread
+# of detections, metres: most people return 4 to 10 dB less; a cyclist of 1.8 x 0.6 m spreads by
+# 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m.
+PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
+FAINT_DB = 9.0  # weaker ones are of no vehicle at any speed: persons next to a passing one
+# Share of such detections of a vehicle; of a person it is the rest: a tenth of a car's, a fifth of
+# a lorry's or a motorcycle's; nine tenths of a walker's, two thirds of a cyclist's.
+FAINT_SHARE = 0.2
+FAINT_ODDS = 10.0  # log odds above which an end of a track is of a person: eight in a row
 STEADY = 0.5  # of the speed that is exceeded a tenth of the time: people hold it half of the time
 
 
@@ -106,7 +132,6 @@ def absorb(
     detections: MapDetections,
     parts: list[Integers],
     states: Floats,
-    every: VehicleSettings,
 ) -> list[Motion]:
     """Join parts that are of one body, the strongest first; return the motion of each vehicle.
 
@@ -118,13 +143,8 @@ def absorb(
         Rows that were followed as one vehicle.
     states : (n, 6) array
         Of the vehicle, for every detection.
-    every : VehicleSettings
-        Of all stages.
     """
-    settings, motion = every.bodies, every.motion
-    found = [
-        each for rows in parts for each in purified(detections, rows, states, settings, motion)
-    ]
+    found = [each for rows in parts for each in purified(detections, rows, states)]
     boxes = [_box(detections, each.rows) for each in found]
     gone: set[int] = set()
     for strong in sorted(range(len(found)), key=lambda k: -len(found[k].rows)):
@@ -139,10 +159,10 @@ def absorb(
                     boxes[other][1] < boxes[strong][0]
                 ).any():
                     continue
-                odds = log_odds(detections, found[strong], found[other], every)
-                if odds > settings.least_odds:
+                odds = log_odds(detections, found[strong], found[other])
+                if odds > LEAST_ODDS:
                     rows = np.concatenate([found[strong].rows, found[other].rows])
-                    found[strong] = fit_motion(detections, rows, states, motion)
+                    found[strong] = fit_motion(detections, rows, states)
                     boxes[strong] = _box(detections, rows)
                     gone.add(other)
                     again = True
@@ -156,102 +176,89 @@ def _box(detections: MapDetections, rows: Integers) -> Floats:
     return np.stack([table.min(axis=0) - reach, table.max(axis=0) + reach])
 
 
-def log_odds(
-    detections: MapDetections, body: Motion, other: Motion, every: VehicleSettings
-) -> float:
+def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
     """Return the logarithm of the odds that two parts are one body.
 
     In the frame that moves with the first, the second keeps its place if it is of the same body;
     another vehicle drifts, and keeps its distance: time gaps between drivers are log-normal, with a
     median of 1.8 s (Treiber and Kesting, *Traffic Flow Dynamics*, 2013, ch. 4).
     """
-    settings = every.bodies
-    rows = other.rows[np.abs(detections.range_rate[other.rows]) > every.detections.moving_mps]
+    rows = other.rows[np.abs(detections.range_rate[other.rows]) > MOVING_MPS]
     own = detections.time[body.rows]
     rows = rows[(detections.time[rows] > own[0] - 0.2) & (detections.time[rows] < own[-1] + 0.2)]
     if len(rows) < 3:
         return -np.inf
     # only while the first is seen too is its frame known well
     near = nearest(own, detections.time[rows])
-    rows = rows[np.abs(own[near] - detections.time[rows]) < settings.seen_s]
+    rows = rows[np.abs(own[near] - detections.time[rows]) < SEEN_S]
     if len(rows) < 3 or np.ptp(detections.time[rows]) < 0.1:
         return -np.inf
     along, left, rate = body.frame(detections, rows)
     _, speed = body.at(detections.time[rows])
-    beside = settings.left_m + settings.bearing_rad * detections.range_m[rows]
-    fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed, settings))
-    if fits.mean() < settings.least_fit or fits.sum() < 3:
+    beside = LEFT_M + BEARING_RAD * detections.range_m[rows]
+    fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed))
+    if fits.mean() < LEAST_FIT or fits.sum() < 3:
         return -np.inf
     one, two = (
-        tall_odds(detections.height_m[each.rows], detections.range_m[each.rows], every.tall)
+        tall_odds(detections.height_m[each.rows], detections.range_m[each.rows])
         for each in (body, other)
     )
-    long = one_tall_odds((one, two), every.tall)
-    return _odds_of_places(
-        detections.time[rows][fits], along[fits], speed[fits], body, settings, long
-    )
+    long = one_tall_odds((one, two))
+    return _odds_of_places(detections.time[rows][fits], along[fits], speed[fits], body, long)
 
 
-def _slack(body: Motion, along: Floats, speed: Floats, settings: BodySettings) -> Floats:
+def _slack(body: Motion, along: Floats, speed: Floats) -> Floats:
     """Return the tolerance of range rates of a body: in a bend its ends swing."""
-    swing = settings.swing * min(body.path.most_bend, 0.1) * speed * np.abs(along)
-    return np.asarray(settings.rate_mps + settings.wheel_share * speed + swing)
+    swing = SWING * min(body.path.most_bend, 0.1) * speed * np.abs(along)
+    return np.asarray(RATE_MPS + WHEEL_SHARE * speed + swing)
 
 
-def purified(
-    detections: MapDetections,
-    rows: Integers,
-    states: Floats,
-    settings: BodySettings,
-    motion: MotionSettings,
-) -> list[Motion]:
+def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[Motion]:
     """Return the motion of a part, split where it cannot be of one body."""
     found: list[Motion] = []
-    while len(rows) >= settings.least_rows and len(found) < settings.most_split:
-        body = fit_motion(detections, rows, states, motion)
+    while len(rows) >= LEAST_ROWS and len(found) < MOST_SPLIT:
+        body = fit_motion(detections, rows, states)
         along, left, rate = body.frame(detections, body.rows)
         _, speed = body.at(detections.time[body.rows])
-        own = np.abs(along) < 0.5 * settings.reach_m + 1.0
-        own &= np.abs(left) < 2.0 * settings.left_m
-        own &= np.abs(rate) < 2.0 * _slack(body, along, speed, settings) + speed
-        if own.mean() >= settings.least_pure or own.sum() < settings.least_rows:
+        own = np.abs(along) < 0.5 * REACH_M + 1.0
+        own &= np.abs(left) < 2.0 * LEFT_M
+        own &= np.abs(rate) < 2.0 * _slack(body, along, speed) + speed
+        if own.mean() >= LEAST_PURE or own.sum() < LEAST_ROWS:
             return [*found, body]
-        kept = fit_motion(detections, body.rows[own], states, motion)
+        kept = fit_motion(detections, body.rows[own], states)
         found.append(kept)
         rows = body.rows[~own]
     return found
 
 
-def _odds_of_places(
-    time: Floats, along: Floats, speed: Floats, body: Motion, settings: BodySettings, long: float
-) -> float:
+def _odds_of_places(time: Floats, along: Floats, speed: Floats, body: Motion, long: float) -> float:
     """Return the log odds from places in a moving frame: whether they stay, and are too near.
 
     What speaks for a long vehicle otherwise counts for what lies beyond the body.
     """
     span = float(np.ptp(time))
     away = abs(float(np.median(along)))
-    if away > settings.reach_m:
+    if away > REACH_M:
         return -np.inf
     stays = 0.0
     if span > 0.3:
         centred = time - time.mean()
         drift = float(centred @ (along - along.mean()) / (centred @ centred))
         rest = np.abs(along - np.median(along) - drift * centred)
-        if np.median(rest) > settings.scatter_m:
+        if np.median(rest) > SCATTER_M:
             return -np.inf
         # of the slope of places that are independent every half a second
-        sigma = np.hypot(settings.place_m * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
+        sigma = np.hypot(PLACE_M * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
         wide = np.hypot(1.0, sigma)  # 1 m/s: by how much drivers differ
         stays = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
     within = np.abs(along) < 0.5 * max(body.length_m, 3.0) + 1.0
     if within.mean() > 0.6:
         return 5.0 + min(stays, 0.0)
     pace = max(float(np.quantile(speed, 0.8)), 2.0)
-    gap_s = max(away - settings.car_m, 0.05) / pace
-    z = np.log(gap_s / settings.gap_s) / settings.gap_spread
-    follows = -0.5 * z * z - np.log(gap_s * settings.gap_spread * 2.5066 * pace)
-    return float(stays + long + np.log(settings.long_share / 12.0) - follows)
+    gap_s = max(away - CAR_M, 0.05) / pace
+    z = np.log(gap_s / GAP_S) / GAP_SPREAD
+    follows = -0.5 * z * z - np.log(gap_s * GAP_SPREAD * 2.5066 * pace)
+    return float(stays + long + np.log(LONG_SHARE / 12.0) - follows)
 
 
 def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Integers) -> Floats:
@@ -259,9 +266,7 @@ def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Intege
     return np.where(((number == NONE) & (joined != NONE))[:, None], states[1], states[0])
 
 
-def is_person(
-    detections: MapDetections, motions: Sequence[Motion], every: VehicleSettings
-) -> list[bool]:
+def is_person(detections: MapDetections, motions: Sequence[Motion]) -> list[bool]:
     """Return for each motion whether it is a walker or a cyclist: weak, small, slow and steady.
 
     The cross section of vehicles is that of fast ones in the same recordings, since radars
@@ -273,14 +278,13 @@ def is_person(
     fast = np.array([_fast(each) for each in motions])
     spread = np.array([np.hypot(np.std(each.along_m), np.std(each.left_m)) for each in motions])
     steady = [np.median(each.speed) > STEADY * v for each, v in zip(motions, fast, strict=True)]
-    still, told = still_rcs(detections, every), np.array(steady, np.bool_)
-    return list(are_persons(rcs, fast, spread, told, still, every.bodies).tolist())
+    still, told = still_rcs(detections), np.array(steady, np.bool_)
+    return list(are_persons(rcs, fast, spread, told, still).tolist())
 
 
 def are_persons(
-    rcs: Floats, fast: Floats, spread_m: Floats, steady: Booleans, still: float,
-    settings: BodySettings,
-) -> Booleans:  # fmt: skip
+    rcs: Floats, fast: Floats, spread_m: Floats, steady: Booleans, still: float
+) -> Booleans:
     """Return which are persons by their size, their cross section, and how they move.
 
     Parameters
@@ -292,19 +296,16 @@ def are_persons(
         Whether it keeps its pace.
     still : float
         Median cross section of still detections, dBm2.
-    settings : BodySettings
-        What is usual of both.
     """
-    faint = rcs < still - settings.faint_db
-    usual = _driven_rcs(rcs, fast, faint, settings)
+    faint = rcs < still - FAINT_DB
+    usual = _driven_rcs(rcs, fast, faint)
     if np.isnan(usual):
         return np.asarray(faint)
-    person, vehicle = settings.person, settings.vehicle
     size = np.log(np.maximum(spread_m, LEAST_SPREAD_M))
-    odds = _log_density(rcs - usual, person[:2]) - _log_density(rcs - usual, vehicle[:2])
-    by_size = _log_density(size, person[2:]) - _log_density(size, vehicle[2:])
+    odds = _log_density(rcs - usual, PERSON[:2]) - _log_density(rcs - usual, VEHICLE[:2])
+    by_size = _log_density(size, PERSON[2:]) - _log_density(size, VEHICLE[2:])
     odds += np.where(np.isnan(by_size), UNKNOWN_SIZE, by_size)
-    may_be = steady & (fast < settings.cyclist_mps) | (rcs < usual - settings.faint_db)
+    may_be = steady & (fast < CYCLIST_MPS) | (rcs < usual - FAINT_DB)
     return np.asarray(may_be & (odds > 0.0))
 
 
@@ -314,18 +315,18 @@ def _log_density(value: Floats, usual: Sequence[float]) -> Floats:
     return np.asarray(-0.5 * ((value - mean) / sigma) ** 2 - np.log(sigma))
 
 
-def still_rcs(detections: MapDetections, every: VehicleSettings) -> float:
+def still_rcs(detections: MapDetections) -> float:
     """Return the median cross section of still detections, dBm2."""
-    return usual_rcs(detections.rcs[np.abs(detections.range_rate) < every.detections.moving_mps])
+    return usual_rcs(detections.rcs[np.abs(detections.range_rate) < MOVING_MPS])
 
 
-def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans, settings: BodySettings) -> float:
+def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> float:
     """Return the cross section of fast vehicles, NaN if there are none."""
-    return usual_rcs(rcs[(fast > settings.driven_mps) & ~faint])
+    return usual_rcs(rcs[(fast > DRIVEN_MPS) & ~faint])
 
 
 def without_faint_ends(
-    detections: MapDetections, motions: list[Motion], states: Floats, every: VehicleSettings
+    detections: MapDetections, motions: list[Motion], states: Floats
 ) -> list[Motion]:
     """Return the motions without begins and ends in which a person was followed with them.
 
@@ -340,27 +341,25 @@ def without_faint_ends(
         Of vehicles.
     states : (n, 6) array
         Of the vehicle, for every detection.
-    every : VehicleSettings
-        Of all stages.
     """
-    settings, found = every.bodies, []
+    found = []
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
-    usual = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_), settings)
-    odds = np.log(settings.faint_share / (1.0 - settings.faint_share))
+    usual = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_))
+    odds = np.log(FAINT_SHARE / (1.0 - FAINT_SHARE))
     for each in motions:
-        faint = detections.rcs[each.rows] < usual - settings.faint_db
+        faint = detections.rcs[each.rows] < usual - FAINT_DB
         tells = np.where(faint, -odds, odds)
         ends = []
         for way in (tells, tells[::-1]):
             summed = np.cumsum(way)
             most = int(summed.argmax())
-            ends.append(most + 1 if summed[most] > settings.faint_odds else 0)
+            ends.append(most + 1 if summed[most] > FAINT_ODDS else 0)
         rows = each.rows[ends[0] : len(faint) - ends[1]]
         if len(rows) == len(faint):
             found.append(each)
-        elif len(rows) >= settings.least_rows:
-            found.append(fit_motion(detections, rows, states, every.motion))
+        elif len(rows) >= LEAST_ROWS:
+            found.append(fit_motion(detections, rows, states))
     return found
 
 

@@ -15,8 +15,3 @@ LANE, ALONG_LANE, LEFT, TOWARDS, HALF = range(5)
 # Of counts: bodies alive, detections that wait; so far vehicles, detections, branches, those before
 # the detections of now; states kept.
 ALIVE, WAITS, BEGUN, PASSED, BRANCHES, BASE, KEPT, COUNTS = range(8)
-# Of the settings as an array: moving_mps, then the fields of ForwardSettings in their order.
-(
-    MOVING, ACCEL, SIDEWAYS, RATE, LEAST_COS, ALONG, ACROSS, AZIMUTH, BIRTH_S, BIRTHS, COAST_S,
-    STAND_S, STANDING, CAR_M,
-) = range(14)  # fmt: skip

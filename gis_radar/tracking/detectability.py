@@ -15,11 +15,15 @@ from scipy.ndimage import uniform_filter
 
 from gis_radar.base import STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.management_settings import DetectabilitySettings
 from gis_radar.tracking.motion import HALF_STEPS, Motion
 
 HALF_WIDTH_M = 1.5  # of what a body hides: half a lorry and the error of its place
 NEAREST_M = 1.0  # a body does not hide itself, nor does a sensor see what is under it
+# Size of the map cells in which the rate of detections is learned, together with their neighbours.
+CELL_M = 6.0
+DRIVING_MPS = 3.0  # least speed of the vehicles from which it is learned
+LEAST_S = 1.0  # least total time of vehicles in a cell; with less, the rate is unknown
+SILENT_S = 2.0  # shorter gaps between detections tell nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +115,6 @@ class Detectability:
         Detections of a vehicle in a cell, a second.
     corner : (2,) array
         Of the first cell.
-    cell_m : float
-        Size of a cell.
     first_half : int
         Number of the first half second of `works`.
     works : (k, n) array
@@ -124,15 +126,12 @@ class Detectability:
     eyes: Floats
     rate: Floats
     corner: Floats
-    cell_m: float
     first_half: int
     works: Floats
     occluders: Occluders
 
     @classmethod
-    def learned(
-        cls, detections: MapDetections, motions: Sequence[Motion], settings: DetectabilitySettings
-    ) -> Detectability:
+    def learned(cls, detections: MapDetections, motions: Sequence[Motion]) -> Detectability:
         """Learn the rate of detections by place from moving vehicles.
 
         Parameters
@@ -141,37 +140,33 @@ class Detectability:
             All detections, at least one.
         motions : sequence of Motion
             Vehicles.
-        settings : DetectabilitySettings
-            Constants.
         """
         eyes = detections.eyes()
         count = len(eyes)
-        corner = detections.points.min(axis=0) - settings.cell_m
-        size = (
-            np.ceil((detections.points.max(axis=0) - corner) / settings.cell_m).astype(np.int64) + 1
-        )
+        corner = detections.points.min(axis=0) - CELL_M
+        size = np.ceil((detections.points.max(axis=0) - corner) / CELL_M).astype(np.int64) + 1
         seen, spent = np.zeros((count, *size)), np.zeros(tuple(size))
         for motion in motions:
-            drives = motion.speed > settings.driving_mps
+            drives = motion.speed > DRIVING_MPS
             if not drives.any():
                 continue
-            cell = _cells(motion.places[0][drives], corner, settings.cell_m, size)
+            cell = _cells(motion.places[0][drives], corner, size)
             np.add.at(spent, tuple(cell.T), 1.0 / STEPS_PER_SECOND)
             step = np.round(detections.time[motion.rows] * STEPS_PER_SECOND).astype(np.int64)
             step = np.clip(step - motion.first_step, 0, len(motion.speed) - 1)
             rows, step = motion.rows[drives[step]], step[drives[step]]
-            cell = _cells(motion.places[0][step], corner, settings.cell_m, size)
+            cell = _cells(motion.places[0][step], corner, size)
             np.add.at(seen, (detections.sensor[rows], *cell.T), 1.0)
         near = uniform_filter(spent, 3, mode="constant") * 9.0
         summed = np.stack([uniform_filter(each, 3, mode="constant") * 9.0 for each in seen])
-        known = near > settings.least_s
+        known = near > LEAST_S
         rate = np.where(known, summed / np.maximum(near, 1e-9), 0.0)
         half = (detections.time * 2.0).astype(np.int64)
         first = int(half.min())
         works = np.zeros((count, int(half.max()) - first + 1))
         works[detections.sensor, half - first] = 1.0
         return cls(
-            eyes=eyes, rate=rate, corner=corner, cell_m=settings.cell_m, first_half=first,
+            eyes=eyes, rate=rate, corner=corner, first_half=first,
             works=works, occluders=Occluders.of(motions),
         )  # fmt: skip
 
@@ -189,7 +184,7 @@ class Detectability:
         """
         return float(
             _due(
-                places, halves, np.array(owners), self.eyes, self.rate, self.corner, self.cell_m,
+                places, halves, np.array(owners), self.eyes, self.rate, self.corner,
                 self.first_half, self.works, self.occluders.half, self.occluders.owner,
                 self.occluders.shape,
             )
@@ -217,9 +212,9 @@ class Detectability:
         return self.due(way, halves, owners)
 
 
-def _cells(points: Floats, corner: Floats, cell_m: float, size: Integers) -> Integers:
+def _cells(points: Floats, corner: Floats, size: Integers) -> Integers:
     """Return the cell of each point, row and column."""
-    return np.clip(((points - corner) / cell_m).astype(np.int64), 0, size - 1)
+    return np.clip(((points - corner) / CELL_M).astype(np.int64), 0, size - 1)
 
 
 @compiled
@@ -230,7 +225,6 @@ def _due(  # noqa: PLR0917 - numba takes plain arrays
     eyes: Floats,
     rate: Floats,
     corner: Floats,
-    cell_m: float,
     first_half: int,
     works: Floats,
     body_half: Integers,
@@ -240,7 +234,7 @@ def _due(  # noqa: PLR0917 - numba takes plain arrays
     total = 0.0
     for i in range(len(places)):
         h = halves[i] - first_half
-        a, b = int((places[i, 0] - corner[0]) / cell_m), int((places[i, 1] - corner[1]) / cell_m)
+        a, b = int((places[i, 0] - corner[0]) / CELL_M), int((places[i, 1] - corner[1]) / CELL_M)
         if h < 0 or h >= works.shape[1] or a < 0 or b < 0:
             continue
         if a >= rate.shape[1] or b >= rate.shape[2]:

@@ -12,9 +12,21 @@ from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
-from gis_radar.tracking.settings import DetectionSettings
 
 LEAST_LEVEL = 0.3  # cosine of the elevation: what is steeper below tells nothing of its speed
+# Heights over the road between which vehicles scatter: reflections at the road seem lower, the
+# highest trucks are 4 m.
+LOW_M, HIGH_M = -1.0, 4.5
+HEIGHT_RAD = 0.035  # tolerance of the height by the elevation: 2 sigma of a recorded ARS548
+MOVING_MPS = 0.15  # least absolute range rate of what moves: seven sigma of a recorded ARS548
+# The same in sigma of the sensor's own noise, where that is more: at 500 fixed detections a frame,
+# one seems to move every three minutes.
+STILL_SIGMAS = 5.0
+# The noise is measured in the first seconds, by slower detections, at least so many (a sigma to
+# 3 %); SLOW_MPS is also the upper bound of the threshold.
+NOISE_S, SLOW_MPS, LEAST_SLOW = 20.0, 0.3, 1000
+PEAK_SHARE = 0.5  # of those slower than a third of SLOW_MPS: evenly spread it would be a third
+AZIMUTH_RAD = 0.004  # sigma of a bearing, including the bias of each target
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +109,6 @@ def map_detections(
     pose: Pose,
     number: int,
     graph: LaneGraph,
-    settings: DetectionSettings,
     *,
     road_m: float = np.nan,
     still_mps: float = 0.0,
@@ -114,8 +125,6 @@ def map_detections(
         Of the sensor.
     graph : LaneGraph
         The lanes.
-    settings : DetectionSettings
-        Which heights over the road count.
     road_m : float
         Height of the road near the sensor, for one that measures no elevation.
     still_mps : float
@@ -125,8 +134,7 @@ def map_detections(
     points[np.isnan(read.points[:, 2]), 2] = np.nan
     eye = pose.position - [*graph.origin, 0.0]
     range_m = read.range_m
-    limits = np.array([settings.low_m, settings.high_m, settings.height_rad])
-    height, on = _over_lanes(points, range_m, limits, graph.field.arrays)
+    height, on = _over_lanes(points, range_m, graph.field.arrays)
     kept = np.flatnonzero(on & np.isfinite(read.range_rate))
     away = points[kept, :2] - eye[:2]
     flat = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
@@ -144,7 +152,7 @@ def map_detections(
     )
 
 
-def still_rate(range_rate: Floats, settings: DetectionSettings) -> float:
+def still_rate(range_rate: Floats) -> float:
     """Return the largest absolute range rate of still detections of a sensor, m/s.
 
     Parameters
@@ -152,36 +160,28 @@ def still_rate(range_rate: Floats, settings: DetectionSettings) -> float:
     range_rate : (n,) array
         Of all detections of some seconds, m/s. With fixed targets, those near zero have a
         peak, whose width is the noise; where only what moves is recorded there is none.
-    settings : DetectionSettings
-        How many sigma of the noise.
     """
-    slow = np.abs(range_rate[np.abs(range_rate) < settings.slow_mps])
-    peak = (slow < settings.slow_mps / 3.0).mean() if len(slow) >= settings.least_slow else 0.0
-    if peak < settings.peak_share:
-        return settings.moving_mps
+    slow = np.abs(range_rate[np.abs(range_rate) < SLOW_MPS])
+    peak = (slow < SLOW_MPS / 3.0).mean() if len(slow) >= LEAST_SLOW else 0.0
+    if peak < PEAK_SHARE:
+        return MOVING_MPS
     sigma = float(np.median(slow)) / 0.6745  # the median of a normal's absolute value
-    return float(np.clip(settings.still_sigmas * sigma, settings.moving_mps, settings.slow_mps))
+    return float(np.clip(STILL_SIGMAS * sigma, MOVING_MPS, SLOW_MPS))
 
 
 @compiled
-def _over_lanes(
-    points: Floats,
-    range_m: Floats,
-    limits: Floats,
-    field: FieldArrays,
-) -> tuple[Floats, Booleans]:
+def _over_lanes(points: Floats, range_m: Floats, field: FieldArrays) -> tuple[Floats, Booleans]:
     """Return the height over the lane that is nearest in height, and whether it fits one."""
-    low, high, slack = limits
     out = np.empty((8, 6))
     height, on = np.full(len(points), np.nan), np.zeros(len(points), np.bool_)
     for i in range(len(points)):
         found = lanes_at(points[i, 0], points[i, 1], field, out)
-        more = slack * range_m[i]
+        more = HEIGHT_RAD * range_m[i]
         for k in range(found):
             over = points[i, 2] - out[k, 5]
             if np.isnan(over):  # of a road or a sensor without heights
                 on[i] = True
-            elif low - more <= over <= high + more:
+            elif LOW_M - more <= over <= HIGH_M + more:
                 on[i] = True
                 if np.isnan(height[i]) or abs(over) < abs(height[i]):
                     height[i] = over

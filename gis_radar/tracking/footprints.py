@@ -17,8 +17,18 @@ from numpy.typing import NDArray
 
 from gis_radar.base import Booleans, Floats, Integers, compiled, ranges
 from gis_radar.hdmap import quads
-from gis_radar.tracking.occupancy_settings import OccupancySettings
 
+# A footprint occupies a tile when it overlaps the middle cross-line by so much, or by half of the
+# cross-line or of the vehicle's width where that is less (the contract).
+OVERLAP_M = 0.5
+# It is on the level of a tile when their roads are within so much height (the contract): over a
+# crossfall, under the clearance of a bridge.
+SAME_LEVEL_M = 2.0
+# A longer vehicle is the strip of its width along the path its front took (the contract): the
+# longest single vehicle without a joint.
+STRIP_M = 12.0
+# Distance of the points of such a path: on a curve of 10 m radius its chord is 1 cm off the arc.
+PATH_STEP_M = 1.0
 CELL_M = 2.0  # of the look-up: half a vehicle's length; twice or half of it is as fast
 MOST_CELLS = 16_000_000  # wider cells where a map is larger
 ROUNDING_M = 1e-9  # a car just on the edge occupies, however its place was rounded
@@ -123,13 +133,10 @@ class PathBook:
 
     Parameters
     ----------
-    settings : OccupancySettings
-        Which vehicles are long, and how far the points of a path are apart.
     paths : dict
         By vehicle the (k, 2) points of its path, from the back.
     """
 
-    settings: OccupancySettings
     paths: dict[int, Floats] = field(default_factory=dict)
 
     def extend(
@@ -150,11 +157,11 @@ class PathBook:
             start = self.paths.get(number)
             if start is None:
                 start = fronts[rows[:1]] - length * boxes[rows[:1], 2:4]
-            line, last = _thinned(start, fronts[rows], self.settings.path_step_m)
+            line, last = _thinned(start, fronts[rows], PATH_STEP_M)
             path[rows] = done + last
             points.append(line)
             done += len(line)
-            kept[number] = line[-int(length / self.settings.path_step_m) - 3 :]
+            kept[number] = line[-int(length / PATH_STEP_M) - 3 :]
         self.paths = kept
         begins = np.zeros(done, np.bool_)
         if points:
@@ -206,7 +213,7 @@ def footprints_of(
     middle = states[["easting", "northing"]].to_numpy(float) - origin
     boxes = np.column_stack([middle, np.cos(heading), np.sin(heading), length / 2, width / 2])
     boxes = np.ascontiguousarray(boxes)  # another layout would be compiled anew
-    path, points, begins = book.extend(number, boxes, length > book.settings.strip_m)
+    path, points, begins = book.extend(number, boxes, length > STRIP_M)
     return Footprints(
         step=states["step"].to_numpy(np.int64), boxes=boxes, level_m=level_m,
         seen=states["seen"].to_numpy(np.bool_), path=path, points=points, begins=begins,
@@ -345,12 +352,11 @@ def overlapped_m(
 
 @compiled
 def is_occupied(
-    line: Floats, box: Floats, path: int, points: Floats, begins: Booleans, shares: Floats,
-    most_m: float,
-) -> bool:  # pragma: no cover - compiled  # fmt: skip
+    line: Floats, box: Floats, path: int, points: Floats, begins: Booleans, shares: Floats
+) -> bool:  # pragma: no cover - compiled
     """Return whether a footprint overlaps a cross-line by enough to occupy its tile."""
     length = math.sqrt((line[2] - line[0]) ** 2 + (line[3] - line[1]) ** 2)
-    needed = min(most_m, 0.5 * length, box[5])
+    needed = min(OVERLAP_M, 0.5 * length, box[5])
     return bool(overlapped_m(line, box, path, points, begins, shares) >= needed - ROUNDING_M)
 
 
@@ -369,8 +375,7 @@ def _is_apart(line: Floats, box: Floats) -> bool:  # pragma: no cover - compiled
 def _tiles_under(  # noqa: PLR0917
     box: Floats, level_m: float, path: int, points: Floats, begins: Booleans, lines: Floats,
     height_m: Floats, first: Integers, tiles: NDArray[np.int32], columns: int, rows: int,
-    cell_m: float, most_m: float, same_level_m: float, stamp: Integers, mark: int,
-    shares: Floats, found: Integers,
+    cell_m: float, stamp: Integers, mark: int, shares: Floats, found: Integers,
 ) -> int:  # pragma: no cover - compiled  # fmt: skip
     """Write the tiles that a footprint occupies to `found`; return their number."""
     x, y, ahead_x, ahead_y, half_length, half_width = box
@@ -391,11 +396,11 @@ def _tiles_under(  # noqa: PLR0917
                 if stamp[tile] == mark:
                     continue
                 stamp[tile] = mark
-                if abs(height_m[tile] - level_m) > same_level_m:  # not a number compares false
+                if abs(height_m[tile] - level_m) > SAME_LEVEL_M:  # not a number compares false
                     continue
                 if path < 0 and _is_apart(lines[tile], box):
                     continue
-                if is_occupied(lines[tile], box, path, points, begins, shares, most_m):
+                if is_occupied(lines[tile], box, path, points, begins, shares):
                     found[count] = tile
                     count += 1
     return count
@@ -405,8 +410,8 @@ def _tiles_under(  # noqa: PLR0917
 def occupied_runs(  # noqa: PLR0917
     step: Integers, boxes: Floats, level_m: Floats, seen: Booleans, path: Integers,
     points: Floats, begins: Booleans, lines: Floats, height_m: Floats, first: Integers,
-    tiles: NDArray[np.int32], columns: int, rows: int, cell_m: float, most_m: float,
-    same_level_m: float, open_runs: Integers, stamps: Integers,
+    tiles: NDArray[np.int32], columns: int, rows: int, cell_m: float,
+    open_runs: Integers, stamps: Integers,
 ) -> Integers:  # pragma: no cover - compiled  # fmt: skip
     """Update the runs of occupied tiles; return those that ended: tile, first, last, seen.
 
@@ -418,8 +423,6 @@ def occupied_runs(  # noqa: PLR0917
         As of :class:`Footprints`.
     lines, height_m, first, tiles, columns, rows, cell_m
         As of :class:`CrossLines`.
-    most_m, same_level_m : float
-        As of :class:`OccupancySettings`.
     open_runs : (t, 3) int64 array
         First step, last step and `seen` of the latest run of each tile; a first step of -1 is none.
     stamps : (t, 3) int64 array
@@ -439,7 +442,7 @@ def occupied_runs(  # noqa: PLR0917
         while state < len(step) and step[state] == now:
             under = _tiles_under(
                 boxes[state], level_m[state], path[state], points, begins, lines, height_m, first,
-                tiles, columns, rows, cell_m, most_m, same_level_m, near, state, shares, found,
+                tiles, columns, rows, cell_m, near, state, shares, found,
             )  # fmt: skip
             for k in range(under):
                 tile = found[k]

@@ -10,27 +10,20 @@ vehicle anywhere. What stands is left to `stationary`: here it would draw bodies
 
 from __future__ import annotations
 
-from dataclasses import astuple
 from typing import TypeAlias
 
 import numpy as np
 
 from gis_radar.base import Floats, Integers, compiled, turned
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
-from gis_radar.tracking.births import begin
+from gis_radar.tracking.births import BIRTH_S, LEAST_COS, begin
 from gis_radar.tracking.columns import (  # fmt: skip
-    ACCEL,
-    ACROSS,
     ALIVE,
-    ALONG,
     ALONG_LANE,
-    AZIMUTH,
     BASE,
     BEGUN,
-    BIRTH_S,
     BRANCH,
     BRANCHES,
-    COAST_S,
     COLUMNS,
     COUNTS,
     COV_SV,
@@ -42,20 +35,14 @@ from gis_radar.tracking.columns import (  # fmt: skip
     KEPT,
     LANE,
     LAST,
-    LEAST_COS,
     LEFT,
     MISFIT,
-    MOVING,
     NONE,
     NUMBER,
     PASSED,
-    RATE,
     REAR,
-    SIDEWAYS,
     SINCE_M,
     SPEED,
-    STAND_S,
-    STANDING,
     TIME,
     TOWARDS,
     VAR_D,
@@ -65,8 +52,7 @@ from gis_radar.tracking.columns import (  # fmt: skip
     X,
     Y,
 )
-from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.settings import DetectionSettings, ForwardSettings
+from gis_radar.tracking.detections import AZIMUTH_RAD, MOVING_MPS, MapDetections
 from gis_radar.tracking.size import LONGEST_M
 
 CAPACITY = 1024  # vehicles at a time
@@ -79,6 +65,14 @@ ONE_WAY_M, NEAR_M = 30.0, 1.0  # branches so near each other so long after are o
 # By how much a branch may fit worse than another one, and what one detection counts at most, both
 # squares of sigma: six outliers do not end a branch.
 MOST_MISFIT, MOST_TOLD = 24.0, 4.0
+ACCEL_MPS2 = 1.5  # sigma of the acceleration that drivers choose
+SIDEWAYS_MPS = 0.3  # sigma of the drift across the lane
+RATE_MPS = 0.25  # sigma of a range rate, including what a turning body adds
+ALONG_M, ACROSS_M = 1.2, 0.7  # how far outside of the body a detection may lie
+# A track is continued for so long without a detection: then it may be 3 m off; and for so long at
+# rest, where its detections are not used here. Under six detections it is dropped after BIRTH_S.
+COAST_S, STAND_S = 2.0, 20.0
+STANDING_MPS = 0.7  # below it a vehicle may stand
 
 
 # The branch of each detection; of each branch the one before it and the detection at which it left
@@ -93,21 +87,10 @@ class ForwardFilter:
     ----------
     graph : LaneGraph
         The lanes.
-    settings : ForwardSettings
-        Of motion, association, births and deaths.
-    moving_mps : float
-        Least absolute range rate of a moving detection.
     """
 
-    def __init__(
-        self,
-        graph: LaneGraph,
-        settings: ForwardSettings,
-        *,
-        moving_mps: float = DetectionSettings.moving_mps,
-    ) -> None:
+    def __init__(self, graph: LaneGraph) -> None:
         self._field = graph.field.arrays
-        self._limits = np.array([moving_mps, *map(float, astuple(settings))])
         self._bodies = np.zeros((CAPACITY, COLUMNS))
         self._waiting = np.zeros((WAITING, WAIT_COLUMNS))
         self._counts = np.zeros(COUNTS, np.int64)
@@ -132,7 +115,7 @@ class ForwardFilter:
         number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
         # Of a frame without moving detections its time matters: one row of it.
         taken = np.flatnonzero(
-            (np.abs(detections.range_rate) >= self._limits[MOVING])
+            (np.abs(detections.range_rate) >= MOVING_MPS)
             | (np.diff(detections.time, prepend=-np.inf) > 0.0)
         )
         number[taken], state[taken] = self._push(detections.take(taken))
@@ -146,7 +129,7 @@ class ForwardFilter:
         past = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((4 * count, 8)))
         self._counts[BASE], self._counts[KEPT] = self._counts[BRANCHES], 0
         _follow(
-            seen, self._limits, self._bodies, self._waiting, self._counts, (number, state), past,
+            seen, self._bodies, self._waiting, self._counts, (number, state), past,
             self._field,
         )  # fmt: skip
         _take_last(number, state, past, self._counts)
@@ -168,11 +151,11 @@ class ForwardFilter:
 
 
 def follow_both_ways(
-    detections: MapDetections, graph: LaneGraph, settings: ForwardSettings, moving_mps: float
+    detections: MapDetections, graph: LaneGraph
 ) -> tuple[tuple[Integers, Integers], tuple[Floats, Floats]]:
     """Follow vehicles as time runs and against it; return the numbers and states of both."""
-    number, state = ForwardFilter(graph, settings, moving_mps=moving_mps).push(detections)
-    back = ForwardFilter(graph.reversed(), settings, moving_mps=moving_mps)
+    number, state = ForwardFilter(graph).push(detections)
+    back = ForwardFilter(graph.reversed())
     against, state_against = back.push(detections.reversed())
     against, state_against = against[::-1].copy(), state_against[::-1].copy()
     state_against[:, HEADING] += np.pi
@@ -183,7 +166,6 @@ def follow_both_ways(
 @compiled
 def _follow(
     seen: Floats,
-    limits: Floats,
     bodies: Floats,
     waiting: Floats,
     counts: Integers,
@@ -198,17 +180,17 @@ def _follow(
     for i in range(len(seen)):
         now = seen[i, 6]
         if i == 0 or now > seen[i - 1, 6]:
-            _go_on(i, past, bodies, counts, now, limits, lanes, field)
-        if abs(seen[i, 2]) < limits[MOVING]:
+            _go_on(i, past, bodies, counts, now, lanes, field)
+        if abs(seen[i, 2]) < MOVING_MPS:
             continue
-        chosen = _choose(seen[i], bodies, counts[ALIVE], limits)
+        chosen = _choose(seen[i], bodies, counts[ALIVE])
         if chosen >= 0:
             number[i] = int(bodies[chosen, NUMBER])
-            best = _correct_branches(i, chosen, bodies, counts, seen[i], limits, kept)
+            best = _correct_branches(i, chosen, bodies, counts, seen[i], kept)
             state[i], branch[i] = bodies[best, : REAR + 1], int(bodies[best, BRANCH])
         else:
             before = counts[ALIVE]
-            begun = begin(i, seen[i], limits, bodies, waiting, counts, born, lanes, field)
+            begun = begin(i, seen[i], bodies, waiting, counts, born, lanes, field)
             if begun == 0:
                 continue
             born_as = bodies[before : counts[ALIVE]]
@@ -229,7 +211,6 @@ def _go_on(
     bodies: Floats,
     counts: Integers,
     now: float,
-    limits: Floats,
     lanes: Floats,
     field: FieldArrays,
 ) -> None:
@@ -237,12 +218,12 @@ def _go_on(
     k = 0
     while k < counts[ALIVE]:
         body = bodies[k]
-        patience = limits[STAND_S] if body[SPEED] < limits[STANDING] else limits[COAST_S]
-        if now - body[LAST] > (limits[BIRTH_S] if body[HITS] < 6.0 else patience):
+        patience = STAND_S if body[SPEED] < STANDING_MPS else COAST_S
+        if now - body[LAST] > (BIRTH_S if body[HITS] < 6.0 else patience):
             counts[ALIVE] -= 1
             bodies[k] = bodies[counts[ALIVE]]
             continue
-        found = _predict(body, now, limits, lanes, field)
+        found = _predict(body, now, lanes, field)
         _fork(k, row, past[1], bodies, counts, lanes, found)
         k += 1
     _forget_branches(bodies, counts)
@@ -310,7 +291,7 @@ def _is_one_way(one: Floats, other: Floats) -> bool:  # pragma: no cover - compi
 
 @compiled
 def _predict(
-    body: Floats, time: float, limits: Floats, lanes: Floats, field: FieldArrays
+    body: Floats, time: float, lanes: Floats, field: FieldArrays
 ) -> int:  # pragma: no cover - compiled
     """Predict a body to a time along its lane; return the number of lanes it reaches."""
     lapse = time - body[TIME]
@@ -331,11 +312,11 @@ def _predict(
             body[HEADING] += turned(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
         new = found if there >= 0.0 and there != body[FOLLOWED] else 0
         body[FOLLOWED] = there
-    accel = limits[ACCEL]
-    body[VAR_S] += 2.0 * lapse * body[COV_SV] + lapse**2 * body[VAR_V] + accel**2 * lapse**4 / 4.0
-    body[COV_SV] += lapse * body[VAR_V] + accel**2 * lapse**3 / 2.0
-    body[VAR_V] += accel**2 * lapse
-    drift = limits[SIDEWAYS] * min(abs(body[SPEED]) / 3.0, 1.0)
+    push = ACCEL_MPS2**2
+    body[VAR_S] += 2.0 * lapse * body[COV_SV] + lapse**2 * body[VAR_V] + push * lapse**4 / 4.0
+    body[COV_SV] += lapse * body[VAR_V] + push * lapse**3 / 2.0
+    body[VAR_V] += push * lapse
+    drift = SIDEWAYS_MPS * min(abs(body[SPEED]) / 3.0, 1.0)
     body[VAR_D] += (drift**2 + 0.01) * lapse
     return new
 
@@ -358,22 +339,18 @@ def _lane_of(
 
 
 @compiled
-def _choose(
-    detection: Floats, bodies: Floats, alive: int, limits: Floats
-) -> int:  # pragma: no cover - compiled
+def _choose(detection: Floats, bodies: Floats, alive: int) -> int:  # pragma: no cover - compiled
     """Return which body a detection belongs to, or -1."""
     best, chosen = 1e9, -1
     for k in range(alive):
-        cost = _misfit(detection, bodies[k], limits)
+        cost = _misfit(detection, bodies[k])
         if cost < best:
             best, chosen = cost, k
     return chosen
 
 
 @compiled
-def _misfit(
-    detection: Floats, body: Floats, limits: Floats
-) -> float:  # pragma: no cover - compiled
+def _misfit(detection: Floats, body: Floats) -> float:  # pragma: no cover - compiled
     """Return the misfit of a detection and a body; infinite if it cannot be of it."""
     dx, dy = detection[0] - body[X], detection[1] - body[Y]
     if abs(dx) + abs(dy) > MOST_M:
@@ -386,14 +363,14 @@ def _misfit(
     cos = c * detection[3] + s * detection[4]
     expected = body[SPEED] * cos
     gap = abs(rate - expected)
-    noise = np.sqrt(limits[RATE] ** 2 + body[VAR_V] * cos * cos)
-    side = limits[ACROSS] + limits[AZIMUTH] * detection[5] + np.sqrt(min(body[VAR_D], 1.0))
-    ahead = min(limits[ALONG], 0.5 + 0.2 * abs(body[SPEED]))
+    noise = np.sqrt(RATE_MPS**2 + body[VAR_V] * cos * cos)
+    side = ACROSS_M + AZIMUTH_RAD * detection[5] + np.sqrt(min(body[VAR_D], 1.0))
+    ahead = min(ALONG_M, 0.5 + 0.2 * abs(body[SPEED]))
     ahead += 2.0 * np.sqrt(min(body[VAR_S], 1.0))
     if gap < 3.0 * noise:
         # one that drives as fast and so near is the same: drivers keep a second apart
         ahead += 0.5 * min(body[SPEED], 6.0)
-    elif beyond > limits[ALONG]:
+    elif beyond > ALONG_M:
         return np.inf
     # the rim of a wheel moves at 0 to 2 v
     if beyond > ahead or beside > side or gap > abs(expected) + 1.0 + 2.0 * noise:
@@ -404,7 +381,7 @@ def _misfit(
 
 @compiled
 def _correct_branches(
-    row: int, chosen: int, bodies: Floats, counts: Integers, detection: Floats, limits: Floats,
+    row: int, chosen: int, bodies: Floats, counts: Integers, detection: Floats,
     kept: Floats,
 ) -> int:  # fmt: skip  # pragma: no cover - compiled
     """Correct all branches of a body that a detection fits, keep their states; return the best."""
@@ -412,10 +389,10 @@ def _correct_branches(
     for k in range(counts[ALIVE]):
         if bodies[k, NUMBER] != bodies[chosen, NUMBER]:
             continue
-        cost = _misfit(detection, bodies[k], limits)
+        cost = _misfit(detection, bodies[k])
         bodies[k, MISFIT] += min(cost, MOST_TOLD)
         if cost < np.inf:
-            _correct(bodies[k], detection, limits)
+            _correct(bodies[k], detection)
             if bodies[k, MISFIT] < least:
                 best, least = k, bodies[k, MISFIT]
         if counts[KEPT] < len(kept):
@@ -452,18 +429,16 @@ def _take_last(
 
 
 @compiled
-def _correct(
-    body: Floats, detection: Floats, limits: Floats
-) -> None:  # pragma: no cover - compiled
+def _correct(body: Floats, detection: Floats) -> None:  # pragma: no cover - compiled
     """Correct a body by a detection on it."""
     c, s = np.cos(body[HEADING]), np.sin(body[HEADING])
     dx, dy = detection[0] - body[X], detection[1] - body[Y]
     u, w = dx * c + dy * s, dy * c - dx * s
     cos = c * detection[3] + s * detection[4]
     gap = detection[2] - body[SPEED] * cos
-    noise = limits[RATE] ** 2 + body[VAR_V] * cos * cos
+    noise = RATE_MPS**2 + body[VAR_V] * cos * cos
     told = gap * gap < 9.0 * noise
-    if told and abs(cos) >= limits[LEAST_COS]:
+    if told and abs(cos) >= LEAST_COS:
         gain_v, gain_s = body[VAR_V] * cos / noise, body[COV_SV] * cos / noise
         body[SPEED] += gain_v * gap
         body[X] += gain_s * gap * c
@@ -488,7 +463,7 @@ def _correct(
             grown = 0.2 * (1.0 - gain) * out
             body[FRONT] += max(grown, 0.0)
             body[REAR] -= min(grown, 0.0)
-    gain = body[VAR_D] / (body[VAR_D] + 0.6 + (limits[AZIMUTH] * detection[5]) ** 2)
+    gain = body[VAR_D] / (body[VAR_D] + 0.6 + (AZIMUTH_RAD * detection[5]) ** 2)
     body[X] -= gain * w * s
     body[Y] += gain * w * c
     body[VAR_D] *= 1.0 - gain

@@ -17,8 +17,12 @@ from gis_radar.hdmap import LaneGraph
 from gis_radar.measures import HourWindow, PlacedRecording, SensorHour, rows_of, whole_frames
 from gis_radar.recordings import Detections
 from gis_radar.tracking.blocks import Block
-from gis_radar.tracking.detections import MapDetections, map_detections, still_rate
-from gis_radar.tracking.settings import BlockSettings, VehicleSettings
+from gis_radar.tracking.detections import NOISE_S, MapDetections, map_detections, still_rate
+
+BLOCK_STEPS = 6000  # of a block, at whole multiples: five minutes
+# Steps before and after a block that are used to find its vehicles: a stationary vehicle is silent
+# for 25 s in one case of ten.
+MARGIN_STEPS = 1200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +42,11 @@ class Section:
     spans: list[tuple[int, int]]
 
 
-def sections_of(window: HourWindow, limits: BlockSettings) -> list[Section]:
+def sections_of(window: HourWindow) -> list[Section]:
     """Return the sections of an hour: around its begin, within it, around its end."""
-    margin = limits.margin_steps
+    margin = MARGIN_STEPS
     low, high = window.begin + margin, window.end - margin
-    inner = range(window.begin, window.end, limits.steps)
+    inner = range(window.begin, window.end, BLOCK_STEPS)
     edges = [low, *(step for step in inner if low < step < high), high]
 
     def around(edge: int) -> Section:
@@ -55,10 +59,7 @@ def sections_of(window: HourWindow, limits: BlockSettings) -> list[Section]:
 
 
 def blocks_of(
-    sensors: Sequence[SensorHour],
-    window: HourWindow,
-    graph: LaneGraph,
-    settings: VehicleSettings,
+    sensors: Sequence[SensorHour], window: HourWindow, graph: LaneGraph
 ) -> Iterator[tuple[tuple[int, int], Block]]:
     """Read the blocks of an hour that have frames, one after the other.
 
@@ -70,8 +71,6 @@ def blocks_of(
         The hour.
     graph : LaneGraph
         The lanes.
-    settings : VehicleSettings
-        Of detections and blocks.
 
     Yields
     ------
@@ -81,12 +80,12 @@ def blocks_of(
         It begins and ends there, but with the first and the last frame where there are none on
         the other side of its edge.
     """
-    margin = settings.blocks.margin_steps
+    margin = MARGIN_STEPS
     steps = [sensor.frames.time_us // STEP_US for sensor in sensors]
     known = np.unique(np.concatenate([np.empty(0, np.int64), *steps]))
-    for section in sections_of(window, settings.blocks):
+    for section in sections_of(window):
         streams = [
-            _Stream(_batches(sensor, number, section, graph, settings))
+            _Stream(_batches(sensor, number, section, graph))
             for number, sensor in enumerate(sensors)
         ]
         for begin, after in section.spans:
@@ -156,9 +155,8 @@ class _Stream:
 
 
 def _batches(
-    sensor: SensorHour, number: int, section: Section, graph: LaneGraph,
-    settings: VehicleSettings,
-) -> Iterator[tuple[MapDetections, int]]:  # fmt: skip
+    sensor: SensorHour, number: int, section: Section, graph: LaneGraph
+) -> Iterator[tuple[MapDetections, int]]:
     """Yield the detections on lanes of a sensor in a section, with the last step of each batch.
 
     Up to which range rate they may be of what stands is told by the section's first seconds.
@@ -167,19 +165,16 @@ def _batches(
     still_mps: float | None = None
     for source, rows in _frames_of(sensor, section):
         waiting.append((source, rows))
-        if (
-            rows.time[-1] < waiting[0][1].time[0] + settings.detections.noise_s
-            and still_mps is None
-        ):
+        if rows.time[-1] < waiting[0][1].time[0] + NOISE_S and still_mps is None:
             continue
         if still_mps is None:
-            still_mps = _still_rate(waiting, settings)
+            still_mps = _still_rate(waiting)
         for each in waiting:
-            yield from _on_lanes(*each, number, graph, settings, still_mps)
+            yield from _on_lanes(*each, number, graph, still_mps)
         waiting = []
-    still_mps = _still_rate(waiting, settings) if still_mps is None else still_mps
+    still_mps = _still_rate(waiting) if still_mps is None else still_mps
     for each in waiting:
-        yield from _on_lanes(*each, number, graph, settings, still_mps)
+        yield from _on_lanes(*each, number, graph, still_mps)
 
 
 def _frames_of(
@@ -201,20 +196,18 @@ def _frames_of(
                 yield source, rows_of(replace(read, time=time), inside)
 
 
-def _still_rate(
-    found: Sequence[tuple[PlacedRecording, Detections]], settings: VehicleSettings
-) -> float:
+def _still_rate(found: Sequence[tuple[PlacedRecording, Detections]]) -> float:
     """Return the largest range rate of still detections, by the first seconds."""
     rates = [np.empty(0)]
     for _, rows in found:
-        soon = rows.time < found[0][1].time[0] + settings.detections.noise_s
+        soon = rows.time < found[0][1].time[0] + NOISE_S
         rates.append(rows.range_rate[rows.present & soon])
-    return still_rate(np.concatenate(rates), settings.detections)
+    return still_rate(np.concatenate(rates))
 
 
 def _on_lanes(
     source: PlacedRecording, rows: Detections, number: int, graph: LaneGraph,
-    settings: VehicleSettings, still_mps: float,
+    still_mps: float,
 ) -> Iterator[tuple[MapDetections, int]]:  # fmt: skip
     """Yield the detections of a batch that lie on lanes, pose by pose."""
     held = source.track.at(rows.time)
@@ -222,7 +215,7 @@ def _on_lanes(
         now = held == index
         here = now & rows.present
         detections = map_detections(
-            rows_of(rows, here), source.track.poses[index], number, graph, settings.detections,
+            rows_of(rows, here), source.track.poses[index], number, graph,
             road_m=source.sights[index].road_m, still_mps=still_mps,
         )  # fmt: skip
         yield detections, int(step_of(rows.time[now][-1:])[0])

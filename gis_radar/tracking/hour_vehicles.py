@@ -26,8 +26,6 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.hour_blocks import blocks_of
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.occupancy import OccupancyEngine
-from gis_radar.tracking.occupancy_settings import OccupancySettings
-from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.tables import PASSAGES, TRACKS, VEHICLES
 from gis_radar.tracking.tracker import vehicles_in
 
@@ -75,8 +73,6 @@ def vehicles_of_hour(
     tiles: gpd.GeoDataFrame,
     sights: Mapping[str, PoseSight],
     graph: LaneGraph,
-    settings: VehicleSettings,
-    occupancy: OccupancySettings,
     processes: int = 1,
 ) -> HourVehicles:
     """Follow the vehicles of an hour.
@@ -95,16 +91,14 @@ def vehicles_of_hour(
         What sensors see, by name.
     graph : LaneGraph
         The lanes.
-    settings, occupancy : VehicleSettings, OccupancySettings
-        Constants.
     processes : int
         In how many blocks vehicles are looked for side by side.
     """
-    engine = OccupancyEngine(tiles, sights, occupancy)
+    engine = OccupancyEngine(tiles, sights)
     gathered = _Gathered(window=window, engine=engine, held=held)
-    makes = BatchMaker(graph, settings)
-    blocks = blocks_of(sensors, window, graph, settings)
-    for begin, block, motions in _with_motions(blocks, graph, settings, processes):
+    makes = BatchMaker(graph)
+    blocks = blocks_of(sensors, window, graph)
+    for begin, block, motions in _with_motions(blocks, graph, processes):
         gathered.advance(block.first_step)
         batch = makes.batch(block, motions)
         gathered.add(batch.tracks, batch.vehicles, makes.numbers)
@@ -115,16 +109,16 @@ def vehicles_of_hour(
 
 
 def _with_motions(
-    blocks: Iterator[_Placed], graph: LaneGraph, settings: VehicleSettings, processes: int
+    blocks: Iterator[_Placed], graph: LaneGraph, processes: int
 ) -> Iterator[tuple[int, Block, list[Motion]]]:
     """Yield the first step of each block, the block, and the motions of its vehicles."""
     first = list(islice(blocks, 2)) if processes > 1 else []
     if len(first) < 2:
         for (begin, _), block in chain(first, blocks):
-            yield begin, block, _motions(block.detections, graph, settings)
+            yield begin, block, _motions(block.detections, graph)
         return
     waiting = deque[tuple[int, Block, "Future[list[Motion]]"]]()
-    with ProcessPoolExecutor(processes, initializer=_start, initargs=(graph, settings)) as pool:
+    with ProcessPoolExecutor(processes, initializer=_start, initargs=(graph,)) as pool:
         try:
             for (start, _), read in chain(first, blocks):
                 waiting.append((start, read, pool.submit(_motions_in_worker, read.detections)))
@@ -139,26 +133,24 @@ def _with_motions(
             raise
 
 
-def _motions(
-    detections: MapDetections, graph: LaneGraph, settings: VehicleSettings
-) -> list[Motion]:
+def _motions(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     """Return the motions of the vehicles of a block; its sensors may be some of the site's."""
     number = np.unique(detections.sensor, return_inverse=True)[1].astype(np.int64)
-    return vehicles_in(replace(detections, sensor=number), graph, settings)
+    return vehicles_in(replace(detections, sensor=number), graph)
 
 
-_common: tuple[LaneGraph, VehicleSettings] | None = None  # of a worker
+_graph: LaneGraph | None = None  # of a worker
 
 
-def _start(graph: LaneGraph, settings: VehicleSettings) -> None:
-    global _common  # noqa: PLW0603 - what all blocks of a worker have in common
+def _start(graph: LaneGraph) -> None:
+    global _graph  # noqa: PLW0603 - what all blocks of a worker have in common
     watch_parent()
-    _common = (graph, settings)
+    _graph = graph
 
 
 def _motions_in_worker(detections: MapDetections) -> list[Motion]:
-    assert _common is not None  # noqa: S101 - set when the worker starts
-    return _motions(detections, *_common)
+    assert _graph is not None  # noqa: S101 - set when the worker starts
+    return _motions(detections, _graph)
 
 
 @dataclass(kw_only=True)

@@ -14,14 +14,37 @@ from scipy.optimize import linear_sum_assignment
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.tracking.columns import NONE
-from gis_radar.tracking.detectability import Detectability
-from gis_radar.tracking.management_settings import DetectabilitySettings, LinkSettings
+from gis_radar.tracking.detectability import SILENT_S, Detectability
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.passes import Passes
-from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.stationary import StationaryTarget
 
 END_STEPS = 10  # half a second tells the speed at an end
+MOST_DUE = 60.0  # detections due and none observed: the vehicle is not there
+# Costs are negative logarithms of odds.
+END_COST = 8.0  # of a track that ends or begins in view
+OVERLAP_S = 2.0  # largest overlap in time of the second part with the first
+# Largest speed at both ends, largest distance and turn of a vehicle that waits between its parts.
+WAITING_MPS, WAITING_M, WAITING_RAD = 5.0, 9.0, 0.6
+BRAKING_MPS2 = 3.0  # usual braking and acceleration, which give the way of a waiting vehicle
+PLACE_M = 1.0  # error of the ends of two parts of one vehicle: half a car
+# Of a stop and of each second of it: two minutes cost half as much as an end.
+STOP_COST, WAIT_COST = 0.5, 0.03
+# Longest time without detections and largest turn of a moving vehicle.
+UNSEEN_S, TURNING_RAD = 6.0, 1.9
+# How much slower than the mean of both ends, and faster than the faster end, the mean speed of an
+# undetected moving vehicle may be, per second: it may stop and start in between.
+SLOWING_MPS2, GAINING_MPS2 = 0.6, 0.5
+# For gaps up to this duration it is not slower than the slower end after braking so.
+BRIEFLY_S, BRAKED_MPS2 = 3.0, 1.2
+# Sigma of the mean speed about that of both ends, per second; cost of the square root of an
+# undetected second, and of a metre.
+USUAL_MPS2, UNSEEN_COST, WAY_COST = 0.7, 0.15, 0.03
+# Sigma of the speed at an end; parts that differ by more sigma are of different vehicles.
+SURE_MPS, MOST_SIGMA = 0.5, 3.0
+# How far behind, and how far beside the straight continuation the next part may begin, the latter
+# with so much more per metre.
+BACK_M, BESIDE_M, DRIFT = 3.0, 1.6, 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +77,7 @@ class Part:
         )  # fmt: skip
 
 
-def chains(
-    parts: Sequence[Part], passes: Passes, seen: Detectability, settings: VehicleSettings
-) -> list[list[int]]:
+def chains(parts: Sequence[Part], passes: Passes, seen: Detectability) -> list[list[int]]:
     """Return the parts of each track in their order.
 
     Parameters
@@ -67,10 +88,8 @@ def chains(
         When vehicles drove over which place.
     seen : Detectability
         How many detections are due; its occluders are numbered as the parts.
-    settings : VehicleSettings
-        Of links and of detections that are due.
     """
-    following = _following(parts, passes, seen, settings)
+    following = _following(parts, passes, seen)
     found = []
     for head in np.setdiff1d(np.arange(len(parts)), following).tolist():
         chain = [head]
@@ -80,14 +99,12 @@ def chains(
     return found
 
 
-def _following(
-    parts: Sequence[Part], passes: Passes, seen: Detectability, every: VehicleSettings
-) -> Integers:
+def _following(parts: Sequence[Part], passes: Passes, seen: Detectability) -> Integers:
     """Return the part that follows each, or `NONE`: the assignment of least cost."""
-    following, settings = np.full(len(parts), NONE, np.int64), every.links
+    following = np.full(len(parts), NONE, np.int64)
     costs = [
-        each for a in range(len(parts)) for each in _costs(a, parts, passes, settings)
-        if not _is_missed(parts, each[0], each[1], seen, every.detectability)
+        each for a in range(len(parts)) for each in _costs(a, parts, passes)
+        if not _is_missed(parts, each[0], each[1], seen)
     ]  # fmt: skip
     if not costs:
         return following
@@ -97,22 +114,20 @@ def _following(
     matrix = np.full((len(befores), len(afters) + len(befores)), 1e6)
     matrix[row, column] = [each[2] for each in costs]
     own = np.arange(len(befores))
-    matrix[own, len(afters) + own] = settings.end_cost
+    matrix[own, len(afters) + own] = END_COST
     for i, k in zip(*linear_sum_assignment(matrix), strict=True):
-        if k < len(afters) and matrix[i, k] < settings.end_cost:
+        if k < len(afters) and matrix[i, k] < END_COST:
             following[befores[i]] = afters[k]
     return following
 
 
-def _is_missed(
-    parts: Sequence[Part], a: int, b: int, seen: Detectability, settings: DetectabilitySettings
-) -> bool:
+def _is_missed(parts: Sequence[Part], a: int, b: int, seen: Detectability) -> bool:
     """Return whether a vehicle that joins both parts would have been detected in between."""
     span = (float(parts[a].time[1]), float(parts[b].time[0]))
-    if span[1] - span[0] < settings.silent_s:
+    if span[1] - span[0] < SILENT_S:
         return False
     places = np.stack([parts[a].place[1], parts[b].place[0]])
-    return seen.due_between(places, span, (a, b)) > settings.most_due
+    return seen.due_between(places, span, (a, b)) > MOST_DUE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,54 +162,52 @@ class _Ends:
         )  # fmt: skip
 
 
-def _costs(
-    a: int, parts: Sequence[Part], passes: Passes, settings: LinkSettings
-) -> Iterator[tuple[int, int, float]]:
+def _costs(a: int, parts: Sequence[Part], passes: Passes) -> Iterator[tuple[int, int, float]]:
     """Yield (a, b, cost) of the parts b that may follow part a after waiting or driving on."""
     mine, to = parts[a], _Ends.of(a, parts)
     speed = float(mine.speed[1])
-    slow = (speed < settings.waiting_mps) & (to.speed < settings.waiting_mps)
-    waits = to.later & slow & (to.lapse > -settings.overlap_s) & (to.apart < settings.waiting_m)
-    waits &= (to.turn < settings.waiting_rad) & (to.left < settings.beside_m)
-    drives = to.later & ~to.stationary & (to.lapse > -settings.overlap_s)
-    drives &= (to.lapse < settings.unseen_s) & (to.turn < settings.turning_rad)
+    slow = (speed < WAITING_MPS) & (to.speed < WAITING_MPS)
+    waits = to.later & slow & (to.lapse > -OVERLAP_S) & (to.apart < WAITING_M)
+    waits &= (to.turn < WAITING_RAD) & (to.left < BESIDE_M)
+    drives = to.later & ~to.stationary & (to.lapse > -OVERLAP_S)
+    drives &= (to.lapse < UNSEEN_S) & (to.turn < TURNING_RAD)
     gain = to.along - 0.5 * (speed + to.speed) * to.lapse
-    drives &= (gain > -settings.back_m) & ((to.lapse >= 0.0) | (gain < settings.back_m))
+    drives &= (gain > -BACK_M) & ((to.lapse >= 0.0) | (gain < BACK_M))
     bend = 0.5 * np.maximum(to.along, 0.0) * np.sin(np.minimum(to.turn, 0.5 * np.pi))
-    drives &= to.left < settings.beside_m + bend + settings.drift * to.apart
+    drives &= to.left < BESIDE_M + bend + DRIFT * to.apart
     if mine.stationary:
         drives[:] = False
     free_until = passes.after(mine.place[1], float(mine.time[1])) if waits.any() else np.inf
     for b in np.flatnonzero(waits | drives).tolist():
-        cost = _cost_of_driving(speed, to, b, settings) if drives[b] else np.inf
+        cost = _cost_of_driving(speed, to, b) if drives[b] else np.inf
         if waits[b] and mine.time[1] + to.lapse[b] < free_until + 0.5:
-            cost = min(cost, _cost_of_waiting(speed, to, b, settings))
+            cost = min(cost, _cost_of_waiting(speed, to, b))
         cost += (to.left[b] / (1.0 + 0.1 * to.apart[b])) ** 2
-        cost += 0.5 * (to.turn[b] / settings.waiting_rad) ** 2
-        if cost < settings.end_cost:
+        cost += 0.5 * (to.turn[b] / WAITING_RAD) ** 2
+        if cost < END_COST:
             yield a, b, float(cost)
 
 
-def _cost_of_waiting(speed: float, to: _Ends, b: int, settings: LinkSettings) -> float:
+def _cost_of_waiting(speed: float, to: _Ends, b: int) -> float:
     """Return the cost of a stop between two parts, by the distance between them."""
-    creep = (speed**2 + to.speed[b] ** 2) / (2.0 * settings.braking_mps2)
-    off = max(abs(to.along[b] - creep) - settings.place_m, 0.0) / (1.5 * settings.place_m)
-    return float(off**2 + settings.stop_cost + settings.wait_cost * max(to.lapse[b], 0.05))
+    creep = (speed**2 + to.speed[b] ** 2) / (2.0 * BRAKING_MPS2)
+    off = max(abs(to.along[b] - creep) - PLACE_M, 0.0) / (1.5 * PLACE_M)
+    return float(off**2 + STOP_COST + WAIT_COST * max(to.lapse[b], 0.05))
 
 
-def _cost_of_driving(speed: float, to: _Ends, b: int, settings: LinkSettings) -> float:
+def _cost_of_driving(speed: float, to: _Ends, b: int) -> float:
     """Return the cost of driving on undetected between two parts, by the mean speed."""
     lapse = max(float(to.lapse[b]), 0.05)
     mean, middle = to.apart[b] * np.sign(to.along[b]) / lapse, 0.5 * (speed + to.speed[b])
     slowest = 0.0
-    if lapse < settings.briefly_s:
-        slowest = max(min(speed, to.speed[b]) - settings.braked_mps2 * lapse, 0.0)
-    low = min(slowest, max(middle - settings.slowing_mps2 * lapse, 0.0))
-    high = max(speed, to.speed[b]) + settings.gaining_mps2 * lapse
-    place = settings.place_m / lapse
-    miss = max(low - mean, mean - high, 0.0) / (settings.sure_mps + place)
-    if miss >= settings.most_sigma:
+    if lapse < BRIEFLY_S:
+        slowest = max(min(speed, to.speed[b]) - BRAKED_MPS2 * lapse, 0.0)
+    low = min(slowest, max(middle - SLOWING_MPS2 * lapse, 0.0))
+    high = max(speed, to.speed[b]) + GAINING_MPS2 * lapse
+    place = PLACE_M / lapse
+    miss = max(low - mean, mean - high, 0.0) / (SURE_MPS + place)
+    if miss >= MOST_SIGMA:
         return np.inf
-    usual = settings.usual_mps2 * lapse + 2.0 * settings.sure_mps + place
-    unseen = settings.unseen_cost * np.sqrt(lapse) + settings.way_cost * to.apart[b]
+    usual = USUAL_MPS2 * lapse + 2.0 * SURE_MPS + place
+    unseen = UNSEEN_COST * np.sqrt(lapse) + WAY_COST * to.apart[b]
     return float(miss**2 + 0.5 * ((mean - middle) / usual) ** 2 + unseen)

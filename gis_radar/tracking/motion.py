@@ -14,16 +14,27 @@ from functools import cached_property
 import numpy as np
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
-from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.detections import AZIMUTH_RAD, MapDetections
 from gis_radar.tracking.paths import DIRECTION_RAD, Path, path_through
-from gis_radar.tracking.settings import MotionSettings
-from gis_radar.tracking.size import Size, size_of
+from gis_radar.tracking.size import END_SHARE, Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
 # variances of a place, m2, and a speed, m2/s2, of which little is known
 UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
 LOST = 6  # places in a row that do not fit, and no fewer than those that did
 STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
+SPACING_M = 1.0  # along the road between the points that a path is fitted through
+ALONG_M = 0.3  # sigma of a detection along the road
+RANGE_RATE_MPS = 0.4  # sigma of a range rate, including what wheels and turning add
+ACCEL_VAR = 2.0  # variance that a driver's choice adds to the speed per second, m2/s3
+REPEATS = 4.0  # factor on the sigma of places, as a scatterer lasts for several frames
+MOST_WEIGHT = 8.0  # of the detections in two metres of a path sideways, 1/m2
+# Detections of a vehicle slower than this count for its length with this weight: things beside it
+# may be among them.
+DRIVING_MPS, STILL_TRUST = 1.0, 0.3
+# A detection whose range rate differs by more than this and this share of the speed does not count
+# for the length: wheels and turning.
+LEAST_OFF_MPS, OFF_SHARE = 0.4, 0.05
 
 
 @dataclass(kw_only=True, eq=False)
@@ -130,9 +141,7 @@ class Motion:
         return along - s, left, detections.range_rate[rows] - speed * cos
 
 
-def fit_motion(
-    detections: MapDetections, rows: Integers, states: Floats, settings: MotionSettings
-) -> Motion:
+def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Motion:
     """Smooth the motion of a vehicle over all its detections.
 
     Parameters
@@ -143,11 +152,9 @@ def fit_motion(
         Those of the vehicle.
     states : (n, 6) array
         For all detections, what the filter said of the vehicle then.
-    settings : MotionSettings
-        Noise.
     """
     rows = rows[np.argsort(detections.time[rows], kind="stable")]
-    path, guess = _fitted_path(detections, rows, states[rows], settings)
+    path, guess = _fitted_path(detections, rows, states[rows])
     s, left = path.project(detections.points[rows], guess, 30.0)
     time = detections.time[rows]
     first = int(np.floor(time[0] * STEPS_PER_SECOND))
@@ -157,9 +164,9 @@ def fit_motion(
     sight = detections.sight[rows]
     cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
     sin = np.abs(np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0])
-    noise = np.hypot(settings.along_m, settings.azimuth_rad * detections.range_m[rows] * sin)
+    noise = np.hypot(ALONG_M, AZIMUTH_RAD * detections.range_m[rows] * sin)
     rate = detections.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
-    rate_var = (settings.range_rate_mps / np.maximum(np.abs(cos), STILL_COS)) ** 2
+    rate_var = (RANGE_RATE_MPS / np.maximum(np.abs(cos), STILL_COS)) ** 2
     together = np.bincount(step, minlength=count)[step]
     # The error of a direction lasts about a second: all range rates of that time share it.
     across = states[rows, 3] * sin / np.maximum(np.abs(cos), STILL_COS)
@@ -167,25 +174,25 @@ def fit_motion(
     ends = np.column_stack([-np.sign(cos), np.abs(cos), sin])  # the end that is seen, and how much
     size, shift = Size(), 0.0
     for _ in range(2):
-        share = settings.end_share * size.width_m * ends[:, 1]
+        share = END_SHARE * size.width_m * ends[:, 1]
         share /= size.width_m * ends[:, 1] + size.length_m * sin + 1e-9
         half = 0.5 * size.length_m
         spread = noise**2 + (1.0 - share) * half**2 / 3.0 + share * (1.0 - share) * half**2
         # scatterers last: what one frame shows the next shows again
-        spread *= settings.repeats * np.sqrt(together)
+        spread *= REPEATS * np.sqrt(together)
         middle = s - ends[:, 0] * share * half
         smoothed = _smooth(
             count, step, rate, rate_var, middle, spread, float(middle[:5].mean()),
-            max(float(states[rows[0], 3]), 0.0), settings.accel_var,
+            max(float(states[rows[0], 3]), 0.0),
         )  # fmt: skip
         place = time * STEPS_PER_SECOND - first
         along = s - np.interp(place, np.arange(count), smoothed[0])
         speed = np.interp(place, np.arange(count), smoothed[1])
         off = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
-        fits = off < settings.least_off_mps + settings.off_share * speed
+        fits = off < LEAST_OFF_MPS + OFF_SHARE * speed
         # who stands may seem as long as all that stands there
-        trust = np.where(speed > settings.driving_mps, 1.0, settings.still_trust) * fits
-        size, shift = size_of(along, ends, noise, time, trust, settings)
+        trust = np.where(speed > DRIVING_MPS, 1.0, STILL_TRUST) * fits
+        size, shift = size_of(along, ends, noise, time, trust)
     return Motion(
         rows=rows, path=path, first_step=first,
         s_m=without_way_back(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
@@ -232,22 +239,20 @@ def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
     return np.asarray(-np.sign(sin) * share * 0.5 * car.width_m)
 
 
-def _fitted_path(
-    detections: MapDetections, rows: Integers, states: Floats, settings: MotionSettings
-) -> tuple[Path, Floats]:
+def _fitted_path(detections: MapDetections, rows: Integers, states: Floats) -> tuple[Path, Floats]:
     """Return the path of the states, moved sideways to the detections, and a guess along it."""
     when = detections.time[rows, None]
-    path, way = path_through(np.hstack([states[:, :3], when]), settings.spacing_m)
+    path, way = path_through(np.hstack([states[:, :3], when]), SPACING_M)
     guess, _ = path.project(states[:, :2], way, 25.0)
     s, left = path.project(detections.points[rows], guess, 30.0)
     left = left - side_seen(path, s, detections.sight[rows])
-    weight = 1.0 / (0.5**2 + (settings.azimuth_rad * detections.range_m[rows]) ** 2)
+    weight = 1.0 / (0.5**2 + (AZIMUTH_RAD * detections.range_m[rows]) ** 2)
     cell = np.clip((s / 2.0).astype(np.int64), 0, int(path.s_m[-1] / 2.0))
     count = int(path.s_m[-1] / 2.0) + 1
     total = np.bincount(cell, weight, count)
     drift = np.bincount(cell, weight * np.clip(left, -2.0, 2.0), count)
     # a scatterer that lasts is no better than its bias, however often it is detected
-    cap = np.minimum(total, settings.most_weight) / np.maximum(total, 1e-9)
+    cap = np.minimum(total, MOST_WEIGHT) / np.maximum(total, 1e-9)
     bell = np.exp(-0.5 * (np.arange(-10, 11) / 4.0) ** 2)
     near = np.convolve(total * cap, bell, "full")[10:-10]
     shift = np.convolve(drift * cap, bell, "full")[10:-10] / (near + 1.0)
@@ -260,7 +265,7 @@ def _fitted_path(
 
 
 @compiled
-def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+def _smooth(  # pragma: no cover - compiled
     count: int,
     step: Integers,
     rate: Floats,
@@ -269,11 +274,10 @@ def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - c
     middle_var: Floats,
     s: float,
     v: float,
-    accel_var: float,
 ) -> tuple[Floats, Floats, Floats]:
     """Smooth place and speed over steps; measurements in their order (Rauch, Tung, Striebel)."""
     dt = 1.0 / 20.0
-    q_ss, q_sv, q_vv = accel_var * dt**3 / 3.0, accel_var * dt**2 / 2.0, accel_var * dt
+    q_ss, q_sv, q_vv = ACCEL_VAR * dt**3 / 3.0, ACCEL_VAR * dt**2 / 2.0, ACCEL_VAR * dt
     mean, kept = np.empty((count, 2)), np.empty((count, 3))
     ahead, wide = np.empty((count, 2)), np.empty((count, 3))
     a, b, c = UNKNOWN_S, 0.0, UNKNOWN_V

@@ -7,12 +7,19 @@ import numpy as np
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detectability import Detectability
-from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.detections import AZIMUTH_RAD, MapDetections
+from gis_radar.tracking.forward import STANDING_MPS
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
-from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking.stationary import RATE_SHARE, SILENCE_S
 
 END_M = 1.0  # by which an end of a vehicle may be off
+LEFT_M = 1.1  # half the width of a vehicle with the error of its place
+# Whether still detections belong to a vehicle that comes to rest or sets off is decided by how
+# often its place gives detections while it is empty: in the nearest EMPTY_S in which the vehicle is
+# at least AWAY_M beyond its length away, searched for up to SEARCH_S within the block and its
+# margins. The vehicle's own share must be at least OWN_SHARE.
+AWAY_M, EMPTY_S, SEARCH_S, OWN_SHARE = 2.0, 3.0, 60.0, 0.5
 
 
 def with_rest(
@@ -23,15 +30,13 @@ def with_rest(
     states: Floats,
     passes: Passes,
     seen: Detectability,
-    settings: VehicleSettings,
 ) -> Motion:
     """Return a motion extended by the unassigned still detections on it while it is at rest.
 
     One that comes to rest stands on until it is silent or another drives over its place, and one
     that sets off stood there before.
     """
-    limits = settings.management
-    slow = np.flatnonzero(motion.speed < limits.slow_mps)
+    slow = np.flatnonzero(motion.speed < STANDING_MPS)
     place, heading = motion.places
     time = detections.time[motion.rows]
     s_m, speed = motion.at(time)
@@ -50,29 +55,27 @@ def with_rest(
     rows = rows[(np.abs(detections.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
     step = np.round(detections.time[rows] * STEPS_PER_SECOND).astype(np.int64) - motion.first_step
     step = np.clip(step, 0, last)
-    at_rest = motion.speed[step] < limits.slow_mps
+    at_rest = motion.speed[step] < STANDING_MPS
     rows, step = rows[at_rest], step[at_rest]
-    on = _on_body(motion, motion.s_m[step], detections, rows, settings)
+    on = _on_body(motion, motion.s_m[step], detections, rows)
     rows, step = rows[on], step[on]
     span = (float(time[0]), float(time[-1]))
-    kept = unbroken(detections.time[rows], span, settings.stationary.silence_s)
+    kept = unbroken(detections.time[rows], span, SILENCE_S)
     rows, step = rows[kept], step[kept]
     for at in (0, -1):
         side = detections.time[rows] > span[1] if at else detections.time[rows] < span[0]
         if side.any():
             ends = np.sort([span[at], float(detections.time[rows[side][at]])])
             due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
-            fixed = (ends[1] - ends[0]) * rate_without(
-                number, motion, at, detections, free, seen, settings
-            )
+            fixed = (ends[1] - ends[0]) * rate_without(number, motion, at, detections, free, seen)
             own, count = side.sum() - fixed, side.sum()
-            if own < settings.stationary.rate_share * due or own < limits.own_share * count:
+            if own < RATE_SHARE * due or own < OWN_SHARE * count:
                 rows, step = rows[~side], step[~side]
     if len(rows) == 0:
         return motion
     free[rows] = False
     states[rows, :2], states[rows, 2], states[rows, 3] = place[step], heading[step], 0.0
-    return fit_motion(detections, np.concatenate([motion.rows, rows]), states, settings.motion)
+    return fit_motion(detections, np.concatenate([motion.rows, rows]), states)
 
 
 def _inner(motion: Motion, at: int) -> Floats:
@@ -99,13 +102,12 @@ def _on_body(
     s_m: Floats,
     detections: MapDetections,
     rows: Integers,
-    settings: VehicleSettings,
 ) -> Booleans:
     """Return which detections lie on a vehicle whose middle is so far along its path."""
     if len(rows) == 0:
         return np.zeros(0, np.bool_)
     along, left = motion.path.project(detections.points[rows], s_m, 25.0)
-    beside = settings.management.left_m + settings.motion.azimuth_rad * detections.range_m[rows]
+    beside = LEFT_M + AZIMUTH_RAD * detections.range_m[rows]
     return np.asarray((np.abs(along - s_m) < _half_m(motion)) & (np.abs(left) < beside))
 
 
@@ -116,7 +118,6 @@ def rate_without(
     detections: MapDetections,
     free: Booleans,
     seen: Detectability,
-    settings: VehicleSettings,
 ) -> float:
     """Return the rate of detections of its place before the vehicle came or after it left.
 
@@ -137,30 +138,27 @@ def rate_without(
         Which detections no vehicle has.
     seen : Detectability
         Knows where other vehicles are.
-    settings : VehicleSettings
-        How far and how long is looked for.
 
     Returns
     -------
     float
         1/s; zero where the place is never without vehicles.
     """
-    limits = settings.management
-    away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + limits.away_m
+    away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + AWAY_M
     if not away.any():
         return 0.0
     when = (motion.first_step + np.flatnonzero(away)[at]) / STEPS_PER_SECOND
-    ends = np.array([when - limits.search_s, when] if at else [when, when + limits.search_s])
+    ends = np.array([when - SEARCH_S, when] if at else [when, when + SEARCH_S])
     ends = np.clip(ends, detections.time[0], detections.time[-1])
     halves = np.arange(int(2.0 * ends[0]), int(2.0 * ends[1]) + 1)
     others = seen.occluders.near(motion.places[0][at], halves, number, motion.length_m)
-    empty, count = np.setdiff1d(halves, others), round(2.0 * limits.empty_s)
+    empty, count = np.setdiff1d(halves, others), round(2.0 * EMPTY_S)
     empty = empty[-count:] if at else empty[:count]
     if len(empty) == 0:
         return 0.0
     rows = _in_span(detections, free, np.array([0.5 * empty[0], 0.5 * empty[-1] + 0.5]))
     s_m = np.full(len(rows), motion.s_m[at])
-    rows = rows[_on_body(motion, s_m, detections, rows, settings)]
+    rows = rows[_on_body(motion, s_m, detections, rows)]
     return float(
         2.0 * np.isin((2.0 * detections.time[rows]).astype(np.int64), empty).sum() / len(empty)
     )

@@ -8,9 +8,13 @@ import numpy as np
 
 from gis_radar.base import Floats, Integers, compiled, turned
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
-from gis_radar.tracking.settings import RouteSettings
 
 MOST = 8  # lanelets at one point
+# Sigma of the front's distance from the centre of its lanelet, and of its heading from that of it.
+LEFT_M, TURN_RAD = 1.0, 0.3
+MOST_RAD = 1.0  # largest difference of headings at which a vehicle follows a lanelet
+OFF_LANE = 9.0  # cost of a step off all lanelets: that of three sigma beside one
+CHANGE = 30.0  # cost of a change to a lanelet that is no successor: half a second beside the lane
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +40,7 @@ class Route:
         return np.asarray(graph.lanelet_id[lane[kept]])
 
 
-def route_of(fronts: Floats, heading: Floats, graph: LaneGraph, settings: RouteSettings) -> Route:
+def route_of(fronts: Floats, heading: Floats, graph: LaneGraph) -> Route:
     """Return the likeliest sequence of lanelets under a vehicle (Viterbi 1967).
 
     A vehicle keeps to its lanelet or goes on to one that follows it; another one, beside or across,
@@ -50,26 +54,20 @@ def route_of(fronts: Floats, heading: Floats, graph: LaneGraph, settings: RouteS
         Its heading, radians.
     graph : LaneGraph
         The lanes.
-    settings : RouteSettings
-        What a place beside a lane and a change of lane cost.
     """
-    weights = np.array(
-        [settings.left_m, settings.turn_rad, settings.off_lane, settings.change, settings.most_rad]
-    )
     counts = np.array([len(each) for each in graph.successors], np.int64)
     first = np.concatenate([[0], np.cumsum(counts)])
     after = np.concatenate([*graph.successors, np.zeros(0, np.int64)]).astype(np.int64)
     lane, s_m, d_m = _likeliest(
-        np.ascontiguousarray(fronts), heading, weights, first, after, graph.field.arrays
+        np.ascontiguousarray(fronts), heading, first, after, graph.field.arrays
     )
     return Route(lane=lane, s_m=s_m, d_m=d_m)
 
 
 @compiled
 def _likeliest(
-    fronts: Floats, heading: Floats, weights: Floats, first: Integers, after: Integers,
-    field: FieldArrays,
-) -> tuple[Integers, Floats, Floats]:  # fmt: skip  # pragma: no cover - compiled
+    fronts: Floats, heading: Floats, first: Integers, after: Integers, field: FieldArrays
+) -> tuple[Integers, Floats, Floats]:  # pragma: no cover - compiled
     count, found = len(fronts), np.empty((MOST, 6))
     # of each step its candidates (lane, s, d); the last one is: off the lanes
     known = np.full((count, MOST + 1, 3), np.nan)
@@ -78,20 +76,20 @@ def _likeliest(
         number = lanes_at(fronts[i, 0], fronts[i, 1], field, found)
         for j in range(MOST + 1):
             if j == MOST:
-                here = weights[2]
+                here = OFF_LANE
                 known[i, j, 0] = -1.0
             elif j < number:
                 turn = abs(turned(found[j, 3], heading[i]))
-                if turn > weights[4]:
+                if turn > MOST_RAD:
                     continue
-                here = (found[j, 2] / weights[0]) ** 2 + (turn / weights[1]) ** 2
+                here = (found[j, 2] / LEFT_M) ** 2 + (turn / TURN_RAD) ** 2
                 known[i, j] = found[j, :3]
             else:
                 continue
             cost[i, j] = here
             if i > 0:
                 best, before[i, j] = _cheapest(
-                    known[i - 1, :, 0], cost[i - 1], known[i, j, 0], weights[3], first, after
+                    known[i - 1, :, 0], cost[i - 1], known[i, j, 0], first, after
                 )
                 cost[i, j] += best
     lane, s_m, d_m = np.empty(count, np.int64), np.empty(count), np.empty(count)
@@ -104,13 +102,13 @@ def _likeliest(
 
 @compiled
 def _cheapest(
-    lanes: Floats, costs: Floats, new: float, price: float, first: Integers, after: Integers
+    lanes: Floats, costs: Floats, new: float, first: Integers, after: Integers
 ) -> tuple[float, int]:  # pragma: no cover - compiled
     """Return the least cost of reaching a lanelet, and the candidate it is reached from."""
     best, chosen = 1e18, 0
     for k in range(len(lanes)):
         if costs[k] < 1e18:
-            total = costs[k] + _change(lanes[k], new, price, first, after)
+            total = costs[k] + _change(lanes[k], new, first, after)
             if total < best:
                 best, chosen = total, k
     return best, chosen
@@ -118,14 +116,14 @@ def _cheapest(
 
 @compiled
 def _change(
-    old: float, new: float, price: float, first: Integers, after: Integers
+    old: float, new: float, first: Integers, after: Integers
 ) -> float:  # pragma: no cover - compiled
     """Return the cost of a change from one lanelet to another."""
     if old == new:
         return 0.0
     if old < 0.0 or new < 0.0:
-        return 0.5 * price
+        return 0.5 * CHANGE
     for k in range(first[int(old)], first[int(old) + 1]):
         if after[k] == int(new):
             return 0.0
-    return price
+    return CHANGE

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.base import Floats, compiled
-from gis_radar.tracking.settings import MotionSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +21,13 @@ class Size:
 
 LONGEST_M = 18.75  # a lorry with trailer (directive 96/53/EC, annex I)
 LONG_M = 7.0  # longer vehicles are lorries and buses
+# Share of detections from an end of the vehicle at which a sensor looks squarely; the others come
+# from anywhere along the body.
+END_SHARE = 0.75
+SCATTERER_M, ASPECT_RAD = 0.5, 0.3  # along the body and of aspect: what is nearer is one scatterer
+# Weight of each detection of a scatterer, together at most one; less where a metre of the body is
+# detected in fewer half seconds than LASTING.
+WEIGHT, LASTING = 0.25, 4.0
 LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
 SHIFTS = np.arange(-6.0, 6.1, 0.5)
 
@@ -43,9 +49,8 @@ def length_prior(lengths: Floats) -> Floats:
 
 
 def size_of(
-    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats,
-    settings: MotionSettings,
-) -> tuple[Size, float]:  # fmt: skip
+    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats
+) -> tuple[Size, float]:
     """Return the size and the middle from the places of detections on the body.
 
     Parameters
@@ -59,8 +64,6 @@ def size_of(
         UNIX seconds.
     trust : (n,) array
         What each counts, from 0 to 1.
-    settings : MotionSettings
-        How often scatterers are detected.
 
     Returns
     -------
@@ -72,14 +75,14 @@ def size_of(
     if not fits.any():
         return Size(), 0.0
     along, ends, noise, weight = _scatterers(
-        along[fits], ends[fits], noise[fits], time[fits], trust[fits], settings
+        along[fits], ends[fits], noise[fits], time[fits], trust[fits]
     )
-    coarse = _likelihood(along, ends, noise, weight, LENGTHS, SHIFTS, settings.end_share)
+    coarse = _likelihood(along, ends, noise, weight, LENGTHS, SHIFTS)
     coarse += length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
     top = np.unravel_index(int(coarse.argmax()), coarse.shape)
     fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
     fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
-    fine = _likelihood(along, ends, noise, weight, fine_l, fine_d, settings.end_share)
+    fine = _likelihood(along, ends, noise, weight, fine_l, fine_d)
     fine += length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
     share = np.exp(coarse - coarse.max())
     cells = np.gradient(LENGTHS)
@@ -96,40 +99,33 @@ def size_of(
 
 
 def _scatterers(
-    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats,
-    settings: MotionSettings,
-) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Return place, visible end, noise and weight of each scatterer.
 
     A body shows the same few to one that looks from one side; how often each is detected tells
     nothing of the length. What comes in one half second only may be of another vehicle that passes.
     """
-    aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / settings.aspect_rad
-    cell = np.clip(np.floor(along / settings.scatterer_m), -400, 400).astype(np.int64)
+    aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / ASPECT_RAD
+    cell = np.clip(np.floor(along / SCATTERER_M), -400, 400).astype(np.int64)
     key = np.floor(aspect).astype(np.int64) * 1000 + cell
     _, which, count = np.unique(key, return_inverse=True, return_counts=True)
-    metre = cell // int(1.0 / settings.scatterer_m)
+    metre = cell // int(1.0 / SCATTERER_M)
     half = (2.0 * (time - time.min())).astype(np.int64)
     halves = int(half.max()) + 1
     seen = np.bincount(np.unique(metre * halves + half) // halves + 400, None, 801)
-    lasts = np.minimum(seen[metre + 400] / settings.lasting, 1.0)
+    lasts = np.minimum(seen[metre + 400] / LASTING, 1.0)
     table = np.column_stack([along, ends, noise])
     mean = np.stack([np.bincount(which, column) for column in table.T], axis=1) / count[:, None]
     most = np.zeros(len(count))
     np.maximum.at(most, which, trust)
-    weight = np.minimum(np.bincount(which, lasts * trust) * settings.weight, most)
+    weight = np.minimum(np.bincount(which, lasts * trust) * WEIGHT, most)
     return mean[:, 0], mean[:, 1:4], mean[:, 4], weight
 
 
 @compiled
 def _likelihood(
-    along: Floats,
-    ends: Floats,
-    noise: Floats,
-    weight: Floats,
-    lengths: Floats,
-    shifts: Floats,
-    end_share: float,
+    along: Floats, ends: Floats, noise: Floats, weight: Floats, lengths: Floats, shifts: Floats
 ) -> Floats:  # pragma: no cover - compiled
     """Return the log likelihood of lengths and shifts by the visible end and the sides."""
     out = np.zeros((len(lengths), len(shifts)))
@@ -137,7 +133,7 @@ def _likelihood(
         half = 0.5 * lengths[a]
         width = 2.5 if lengths[a] > LONG_M else 1.8
         for i in range(len(along)):
-            share = end_share * width * ends[i, 1]
+            share = END_SHARE * width * ends[i, 1]
             share /= width * ends[i, 1] + lengths[a] * ends[i, 2] + 1e-9
             sigma = noise[i]
             for b in range(len(shifts)):

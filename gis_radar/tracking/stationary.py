@@ -9,6 +9,7 @@ begins. Where a vehicle drives over a place, what stood there is gone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -19,7 +20,6 @@ from scipy.ndimage import uniform_filter, uniform_filter1d
 from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MapDetections
-from gis_radar.tracking.management_settings import StationarySettings
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.passes import CELLS, Passes
 from gis_radar.tracking.size import LONGEST_M, length_prior
@@ -28,6 +28,32 @@ FRONT, REAR, SIDE = range(3)  # what of a vehicle a sensor looks at
 SQUARE_COS = 0.5  # within 60 degrees of it
 SLOT_S = 0.5  # of counts of what is built
 CHANGE_M = 1.5  # by how much the ends of one vehicle may seem to move from second to second
+INSIDE_M = 0.5  # least distance from the lane's edge: kerbs, signs and parked cars lie nearer to it
+HIGH_M = 3.2  # a scatterer whose median height over the road is larger hangs above the lane
+CELL_M = 0.25  # cells of a strip: the scatter of a scatterer
+# After a longer gap without a detection a scatterer counts as a new one: a stationary vehicle is
+# silent for 9 to 25 s in one case of ten. One that is first detected so soon after the first
+# detection of all stood there before; so near the last of all, it stays.
+SILENCE_S = 10.0
+SLICE_S = 1.0  # at which the stationary vehicles are determined
+# Between these times before and after a vehicle drives over a place fast, no vehicle stands there.
+NEAR_S, FAR_S = 0.7, 2.5
+# Detections that appear there nevertheless, after so many passes and after this share of them,
+# belong to the road; except where the count over a car's length of the lane exceeds the usual count
+# by so many sigma.
+LEAST_BUILT, BUILT_SHARE, MORE_SIGMAS, CAR_M = 2, 0.5, 3.0, 4.5
+# Least gap in a queue; that which drivers keep without effort; cost of a smaller one, 1/m2.
+GAP_M, EASY_M, TIGHT = 1.0, 2.0, 8.0
+SHORTEST_M = 3.4  # anything shorter cannot be distinguished from a sign
+POWER = 0.5  # repeated detections of a scatterer weigh as their number to this power
+WINDOW_M, MOST_WEIGHT = 5.0, 24.0  # detections within it together weigh at most so much
+NEW_COST = 7.0  # logarithm of the odds that evidence exceeds where a vehicle is assumed
+STICK = 12.0  # gain of a vehicle that stood in the same place one slice before
+LOG_CLUTTER = math.log(0.02)  # of detections that belong to no vehicle, 1/m
+END_M, END_SHARE = 0.35, 0.6  # sigma of those of an end, their share where it is seen squarely
+# Fewest detections, least duration, and least share of the rate at which vehicles of the same
+# recordings are detected at that range.
+LEAST_DETECTIONS, LEAST_S, RATE_SHARE = 6, 2.0, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +100,6 @@ def find_stationary(
     free: Booleans,
     motions: Sequence[Motion],
     passes: Passes,
-    settings: StationarySettings,
 ) -> list[StationaryTarget]:
     """Return the stationary vehicles that explain the still detections on lanes.
 
@@ -88,10 +113,8 @@ def find_stationary(
         Vehicles that move: how often they are seen says how often a standing one would be.
     passes : Passes
         Where they drove.
-    settings : StationarySettings
-        Constants.
     """
-    still = _still_inside(detections, free, passes, settings)
+    still = _still_inside(detections, free, passes)
     if len(still.row) == 0:
         return []
     count = int(still.episode.max()) + 1
@@ -99,46 +122,41 @@ def find_stationary(
     np.minimum.at(begin, still.episode, still.time)
     np.maximum.at(end, still.episode, still.time)
     # what one sensor sees of one cell in one episode: a scatterer that lasts
-    cell = (still.s_m / settings.cell_m).astype(np.int64)
+    cell = (still.s_m / CELL_M).astype(np.int64)
     sensor = detections.sensor[still.row]
     key = np.column_stack([still.episode, cell, still.kind, sensor])
     groups, first, seen = np.unique(key, axis=0, return_index=True, return_counts=True)
-    weight = seen.astype(np.float64) ** settings.power
+    weight = seen.astype(np.float64) ** POWER
     strip = still.strip[first]
     targets: list[StationaryTarget] = []
     for line in np.unique(strip).tolist():
         mine = np.flatnonzero(strip == line)
         episode = groups[mine, 0]
         targets += _on_strip(
-            line, begin[episode], end[episode], groups[mine, 1], groups[mine, 2], weight[mine],
-            settings,
-        )  # fmt: skip
+            line, begin[episode], end[episode], groups[mine, 1], groups[mine, 2], weight[mine]
+        )
     usual = _usual_rate(motions, detections)
     return [
-        part
-        for each in _with_rows(targets, still)
-        for part in heard_parts(each, detections, usual, settings)
+        part for each in _with_rows(targets, still) for part in heard_parts(each, detections, usual)
     ]
 
 
-def _still_inside(
-    detections: MapDetections, free: Booleans, passes: Passes, settings: StationarySettings
-) -> _Still:
+def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> _Still:
     """Return the still detections inside of lanes, grouped to episodes by cell."""
     rows = np.flatnonzero(free)
     at = passes.strips.lay(detections.points[rows])
-    inside = at.edge_m > settings.inside_m
+    inside = at.edge_m > INSIDE_M
     row, heading = rows[at.row[inside]], at.heading[inside]
     order = np.argsort(detections.time[row], kind="stable")
     row, heading = row[order], heading[order]
     cos = np.cos(heading) * detections.sight[row, 0] + np.sin(heading) * detections.sight[row, 1]
     square = np.abs(cos) >= SQUARE_COS
     strip, s_m = at.strip[inside][order], at.s_m[inside][order]
-    place = strip * CELLS + ((s_m / settings.cell_m).astype(np.int64) // 2)
+    place = strip * CELLS + ((s_m / CELL_M).astype(np.int64) // 2)
     found = _Still(
         row=row, strip=strip, s_m=s_m, time=detections.time[row],
         kind=np.where(square, np.where(cos < 0.0, FRONT, REAR), SIDE),
-        episode=_episodes(place, detections.time[row], passes.times, settings.silence_s),
+        episode=_episodes(place, detections.time[row], passes.times),
     )  # fmt: skip
     if len(row) == 0:
         return found
@@ -147,12 +165,10 @@ def _still_inside(
     rank = np.lexsort((height, found.episode))
     bounds = np.searchsorted(found.episode[rank], np.arange(found.episode.max() + 2))
     median = height[rank][(bounds[:-1] + bounds[1:]) // 2]
-    return found.take(median[found.episode] < settings.high_m)
+    return found.take(median[found.episode] < HIGH_M)
 
 
-def not_built(
-    detections: MapDetections, free: Booleans, passes: Passes, settings: StationarySettings
-) -> Booleans:
+def not_built(detections: MapDetections, free: Booleans, passes: Passes) -> Booleans:
     """Return which still detections are unassigned and do not belong to the road.
 
     Parameters
@@ -163,25 +179,20 @@ def not_built(
         Which are still, and of no moving vehicle.
     passes : Passes
         Where vehicles drove, and when.
-    settings : StationarySettings
-        Constants.
     """
     rows = np.flatnonzero(free)
     at = passes.strips.lay(detections.points[rows])
     row = rows[at.row]
-    place = at.strip * CELLS + ((at.s_m / settings.cell_m).astype(np.int64) // 2)
+    place = at.strip * CELLS + ((at.s_m / CELL_M).astype(np.int64) // 2)
     order = np.argsort(detections.time[row], kind="stable")
     row, place = row[order], place[order]
-    built = _built(place, detections.sensor[row], detections.time[row], passes.fast, settings)
+    built = _built(place, detections.sensor[row], detections.time[row], passes.fast)
     left = free.copy()
     left[row[built]] = False
     return left
 
 
-def _built(
-    place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats],
-    settings: StationarySettings,
-) -> Booleans:  # fmt: skip
+def _built(place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats]) -> Booleans:
     """Return which detections belong to the road: detected also next to fast passes.
 
     Detections clearly more frequent than usual at passes, over a car's length, do not.
@@ -189,54 +200,51 @@ def _built(
     built = np.zeros(len(place), np.bool_)
     if len(place) == 0:
         return built
-    near, far = settings.after_s
-    half = 0.5 * (far - near)
+    half = 0.5 * (FAR_S - NEAR_S)
     slot = ((time - time.min()) / SLOT_S).astype(np.int64)
     line = place // CELLS * 64 + sensor
     order = np.lexsort((time, place, line))
     for rows in np.split(order, np.flatnonzero(np.diff(line[order])) + 1):
-        count = _counts(place[rows], slot[rows], int(slot.max()) + 1, settings)
+        count = _counts(place[rows], slot[rows], int(slot.max()) + 1)
         lowest = place[rows[0]]
         for part in np.split(rows, np.flatnonzero(np.diff(place[rows])) + 1):
             over = fast.get(int(place[part[0]]))
             if over is None:
                 continue
-            over = over[np.concatenate([[True], np.diff(over) > far])]
-            empty = np.stack([over - half - near, over + half + near])
+            over = over[np.concatenate([[True], np.diff(over) > FAR_S])]
+            empty = np.stack([over - half - NEAR_S, over + half + NEAR_S])
             low, high = (np.searchsorted(time[part], empty + way * half) for way in (-1.0, 1.0))
             seen = (high > low).any(axis=0)
-            if seen.sum() >= settings.least_built and seen.mean() >= settings.built_share:
+            if seen.sum() >= LEAST_BUILT and seen.mean() >= BUILT_SHARE:
                 here = count[place[part[0]] - lowest]
                 when = np.floor((empty - time.min()) / SLOT_S).astype(np.int64)
                 then = here[when[(when >= 0) & (when < len(here))]]
                 usual = float(np.median(then)) if len(then) else 0.0
                 # of few counts the sigma is that of one
-                more = settings.more_sigmas * np.sqrt(max(usual, 1.0))
+                more = MORE_SIGMAS * np.sqrt(max(usual, 1.0))
                 built[part] = here[slot[part]] <= usual + more
     return built
 
 
-def _counts(place: Integers, slot: Integers, slots: int, settings: StationarySettings) -> Floats:
+def _counts(place: Integers, slot: Integers, slots: int) -> Floats:
     """Return the number of detections within a car's length and 2.5 s, by cell and half second."""
     cells = place - place.min()
     count = np.zeros((int(cells.max()) + 1, slots))
     np.add.at(count, (cells, slot), 1.0)
-    size = (int(settings.car_m / settings.cell_m) // 2, 5)
+    size = (int(CAR_M / CELL_M) // 2, 5)
     # a running sum leaves traces of what has left it
     counted = size[0] * size[1] * uniform_filter(count, size, mode="constant")
     return np.asarray(np.maximum(np.round(counted), 0.0))
 
 
-def _episodes(
-    place: Integers, time: Floats, passes: dict[int, Floats], silence_s: float
-) -> Integers:
+def _episodes(place: Integers, time: Floats, passes: dict[int, Floats]) -> Integers:
     """Return the episode of each detection: at one place, until a gap or a pass."""
     if len(place) == 0:
         return np.zeros(0, np.int64)
     order = np.lexsort((time, place))
     place, time = place[order], time[order]
     moved = np.concatenate([[True], np.diff(place) != 0])
-    new = moved | np.concatenate([[True], np.diff(time) > silence_s])
+    new = moved | np.concatenate([[True], np.diff(time) > SILENCE_S])
     passed = np.zeros(len(time), np.int64)
     for a, b in pairwise(np.append(np.flatnonzero(moved), len(place)).tolist()):
         known = passes.get(int(place[a]))
@@ -249,26 +257,25 @@ def _episodes(
 
 
 def _on_strip(
-    line: int, begin: Floats, end: Floats, cell: Integers, kind: Integers, weight: Floats,
-    settings: StationarySettings,
-) -> list[StationaryTarget]:  # fmt: skip
+    line: int, begin: Floats, end: Floats, cell: Integers, kind: Integers, weight: Floats
+) -> list[StationaryTarget]:
     """Return the stationary vehicles of a strip, associated from second to second."""
-    half, low = 0.5 * settings.slice_s, int(cell.min()) - 8
+    half, low = 0.5 * SLICE_S, int(cell.min()) - 8
     count = int(cell.max()) + 9 - low
-    window = int(settings.window_m / settings.cell_m)
+    window = int(WINDOW_M / CELL_M)
     held = np.full(count + 1, NONE, np.int64)
     found: Floats = np.zeros((0, 2))
     previous = np.zeros(0, np.bool_)
     book = _Followed(line, half)
-    for now in np.arange(begin.min(), end.max() + settings.slice_s, settings.slice_s).tolist():
+    for now in np.arange(begin.min(), end.max() + SLICE_S, SLICE_S).tolist():
         active = (begin <= now + half) & (end >= now - half)
         if not np.array_equal(active, previous):
             weights = np.zeros((3, count))
             np.add.at(weights, (kind[active], cell[active] - low), weight[active])
             local = window * uniform_filter1d(weights.sum(axis=0), window, mode="constant")
-            share = np.minimum(1.0, settings.most_weight / np.maximum(local, 1e-9))
-            cells = pack(weights * share, held, settings)
-            found = np.asarray((cells + low) * settings.cell_m, np.float64)
+            share = np.minimum(1.0, MOST_WEIGHT / np.maximum(local, 1e-9))
+            cells = pack(weights * share, held)
+            found = np.asarray((cells + low) * CELL_M, np.float64)
             previous = active
             held[:] = NONE
             held[cells[:, 1]] = cells[:, 0]
@@ -325,7 +332,7 @@ class _Followed:
         return self._done
 
 
-def pack(weights: Floats, held: Integers, settings: StationarySettings) -> Integers:
+def pack(weights: Floats, held: Integers) -> Integers:
     """Return the vehicles (rear, front) along a strip that explain the detections best.
 
     A dynamic program over the cells of their fronts: each vehicle has a cost for itself and for its
@@ -337,38 +344,25 @@ def pack(weights: Floats, held: Integers, settings: StationarySettings) -> Integ
         By cell, of detections by sensors that look at a front, a rear, a side.
     held : (n + 1,) int64 array
         By front, the rear of a vehicle that stood so before, or `NONE`.
-    settings : StationarySettings
-        Constants.
     """
-    metres = np.arange(int(LONGEST_M / settings.cell_m) + 1, dtype=np.float64) * settings.cell_m
-    prior = np.where(metres < settings.shortest_m, -np.inf, length_prior(metres))
-    gains = _gains(
-        weights, settings.cell_m, settings.end_m, settings.end_share, np.log(settings.clutter)
-    )
-    limits = np.array(
-        [
-            settings.cell_m, settings.stick, settings.gap_m, settings.easy_m, settings.tight,
-            np.log(settings.clutter), settings.end_share, settings.new_cost,
-        ]
-    )  # fmt: skip
-    return _pack(weights, gains, prior, held, limits)
+    metres = np.arange(int(LONGEST_M / CELL_M) + 1, dtype=np.float64) * CELL_M
+    prior = np.where(metres < SHORTEST_M, -np.inf, length_prior(metres))
+    return _pack(weights, _gains(weights), prior, held)
 
 
 @compiled
-def _gains(
-    weights: Floats, cell_m: float, end_m: float, end_share: float, log_clutter: float
-) -> Floats:  # pragma: no cover - compiled
+def _gains(weights: Floats) -> Floats:  # pragma: no cover - compiled
     """Return the gain of a front and of a rear at each boundary of cells."""
     count = weights.shape[1]
-    reach = int(4.0 * end_m / cell_m)
-    body = np.log((1.0 - end_share) / 5.0)
+    reach = int(4.0 * END_M / CELL_M)
+    body = np.log((1.0 - END_SHARE) / 5.0)
     gains = np.zeros((2, count + 1))
     for k in range(count + 1):
         for j in range(max(k - reach, 0), min(k + reach, count)):
-            off = (j + 0.5 - k) * cell_m
-            peak = end_share * np.exp(-0.5 * (off / end_m) ** 2) / (end_m * 2.5066)
-            inside = np.log(peak + (1.0 - end_share) / 5.0) - body
-            outside = max(np.log(peak + 1e-9) - log_clutter, 0.0)
+            off = (j + 0.5 - k) * CELL_M
+            peak = END_SHARE * np.exp(-0.5 * (off / END_M) ** 2) / (END_M * 2.5066)
+            inside = np.log(peak + (1.0 - END_SHARE) / 5.0) - body
+            outside = max(np.log(peak + 1e-9) - LOG_CLUTTER, 0.0)
             gains[0, k] += weights[0, j] * (inside if off < 0.0 else outside)
             gains[1, k] += weights[1, j] * (inside if off > 0.0 else outside)
     return gains
@@ -376,16 +370,15 @@ def _gains(
 
 @compiled
 def _pack(
-    weights: Floats, gains: Floats, prior: Floats, held: Integers, limits: Floats
+    weights: Floats, gains: Floats, prior: Floats, held: Integers
 ) -> Integers:  # pragma: no cover - compiled
-    cell_m, stick, gap_m, easy_m, tight, log_clutter, end_share, cost = limits
     count = weights.shape[1]
-    end_gain, side_gain = np.log((1.0 - end_share) / 5.0) - log_clutter, np.log(0.2) - log_clutter
+    end_gain, side_gain = np.log((1.0 - END_SHARE) / 5.0) - LOG_CLUTTER, np.log(0.2) - LOG_CLUTTER
     ends, sides = np.zeros(count + 1), np.zeros(count + 1)
     for k in range(count):
         ends[k + 1] = ends[k] + weights[0, k] + weights[1, k]
         sides[k + 1] = sides[k] + weights[2, k]
-    room, wide = int(np.ceil(gap_m / cell_m)), int(np.ceil(easy_m / cell_m))
+    room, wide = int(np.ceil(GAP_M / CELL_M)), int(np.ceil(EASY_M / CELL_M))
     best, back = np.zeros(count + 1), np.full(count + 1, -1)
     ahead, before = np.zeros(count + 1), np.zeros(count + 1, np.int64)
     for f in range(1, count + 1):
@@ -397,23 +390,23 @@ def _pack(
             score += gains[0, f] + gains[1, r]
             if score <= 0.0:
                 continue
-            score += prior[f - r] - cost + ahead[r] + (stick if held[f] == r else 0.0)
+            score += prior[f - r] - NEW_COST + ahead[r] + (STICK if held[f] == r else 0.0)
             if score > best[f] + 1e-9:
                 best[f], back[f] = score, r
-        ahead[f], before[f] = _room_before(best, f, room, wide, tight, cell_m)
+        ahead[f], before[f] = _room_before(best, f, room, wide)
     return _traced(back, before)
 
 
 @compiled
 def _room_before(
-    best: Floats, rear: int, room: int, wide: int, tight: float, cell_m: float
+    best: Floats, rear: int, room: int, wide: int
 ) -> tuple[float, int]:  # pragma: no cover - compiled
     """Return the best solution before a rear, and its last front: gaps under 2 m are rare."""
     top, place = -1e9, 0
     for more in range(room, wide + 1):
         value = 0.0
         if rear > more:
-            value = best[rear - more] - tight * ((wide - more) * cell_m) ** 2
+            value = best[rear - more] - TIGHT * ((wide - more) * CELL_M) ** 2
         if value > top:
             top, place = value, max(rear - more, 0)
     return top, place
@@ -461,7 +454,7 @@ def _usual_rate(motions: Sequence[Motion], detections: MapDetections) -> float:
 
 
 def heard_parts(
-    target: StationaryTarget, detections: MapDetections, usual: float, settings: StationarySettings
+    target: StationaryTarget, detections: MapDetections, usual: float
 ) -> list[StationaryTarget]:
     """Split a stationary target at gaps; keep the parts that are detected often enough.
 
@@ -473,8 +466,6 @@ def heard_parts(
         Which the rows are of.
     usual : float
         Rate of detections times the square of range, m^2/s; where it is zero nothing is kept.
-    settings : StationarySettings
-        The longest gap, and how often is enough.
 
     Returns
     -------
@@ -483,13 +474,13 @@ def heard_parts(
     """
     if usual <= 0.0:
         return []
-    cuts = np.flatnonzero(np.diff(detections.time[target.rows]) > settings.silence_s) + 1
+    cuts = np.flatnonzero(np.diff(detections.time[target.rows]) > SILENCE_S) + 1
     found = []
     for rows in np.split(target.rows, cuts):
-        if len(rows) < settings.least_detections:
+        if len(rows) < LEAST_DETECTIONS:
             continue
         begin, end = (float(detections.time[rows[k]]) for k in (0, -1))
         expected = usual / float(np.median(detections.range_m[rows])) ** 2 * (end - begin)
-        if end - begin >= settings.least_s and len(rows) >= settings.rate_share * expected:
+        if end - begin >= LEAST_S and len(rows) >= RATE_SHARE * expected:
             found.append(replace(target, begin=begin, end=end, rows=rows))
     return found

@@ -10,10 +10,18 @@ from __future__ import annotations
 import numpy as np
 
 from gis_radar.base import Floats
-from gis_radar.tracking.management_settings import TallSettings
+
+# Mean height of the detections of a car, and of a lorry or bus, with its standard deviation between
+# vehicles, metres: the middle of their bodies.
+CAR_M, LORRY_M = (0.75, 0.3), (1.6, 0.5)
+# Sigma of the elevation: of a target over its whole time, and from detection to detection.
+BIAS_RAD, ELEVATION_RAD = 0.006, 0.0175
+LEAST_ROWS = 10  # heights; fewer are ignored
+MOST_ODDS = 4.0  # logarithm of the odds that heights give at most
+LORRY_SHARE = 0.12  # of lorries and buses in traffic
 
 
-def tall_odds(height_m: Floats, range_m: Floats, settings: TallSettings) -> float:
+def tall_odds(height_m: Floats, range_m: Floats) -> float:
     """Return the logarithm of the odds of a lorry or bus over a car by heights.
 
     Parameters
@@ -22,31 +30,26 @@ def tall_odds(height_m: Floats, range_m: Floats, settings: TallSettings) -> floa
         Of the detections over the road; NaN where unknown.
     range_m : (n,) array
         From the sensor.
-    settings : TallSettings
-        Heights of cars and lorries, and their errors.
     """
     known = np.isfinite(height_m)
-    if known.sum() < settings.least_rows:
+    if known.sum() < LEAST_ROWS:
         return 0.0
     range_ = float(np.median(range_m[known]))
     mean = float(height_m[known].mean())
-    noise = settings.bias_rad**2 + settings.elevation_rad**2 / known.sum()
+    noise = BIAS_RAD**2 + ELEVATION_RAD**2 / known.sum()
     odds = 0.0
-    for sign, (middle, spread) in ((1.0, settings.lorry_m), (-1.0, settings.car_m)):
+    for sign, (middle, spread) in ((1.0, LORRY_M), (-1.0, CAR_M)):
         variance = spread**2 + noise * range_**2
         odds += sign * (-0.5 * (mean - middle) ** 2 / variance - 0.5 * np.log(variance))
-    return float(np.clip(odds, -settings.most_odds, settings.most_odds))
+    return float(np.clip(odds, -MOST_ODDS, MOST_ODDS))
 
 
-def one_tall_odds(odds: tuple[float, float], settings: TallSettings) -> float:
+def one_tall_odds(odds: tuple[float, float]) -> float:
     """Return the logarithm of the odds of one lorry over two vehicles by the heights of two parts.
 
     Parameters
     ----------
     odds : (float, float)
         Of each part, as of :func:`tall_odds`.
-    settings : TallSettings
-        How many vehicles are lorries.
     """
-    share = settings.lorry_share
-    return float(-np.log((1.0 - share) * np.exp(-np.array(odds)) + share).sum())
+    return float(-np.log((1.0 - LORRY_SHARE) * np.exp(-np.array(odds)) + LORRY_SHARE).sum())

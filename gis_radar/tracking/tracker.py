@@ -6,7 +6,9 @@ import numpy as np
 
 from gis_radar.base import Floats, Integers, give_back_memory
 from gis_radar.hdmap import LaneGraph
+from gis_radar.tracking.births import BIRTHS
 from gis_radar.tracking.bodies import (
+    LEAST_ROWS,
     absorb,
     is_person,
     join_directions,
@@ -14,17 +16,14 @@ from gis_radar.tracking.bodies import (
     rows_by_number,
     without_faint_ends,
 )
-from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.forward import follow_both_ways
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior import improve
-from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.track_management import complete_tracks
 
 
-def vehicles_in(
-    detections: MapDetections, graph: LaneGraph, settings: VehicleSettings
-) -> list[Motion]:
+def vehicles_in(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     """Return the motions of the vehicles in some detections.
 
     Parameters
@@ -33,41 +32,35 @@ def vehicles_in(
         Of all sensors, in the order of time.
     graph : LaneGraph
         The lanes.
-    settings : VehicleSettings
-        Of all stages.
     """
     if len(detections) == 0:
         return []
-    found = _found(detections, graph, settings)
+    found = _found(detections, graph)
     give_back_memory()  # what they are found by takes twice the memory of the detections
-    improved = improve(found, detections, graph, settings.motion)
-    persons = is_person(detections, improved, settings)
+    improved = improve(found, detections, graph)
+    persons = is_person(detections, improved)
     return [each for each, person in zip(improved, persons, strict=True) if not person]
 
 
-def _found(detections: MapDetections, graph: LaneGraph, settings: VehicleSettings) -> list[Motion]:
+def _found(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     """Return the vehicles that the filter follows, from arrival to departure."""
-    joined, states = _followed(detections, graph, settings)
-    parts = [rows for rows in rows_by_number(joined) if len(rows) >= settings.bodies.least_rows]
-    free = np.abs(detections.range_rate) < settings.detections.moving_mps
-    followed = absorb(detections, parts, states, settings)
-    motions = [each for each in followed if (~free[each.rows]).sum() >= settings.forward.births]
-    persons = is_person(detections, motions, settings)
+    joined, states = _followed(detections, graph)
+    parts = [rows for rows in rows_by_number(joined) if len(rows) >= LEAST_ROWS]
+    free = np.abs(detections.range_rate) < MOVING_MPS
+    followed = absorb(detections, parts, states)
+    motions = [each for each in followed if (~free[each.rows]).sum() >= BIRTHS]
+    persons = is_person(detections, motions)
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
-    driven = without_faint_ends(detections, driven, states, settings)
+    driven = without_faint_ends(detections, driven, states)
     if not driven:
         return []  # where nothing drives, nothing tells a vehicle that stands from what is built
     for each in motions:
         free[each.rows] = False
-    return complete_tracks(detections, graph, driven, states, free, settings)
+    return complete_tracks(detections, graph, driven, states, free)
 
 
-def _followed(
-    detections: MapDetections, graph: LaneGraph, settings: VehicleSettings
-) -> tuple[Integers, Floats]:
+def _followed(detections: MapDetections, graph: LaneGraph) -> tuple[Integers, Floats]:
     """Return the vehicle of each detection, and its state, by both directions of time."""
-    numbers, both = follow_both_ways(
-        detections, graph, settings.forward, settings.detections.moving_mps
-    )
+    numbers, both = follow_both_ways(detections, graph)
     joined = join_directions(*numbers, detections.time)
     return joined, merge_states(numbers[0], both, joined)

@@ -22,8 +22,18 @@ from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, compile
 from gis_radar.measures import PoseSight
 from gis_radar.poses import Pose
 from gis_radar.tracking.footprints import MOST_PARTS, CrossLines, Footprints, clip_box, is_occupied
-from gis_radar.tracking.occupancy_settings import OccupancySettings
 
+HIDDEN_S = 10.0  # a tile stays visible for so long while other vehicles hide it (the contract)
+# Runs of visible steps are split where other vehicles hide the tile for so long: a vehicle's
+# passing hides for less, and tracks bridge that.
+UNSEEN_S = 1.0
+# Lines of sight are looked along once in so many steps, and where the sensors change: a vehicle at
+# 15 m/s goes 3 m in 0.2 s, which 10 s of hiding do not depend on.
+LOOK_STEPS = 4
+TARGET_M = 0.6  # over the road, at which a tile is looked at (the contract): a car's bumper
+# Height of a sensor over the road where tiles have no heights: a mast or a signal head stands 4 to
+# 6 m high.
+SENSOR_OVER_ROAD_M = 5.0
 BINS = 720  # of the azimuth around a sensor: half a degree, a tenth of a car at 20 m
 
 
@@ -52,17 +62,14 @@ class Rays:
     lowest_m: float
 
     @classmethod
-    def of(
-        cls, pose: Pose, tile: Integers, targets: Floats, origin: Floats,
-        settings: OccupancySettings,
-    ) -> Rays:  # fmt: skip
+    def of(cls, pose: Pose, tile: Integers, targets: Floats, origin: Floats) -> Rays:
         """Return the rays to some tiles, whose (n, 3) targets may have unknown heights."""
         x, y = pose.position[:2] - origin
         height = float(pose.position[2])
-        road_m = height - settings.sensor_over_road_m
+        road_m = height - SENSOR_OVER_ROAD_M
         if np.isfinite(targets[:, 2]).any():
             road_m = float(np.nanmedian(targets[:, 2]))
-        level = np.where(np.isnan(targets[:, 2]), road_m, targets[:, 2]) + settings.target_m
+        level = np.where(np.isnan(targets[:, 2]), road_m, targets[:, 2]) + TARGET_M
         apart = targets[:, :2] - (x, y)
         range_m = np.hypot(*apart.T)
         turn = np.arctan2(apart[:, 1], apart[:, 0]) % (2 * math.pi)
@@ -86,15 +93,12 @@ class Visibility:
         Theirs.
     sights : mapping
         What sensors see, by name.
-    settings : OccupancySettings
-        Of boxes and times.
     """
 
     def __init__(
-        self, tiles: gpd.GeoDataFrame, lines: CrossLines, sights: Mapping[str, PoseSight],
-        settings: OccupancySettings,
-    ) -> None:  # fmt: skip
-        self._lines, self._settings = lines, settings
+        self, tiles: gpd.GeoDataFrame, lines: CrossLines, sights: Mapping[str, PoseSight]
+    ) -> None:
+        self._lines = lines
         self._tile_id = tiles["tile_id"].to_numpy(np.int64)
         middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array)) - lines.origin
         self._targets = np.column_stack([middle, lines.height_m])
@@ -168,7 +172,6 @@ class Visibility:
         if not rays:
             return
         begin, after, low, high = part
-        every = self._settings.look_steps
         offsets = np.cumsum([0, *(len(each.tile) for each in rays)])
         self._ended.append(
             _watch_steps(
@@ -182,13 +185,12 @@ class Visibility:
                 np.concatenate([each.ends for each in rays]),
                 np.array([each.lowest_m for each in rays]),
                 observed, np.flatnonzero(observed), self._hidden, self._begun, self._seen,
-                self._stamps, round(self._settings.hidden_s * STEPS_PER_SECOND),
-                round(self._settings.unseen_s * STEPS_PER_SECOND), self._settings.overlap_m,
-                every, self._looked, *queries,
+                self._stamps, round(HIDDEN_S * STEPS_PER_SECOND),
+                round(UNSEEN_S * STEPS_PER_SECOND), LOOK_STEPS, self._looked, *queries,
             )
         )  # fmt: skip
         first_look = begin if self._looked < 0 else self._looked
-        self._looked = max(first_look, (after - 1) // every * every)
+        self._looked = max(first_look, (after - 1) // LOOK_STEPS * LOOK_STEPS)
 
     def flush(self) -> Integers:
         """End all runs at the last step so far; return those since the last call, (n, 4).
@@ -210,9 +212,7 @@ class Visibility:
         if name not in self._rays:
             seen = self._sights[name]
             tile = np.searchsorted(self._tile_id, seen.tile_id)
-            self._rays[name] = Rays.of(
-                seen.pose, tile, self._targets[tile], self._lines.origin, self._settings
-            )
+            self._rays[name] = Rays.of(seen.pose, tile, self._targets[tile], self._lines.origin)
         return self._rays[name]
 
 
@@ -277,7 +277,7 @@ def _azimuths(eye: Floats, box: Floats) -> tuple[float, float, float, float]:  #
 def _cast_shadow(  # noqa: PLR0917
     eye: Floats, first: Integers, ray_tile: Integers, ends: Floats, lowest_m: float,
     box: Floats, level_m: float, height_m: float, path: int, points: Floats, begins: Booleans,
-    lines: Floats, stamps: Integers, step: int, mark: int, overlap_m: float, shares: Floats,
+    lines: Floats, stamps: Integers, step: int, mark: int, shares: Floats,
 ) -> None:  # pragma: no cover - compiled  # fmt: skip
     """Count the sensors from which a box hides each tile.
 
@@ -298,7 +298,7 @@ def _cast_shadow(  # noqa: PLR0917
             if (
                 not (stamps[tile, 0] == step and stamps[tile, 2] == mark)
                 and _hides(eye, ends[k], box, bottom, top)
-                and not is_occupied(lines[tile], box, path, points, begins, shares, overlap_m)
+                and not is_occupied(lines[tile], box, path, points, begins, shares)
             ):
                 if stamps[tile, 0] != step:
                     stamps[tile, 0], stamps[tile, 1] = step, 0
@@ -313,7 +313,7 @@ def _watch_steps(  # noqa: C901, PLR0912, PLR0917 - calls between compiled funct
     path: Integers, points: Floats, begins: Booleans, lines: Floats, eyes: Floats,
     first: Integers, ray_tile: Integers, ends: Floats, lowest_m: Floats, observed: Integers,
     watched: Integers, hidden: Integers, begun: Integers, seen: Booleans, stamps: Integers,
-    most: int, least: int, overlap_m: float, every: int, looked: int, query_step: Integers,
+    most: int, least: int, every: int, looked: int, query_step: Integers,
     query_tile: Integers, answers: Booleans,
 ) -> Integers:  # pragma: no cover - compiled  # fmt: skip
     """Process steps in which the same views are observed; return the runs that ended."""
@@ -331,7 +331,7 @@ def _watch_steps(  # noqa: C901, PLR0912, PLR0917 - calls between compiled funct
                 _cast_shadow(
                     eyes[view], first[view], ray_tile, ends, lowest_m[view],
                     boxes[k], level_m[k], height_m[k], path[k], points, begins,
-                    lines, stamps, now, view, overlap_m, shares,
+                    lines, stamps, now, view, shares,
                 )  # fmt: skip
         for tile in watched:
             if stamps[tile, 0] == looked and stamps[tile, 1] == observed[tile]:

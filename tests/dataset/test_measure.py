@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,6 @@ from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
 from gis_radar.base import step_of
-from gis_radar.tracking import VEHICLE_DEFAULTS
 
 
 def random_frames(rng, cycle_s, late_s, seconds=2.0):
@@ -135,13 +133,10 @@ def test_several_processes_write_the_same_bytes(halves, both, tmp_path):
 
 
 def test_blocks_of_an_hour_side_by_side_write_the_same_bytes(tmp_path):
-    recording = cut(tmp_path / "R2.parquet", "R2", 10.0, 30.0, edge_s=-600.0)
-    blocks = replace(VEHICLE_DEFAULTS.blocks, steps=100, margin_steps=40)
-    settings = gr.MeasureSettings(vehicles=replace(VEHICLE_DEFAULTS, blocks=blocks))
+    # a block ends at 300 s of the hour, amid it
+    recording = cut(tmp_path / "R2.parquet", "R2", 10.0, 30.0, edge_s=-280.0)
     for processes in (1, 3):
-        measured(
-            tmp_path / str(processes), ("R2", recording), settings=settings, processes=processes
-        )
+        measured(tmp_path / str(processes), ("R2", recording), processes=processes)
     assert len(gr.open_dataset(tmp_path / "1").tracks()) > 100
     assert contents(tmp_path / "3") == contents(tmp_path / "1")
 
@@ -205,7 +200,7 @@ def test_the_parts_of_vehicles_are_absent_where_only_hits_are_asked_for(tmp_path
     with pytest.raises(gr.InputError, match="without vehicles"):
         ds.tracks()
     assert len(ds.hits())
-    assert ds.manifest.settings["vehicles"] is None
+    assert ds.manifest.settings["vehicles"] is False
 
 
 def test_a_recording_without_range_rates_gives_hits_only(tmp_path):
@@ -215,7 +210,7 @@ def test_a_recording_without_range_rates_gives_hits_only(tmp_path):
     )  # fmt: skip
     notes = Listener()
     ds = measured(tmp_path / "site", ("R1", path), reporter=notes)
-    assert ds.manifest.settings["vehicles"] is None
+    assert ds.manifest.settings["vehicles"] is False
     assert any("has no range rates" in line for _, line in notes.messages)
     second = cut(tmp_path / "R2.parquet", "R2", 14.0, 16.0, edge_s=0.0)
     assert measured(tmp_path / "site", ("R2", second)).sensors == ["R1", "R2"]

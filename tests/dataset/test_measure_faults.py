@@ -1,5 +1,6 @@
 """What must not be measured, and what a run that is killed leaves behind."""
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -203,6 +204,21 @@ def test_other_tiles_and_other_settings(files, tmp_path):
             ("R1", cut(tmp_path / "R1.parquet", "R1", 23.0, 24.0, edge_s=20.0)),
             cycles={"R1": 0.1},
         )
+
+
+def test_a_dataset_of_a_version_that_listed_its_constants(files, tmp_path):
+    site = tmp_path / "site"
+    hits_of(site, ("R1", files["R1"]))
+    manifest = json.loads((site / "dataset.json").read_text())
+    manifest["settings"] |= {"vehicles": {"links": {"end_cost": 8.0}}, "hits": {"validity_s": 0.1}}
+    (site / "dataset.json").write_text(json.dumps(manifest))
+    line = r"other settings: vehicles\.links\.end_cost was 8\.0, is null"
+    for hits_only in (True, False):
+        error = refused(site, ("R2", files["R2"]), match=line, hits_only=hits_only)
+    assert "another version's constants" in error.hint
+    assert len(gr.open_dataset(site).hits())
+    gr.withdraw(site, ["R1.parquet"])
+    assert len(gr.open_dataset(site).recordings()) == 0
 
 
 def test_a_folder_of_others_is_left_alone(files, tmp_path):

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from gis_radar.base import InputError
 from gis_radar.dataset import (
-    RUN_ERRORS,
     STEPS_PER_HOUR,
     STEPS_PER_QUARTER,
     TILE_COUNTS,
@@ -20,6 +19,7 @@ from gis_radar.dataset import (
     part_path,
     read_hour,
     record_path,
+    run_variance,
     update_counts,
     write_record,
 )
@@ -117,7 +117,7 @@ def test_the_variance_is_that_of_runs_cut_at_the_quarter(tmp_path):
     }  # fmt: skip
     counts = written(tmp_path / "data", runs).tile_counts()
     lengths, seen = np.array([30, 100]), np.ones(2, np.bool_)
-    wanted = RUN_ERRORS.variance(lengths, seen)
+    wanted = run_variance(lengths, seen)
     assert counts["occupied_variance"].tolist() == pytest.approx([*wanted, 0, 0])
     assert wanted[0] == pytest.approx((0.16 * 30) ** 2 + 13.5**2)
     assert wanted[1] == pytest.approx(10**2 + 45.0**2)

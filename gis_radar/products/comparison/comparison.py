@@ -20,7 +20,7 @@ from gis_radar.base import (
     iso_from_time,
 )
 from gis_radar.dataset import Dataset
-from gis_radar.measures import COMPARISON, ComparisonSettings, compare_values, holm_corrected
+from gis_radar.measures import LEVEL, compare_values, holm_corrected
 from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike, shown_names
 
 DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
@@ -126,7 +126,6 @@ def compare(
     after: Period,
     days: str | None = None,
     language: str | None = None,
-    settings: ComparisonSettings = COMPARISON,
 ) -> Comparison:
     """Compare the traffic of two periods by lane.
 
@@ -144,8 +143,6 @@ def compare(
         Only these days of the week, such as `Mo-Fr` or `Sa,Su`.
     language : str, optional
         Of the lanes' names.
-    settings : ComparisonSettings
-        Level of the tests.
 
     Raises
     ------
@@ -164,7 +161,7 @@ def compare(
     options = {"language": language or current_language()}
     rows = _rows(sources, _day_numbers(days), options)
     sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
-    return _compared(rows, sights, settings, dataset.doubts, other.doubts)
+    return _compared(rows, sights, dataset.doubts, other.doubts)
 
 
 def _require_alike(dataset: Dataset, other: Dataset) -> None:
@@ -251,9 +248,8 @@ def _rows_of(
 
 
 def _compared(
-    rows: Sequence[gpd.GeoDataFrame], sights: Sequence[LaneSights], settings: ComparisonSettings,
-    *doubts: Sequence[str],
-) -> Comparison:  # fmt: skip
+    rows: Sequence[gpd.GeoDataFrame], sights: Sequence[LaneSights], *doubts: Sequence[str]
+) -> Comparison:
     lines = pd.concat(rows)[["lane", "name", "geometry"]].drop_duplicates("lane").set_index("lane")
     found, left_out, used = [], [], np.zeros(2)
     for lane in sorted(lines.index):
@@ -264,16 +260,13 @@ def _compared(
         mine = [each.of_lane(int(lane)) for each in sights]
         mine = [each[each["watchers"] == watchers] for each in mine]
         used += [len(each) for each in mine]
-        found += [
-            row | {"watchers": shown_names(watchers)}
-            for row in _lane_rows(int(lane), mine, settings)
-        ]
+        found += [row | {"watchers": shown_names(watchers)} for row in _lane_rows(int(lane), mine)]
     if not found:
         raise NoAnswerError(
             "no lane was seen by the same sensors alike in both periods",
             hint="compare periods with the same sensors at the same places",
         )
-    table = _with_verdicts(pd.DataFrame(found), settings)
+    table = _with_verdicts(pd.DataFrame(found))
     if table["p"].isna().all():
         raise NoAnswerError(
             "too few intervals to tell a difference: at most {} of a lane in both periods",
@@ -291,16 +284,14 @@ def _compared(
     )  # fmt: skip
 
 
-def _lane_rows(
-    lane: int, rows: Sequence[pd.DataFrame], settings: ComparisonSettings
-) -> Iterator[dict[str, Any]]:
+def _lane_rows(lane: int, rows: Sequence[pd.DataFrame]) -> Iterator[dict[str, Any]]:
     """Yield the difference of each measure that the lane has in both periods."""
     for measure in COMPARED:
         values = [_values(each, measure) for each in rows]
         if any(each.empty for each in values):
             continue
-        found = compare_values(values[0], values[1], settings)
-        half = found.half_width(settings.level)
+        found = compare_values(values[0], values[1])
+        half = found.half_width(LEVEL)
         yield {
             "lane": lane, "measure": measure, "before": found.before, "after": found.after,
             "difference": found.difference,
@@ -321,12 +312,12 @@ def _values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def _with_verdicts(table: pd.DataFrame, settings: ComparisonSettings) -> pd.DataFrame:
+def _with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
     """Tell which differences are more than chance, among all lanes and measures."""
     table = table.assign(p_corrected=np.nan, verdict=NOT_TOLD)
     table["p_corrected"] = holm_corrected(table["p"].to_numpy(np.float64))
     least = table["measure"].map({name: of.resolution for name, of in COMPARED.items()})
-    told = (table["p_corrected"] < settings.level) & (table["difference"].abs() >= least)
+    told = (table["p_corrected"] < LEVEL) & (table["difference"].abs() >= least)
     table.loc[told & (table["difference"] > 0.0), "verdict"] = MORE
     table.loc[told & (table["difference"] < 0.0), "verdict"] = LESS
     return table

@@ -42,7 +42,7 @@ from gis_radar.dataset import (
 )
 from gis_radar.hdmap import own_columns
 from gis_radar.measures import Runs
-from gis_radar.products.heatmap.intervals import SETTINGS, MapLabels, Timeline, When, intervals_at
+from gis_radar.products.heatmap.intervals import MOST_BANDS, MapLabels, Timeline, When, intervals_at
 from gis_radar.products.heatmap.occupancy import (
     OCCUPANCY_DEFINITIONS,
     Occupancy,
@@ -143,7 +143,7 @@ class Tally:
     @property
     def columns(self) -> range:
         """The intervals that become columns and bands: none where there are too many."""
-        if self.timeline is self.whole or len(self.timeline) > SETTINGS.most_columns:
+        if self.timeline is self.whole or len(self.timeline) > MOST_BANDS:
             return range(0)
         return range(len(self.timeline))
 

@@ -13,7 +13,6 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from gis_radar.base import (
-    CELL_M,
     STEPS_PER_SECOND,
     InputError,
     Integers,
@@ -32,6 +31,9 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.measures import Runs, union_of_runs
+
+MOST_BANDS = 500  # intervals that become columns and bands (the contract); more are rows only
+MOST_ROWS = 100_000_000  # of the layer by interval: as many are about 35 GB of GeoPackage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,28 +62,6 @@ class MapLabels:
         zone_of(self.timezone)
         known_language(self.language)
         object.__setattr__(self, "sources", tuple(self.sources))
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeatMapSettings:
-    """Constants of all heat maps; the class breaks and the ramp are in `style`.
-
-    Parameters
-    ----------
-    pixel_m : float
-        Side of a pixel of the GeoTIFF, metres: the length of a tile, so that none is skipped.
-    most_columns : int
-        Intervals that become columns and bands (the files' contract); more are rows only.
-    most_rows : int
-        Rows of the layer by interval: as many are about 35 GB of GeoPackage.
-    """
-
-    pixel_m: float = CELL_M
-    most_columns: int = 500
-    most_rows: int = 100_000_000
-
-
-SETTINGS = HeatMapSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,16 +306,16 @@ def intervals_of(
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
     if zone is None or follows_utc(steps):
-        if last // steps - first // steps < SETTINGS.most_columns:
+        if last // steps - first // steps < MOST_BANDS:
             return aligned(first, last, steps)
         filled = intervals_with(runs, steps)
     else:
         local = local_intervals(first, last, steps, zone)
-        if len(local) <= SETTINGS.most_columns:
+        if len(local) <= MOST_BANDS:
             return local
         local = those_with(local, runs)
         filled = len(local)
-    if filled * tiles > SETTINGS.most_rows:
+    if filled * tiles > MOST_ROWS:
         raise UsageError(
             "{} intervals of {} for {} tiles are more than a heat map can hold",
             filled,
@@ -344,11 +324,11 @@ def intervals_of(
             hint="use a longer interval",
         )
     note = Text("only the {} intervals in which a sensor delivered a frame are kept", filled)
-    if filled > SETTINGS.most_columns:
+    if filled > MOST_BANDS:
         note = Text(
             "{}; more than {}, so they are rows of by_interval, not columns and bands",
             note,
-            SETTINGS.most_columns,
+            MOST_BANDS,
         )
     reporter.log(note)
     return aligned_with(runs, steps) if zone is None or follows_utc(steps) else local

@@ -49,27 +49,11 @@ OCCUPANCY_DEFINITIONS = {
     "occupancy": "occupied_s / visible_s, 0 to 1; no data where not visible",
     "occupancy_se": "standard error of occupancy as an estimate for this period",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class OccupancyErrorSettings:
-    """Constants of the standard error of occupancy; its docstring's module has the formula.
-
-    Parameters
-    ----------
-    hidden_share : float
-        Root of the variance of the hidden time, relative to its length, as of runs that were
-        inferred. Of the tiles hidden for over a tenth of the time, in two simulated places, 6 and
-        45 % are within two standard errors without it, 50 and 71 % with it.
-    least_s : float
-        Least error of the occupied time, seconds: two steps.
-    """
-
-    hidden_share: float = 0.7
-    least_s: float = 0.1
-
-
-ERRORS = OccupancyErrorSettings()
+# Root of the variance of the hidden time, relative to its length, as of runs that were inferred. Of
+# the tiles hidden for over a tenth of the time, in two simulated places, 6 and 45 % are within two
+# standard errors without it, 50 and 71 % with it.
+HIDDEN_SHARE = 0.7
+LEAST_ERROR_S = 0.1  # least error of the occupied time: two steps
 LONGEST_M = 1e5  # of a lanelet
 # Tables hold the roots of standard errors by interval in parts of a 32767th, the largest number of
 # two bytes: 0.0001 is kept to 0.3 %, larger ones better.
@@ -255,10 +239,10 @@ class _Shifted:
         time, occupancy = np.maximum(visible, 1), occupied / np.maximum(visible, 1)
         share = np.full(len(self.at_m), np.nan)
         share[self.seen] = np.where(visible > 0, occupancy, np.nan)
-        unknown = (ERRORS.hidden_share * hidden) ** 2 * occupancy * (1.0 - occupancy)
+        unknown = (HIDDEN_SHARE * hidden) ** 2 * occupancy * (1.0 - occupancy)
         beside = np.append(np.nan_to_num(share), 0.0)[self.beside] - occupancy
         shifted = self._change(share) ** 2 + self.other_lane * (beside**2).mean(axis=0)
-        least = ERRORS.least_s / STEP_S / time
+        least = LEAST_ERROR_S / STEP_S / time
         found = np.sqrt((squares + unknown) / time**2 + shifted)
         return np.where(visible > 0, np.clip(found, np.minimum(least, 1.0), 1.0), np.nan)
 

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from rasterio.transform import Affine
 
-from gis_radar.base import Floats, Integers, OutputError, Reporter, iso_from_step, ranges
+from gis_radar.base import CELL_M, Floats, Integers, OutputError, Reporter, iso_from_step, ranges
 from gis_radar.dataset import TILE_COUNTS
 from gis_radar.hdmap import TileGrid, quads
 from gis_radar.measures import Runs, union_of_runs
 from gis_radar.products.heatmap.counting import Tally
-from gis_radar.products.heatmap.intervals import SETTINGS
 
+PIXEL_M = CELL_M  # side of a pixel: the length of a tile, so that none is skipped
 POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
 MOST_BLOCK_BYTES = 16_000_000  # of all bands of a block, which GDAL holds at once
 SMALLEST = 512  # pixels: the smallest overview fits in a few blocks
@@ -141,12 +141,11 @@ def cover(grid: PixelGrid, corners: Floats) -> Cover:
 
 def aligned_grid(corners: Floats) -> PixelGrid:
     """Return the grid of the GeoTIFF, which covers the corners of all tiles."""
-    pixel_m = SETTINGS.pixel_m
-    low = np.floor(corners.min(axis=(0, 1)) / pixel_m).astype(int)
-    high = np.ceil(corners.max(axis=(0, 1)) / pixel_m).astype(int)
+    low = np.floor(corners.min(axis=(0, 1)) / PIXEL_M).astype(int)
+    high = np.ceil(corners.max(axis=(0, 1)) / PIXEL_M).astype(int)
     width, height = (int(side) for side in np.maximum(high - low, 1))
     return PixelGrid(
-        west_m=int(low[0]) * pixel_m, north_m=(int(low[1]) + height) * pixel_m, pixel_m=pixel_m,
+        west_m=int(low[0]) * PIXEL_M, north_m=(int(low[1]) + height) * PIXEL_M, pixel_m=PIXEL_M,
         width=width, height=height,
     )  # fmt: skip
 

@@ -46,7 +46,7 @@ from gis_radar.poses import (
 )
 from gis_radar.products.footprints import (
     FOOTPRINTS,
-    LAYER_DEFAULTS,
+    SHOWN_S,
     footprint_style,
     write_footprints,
 )
@@ -138,7 +138,7 @@ def write_qgis_project(
         layers["gis_radar_footprints"] = LayerSource(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
         )
-        played = played and played._replace(step_s=LAYER_DEFAULTS.shown_s)
+        played = played and played._replace(step_s=SHOWN_S)
     played = played and played._replace(timezone=timezone)
     with speaking(language):
         time = _local_time(*_recorded(package, played), timezone) if played else ""

@@ -27,7 +27,7 @@ from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
 from gis_radar.products.report import names
 from gis_radar.products.report.content import Column, Fact, Table, text_rows
-from gis_radar.products.report.lanes import RANKS, LaneSums, shown_of
+from gis_radar.products.report.lanes import LEAST_SEEN, LEAST_TRACKS, LaneSums, shown_of
 from gis_radar.products.report.results import NOT_KNOWN, Results
 from gis_radar.scans import VIEW_ONLY
 
@@ -233,7 +233,7 @@ def _ranked(found: Findings) -> list[list[str]]:
     rule = tr(
         "Ranked is a lane with {tracks} tracks or more, {share} of its length visible or more, "
         "and a standard error of at most half its occupancy.",
-        tracks=RANKS.least_tracks, share=percent(RANKS.least_seen, 0),
+        tracks=LEAST_TRACKS, share=percent(LEAST_SEEN, 0),
     )  # fmt: skip
     return [[tr("Lanes compared"), here, rule]]
 

@@ -19,28 +19,10 @@ from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report.content import utc
 
 BUSY = 0.2  # a class break of all heat maps
-
-
-@dataclass(frozen=True, kw_only=True)
-class RankSettings:
-    """Which lanes are compared with each other: those that are known well enough.
-
-    Parameters
-    ----------
-    least_tracks : int
-        Tracks of vehicles that followed the lane: of ten, chance alone moves a share by a third.
-    least_seen : float
-        Share of its length that was visible: less may be its queue alone, or all but its queue.
-    most_error : float
-        Standard error, as a share of the occupancy: beyond a half, 0 is within two of them.
-    """
-
-    least_tracks: int = 10
-    least_seen: float = 0.5
-    most_error: float = 0.5
-
-
-RANKS = RankSettings()
+# Compared with each other are lanes that are known well enough.
+LEAST_TRACKS = 10  # of vehicles that followed it: of ten, chance alone moves a share by a third
+LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but its queue
+MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is within two of them
 
 
 class TileShares(NamedTuple):
@@ -228,9 +210,9 @@ def _why_not(row: pd.Series, measure: str) -> str:
         return "hits"
     reasons = {
         "unseen": np.isnan(row["share"]),
-        "length": row["base_m"] < RANKS.least_seen * row["length_m"],
-        "tracks": row["tracks"] < RANKS.least_tracks,
-        "error": not row["share_se"] <= RANKS.most_error * row["share"],
+        "length": row["base_m"] < LEAST_SEEN * row["length_m"],
+        "tracks": row["tracks"] < LEAST_TRACKS,
+        "error": not row["share_se"] <= MOST_ERROR * row["share"],
     }
     return next((name for name, applies in reasons.items() if applies), "")
 

@@ -63,7 +63,8 @@ from gis_radar.products.report.content import (
     utc,
 )
 from gis_radar.products.report.lanes import (
-    RANKS,
+    LEAST_SEEN,
+    LEAST_TRACKS,
     WHY_NOT,
     lane_table,
     sum_by_lane,
@@ -419,7 +420,7 @@ def _ranking(table: pd.DataFrame) -> str:
     rule = tr(
         "Ranked are lanes with {tracks} tracks or more and {share} of their length visible or "
         "more, whose standard error is at most half their occupancy; the others say why not.",
-        tracks=RANKS.least_tracks, share=percent(RANKS.least_seen, 0),
+        tracks=LEAST_TRACKS, share=percent(LEAST_SEEN, 0),
     )  # fmt: skip
     if not near:
         return rule

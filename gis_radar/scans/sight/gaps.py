@@ -15,8 +15,18 @@ import shapely
 
 from gis_radar.base import Booleans, Floats, Integers, Text
 from gis_radar.scans.sight.recorded import MovingHits
-from gis_radar.scans.sight.settings import GAPS, GapSettings
 from gis_radar.scans.sight.sight import IN_SIGHT, SightTiles
+
+# Lanelets are looked at in pieces of this length: a car's, so that the radar meets a vehicle
+# several times on each.
+PIECE_M = 5.0
+# A piece is empty where less than this share of the expected movement is there. Who queues on one
+# side and drives freely past the piece is met ten times less often there.
+SHARE = 0.01
+# Frames with movement on a tile expected on such a stretch before it counts: some fifty vehicles on
+# a car's length.
+LEAST_FRAMES = 100.0
+SHARED = 0.05  # a tile covered by another lanelet's by this share tells nothing of its own lane
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +48,7 @@ class Gap:
     expected: float
 
 
-def find_gaps(
-    hits: Sequence[MovingHits], tiles: SightTiles, *, settings: GapSettings = GAPS
-) -> list[Gap]:
+def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
     """Find stretches in sight on which nothing moves although it does before and behind them.
 
     Parameters
@@ -49,8 +57,6 @@ def find_gaps(
         Of each sensor and pose; they count together.
     tiles : SightTiles
         The tiles of all sights, in the order of lanelets and places in them.
-    settings : GapSettings
-        From when on a stretch counts.
 
     Returns
     -------
@@ -63,16 +69,16 @@ def find_gaps(
         seen = each.sight.state == IN_SIGHT
         count[seen] += each.count[seen]
         frames[seen] += each.frames
-    bins = _bins(tiles, frames > 0, settings)
+    bins = _bins(tiles, frames > 0)
     counted, looked = bins.sums(count), bins.sums(frames)
     moved = counted > 0
-    empty = _empty(counted, _expected(counted, looked, moved, bins), settings)
+    empty = _empty(counted, _expected(counted, looked, moved, bins))
     if not empty.any():
         return []
     # Less is expected of own pieces alone: no other stretch can have an empty piece then.
     asked = moved & np.isin(bins.stretch, bins.stretch[empty])
-    moved &= ~_shared(tiles, bins, asked, settings)
-    return list(_gaps(bins, counted, _expected(counted, looked, moved, bins), settings))
+    moved &= ~_shared(tiles, bins, asked)
+    return list(_gaps(bins, counted, _expected(counted, looked, moved, bins)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +109,7 @@ class _Bins:
         return np.asarray(sums, np.float64)
 
 
-def _bins(tiles: SightTiles, known: Booleans, settings: GapSettings) -> _Bins:
+def _bins(tiles: SightTiles, known: Booleans) -> _Bins:
     place = np.flatnonzero(known)
     lanelet = tiles.lanelet_id[place]
     new = np.ones(len(place), np.bool_)
@@ -113,7 +119,7 @@ def _bins(tiles: SightTiles, known: Booleans, settings: GapSettings) -> _Bins:
     ahead_m = np.hypot(*np.diff(middle, axis=0, prepend=middle[:1]).T)
     along = np.cumsum(np.where(new, 0.0, ahead_m))
     along -= along[new][stretch]
-    key = stretch * (1 << 32) + (along / settings.piece_m).astype(np.int64)
+    key = stretch * (1 << 32) + (along / PIECE_M).astype(np.int64)
     _, first, piece = np.unique(key, return_index=True, return_inverse=True)
     of_tile = np.full(len(known), -1)
     of_tile[place] = piece
@@ -141,11 +147,11 @@ def _most_behind(rate: Floats, stretch: Integers) -> Floats:
     return _most_before(rate[::-1], stretch[::-1])[::-1]
 
 
-def _empty(counted: Floats, expected: Floats, settings: GapSettings) -> Booleans:
-    return (expected > 0) & (counted <= settings.share * expected)
+def _empty(counted: Floats, expected: Floats) -> Booleans:
+    return (expected > 0) & (counted <= SHARE * expected)
 
 
-def _shared(tiles: SightTiles, bins: _Bins, asked: Booleans, settings: GapSettings) -> Booleans:
+def _shared(tiles: SightTiles, bins: _Bins, asked: Booleans) -> Booleans:
     """Return those of some pieces that have a tile which overlaps one of another lanelet."""
     found = np.zeros(len(asked), np.bool_)
     mine = bins.known & np.append(asked, False)[bins.of_tile]
@@ -158,13 +164,13 @@ def _shared(tiles: SightTiles, bins: _Bins, asked: Booleans, settings: GapSettin
     apart = tiles.lanelet_id[one] != tiles.lanelet_id[other]
     one, other = one[apart], other[apart]
     shared = shapely.area(shapely.intersection(shapes[one], shapes[other]))
-    found[bins.of_tile[one[shared > settings.shared * shapely.area(shapes[one])]]] = True
+    found[bins.of_tile[one[shared > SHARED * shapely.area(shapes[one])]]] = True
     return found
 
 
-def _gaps(bins: _Bins, counted: Floats, expected: Floats, settings: GapSettings) -> Iterator[Gap]:
+def _gaps(bins: _Bins, counted: Floats, expected: Floats) -> Iterator[Gap]:
     """Yield runs of empty pieces that are long enough, and from which enough is expected."""
-    empty = _empty(counted, expected, settings)
+    empty = _empty(counted, expected)
     begins = empty.copy()
     begins[1:] &= ~(empty[:-1] & (np.diff(bins.stretch) == 0))
     run = np.cumsum(begins) - 1
@@ -172,7 +178,7 @@ def _gaps(bins: _Bins, counted: Floats, expected: Floats, settings: GapSettings)
     for number in range(int(begins.sum())):
         mine = empty & (run == number)
         missed = float(expected[mine].sum())
-        if missed >= settings.least_frames:
+        if missed >= LEAST_FRAMES:
             yield Gap(
                 lanelet_id=int(bins.lanelet[mine][0]), tiles=int(size[mine].sum()), expected=missed
             )

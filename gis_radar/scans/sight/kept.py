@@ -16,8 +16,7 @@ import numpy as np
 
 from gis_radar.base import atomic_write
 from gis_radar.poses import Pose, View
-from gis_radar.scans.sight.settings import SightSettings
-from gis_radar.scans.sight.sight import Sight, SightScan
+from gis_radar.scans.sight.sight import METHOD, Sight, SightScan
 
 _ARRAYS = ("state", "hider", "hidden_at_m", "uncovered")
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
@@ -36,7 +35,6 @@ class KeptSight:
 
     def __init__(self, scan: SightScan, folder: Path) -> None:
         self.scan, self.folder = scan, folder
-        self.settings: SightSettings = scan.settings
 
     def read(self, poses: Sequence[Pose]) -> None:
         """Read of the scan what those poses need that are not kept."""
@@ -84,8 +82,8 @@ class KeptSight:
 
     @cached_property
     def _origin(self) -> bytes:
-        """A digest of scan, tiles and settings."""
-        tiles, settings = self.scan.tiles, json.dumps(asdict(self.settings))
-        found = hashlib.blake2b(self.scan.digest.encode() + settings.encode())
+        """A digest of scan, tiles and method."""
+        tiles = self.scan.tiles
+        found = hashlib.blake2b(f"{self.scan.digest} {METHOD}".encode())
         found.update(tiles.fingerprint.encode() + tiles.height.tobytes())
         return found.digest()

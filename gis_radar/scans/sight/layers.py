@@ -36,7 +36,6 @@ from gis_radar.hdmap import fingerprint
 from gis_radar.poses import Pose, View, pose_from_dict
 from gis_radar.scans.sight.kept import KeptSight
 from gis_radar.scans.sight.recorded import MOVEMENT, NO_MOVEMENT, Contradiction
-from gis_radar.scans.sight.settings import SIGHT_DEFAULTS, SightSettings
 from gis_radar.scans.sight.sight import (
     HIDERS,
     OUT_OF_VIEW,
@@ -50,6 +49,8 @@ from gis_radar.scans.sight.sight import (
 SIGHT_LAYER, CONTRADICTED_LAYER = "sight", "contradicted"
 COLUMNS = ("sensor", "pose", "tile_id", "state", "hidden_by", "hidden_at_m", "covered")
 MAKE_ONE = Text("make one with: gis-radar sight")
+# A file of sight serves poses so near the one it was made for: a tile, and half a metre at 60 m.
+POSE_APART_M, POSE_APART_DEG = 0.5, 0.5
 
 
 def write_sights(
@@ -161,8 +162,6 @@ class SightFile:
         The GeoPackage.
     tiles : SightTiles
         The tiles that it was made for.
-    settings : SightSettings
-        How far a pose may be from the one of the file.
 
     Raises
     ------
@@ -170,10 +169,8 @@ class SightFile:
         If the file is missing, damaged, no file of sight, or of other tiles.
     """
 
-    def __init__(
-        self, path: str | Path, tiles: SightTiles, *, settings: SightSettings = SIGHT_DEFAULTS
-    ) -> None:
-        self.path, self.tiles, self.settings = Path(path), tiles, settings
+    def __init__(self, path: str | Path, tiles: SightTiles) -> None:
+        self.path, self.tiles = Path(path), tiles
         rows, about = _read(self.path)
         if about["fingerprint"] != tiles.fingerprint:
             raise InputError(
@@ -231,7 +228,7 @@ class SightFile:
         apart = [_apart(sight.pose, pose) for sight in alike]
         best = min(range(len(alike)), key=lambda k: apart[k])
         away_m, turn_deg = apart[best]
-        if away_m > self.settings.pose_apart_m or turn_deg > self.settings.pose_apart_deg:
+        if away_m > POSE_APART_M or turn_deg > POSE_APART_DEG:
             raise InputError(
                 "{}: the sight of {} was made {:.1f} m and {:.1f} deg from its pose",
                 self.path,

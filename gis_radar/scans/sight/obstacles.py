@@ -10,7 +10,24 @@ import scipy
 
 from gis_radar.base import Booleans, Floats, Grid, Integers
 from gis_radar.scans.columns import Heights, ScanColumns, ground_under, nearest_known
-from gis_radar.scans.sight.settings import SIGHT_DEFAULTS, SightSettings
+
+CELL_M = 1.0  # of the cells in which the scan is gathered
+TALL_M = 2.5  # what is lower over the ground does not hide: parked cars, hedges, rails
+# Something stands solid where no return from below lies in a square of this side: crowns let pulses
+# through, roofs do not.
+CROWN_M = 3.0
+GROUND_M = 12.0  # what is narrower is no ground: cars, hedges
+# Opening that removes roofs from the ground in scans without classes, on squares of so many cells.
+WIDEST_ROOF_M, GROUND_CELLS = 40.0, 2
+# A ray may pass so far under the ground's surface: noise of scan and map. With 0.4 rays from below
+# reach the far side of ramps: 13 % of two levels wrongly seen, not 4 %.
+SUNK_M = 0.1
+CLEAR_M = 4.5  # over a road it is free up to here: the least clearance of bridges and gates
+LEVELS_APART_M = 3.0  # tiles at one place farther apart in height are on two levels
+SHOULDER_M = 4.0  # kerbs, shoulders and parapets beside an upper level's tiles belong to it
+OPENING_M = 8.0  # under a deck it is free so far beside the lower level's tiles
+DECK_M = 1.5  # thickness of a deck
+GAP_M = 3.0  # cells without points take the heights of ones so near
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +113,7 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
     return RoadHeights(lowest=lowest, highest=highest)
 
 
-def find_obstacles(
-    columns: ScanColumns,
-    roads: RoadHeights,
-    *,
-    classified: bool,
-    settings: SightSettings = SIGHT_DEFAULTS,
-) -> Obstacles:
+def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool) -> Obstacles:
     """Find what hides over the cells of a window.
 
     Solid is what the lowest returns show over a square of `crown_m`: an opening of the lowest
@@ -118,38 +129,31 @@ def find_obstacles(
         Heights of the tiles.
     classified : bool
         Whether the classes distinguish the ground.
-    settings : SightSettings
-        Choices of the algorithm.
     """
     away, index = nearest_known(np.isfinite(columns.low))
-    known = away * settings.cell_m <= settings.gap_m
+    known = away * CELL_M <= GAP_M
     low, top = (
         np.where(known, side[index].astype(np.float64), np.nan)
         for side in (columns.low, columns.top)
     )
-    surface = _opened(low, settings.crown_m / settings.cell_m)
+    surface = _opened(low, CROWN_M / CELL_M)
     ask = partial(
-        ground_under,
-        cell_m=settings.cell_m,
-        coarse_cells=settings.ground_cells,
-        widest_roof_m=settings.widest_roof_m,
+        ground_under, cell_m=CELL_M, coarse_cells=GROUND_CELLS, widest_roof_m=WIDEST_ROOF_M
     )
     wide = ask(columns.ground if classified else columns.low, classified=classified)
     wide = np.fmin(wide, surface)
-    ground = _opened(low, settings.ground_m / settings.cell_m)
-    stands = surface - wide > settings.tall_m
+    ground = _opened(low, GROUND_M / CELL_M)
+    stands = surface - wide > TALL_M
     by_class = np.isfinite(columns.deck)
     # banks and the decks between them may bear the class of ground: bare of them, levels differ
     bare = np.fmin(wide, ask(columns.low, classified=False)) if classified else wide
-    level, deck, below = _decks(
-        top, np.where(by_class, columns.deck, np.nan), roads, bare, settings
-    )
-    slab_low, slab_high = _slabs(level, deck, roads, surface, settings)
+    level, deck, below = _decks(top, np.where(by_class, columns.deck, np.nan), roads, bare)
+    slab_low, slab_high = _slabs(level, deck, roads, surface)
     under = np.isfinite(slab_low)
     stands &= ~under & ~roads.road
     base = np.where(under, np.fmin(np.fmin(bare, below), roads.lowest), ground)
     base = np.where(roads.road & ~under, roads.lowest, base)
-    floor = np.where(known, base - settings.sunk_m, -np.inf)
+    floor = np.where(known, base - SUNK_M, -np.inf)
     return Obstacles(
         grid=columns.grid,
         floor=np.nan_to_num(floor, nan=-np.inf, neginf=-np.inf).astype(np.float32),
@@ -172,35 +176,35 @@ def _opened(low: Floats, cells: float) -> Floats:
 
 
 def _slabs(
-    level: Floats, deck: Booleans, roads: RoadHeights, surface: Floats, settings: SightSettings
+    level: Floats, deck: Booleans, roads: RoadHeights, surface: Floats
 ) -> tuple[Floats, Floats]:
     """Return lower and upper side of decks, and of what spans a road; inf and -inf elsewhere."""
     low, high = np.full(surface.shape, np.inf), np.full(surface.shape, -np.inf)
-    spans = roads.road & (surface - roads.lowest > settings.clear_m)
-    low[spans] = roads.lowest[spans] + settings.clear_m
+    spans = roads.road & (surface - roads.lowest > CLEAR_M)
+    low[spans] = roads.lowest[spans] + CLEAR_M
     high[spans] = surface[spans]
-    low[deck] = level[deck] - settings.deck_m
+    low[deck] = level[deck] - DECK_M
     high[deck] = np.fmax(high, level)[deck]
     return low, high
 
 
 def _decks(
-    highest: Floats, by_class: Floats, roads: RoadHeights, wide: Floats, settings: SightSettings
+    highest: Floats, by_class: Floats, roads: RoadHeights, wide: Floats
 ) -> tuple[Floats, Booleans, Floats]:
     """Return the nearest upper road's height, the cells of decks free below, and the road there.
 
     A deck is free below where a lower level's tiles are under it and some metres beside them, and
     where the scan has the class of decks; an upper road is an embankment elsewhere.
     """
-    crossing = roads.highest - roads.lowest > settings.levels_apart_m
+    crossing = roads.highest - roads.lowest > LEVELS_APART_M
     known = np.isfinite(by_class)
-    upper = roads.highest - np.fmin(wide, roads.lowest) > settings.tall_m
+    upper = roads.highest - np.fmin(wide, roads.lowest) > TALL_M
     top = np.where(upper, roads.highest, by_class)
     away, index = nearest_known(np.isfinite(top))
-    level = np.where(away * settings.cell_m <= settings.shoulder_m, top[index], np.nan)
-    near = np.abs(highest - level) < settings.tall_m
-    deck = (near & (level - wide > settings.tall_m) & ~(roads.road & ~upper)) | crossing
-    cells = round(settings.opening_m / settings.cell_m)
+    level = np.where(away * CELL_M <= SHOULDER_M, top[index], np.nan)
+    near = np.abs(highest - level) < TALL_M
+    deck = (near & (level - wide > TALL_M) & ~(roads.road & ~upper)) | crossing
+    cells = round(OPENING_M / CELL_M)
     opened = scipy.ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
     away, index = nearest_known(crossing)
     below = np.where(away <= 2 * cells, roads.lowest[index], np.nan)

@@ -21,7 +21,6 @@ from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
 from gis_radar.hdmap import TileEngine
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
-from gis_radar.scans.sight.settings import SIGHT_DEFAULTS, SightSettings
 from gis_radar.scans.sight.sight import (
     HIDDEN,
     IN_SIGHT,
@@ -35,6 +34,25 @@ from gis_radar.scans.sight.sight import (
 NO_MOVEMENT, MOVEMENT = "nothing moves in sight", "moves where hidden"
 Table: TypeAlias = Floats  # sums by direction and distance from a sensor
 REFLECTION_M = 1.0  # over the road: between the sills and the roof of a car
+# Least absolute range rate of what moves: leaves and walkers stay below; what is farther from
+# REFLECTION_M over a tile's road is of another level.
+MOVEMENT_MPS, MOVEMENT_LEVEL_M = 1.0, 2.5
+# Recorded movement is compared with sight in cells of this direction and distance: wider than a
+# radar's error of bearing, narrower than a house; the least driveway between two walls.
+SECTOR_DEG, RING_M = 1.0, 10.0
+SECTORS_IN_ROW = 3  # width of a contradiction: one alone is an edge, smeared by bearing errors
+# A cell is empty where less than this share of the expected movement is there: ghosts of facades
+# come to a tenth at most; in a sector of which so many frames of movement are missed.
+EMPTY_SHARE, LEAST_IN_SECTOR = 0.1, 2.0
+# Frames of movement missed, or seen though hidden, in a run of sectors before it counts: half a
+# dozen vehicles, each seen in several frames of several sectors.
+LEAST_FRAMES = 100.0
+# A recording is compared from so many frames from one place on: five minutes at 20 Hz, three cycles
+# of a signal. In less time ways stay empty by chance.
+JUDGED_FRAMES = 6000
+# Least share of the expected movement where hidden: ghosts and lorries that look over a wall give
+# less.
+MOVING_SHARE = 0.3
 ROUNDS = 8  # of the fit of profiles and flows; four give the same tiles
 
 
@@ -73,8 +91,6 @@ class MovementCounter:
         All tiles.
     engine : TileGrid or TileTree
         Finds the tiles that points fall in.
-    settings : SightSettings
-        What moves, and which level it is on.
     count : (n,) int64 array
         Frames with a moving detection on a tile.
     frames : int
@@ -83,7 +99,6 @@ class MovementCounter:
 
     tiles: SightTiles
     engine: TileEngine
-    settings: SightSettings = SIGHT_DEFAULTS
     count: Integers = field(init=False, repr=False)
     frames: int = 0
 
@@ -94,11 +109,11 @@ class MovementCounter:
         """Add whole frames, seen from a pose; `road_m` as of :meth:`Pose.to_map`."""
         stamps, frame = np.unique(batch.time, return_inverse=True)
         self.frames += len(stamps)
-        moves = batch.present & (np.abs(batch.range_rate) >= self.settings.moving_mps)
+        moves = batch.present & (np.abs(batch.range_rate) >= MOVEMENT_MPS)
         place = pose.to_map(batch.points[moves], road_m=road_m)
         point, tile = self.engine.assign(place[:, 0], place[:, 1])
         over_m = place[point, 2] - self.tiles.height[tile] - REFLECTION_M
-        kept = ~(np.abs(over_m) > self.settings.level_m)  # not known: it counts
+        kept = ~(np.abs(over_m) > MOVEMENT_LEVEL_M)  # not known: it counts
         pairs = np.unique(frame[moves][point[kept]] * len(self.count) + tile[kept])
         self.count += np.bincount(pairs % len(self.count), minlength=len(self.count))
 
@@ -143,9 +158,7 @@ class Contradiction:
         return int(np.count_nonzero(self.no_movement | self.movement))
 
 
-def find_contradictions(
-    hits: Sequence[MovingHits], tiles: SightTiles, *, settings: SightSettings = SIGHT_DEFAULTS
-) -> list[Contradiction]:
+def find_contradictions(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Contradiction]:
     """Find where recordings contradict sight.
 
     Parameters
@@ -154,8 +167,6 @@ def find_contradictions(
         Of each sensor and pose; those of all sensors together give the flow on the lanelets.
     tiles : SightTiles
         The tiles of all sights.
-    settings : SightSettings
-        What counts as a contradiction.
 
     Returns
     -------
@@ -163,13 +174,13 @@ def find_contradictions(
         One for each of the hits, in order.
     """
     _, lanelet = np.unique(tiles.lanelet_id, return_inverse=True)
-    polar = [_Polar.of(each.sight, tiles, settings) for each in hits]
+    polar = [_Polar.of(each.sight, tiles) for each in hits]
     kept = [each.sight.state == IN_SIGHT for each in hits]
     found: list[Contradiction] = []
     for _ in range(2):  # shadows make the flow too low at first
         expected = _expected(hits, polar, kept, lanelet)
         found = [
-            _compare(each, place, wanted, settings)
+            _compare(each, place, wanted)
             for each, place, wanted in zip(hits, polar, expected, strict=True)
         ]
         kept = [now & ~each.no_movement for now, each in zip(kept, found, strict=True)]
@@ -212,15 +223,15 @@ class _Polar:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, sight: Sight, tiles: SightTiles, settings: SightSettings) -> _Polar:
+    def of(cls, sight: Sight, tiles: SightTiles) -> _Polar:
         offset = tiles.centres[:, :2] - sight.pose.position[:2]
         range_m = np.hypot(*offset.T)
-        turns = round(360.0 / settings.sector_deg)
-        turn = np.floor(np.degrees(np.arctan2(*offset.T[::-1])) / settings.sector_deg) % turns
+        turns = round(360.0 / SECTOR_DEG)
+        turn = np.floor(np.degrees(np.arctan2(*offset.T[::-1])) / SECTOR_DEG) % turns
         seen = range_m[sight.state != OUT_OF_VIEW]
-        most = math.ceil((float(seen.max()) if len(seen) else 0.0) / settings.ring_m) + 1
-        ring = np.minimum(range_m / settings.ring_m, most - 1)
-        hidden = np.minimum(np.nan_to_num(sight.hidden_at_m) / settings.ring_m, most - 1)
+        most = math.ceil((float(seen.max()) if len(seen) else 0.0) / RING_M) + 1
+        ring = np.minimum(range_m / RING_M, most - 1)
+        hidden = np.minimum(np.nan_to_num(sight.hidden_at_m) / RING_M, most - 1)
         return cls(
             away=ring.astype(np.int64),
             turn=turn.astype(np.int64),
@@ -263,20 +274,17 @@ def _share(part: Any, whole: Any) -> Floats:
     return np.asarray(np.divide(part, whole, out=np.zeros(len(part)), where=whole > 0))
 
 
-def _compare(
-    hits: MovingHits, polar: _Polar, expected: Floats, settings: SightSettings
-) -> Contradiction:
+def _compare(hits: MovingHits, polar: _Polar, expected: Floats) -> Contradiction:
     """Return the tiles of one sensor where counted and expected movement contradict sight."""
     in_sight, hidden = hits.sight.state == IN_SIGHT, hits.sight.state == HIDDEN
     empty = _empty_beyond(
         polar.table(hits.count * in_sight, polar.away),
         polar.table(expected * in_sight, polar.away),
-        settings,
     )
     counted = polar.table(hits.count * hidden, polar.hidden)
     wanted = polar.table(expected * hidden, polar.hidden)
-    lively = (counted > 0) & (wanted > 0) & (counted >= settings.moving_share * wanted)
-    freed = _in_wide_runs(lively, np.where(lively, counted, 0.0), settings)
+    lively = (counted > 0) & (wanted > 0) & (counted >= MOVING_SHARE * wanted)
+    freed = _in_wide_runs(lively, np.where(lively, counted, 0.0))
     return Contradiction(
         sight=hits.sight,
         no_movement=in_sight & empty[polar.turn, polar.away],
@@ -286,12 +294,12 @@ def _compare(
     )
 
 
-def _empty_beyond(counted: Table, wanted: Table, settings: SightSettings) -> Booleans:
+def _empty_beyond(counted: Table, wanted: Table) -> Booleans:
     """Return the rings of each direction beyond which nothing moves although much should."""
     left, missed = _from_far(counted), _from_far(wanted)
-    empty = (counted <= settings.empty_share * wanted) & (wanted > 0)
-    empty &= (left <= settings.empty_share * missed) & (missed >= settings.least_in_sector)
-    return _in_wide_runs(np.logical_or.accumulate(empty, axis=1), wanted, settings)
+    empty = (counted <= EMPTY_SHARE * wanted) & (wanted > 0)
+    empty &= (left <= EMPTY_SHARE * missed) & (missed >= LEAST_IN_SECTOR)
+    return _in_wide_runs(np.logical_or.accumulate(empty, axis=1), wanted)
 
 
 def _from_far(table: Table) -> Table:
@@ -299,7 +307,7 @@ def _from_far(table: Table) -> Table:
     return np.asarray(np.cumsum(table[:, ::-1], axis=1)[:, ::-1])
 
 
-def _in_wide_runs(cells: Booleans, weight: Table, settings: SightSettings) -> Booleans:
+def _in_wide_runs(cells: Booleans, weight: Table) -> Booleans:
     """Return the cells in runs of directions that are wide enough and weigh enough."""
     some: Booleans = np.any(cells, axis=1)
     turns = len(some)
@@ -308,7 +316,7 @@ def _in_wide_runs(cells: Booleans, weight: Table, settings: SightSettings) -> Bo
     number = np.cumsum(~some[order])
     weighs = np.where(cells, weight, 0.0).sum(axis=1)[order]
     width = np.bincount(number, some[order])
-    heavy = np.bincount(number, weighs * some[order]) >= settings.least_frames
+    heavy = np.bincount(number, weighs * some[order]) >= LEAST_FRAMES
     kept = np.zeros_like(some)
-    kept[order] = some[order] & (heavy & (width >= settings.sectors_in_row))[number]
+    kept[order] = some[order] & (heavy & (width >= SECTORS_IN_ROW))[number]
     return cells & kept[:, None]

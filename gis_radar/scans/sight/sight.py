@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -39,19 +39,41 @@ from gis_radar.poses import Pose, View
 from gis_radar.scans.columns import ScanColumns, read_columns
 from gis_radar.scans.scan import Scan, box_with_margin, open_scan
 from gis_radar.scans.sight.obstacles import (
+    CELL_M,
+    WIDEST_ROOF_M,
     Obstacles,
     RoadHeights,
     cells_of,
     find_obstacles,
     road_heights,
 )
-from gis_radar.scans.sight.settings import SIGHT_DEFAULTS, SightSettings
 
 OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
 STATES = ("out of view", "in sight", "hidden")
 NOTHING, STANDING, GROUND, DECK, NOT_IN_SCAN = 0, 1, 2, 3, 4
 HIDERS = ("", "something that stands", "the ground", "a deck", "something not in the scan")
 VIEW_ONLY = "view only"
+
+METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
+TARGET_M = 0.6  # over the road, at which a tile counts as seen (the contract)
+# Windows of the scan begin at multiples of this: poses of a track share them; so many are kept in
+# memory, 10 MB each.
+WINDOW_M, WINDOWS_KEPT = 64.0, 8
+LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
+# Length of a ray inside what stands from which on it is hidden; 1 or 1.5 move the shares wrongly
+# seen by 0.4 %. Distance of its samples.
+BLOCKED_M, STEP_M = 0.5, 0.5
+# Ends of a ray that do not count: a mast stands at a wall or in a crown.
+SKIP_NEAR_M, SKIP_FAR_M = 2.0, 0.5
+# A ray that is not hidden and passes so far over what the scan does not cover: the tile counts as
+# in sight, and is counted as not covered.
+UNKNOWN_M = 10.0
+# Warn where the scan decides less than this share of the tiles in the view: the rim of a view
+# reaches beyond most scans, and a tenth of it hardly changes a map.
+LEAST_COVERED = 0.9
+# Median difference of the scan's and the tiles' road heights above which the two are not of one
+# vertical system.
+OFFSET_M = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,8 +184,6 @@ class Sight:
 class SightSource(Protocol):
     """Where sight comes from: a scan, or a file of sight."""
 
-    settings: SightSettings
-
     def read(self, poses: Sequence[Pose]) -> None:
         """Read in one go what these poses need."""
 
@@ -188,8 +208,6 @@ class SightScan:
         Whose heights distinguish the levels of the road.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
-    settings : SightSettings
-        Choices of the algorithm.
     reporter : Reporter
         Where progress goes.
 
@@ -205,10 +223,9 @@ class SightScan:
         tiles: SightTiles,
         *,
         scan_crs: Any = None,
-        settings: SightSettings = SIGHT_DEFAULTS,
         reporter: Reporter = QUIET,
     ) -> None:
-        self.tiles, self.settings = tiles, settings
+        self.tiles = tiles
         self.scans: list[Scan] = [open_scan(scan, crs=scan_crs) for scan in scans]
         self._reporter = reporter
         self._kept: dict[Box, Obstacles] = {}
@@ -226,8 +243,7 @@ class SightScan:
         """Read the windows of all these poses in one pass; only the last few are kept."""
         grids = {grid.bounds: grid for grid in map(self._window, poses)}
         new = [grid for box, grid in grids.items() if box not in self._kept]
-        most = self.settings.windows_kept
-        for group in (new[k : k + most] for k in range(0, len(new), most)):
+        for group in (new[k : k + WINDOWS_KEPT] for k in range(0, len(new), WINDOWS_KEPT)):
             self._read(group, poses)
 
     def around(self, pose: Pose) -> Obstacles:
@@ -251,26 +267,25 @@ class SightScan:
         InputError
             As of :meth:`around`.
         """
-        return _find(pose, self.tiles, self.around(pose), self.digest, self.settings)
+        return _find(pose, self.tiles, self.around(pose), self.digest)
 
     def describe(self) -> dict[str, Any]:
-        """Return digest and files of the scans, and the settings, as a manifest holds them."""
+        """Return digest and files of the scans, and the method, as a manifest holds them."""
         return {
             "scan": self.digest,
             "files": sorted(each.path.name for each in self.scans),
-            "settings": asdict(self.settings),
+            "method": METHOD,
         }
 
     def _window(self, pose: Pose) -> Grid:
         """Return the cells around a pose that its view may reach."""
-        view, side = pose.view or View(), self.settings.window_m
+        view, side = pose.view or View(), WINDOW_M
         east, north = pose.position[:2]
-        reach_m = view.max_range_m + self.settings.widest_roof_m
+        reach_m = view.max_range_m + WIDEST_ROOF_M
         low = (np.floor(np.array([east, north]) - reach_m) // side * side).tolist()
-        count = int(np.ceil(2.0 * (reach_m + side) / side) * side / self.settings.cell_m)
-        west, south = (round(edge / self.settings.cell_m) for edge in low)
-        cell_m = self.settings.cell_m
-        return Grid(cell_m=cell_m, west=west, south=south, columns=count, rows=count)
+        count = int(np.ceil(2.0 * (reach_m + side) / side) * side / CELL_M)
+        west, south = (round(edge / CELL_M) for edge in low)
+        return Grid(cell_m=CELL_M, west=west, south=south, columns=count, rows=count)
 
     def _read(self, grids: Sequence[Grid], poses: Sequence[Pose]) -> None:
         windows = [ScanColumns(grid=grid) for grid in grids]
@@ -286,11 +301,8 @@ class SightScan:
                 raise self._elsewhere(next(p for p in poses if self._window(p).bounds == bounds))
             roads = road_heights(self.tiles.quads, self.tiles.height, window.grid)
             self._refuse_other_heights(window, roads)
-            self._kept[bounds] = find_obstacles(
-                window, roads, classified=ground >= self.settings.least_ground,
-                settings=self.settings,
-            )  # fmt: skip
-            while len(self._kept) > max(self.settings.windows_kept, len(windows)):
+            self._kept[bounds] = find_obstacles(window, roads, classified=ground >= LEAST_GROUND)
+            while len(self._kept) > max(WINDOWS_KEPT, len(windows)):
                 self._kept.pop(next(iter(self._kept)))
 
     def _refuse_other_heights(self, window: ScanColumns, roads: RoadHeights) -> None:
@@ -302,7 +314,7 @@ class SightScan:
         apart = window.low[both] - levels
         nearest = np.where(np.abs(apart[0]) < np.abs(apart[1]), apart[0], apart[1])
         offset_m = float(np.median(nearest))
-        if abs(offset_m) > self.settings.offset_m:
+        if abs(offset_m) > OFFSET_M:
             raise InputError(
                 "{}: its road is {:+.1f} m from the height of the tiles: two vertical "
                 "systems, or the road of another place",
@@ -359,24 +371,18 @@ def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None)
         If no scan has a point near the sensor, or the file is of another pose.
     """
     if source is None:
-        return _find(pose, tiles, None, VIEW_ONLY, SIGHT_DEFAULTS)
+        return _find(pose, tiles, None, VIEW_ONLY)
     return source.find(pose)
 
 
-def _find(
-    pose: Pose,
-    tiles: SightTiles,
-    obstacles: Obstacles | None,
-    scan: str,
-    settings: SightSettings,
-) -> Sight:
+def _find(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str) -> Sight:
     """Return what a sensor sees among obstacles; without them, all that is in the view."""
     place = tiles.centres.copy()
     unknown = np.isnan(place[:, 2])
     if obstacles is not None and unknown.any():
         place[unknown, 2] = obstacles.ground[cells_of(obstacles.grid, place[unknown])]
         unknown = np.isnan(place[:, 2])
-    place[:, 2] += settings.target_m
+    place[:, 2] += TARGET_M
     points = pose.to_sensor(np.where(np.isnan(place), pose.height, place))
     points[unknown, 2] = np.nan
     in_view = (pose.view or View()).sees(points)
@@ -391,13 +397,11 @@ def _find(
         scan=scan,
     )
     if obstacles is not None:
-        _hide(sight, np.flatnonzero(in_view), place, obstacles, settings)
+        _hide(sight, np.flatnonzero(in_view), place, obstacles)
     return sight
 
 
-def report_uncovered(
-    sights: Iterable[Sight], reporter: Reporter, settings: SightSettings = SIGHT_DEFAULTS
-) -> None:
+def report_uncovered(sights: Iterable[Sight], reporter: Reporter) -> None:
     """Report what a scan does not cover of each sensor's views; as a warning where it is much."""
     worst: dict[str, float] = {}
     for sight in sights:
@@ -410,13 +414,11 @@ def report_uncovered(
                 math.floor(100.0 * covered),
                 sensor,
             ),
-            "info" if covered >= settings.least_covered else "warning",
+            "info" if covered >= LEAST_COVERED else "warning",
         )
 
 
-def _hide(
-    sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles, settings: SightSettings
-) -> None:
+def _hide(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles) -> None:
     """Enter into a new sight which of its rows something hides."""
     targets = np.where(np.isnan(place[rows]), sight.pose.height, place[rows])
     west, south = obstacles.grid.corner
@@ -429,20 +431,16 @@ def _hide(
         obstacles.slab_low,
         obstacles.slab_high,
         obstacles.known,
-        settings.step_m,
-        settings.skip_near_m,
-        settings.skip_far_m,
-        settings.blocked_m,
     )
     hidden = hider != NOTHING
     sight.state[rows[hidden]] = HIDDEN
     sight.hider[rows] = hider
     sight.hidden_at_m[rows] = begin_m
-    sight.uncovered[rows] = ~hidden & (unknown_m > settings.unknown_m)
+    sight.uncovered[rows] = ~hidden & (unknown_m > UNKNOWN_M)
 
 
 @compiled
-def _follow_rays(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+def _follow_rays(
     eye: Floats,
     targets: Floats,
     cell_m: float,
@@ -451,10 +449,6 @@ def _follow_rays(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cove
     slab_low: Any,
     slab_high: Any,
     known: Booleans,
-    step_m: float,
-    skip_near_m: float,
-    skip_far_m: float,
-    blocked_m: float,
 ) -> tuple[Floats, Any, Floats]:
     """Return for each target where its ray is first blocked, by what, and how far not covered."""
     count = len(targets)
@@ -465,12 +459,12 @@ def _follow_rays(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cove
         dx, dy, dz = targets[i] - eye
         flat_m = np.hypot(dx, dy)
         blocked, first, by = 0.0, np.nan, 0
-        for k in range(int(skip_near_m / step_m), int((flat_m - skip_far_m) / step_m) + 1):
-            share = k * step_m / flat_m
+        for k in range(int(SKIP_NEAR_M / STEP_M), int((flat_m - SKIP_FAR_M) / STEP_M) + 1):
+            share = k * STEP_M / flat_m
             u = int(np.floor((eye[0] + share * dx) / cell_m))
             v = int(np.floor((eye[1] + share * dy) / cell_m))
             if u < 0 or v < 0 or u >= columns or v >= rows or not known[u, v]:
-                unknown_m[i] += step_m
+                unknown_m[i] += STEP_M
                 continue
             z = eye[2] + share * dz
             kind = 0
@@ -483,9 +477,9 @@ def _follow_rays(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cove
             if kind == 0:
                 continue
             if blocked == 0.0:
-                first, by = k * step_m, kind
-            blocked += step_m
-            if blocked >= blocked_m:
+                first, by = k * STEP_M, kind
+            blocked += STEP_M
+            if blocked >= BLOCKED_M:
                 begin_m[i], hider[i] = first, by
                 break
     return begin_m, hider, unknown_m

@@ -18,17 +18,11 @@ from gis_radar.tracking.posterior.existence import with_existence
 from gis_radar.tracking.posterior.neighbours import join_neighbours, split_long
 from gis_radar.tracking.posterior.refits import reassign, refit
 from gis_radar.tracking.posterior.sizes import resize
-from gis_radar.tracking.settings import MotionSettings
 
 __all__ = ["Posterior", "improve"]
 
 
-def improve(
-    motions: Sequence[Motion],
-    detections: MapDetections,
-    graph: LaneGraph,
-    settings: MotionSettings,
-) -> list[Motion]:
+def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     """Return vehicles under which the detections are more likely.
 
     Lengths are chosen, long vehicles split in two and neighbours joined to one, stretches that
@@ -45,8 +39,6 @@ def improve(
         All of them.
     graph : LaneGraph
         The lanes.
-    settings : MotionSettings
-        Of the smoothing.
     """
     if not motions:
         return []
@@ -54,7 +46,7 @@ def improve(
     posterior.learn(_sized_and_cut(posterior))
     posterior.place(lengthen(posterior, graph))
     posterior.motions = reassign(posterior)
-    posterior.place(refit(posterior, settings))
+    posterior.place(refit(posterior))
     posterior.learn(_sized_and_cut(posterior))
     posterior.place(lengthen(posterior, graph))
     posterior.motions = reassign(posterior)

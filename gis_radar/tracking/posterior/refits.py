@@ -10,7 +10,6 @@ from gis_radar.base import STEP_S, Floats, Integers
 from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.sizes import with_size
-from gis_radar.tracking.settings import MotionSettings
 
 LEAST_ROWS = 8  # detections, fewer tell no motion
 MOVES_MPS = 1.0
@@ -18,24 +17,20 @@ LEAST_GAIN = 2.0  # of the log-probability
 SHORTER_STEPS = 10  # by which a fitted motion may be shorter at either end
 
 
-def refit(posterior: Posterior, settings: MotionSettings) -> list[Motion]:
+def refit(posterior: Posterior) -> list[Motion]:
     """Return the vehicles with motions fitted again, where that raises the posterior.
 
     Parameters
     ----------
     posterior : Posterior
         With the vehicles; it is left as it is.
-    settings : MotionSettings
-        Of the smoothing.
     """
     states = np.zeros((len(posterior.given), 6))  # of which each fit fills in its own rows
     count = len(posterior.motions)
-    return [_refitted(posterior, k, states, settings) for k in range(count)]
+    return [_refitted(posterior, k, states) for k in range(count)]
 
 
-def _refitted(
-    posterior: Posterior, vehicle: int, states: Floats, settings: MotionSettings
-) -> Motion:
+def _refitted(posterior: Posterior, vehicle: int, states: Floats) -> Motion:
     motion, detections = posterior.motions[vehicle], posterior.given
     rows = posterior.explained(vehicle)
     if len(rows) < LEAST_ROWS or motion.speed.max() < MOVES_MPS:
@@ -43,7 +38,7 @@ def _refitted(
     s_m, speed = motion.at(detections.time[rows])
     states[rows, :2], states[rows, 2] = motion.path.at(s_m)
     states[rows, 3] = speed
-    new = fit_motion(detections, rows, states, settings)
+    new = fit_motion(detections, rows, states)
     early = new.first_step > motion.first_step + SHORTER_STEPS
     if early or new.last_step < motion.last_step - SHORTER_STEPS:
         return motion

@@ -1,0 +1,59 @@
+"""Filters: which detections count."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gis_radar.base import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filters:
+    """Which detections count; by default all.
+
+    A stopped vehicle has no Doppler, and a queue is what planners look for: so the default
+    keeps what stands still. (The paper, "Local Sensor Data Processing", names these three.)
+
+    Parameters
+    ----------
+    min_speed : float, optional
+        Least absolute range rate, m/s.
+    min_rcs : float, optional
+        Least radar cross section, dBm2.
+    clearance : (float, float), optional
+        Lowest and highest height over the tile's road, metres: the clearance profile.
+    elevation_error_deg : float
+        One standard deviation of the radar's elevation; the clearance profile widens with range
+        by `sigmas` of them.
+    sigmas : float
+        2: of the detections within the profile 95 % stay.
+    levels_apart_m : float
+        Tiles nearer in height belong to one level, metres: over a crossfall or a kerb, under the
+        least clearance of a bridge (4.5 m).
+    """
+
+    min_speed: float | None = None
+    min_rcs: float | None = None
+    clearance: tuple[float, float] | None = None
+    elevation_error_deg: float = 0.5
+    sigmas: float = 2.0
+    levels_apart_m: float = 2.5
+
+    def __post_init__(self) -> None:
+        if self.min_speed is not None and not self.min_speed >= 0.0:
+            raise UsageError("least speed is {} m/s, expected 0 or more", self.min_speed)
+        if self.min_rcs is not None and not math.isfinite(self.min_rcs):
+            raise UsageError("least cross section is {} dBm2, expected a number", self.min_rcs)
+        if self.clearance is not None and not self.clearance[0] < self.clearance[1]:
+            low, high = self.clearance
+            raise UsageError("clearance is {} to {} m, expected lowest before highest", low, high)
+        if not 0.0 <= self.elevation_error_deg < 45.0:
+            raise UsageError(
+                "elevation error is {} deg, expected 0 to 45", self.elevation_error_deg
+            )
+
+    @property
+    def widening(self) -> float:
+        """By how much the clearance profile widens a metre of range, to either side, metres."""
+        return math.tan(math.radians(self.sigmas * self.elevation_error_deg))
