@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, ranges
+from gis_radar.measures.lane_fronts import FrontStates, StepGrid, VisibleRuns
 from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.lane_traffic import FrontStates, StepGrid, VisibleRuns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +101,7 @@ def queues(
     length_m : (n,) array
         Lengths of their vehicles.
     network, visible, grid
-        As for :func:`gis_radar.measures.lane_traffic.driven`.
+        As for :func:`gis_radar.measures.lane_fronts.driven`.
     settings : QueueSettings
         Constants.
     """
