@@ -147,11 +147,12 @@ class Day:
             with self.opened(table) as file:
                 rows = file.read(columns=table.names)
             if len(kept) == written and not made:
-                return rows
+                return pa.concat_tables([table.empty(), rows], promote_options="default")
             hours = pa.array(sorted(each - self.first_hour for each in kept), pa.int32())
             hour = pc.divide(rows["interval"], pa.scalar(QUARTERS, pa.int32()))
             parts.append(rows.filter(pc.is_in(hour, hours)))
-        return pa.concat_tables(parts).sort_by([(name, "ascending") for name in table.order])
+        whole = pa.concat_tables(parts, promote_options="default")  # newer columns are null
+        return whole.sort_by([(name, "ascending") for name in table.order])
 
     def timed(self, rows: pa.Table, span: Span | None, columns: Sequence[str] | None) -> pa.Table:
         """Return rows with a further column `first_step`, in which the interval begins.

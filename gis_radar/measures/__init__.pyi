@@ -5,6 +5,7 @@ from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .hit_counter import FrameCounter
 from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
+from .lane_fronts import FrontStates, StepGrid, VisibleRuns
 from .lane_measures import (
     LEAST_SHARE,
     SPEED_CLASS_KMH,
@@ -15,7 +16,6 @@ from .lane_measures import (
 )
 from .lane_names import TURN_WORDS, lane_names, turn_lines
 from .lane_network import LaneNetwork
-from .lane_traffic import FrontStates, StepGrid, VisibleRuns
 from .placing import PoseNumbers
 from .pose_sights import (
     PlacedRecording,

@@ -1,6 +1,6 @@
 """Measures of lanes and turns by interval: volumes, speeds, density, occupancy, delays, queues.
 
-Definitions are Edie's (:mod:`gis_radar.measures.lane_traffic`) and, of stops, queues and delay,
+Definitions are Edie's (:mod:`gis_radar.measures.lane_fronts`) and, of stops, queues and delay,
 those of the Highway Capacity Manual (TRB, 7th edition, chapters 4 and 31).
 
 The variance of a volume has three sources, which are independent:
@@ -23,8 +23,7 @@ import pandas as pd
 import pyarrow as pa
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
-from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.lane_traffic import (
+from gis_radar.measures.lane_fronts import (
     Crossings,
     FrontStates,
     StepGrid,
@@ -32,6 +31,7 @@ from gis_radar.measures.lane_traffic import (
     crossings,
     driven,
 )
+from gis_radar.measures.lane_network import LaneNetwork
 from gis_radar.measures.queues import LOOK_STEPS, queues, standing_states
 
 SPEED_CLASS_KMH = 5.0
@@ -111,7 +111,7 @@ def measure_lanes(
     network : LaneNetwork
         The lanes.
     grid : StepGrid
-        The intervals.
+        The intervals; of a dataset those of one hour.
     states : FrontStates
         Of all vehicles in them; earlier states of the same vehicles may stand before.
     vehicles : VehicleTable

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, ranges
+from gis_radar.measures.lane_fronts import FrontStates, StepGrid, VisibleRuns
 from gis_radar.measures.lane_network import LaneNetwork
-from gis_radar.measures.lane_traffic import FrontStates, StepGrid, VisibleRuns
 
 SLOW_MPS = 5.0 / 3.6  # a slower vehicle stands, as traffic engineering counts stops (HCM, ch. 31)
 SLOW_STEPS = STEPS_PER_SECOND  # after so long
@@ -78,7 +78,7 @@ def queues(
     length_m : (n,) array
         Lengths of their vehicles.
     network, visible, grid
-        As for :func:`gis_radar.measures.lane_traffic.driven`.
+        As for :func:`gis_radar.measures.lane_fronts.driven`.
     """
     size = len(network.lane) * grid.count
     strips = network.queue_strips()

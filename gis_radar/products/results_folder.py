@@ -28,7 +28,8 @@ def write_results(
     folder : str or Path
         Where; an earlier result there is replaced.
     writers : mapping
-        By name of the file, what writes it to a path; in this order, all into one folder.
+        By name of the file, what writes it to a path; in this order, all into one folder. A folder
+        whose names are these up to the first point counts as an earlier result, which goes.
     name : str
         Of the GeoPackage, without its ending.
     stage : str

@@ -59,7 +59,7 @@ TITLES = {
 }  # fmt: skip
 """Titles of all columns, with units."""
 _KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
-_IDS = ("lane", "from_lane", "to_lane")
+_IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
 _DIGITS = 4  # of numbers in tables for people: far below their errors
 

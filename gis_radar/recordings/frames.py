@@ -154,7 +154,8 @@ class Format:
         Reads an input. Frames come in order of arrival. Raises NothingHereError where there is
         none, with what there is instead in the message.
     endings : tuple of str
-        Of its files, in small letters; folders and addresses have none.
+        Of its files, in small letters, for pages and file dialogs: `accepts` alone decides. Folders
+        and addresses have none.
     rank : int
         When it is asked, the least first: 0 where the content, an address or fixed names tell, 1
         where an ending or any folder of such files does, 2 for tables of any columns.

@@ -6,6 +6,7 @@ from dataclasses import replace
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from datasets import write_dataset
 from driven import drive, driven, straight_tiles
@@ -128,6 +129,22 @@ def test_a_date_without_hours_has_no_tables(dataset):
     update(dataset)
     assert not any(path.exists() for path in days(dataset))
     assert dataset.lane_measures().empty
+
+
+def test_a_day_of_before_a_column_keeps_its_rows_though_its_hours_are_gone(dataset):
+    update(dataset)
+    rows, path = dataset.lane_measures(), days(dataset)[0]
+    old = pq.read_table(path)
+    pq.write_table(old.drop_columns(["stops"]), path)
+    for record in read_hours(dataset.folder).values():
+        write_record(dataset.folder, replace(record, dropped=tuple(record.parts)))
+    for _ in range(2):
+        dataset = open_dataset(dataset.folder)
+        found = dataset.lane_measures()
+        assert found.pop("stops").isna().all()
+        pd.testing.assert_frame_equal(found, rows.drop(columns="stops"))
+        assert dataset.traffic("1h")["counted"].tolist() == [6, 2]
+        update(dataset)
 
 
 @pytest.mark.parametrize("other", [{"inputs": "other"}, {"method": 99}])
