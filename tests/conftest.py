@@ -106,11 +106,11 @@ def measured_once(monkeypatch, measure_once):
 
 @pytest.fixture
 def measured_briefly(monkeypatch, measured_once, first_seconds):
-    """Do so with half a minute of the sample."""
+    """Do so with twelve seconds of the sample."""
     measure = gr.measure
 
     def measured(recordings, *given, **options):
-        return measure([first_seconds(each, 30.0) for each in recordings], *given, **options)
+        return measure([first_seconds(each, 12.0) for each in recordings], *given, **options)
 
     monkeypatch.setattr(gr, "measure", measured, raising=False)
 
