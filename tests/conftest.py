@@ -3,6 +3,7 @@
 import gc
 import hashlib
 import importlib.util
+import multiprocessing
 import os
 import pickle
 import shutil
@@ -105,11 +106,11 @@ def measured_once(monkeypatch, measure_once):
 
 @pytest.fixture
 def measured_briefly(monkeypatch, measured_once, first_seconds):
-    """Do so with half a minute of the sample."""
+    """Do so with twelve seconds of the sample."""
     measure = gr.measure
 
     def measured(recordings, *given, **options):
-        return measure([first_seconds(each, 30.0) for each in recordings], *given, **options)
+        return measure([first_seconds(each, 12.0) for each in recordings], *given, **options)
 
     monkeypatch.setattr(gr, "measure", measured, raising=False)
 
@@ -204,6 +205,38 @@ def port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+@pytest.fixture
+def ready_workers(monkeypatch):
+    """Fork the workers of the live system from a process that has loaded what they import.
+
+    Each that is spawned loads it anew: 2.5 s of the processor. Those of programs, which tests
+    start as processes, are spawned.
+    """
+    forking, get_context = multiprocessing.get_context("forkserver"), multiprocessing.get_context
+    forking.set_forkserver_preload(
+        ["numba", "gis_radar.live.hour_work", "gis_radar.live.vehicles_now"]
+    )
+    chosen = lambda method=None: forking if method == "spawn" else get_context(method)  # noqa: E731
+    monkeypatch.setattr(multiprocessing, "get_context", chosen)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Stages of a run go in a thread of this process: starting workers takes longer than most."""
+    from site_runs import in_a_thread
+
+    monkeypatch.setattr("gis_radar.site.run.process_pool", in_a_thread)
+
+
+@pytest.fixture
+def blank_paper():
+    """Leave pictures and the PDF empty where a test looks at other files."""
+    from site_runs import only_pictures
+
+    with only_pictures():
+        yield
 
 
 @pytest.fixture

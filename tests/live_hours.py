@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 
 import gis_radar as gr
 from gis_radar.live import (
@@ -20,19 +21,22 @@ from gis_radar.measures import road_near
 from gis_radar.scans import SightTiles, find_sight
 
 SAMPLE = gr.sample_folder()
+FRAMES = 800  # of a sensor: 40 s of the sample's hundred
 
 
 @cache
 def selected_frames(name, path=None):
-    """Return what a sensor of the sample sends, of its recording or another."""
+    """Return what a sensor of the sample sends: of its first seconds, or of another recording."""
     road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
     pose = gr.read_pose(SAMPLE / f"{name}.json")
     selector, height = DetectionSelector(road), road_near(find_sight(pose, road), road)
-    recording = path or SAMPLE / f"{name}.parquet"
-    return [selector.find(each, pose, road_m=height) for each in frames_of_recording(recording)]
+    frames = frames_of_recording(path or SAMPLE / f"{name}.parquet")
+    if path is None:
+        frames = islice(frames, FRAMES)
+    return [selector.find(each, pose, road_m=height) for each in frames]
 
 
-def frames_at(name, begin_us, *, seconds=100.0):
+def frames_at(name, begin_us, *, seconds=30.0):
     """Return the first seconds of them as if the first of all sensors came at a time."""
     first = min(selected_frames(each)[0].time_us for each in ("R1", "R2"))
     return [

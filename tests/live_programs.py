@@ -265,8 +265,8 @@ def frames_that_wait(buffer):
     return set().union(*(frames_in(content) for (content,) in rows))
 
 
-def selected(name, *, path=None):
-    """Return the rows that a sensor sends of its sample, as its recording should hold them."""
+def selected(name, *, path):
+    """Return the rows that a sensor sends of a recording, as its own should hold them."""
     rows = [each.as_rows() for each in selected_frames(name, path)]
     points = np.concatenate([each.points for each in rows])
     table = {"time": np.concatenate([each.time for each in rows])}
@@ -278,10 +278,11 @@ def selected(name, *, path=None):
     return pd.DataFrame(table)
 
 
-def assert_all_recorded(folder, names):
+def assert_all_recorded(site, names):
     """Compare what fusion has recorded with what the sensors select: each row, once."""
     for name in names:
-        mine, theirs = recorded(folder, name), selected(name)
+        mine = recorded(site.folder, name)
+        theirs = selected(name, path=site.recordings / f"{name}.parquet")
         assert len(mine) == len(theirs), name
         for column in theirs:
             np.testing.assert_array_equal(mine[column], theirs[column], err_msg=column)

@@ -19,7 +19,7 @@ from gis_radar.live.snapshot import ShownSensor
 class Replay:
     """The map at any step of a dataset; `at` sets which, `silent` takes sensors off."""
 
-    def __init__(self, folder):
+    def __init__(self, measure_once):
         self.alarms = {}  # by sensor, as ShownSensor has them
         sample = gr.sample_folder()
         roads = gr.read_map(sample / "junction.osm")
@@ -27,10 +27,10 @@ class Replay:
         names = ["R1", "R2"]
         self.poses = {name: gr.read_pose(sample / f"{name}.json") for name in names}
         recordings = [sample / f"{name}.parquet" for name in names]
-        batch = gr.measure(
-            recordings, list(self.poses.values()), tiles, sample / "junction.osm", folder,
-            hits_only=True,
-        )  # fmt: skip
+        made = measure_once(
+            recordings, list(self.poses.values()), tiles, sample / "junction.osm", hits_only=True
+        )
+        batch = gr.open_dataset(made)
         tile, step = rows_of(batch, HITS, ("tile_id", "step"))
         self.first, self.last = int(step.min()), int(step.max())
         self.step, self.tile = step, np.searchsorted(tiles["tile_id"], tile)

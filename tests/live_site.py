@@ -9,6 +9,7 @@ import subprocess
 import threading
 from contextlib import suppress
 
+import pandas as pd
 import pytest
 from waiting import LONGEST_S, wait_for
 
@@ -17,6 +18,7 @@ from gis_radar.live import write_broker_files
 from gis_radar.live.broker_files import password_lines
 
 SAMPLE = gr.sample_folder()
+BRIEF_S = 30.0
 OF_THE_SAMPLE = 'oldest = "36500d"\nkeep = "36500d"'  # it is of 2025
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("/usr/sbin/mosquitto")
 
@@ -80,6 +82,15 @@ class Background(threading.Thread):
             raise self.error
 
 
+def cut_recordings(folder):
+    """Write the first half minute of the sample: what is lost or counted twice shows in it."""
+    for name in ("R1", "R2"):
+        table = pd.read_parquet(SAMPLE / f"{name}.parquet")
+        brief = table[table["time"] < table["time"].iloc[0] + BRIEF_S]
+        brief.to_parquet(folder / f"{name}.parquet", index=False)
+    return folder
+
+
 def make_tiles_file(folder):
     roads = gr.read_map(SAMPLE / "junction.osm")
     path = folder / "tiles.gpkg"
@@ -90,10 +101,11 @@ def make_tiles_file(folder):
 class LiveSite:
     """Files of a site and its sensors, and the broker that they name.
 
-    The sample junction, or what is given: its sensors, map, tiles, poses and recordings.
+    The sample junction and half a minute of it, or what is given: its sensors, map, tiles, poses
+    and recordings.
     """
 
-    names, recordings = ("R1", "R2"), SAMPLE
+    names = ("R1", "R2")
     map_file = SAMPLE / "junction.osm"
     scheme, host, authority = "mqtt", "127.0.0.1", ""
     vehicles = "false"  # else a process begins with each fusion
@@ -104,6 +116,7 @@ class LiveSite:
         vars(self).update(given)
         self.folder, self.port = folder, free_port()
         self.tiles = given.get("tiles") or once("live_tiles", make_tiles_file)
+        self.recordings = given.get("recordings") or once("live_recordings", cut_recordings)
         self.file = folder / "SITE.toml"
         self.file.write_text(self.site_text("broker/password_of_fusion"))
         write_broker_files(self.file, folder / "broker")

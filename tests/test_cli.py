@@ -263,7 +263,7 @@ def test_tiles_options_reach_their_arguments(tmp_path, run, monkeypatch):
 @pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM"])
 def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
     """A long recording is stopped midway."""
-    rows = 6_000_000
+    rows = 600_000
     time_s = START + np.arange(rows) // 500 * 0.05
     column = np.full(rows, 20.0, dtype=np.float32)
     zero = np.zeros(rows, dtype=np.float32)

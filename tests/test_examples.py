@@ -17,8 +17,8 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 @pytest.fixture
-def elsewhere(tmp_path, monkeypatch, measured_once):
-    """A folder to work in."""
+def elsewhere(tmp_path, monkeypatch, measured_once, without_picture):
+    """A folder to work in; pictures of `write` stay empty, those of `plot` are drawn."""
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")
     yield tmp_path

@@ -156,7 +156,7 @@ keys = st.sampled_from([("R1", "a"), ("R1", "b"), ("R2", "a")])
     hit=st.sets(st.tuples(st.integers(T0 - 2, T0 + 62), st.integers(0, 5))),
     interval=st.sampled_from([None, "50ms", "250ms", "1s", "1h"]),
 )
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.filter_too_much])
 def test_any_views_frames_and_hits_count_as_in_the_oracle(delivered, seen, hit, interval):
     site = make_site(lane_tiles(6), delivered, seen, hit)
     if not any(delivered.values()) or not any(seen.values()):

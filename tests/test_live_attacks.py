@@ -36,8 +36,8 @@ from gis_radar.scans import SightTiles
 
 
 @pytest.fixture(scope="module")
-def live(tmp_path_factory):
-    return Replay(tmp_path_factory.mktemp("live") / "hits")
+def live(measure_once):
+    return Replay(measure_once)
 
 
 @contextmanager

@@ -30,6 +30,7 @@ from gis_radar.live.quarters import KEPT, Quarters, read_quarters
 from gis_radar.live.recordings import end_of_hour_s
 from gis_radar.live.settings import DEFAULTS
 
+pytestmark = pytest.mark.usefixtures("ready_workers")
 HOUR = 486_111  # since 1970: 2025-06-15T15Z
 FULL_US = (HOUR + 1) * HOUR_US  # the full hour after it
 NAMES = ("R1", "R2")

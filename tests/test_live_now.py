@@ -26,8 +26,9 @@ from gis_radar.live import (
 )
 from gis_radar.live.vehicles_now import LiveVehicles, VehicleFollower
 
+pytestmark = pytest.mark.usefixtures("ready_workers")
 NAMES, KEY, EVERY = ("R1", "R2"), b"pose", 4
-SECONDS = 60.0  # of the sample's hundred
+SECONDS = 40.0  # of the sample's hundred, as `selected_frames` has them
 POSES = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in NAMES}
 
 
@@ -142,7 +143,8 @@ def test_what_the_process_leaves_out_is_counted(graph):
 @needs_mosquitto
 def test_a_live_site_shows_vehicles_and_measures_the_hour(tmp_path, once):
     """At the times of now: map and vehicles on the way, the recordings at the end."""
-    site = LiveSite(tmp_path, once, vehicles="true", of_live='every = "1s"')
+    site = LiveSite(tmp_path, once, recordings=SAMPLE, vehicles="true",
+                    of_live='every = "1s"')  # fmt: skip
     site.broker.start()
     fusion = Fusion(read_live_site(site.file))
     middle = Background(fusion.run)

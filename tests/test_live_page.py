@@ -51,6 +51,7 @@ from gis_radar.live.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
 
+pytestmark = pytest.mark.usefixtures("ready_workers")
 VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
 
 
@@ -65,8 +66,8 @@ def served(live, token=""):
 
 
 @pytest.fixture(scope="module")
-def live(tmp_path_factory):
-    return Replay(tmp_path_factory.mktemp("live") / "hits")
+def live(measure_once):
+    return Replay(measure_once)
 
 
 @pytest.fixture(scope="module")

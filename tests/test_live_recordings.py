@@ -122,9 +122,9 @@ def test_the_spool_reaches_the_disk_before_it_counts(tmp_path, monkeypatch):
 def test_a_recording_holds_each_frame_once_in_the_order_of_time(tmp_path):
     """Of two files of the spool that overlap, out of order, over the end of an hour."""
     made = SpooledSite(tmp_path)
-    frames = frames_at("R1", BEGIN_US + HOUR_US - 50_000_000)
-    spooled = made.add("R1", frames[600:1400])
-    spooled = made.add("R1", [*frames[:900], *frames[1300:]])
+    frames = frames_at("R1", BEGIN_US + HOUR_US - 15_000_000)
+    spooled = made.add("R1", frames[180:420])
+    spooled = made.add("R1", [*frames[:270], *frames[390:]])
     for path in spooled:
         make_parts(made.folder, path)
     assert made.spool.closed == []

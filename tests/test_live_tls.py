@@ -12,6 +12,7 @@ from gis_radar.live import BrokerAddress, Edge, Fusion, Link, read_edge_file, re
 
 pytestmark = [
     needs_mosquitto,
+    pytest.mark.usefixtures("ready_workers"),
     # paho leaves the socket of a handshake that failed to the garbage collector
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed"),
@@ -75,7 +76,7 @@ def test_fusion_and_a_sensor_speak_through_tls(tmp_path, once, authority):
         assert "does it speak mqtts://?" in said.lines[0]
     finally:
         site.broker.kill()
-    assert_all_recorded(site.folder, ["R1"])
+    assert_all_recorded(site, ["R1"])
 
 
 @pytest.mark.parametrize(

@@ -140,7 +140,7 @@ def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
 
 
 def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted(
-    run, mixed_up, rows
+    run, mixed_up, rows, in_this_process, blank_paper
 ):
     for name, file in (("R1", "A"), ("R2", "B")):
         rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
@@ -178,7 +178,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert checks["R2"] in events[-1]["summary"]["remarks"]
 
 
-def test_a_run_shows_what_it_doubts(run, mixed_up, rows):
+def test_a_run_shows_what_it_doubts(run, mixed_up, rows, in_this_process, blank_paper):
     for name, file in (("R1", "A"), ("R2", "B")):
         rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
     write_pose(replace(POSES["R2"], northing=POSES["R2"].northing + 1.0), mixed_up / "R2.json")

@@ -66,7 +66,7 @@ def test_lanes_are_the_sums_of_their_tiles(results, made):
         assert table.loc[lane, "observed_m"] == pytest.approx(0.5 * shares.notna().sum())
 
 
-def test_tables_for_german_spreadsheets_hold_the_same(results, made, tmp_path, without_pdf):
+def test_tables_for_german_spreadsheets_hold_the_same(results, made, tmp_path, blank_paper):
     gr.write_report(results, output=tmp_path, csv_locale="de")
     for name in ("lanes.csv", "lanes_by_interval.csv", "sensors.csv", "quality.csv"):
         assert (tmp_path / name).read_bytes().startswith(b"\xef\xbb\xbf")
@@ -134,7 +134,7 @@ def test_times_are_those_of_the_site_and_said_so(page):
     assert "15:06" not in text
 
 
-def test_the_zone_of_the_call_wins(results, tmp_path, without_pdf):
+def test_the_zone_of_the_call_wins(results, tmp_path, blank_paper):
     report = gr.write_report(results, output=tmp_path, timezone="Asia/Kolkata")
     assert report.summary["timezone"] == "Asia/Kolkata"
     assert "20:36:40" in (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -220,7 +220,7 @@ def test_the_paper(made):
     assert "lanes.csv" in links
 
 
-def test_lanes_have_the_names_of_their_streets(results, tmp_path, without_pdf):
+def test_lanes_have_the_names_of_their_streets(results, tmp_path, blank_paper):
     """As the layer of lanes beside the tiles has them."""
     shutil.copytree(results, tmp_path / "run")
     lanes = gpd.GeoDataFrame(
@@ -237,7 +237,7 @@ def test_lanes_have_the_names_of_their_streets(results, tmp_path, without_pdf):
     assert ">Münchner Straße, east<" in text
 
 
-def test_a_dataset_from_elsewhere(results, made, tmp_path, without_pdf):
+def test_a_dataset_from_elsewhere(results, made, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "map")
     place = results / "dataset"
     gr.write_report(tmp_path / "map", dataset=place, timezone="Europe/Berlin", title="x")

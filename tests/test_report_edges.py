@@ -69,7 +69,7 @@ def test_what_is_not_known_is_empty():
     assert [safe(None), safe(float("nan")), safe(pd.NaT)] == ["", "", ""]
 
 
-def test_a_heat_map_alone(results, tmp_path, without_pdf):
+def test_a_heat_map_alone(results, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "map")
     report = gr.write_report(tmp_path / "map")
     names = sorted(path.name for path in report.outputs)
@@ -86,7 +86,7 @@ def test_a_heat_map_alone(results, tmp_path, without_pdf):
     assert not (tmp_path / "map" / "report.html").exists()
 
 
-def test_a_pose_in_another_plane_is_told(results, tmp_path, without_pdf):
+def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
     for name, crs in (("R1", "EPSG:25832"), ("R2", "EPSG:25833")):
         (tmp_path / "run" / "sensors" / name).mkdir(parents=True)
@@ -116,7 +116,7 @@ def tiles_file(folder):
     return folder / "tiles.gpkg"
 
 
-def test_a_sensor_without_a_result_is_told_first(results, tmp_path, without_pdf):
+def test_a_sensor_without_a_result_is_told_first(results, tmp_path, blank_paper):
     shutil.copytree(results, tmp_path / "run")
     write_run(
         tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"],
@@ -132,7 +132,7 @@ def test_a_sensor_without_a_result_is_told_first(results, tmp_path, without_pdf)
     assert "no result: two places fit" in (tmp_path / "run" / "sensors.csv").read_text()
 
 
-def test_a_warning_of_several_stages_is_told_once(results, tmp_path, without_pdf):
+def test_a_warning_of_several_stages_is_told_once(results, tmp_path, blank_paper):
     shutil.copytree(results, tmp_path / "run")
     stages = [{"name": name, "warnings": ["27 repaired"] * 2} for name in ("mask", "tiles")]
     write_run(tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"], stages=stages)
@@ -163,7 +163,7 @@ def test_a_zone_that_is_none(results, tmp_path):
         gr.write_report(results, output=tmp_path, timezone="Mars/Olympus")
 
 
-def test_very_many_intervals_share_pictures(tmp_path, without_pdf):
+def test_very_many_intervals_share_pictures(tmp_path, blank_paper):
     folder = write_results(tmp_path, interval="250ms", names=("R1",), steps=500)
     report = gr.write_report(folder)
     text = (folder / "report.html").read_text(encoding="utf-8")
@@ -209,7 +209,7 @@ def test_a_heat_map_takes_the_place_of_a_report_in_its_folder():
     assert all(name.startswith(OWNED) for name in REPORT_FILES)
 
 
-def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, without_pdf):
+def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_paper):
     shutil.copytree(results, tmp_path / "run")
     gr.write_report(tmp_path / "run")
     assert (tmp_path / "run" / "quality.csv").is_file()

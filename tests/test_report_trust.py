@@ -47,7 +47,7 @@ def trust(folder, language, tmp_path):
     return [[cell.replace("\u202f", " ").strip() for cell in row] for row in rows], text
 
 
-def test_a_row_a_sensor(folder, tmp_path, without_pdf):
+def test_a_row_a_sensor(folder, tmp_path, blank_paper):
     (heads, *rows), text = trust(folder, "en", tmp_path)
     assert heads == ["Sensor", "Verdict", "Evidence", "What to do"]
     assert "Can this be trusted?" in text
@@ -61,7 +61,7 @@ def test_a_row_a_sensor(folder, tmp_path, without_pdf):
     assert "1 sensor of this map fits. Where one does not fit, do not use this map" in text
 
 
-def test_in_german(folder, tmp_path, without_pdf):
+def test_in_german(folder, tmp_path, blank_paper):
     (_, *rows), text = trust(folder, "de", tmp_path)
     assert "Kann man dem trauen?" in text
     assert rows[0][1:3] == ["passt", "96 % von 48 Fahrzeugen fahren auf Fahrstreifen"]

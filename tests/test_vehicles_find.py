@@ -192,14 +192,14 @@ def test_another_map_is_refused(site, tmp_path):
 
 
 def test_the_command_writes_a_dataset(site, tmp_path, run):
-    begin_of(SAMPLE / "R1.parquet", 15.0).to_parquet(tmp_path / "R1.parquet", index=False)
+    begin_of(SAMPLE / "R1.parquet", 8.0).to_parquet(tmp_path / "R1.parquet", index=False)
     code, _, _ = run(
         "measure", tmp_path / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
         site[1] / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "site",
     )  # fmt: skip
     assert code == 0
     read = gr.open_dataset(tmp_path / "site")
-    assert len(read.vehicles()) > 10
+    assert len(read.vehicles()) > 5
     assert read.recordings()["path"].tolist() == [(tmp_path / "R1.parquet").as_posix()]
     assert read.manifest.settings["sight"] == "view only"
 
@@ -211,7 +211,7 @@ def test_a_file_of_sight_stands_for_the_scan(site, tmp_path):
     pose = gr.read_pose(SAMPLE / "R1.json")
     gr.write_sights([gr.find_sight(pose, road, scan)], tiles, folder / "sight.gpkg")
     given = [tmp_path / "R1.parquet"]
-    begin_of(SAMPLE / "R1.parquet", 10.0).to_parquet(given[0], index=False)
+    begin_of(SAMPLE / "R1.parquet", 3.0).to_parquet(given[0], index=False)
     by_file = found(site, "by-file", given, sight=folder / "sight.gpkg")
     by_scan = found(site, "by-scan", given, scans=[SAMPLE / "scan.laz"])
     visible = [each.visible()["tile_id"].nunique() for each in (by_file, by_scan)]

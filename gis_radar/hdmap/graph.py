@@ -271,9 +271,14 @@ class LaneField:
 
     def lanes(self, points: Floats) -> pd.DataFrame:
         """Return the lanes at local points: `point lane s_m d_m heading half_width_m height_m`."""
-        rows = _all_lanes(np.ascontiguousarray(points[:, :2]), self.arrays)
         names = ["point", "lane", "s_m", "d_m", "heading", "half_width_m", "height_m"]
-        return pd.DataFrame(rows, columns=names).astype({"point": np.int64, "lane": np.int64})
+        columns = dict(zip(names, self.lane_rows(points).T, strict=True))
+        whole = {name: columns[name].astype(np.int64) for name in ("point", "lane")}
+        return pd.DataFrame(columns | whole)
+
+    def lane_rows(self, points: Floats) -> Floats:
+        """Return the lanes at local points (n, 7), in the columns of :meth:`lanes`."""
+        return _all_lanes(np.ascontiguousarray(points[:, :2]), self.arrays)
 
 
 @compiled

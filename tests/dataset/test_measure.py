@@ -91,11 +91,11 @@ def test_hits_and_observed_steps_are_those_of_a_plain_loop(tmp_path_factory, see
 
 @pytest.fixture(scope="module")
 def halves(once):
-    """Two recordings over an hour's edge: 3 s before it and 3 s after it."""
+    """Two recordings over an hour's edge: 2 s before it and 2 s after it."""
 
     def both_cut(folder):
         return {
-            sensor: cut(folder / f"{sensor}.parquet", sensor, 17.0, 23.0, edge_s=20.0)
+            sensor: cut(folder / f"{sensor}.parquet", sensor, 18.0, 22.0, edge_s=20.0)
             for sensor in ("R1", "R2")
         }
 
@@ -151,7 +151,7 @@ def of_hours(found):
 
 
 def test_recordings_that_overlap_or_follow_each_other_give_the_same_hours(halves, both, tmp_path):
-    pieces = {"R1": ((17.0, 19.5), (18.3, 22.0), (18.5, 23.0)), "R2": ((17.0, 18.3), (18.3, 23.0))}
+    pieces = {"R1": ((18.0, 19.5), (18.3, 21.0), (18.5, 22.0)), "R2": ((18.0, 18.3), (18.3, 22.0))}
     files = [
         (sensor, cut(tmp_path / f"{sensor}_{span[0]}.parquet", sensor, *span, edge_s=20.0))
         for sensor, spans in pieces.items()
@@ -183,7 +183,7 @@ def test_the_same_recording_twice_counts_once(halves, tmp_path):
 
 def test_an_hour_without_frames_has_all_its_parts(tmp_path):
     path = cut(
-        tmp_path / "R1.parquet", "R1", 14.0, 20.0, edge_s=17.0,
+        tmp_path / "R1.parquet", "R1", 15.5, 18.5, edge_s=17.0,
         change=lambda t: t.assign(time=t["time"] + 7200.0 * (t["time"] >= EDGE_S)),
     )  # fmt: skip
     ds = measured(tmp_path / "site", ("R1", path))

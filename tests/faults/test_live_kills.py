@@ -12,7 +12,7 @@ import time
 
 import pytest
 from live_programs import assert_all_recorded, assert_equal_to_batch
-from live_site import LiveSite, needs_mosquitto
+from live_site import SAMPLE, LiveSite, needs_mosquitto
 
 from faults.conftest import ROOT
 from faults.test_faults import ALL
@@ -45,7 +45,7 @@ class Program:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_hours_equal_the_batch_whatever_is_killed(tmp_path, once, seed):
-    site = LiveSite(tmp_path, once)
+    site = LiveSite(tmp_path, once, recordings=SAMPLE)
     site.broker.start()
     fusion = Program("live", site.file)
     edge = Program("edge", site.edge("R1", source="speed = 5.0"))
@@ -63,5 +63,5 @@ def test_hours_equal_the_batch_whatever_is_killed(tmp_path, once, seed):
             each.process.wait()
         site.broker.kill()
     sys.stderr.write(f"kill: live: {fusion.killed} of fusion, {edge.killed} of the edge\n")
-    assert_all_recorded(site.folder, ["R1"])
+    assert_all_recorded(site, ["R1"])
     assert_equal_to_batch(site, ["R1"])

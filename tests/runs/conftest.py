@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from site_runs import in_a_thread, only_pictures
+from site_runs import in_a_thread
 from small_site import write_site
 
 import gis_radar as gr
@@ -26,19 +26,6 @@ def small(once):
         return path, folder / "out", poses
 
     return once("small", unbroken)
-
-
-@pytest.fixture
-def in_this_process(monkeypatch):
-    """Stages run in a thread of this process: starting workers takes longer than most stages."""
-    monkeypatch.setattr(product, "process_pool", in_a_thread)
-
-
-@pytest.fixture
-def blank_paper():
-    """Leave pictures and the PDF empty where a test looks at other files."""
-    with only_pictures():
-        yield
 
 
 @pytest.fixture

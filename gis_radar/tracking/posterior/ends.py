@@ -135,16 +135,15 @@ def _go_on(posterior: Posterior, motion: Motion, graph: LaneGraph, way: int) -> 
 
 def _ways(graph: LaneGraph, place: Floats, heading: float) -> list[Floats]:
     """Return lines (n, 2) from a place on, along the lanes there and those that follow."""
-    table = graph.field.lanes(place[None])
-    turn = np.abs(np.angle(np.exp(1j * (table["heading"].to_numpy() - heading))))
-    rank = table["d_m"].abs().to_numpy() + METRES_A_RADIAN * turn
+    lanes = graph.field.lane_rows(place[None])[:, 1:5]  # position, s, d, heading
+    turn = np.abs(np.angle(np.exp(1j * (lanes[:, 3] - heading))))
+    rank = np.abs(lanes[:, 2]) + METRES_A_RADIAN * turn
     good = np.flatnonzero(turn < MOST_TURN)
     found: list[Floats] = []
-    for row in good[np.argsort(rank[good], kind="stable")][:LANES].tolist():
-        lane, s_m, d_m = (table[name].iloc[row] for name in ("lane", "s_m", "d_m"))
+    for lane, s_m, d_m, _ in lanes[good[np.argsort(rank[good], kind="stable")][:LANES]].tolist():
         found += [
-            _line(graph, chain, float(s_m), float(d_m), place)
-            for chain in _chains(graph, int(lane), AHEAD_M + float(s_m))
+            _line(graph, chain, s_m, d_m, place)
+            for chain in _chains(graph, int(lane), AHEAD_M + s_m)
         ]
     return [line for line in found[:MOST_WAYS] if len(line) > 1]
 
