@@ -198,6 +198,22 @@ def test_a_chunk_of_several_streams_is_unpacked_whole_and_within_the_limit(limit
         unpacking.unpacked(make, packed * 2)
 
 
+def test_of_a_chunk_no_more_is_unpacked_than_the_limit(limited):
+    asked = []
+
+    class Unpacker:
+        """One of a chunk of gigabytes."""
+
+        def decompress(self, _packed, max_length=-1):
+            asked.append(max_length)
+            return bytes(max_length if max_length >= 0 else 10_000)
+
+    limited(most_chunk_bytes=1000)
+    with pytest.raises(ValueError, match="when it is unpacked"):
+        unpacking.unpacked(Unpacker, b"")
+    assert asked == [1001]
+
+
 # Maps, sites and roads.
 
 

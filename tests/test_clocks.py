@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
-from gis_radar.base import InputError, NoAnswerError, UsageError
+from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.calibration import ClockSettings, SensorClock, lanelets_of, measure_clocks
 from gis_radar.calibration.clock_offsets import (
     ClockOffset,
@@ -175,6 +175,9 @@ def test_what_is_asked_wrongly(drive):
         measure_clocks([one, other], looks(), street(), reference="R7")
     with pytest.raises(UsageError, match="2 recordings, but 1 poses"):
         measure_clocks([one, other], looks()[:1], street())
+    apart = [looks()[0], pose(sensor="R2", crs="EPSG:25833")]
+    with pytest.raises(CrsError, match="of R2 is in EPSG:25833, but the tiles in EPSG:25832"):
+        measure_clocks([one, other], apart, street())
 
 
 def test_corrected_hits_are_those_of_right_clocks(drive, tmp_path):

@@ -8,7 +8,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-from datasets import pose_rows, recordings_of
+from datasets import pose_rows, recordings_of, write_dataset
 from driven import drive, driven, straight_tiles
 from hypothesis import given
 from hypothesis import strategies as st
@@ -279,6 +279,13 @@ def test_what_cannot_be_compared_is_refused(dataset, tmp_path):
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match="different settings"):
         gr.compare(dataset, gr.open_dataset(tmp_path / "other"), before=BEFORE, after=AFTER)
+    manifest, rows = dataset.manifest, {"hits": {"tile_id": [1], "step": [BEGIN]}}
+    for what, tiles, method in (("tiles", TILES.iloc[:-1], 1), ("methods", TILES, 2)):
+        there = write_dataset(
+            tmp_path / what, rows, tiles=tiles, method=method, settings=manifest.settings
+        )
+        with pytest.raises(InputError, match=f"different {what}"):
+            gr.compare(dataset, there, before=BEFORE, after=AFTER)
 
 
 def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):

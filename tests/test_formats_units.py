@@ -12,7 +12,7 @@ from sites import EAST, NORTH, recording
 import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.cli import main
-from gis_radar.recordings import open_recording
+from gis_radar.recordings import open_recording, read_raw
 from gis_radar.recordings.units import refuse_degrees, refuse_positions_in_other_units
 
 
@@ -40,6 +40,8 @@ def test_another_unit_is_named(tmp_path, unit):
     path = written(tmp_path / "r.parquet", CASES[unit](scene()))
     with pytest.raises(InputError, match=rf"r\.parquet: .*it looks like {unit}"):
         list(open_recording(path).read())
+    with pytest.raises(InputError, match=rf"r\.parquet: .*it looks like {unit}"):
+        list(read_raw(open_recording(path), rcs=False))
     with pytest.raises(InputError, match=rf"it looks like {unit}"):
         gr.convert(path, tmp_path / "out.parquet")
     assert not (tmp_path / "out.parquet").exists()
@@ -79,7 +81,9 @@ def test_one_still_target_is_not_refused():
 def test_angles_in_degrees_are_refused_with_the_way_out(tmp_path, angle):
     other = "elevation" if angle == "azimuth" else "azimuth"
     lines = [f"time,range,{angle},{other},v"]
-    lines += [f"{START},20,{value},0.1,1.5" for value in (-50, 40, 20, 9, -31, 12)]
+    most = {"azimuth": 50, "elevation": 5}[angle]  # hardly any target is steep
+    values = most * np.array([-1.0, 0.8, 0.4, 0.2, -0.6, 0.24])
+    lines += [f"{START},20,{value},0.1,1.5" for value in values]
     (tmp_path / "r.csv").write_text("\n".join(lines))
     with pytest.raises(InputError, match=f"{angle}: .*it looks like degrees") as caught:
         gr.convert(tmp_path / "r.csv", tmp_path / "r.parquet")

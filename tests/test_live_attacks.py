@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 import pytest
 from live_programs import Lines
 from live_replay import Replay
-from live_site import LONGEST_S, free_port
+from live_site import LONGEST_S, LiveSite, free_port
 
 from gis_radar.base import InputError, Reporter
 from gis_radar.cli.console import JsonConsole, TerminalConsole
@@ -25,10 +25,12 @@ from gis_radar.live import (
     Windows,
     make_app,
     prometheus_text,
+    read_live_site,
     web_server,
 )
 from gis_radar.live.health import serve_metrics
 from gis_radar.live.page import MOST_READERS
+from gis_radar.live.server import Page
 from gis_radar.live.web_server import MOST_CONNECTIONS, REQUEST_S
 from gis_radar.measures import FrameCounter
 from gis_radar.poses import pose_from_dict
@@ -76,6 +78,21 @@ def is_closed(connection):
     except ConnectionResetError:
         return True
     return True
+
+
+def test_the_token_in_the_file_of_the_page_is_asked_for(live, tmp_path, once):
+    (tmp_path / "token").write_text("s3cret\n")
+    site = LiveSite(tmp_path, once)
+    table = f'[live.page]\naddress = "127.0.0.1:{free_port()}"\ntoken_file = "token"\n[[sensor]]'
+    site.file.write_text(site.file.read_text().replace("[[sensor]]", table, 1))
+    read = read_live_site(site.file)
+    page = Page(live, read, read.live.page, live.place.tiles)
+    try:
+        place = ("127.0.0.1", int(page.open().rstrip("/").rpartition(":")[2]))
+        assert code_of(place, "/metrics") == 401
+        assert code_of(place, "/metrics", Authorization="Bearer s3cret") == 200
+    finally:
+        page.close()
 
 
 def test_idle_connections_take_no_more_files_than_there_are(place, monkeypatch):
@@ -160,6 +177,7 @@ async def _codes(live, count):
 
 
 def test_a_burst_of_readers_does_not_pass_their_limit_and_leaves_no_trace(live):
+    assert MOST_READERS < MOST_CONNECTIONS  # who asks once is answered, too
     codes = asyncio.run(_codes(live, 500))
     for burst in (codes[:500], codes[500:]):
         assert (burst.count(200), burst.count(503)) == (MOST_READERS, 500 - MOST_READERS)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 import yaml
-from live_site import LiveSite, needs_mosquitto
+from live_site import LONGEST_S, LiveSite, needs_mosquitto, wait_for
 
 from gis_radar.base import InputError
-from gis_radar.live import read_edge_file, read_live_site
+from gis_radar.live import BrokerAddress, Link, read_edge_file, read_live_site
 
 
 @pytest.fixture
@@ -27,6 +27,8 @@ def test_passwords_are_for_their_owner_alone(site):
     assert found == {"password_of_fusion", "password_of_R1", "password_of_R2"}
     for name in found:
         assert stat.S_IMODE((folder / name).stat().st_mode) == 0o600
+    assert len({(folder / name).read_text() for name in found}) == len(found)
+    assert stat.S_IMODE((folder / "passwords").stat().st_mode) == 0o640  # few rounds of a hash
     texts = [path.read_text() for path in folder.iterdir() if not path.name.startswith("password_")]
     assert not [text for text in texts if site.password("R1") in text]
 
@@ -77,6 +79,30 @@ def test_mosquitto_says_nothing_against_its_configuration(site):
     said = site.broker.config.with_suffix(".log").read_text()
     assert "Error" not in said
     assert "Warning" not in said.replace("Warning: Mosquitto should not be run as root", "")
+
+
+def linked(site, user, *topics):
+    """Log in at the broker as one of its users."""
+    known = BrokerAddress.of(site.address, user=user, password=site.password(user))
+    link = Link(known, name=user, topics=topics)
+    link.open()
+    wait_for(lambda: link.connected)
+    return link
+
+
+@needs_mosquitto
+def test_a_sensor_publishes_in_its_own_name_only(site):
+    site.broker.start()
+    fusion, sensor = linked(site, "fusion", "v1/junction/+/detections"), linked(site, "R1")
+    try:
+        for name in ("R2", "R1"):
+            sensor.publish(f"v1/junction/{name}/detections", b"frames")
+        assert fusion.take(LONGEST_S).topic == "v1/junction/R1/detections"
+        wait_for(lambda: sensor.refused == 1)
+    finally:
+        for link in (fusion, sensor):
+            link.close()
+        site.broker.kill()
 
 
 def test_two_sensors_of_one_folder_have_a_buffer_each(site):

@@ -8,6 +8,7 @@ from live_programs import Lines
 from gis_radar.live import Envelope, key_of_pose, pack_message, prometheus_text
 from gis_radar.live.recordings import hour_of_time
 from gis_radar.live.spool import FRAMES, PASSED, POSE
+from gis_radar.scans import find_sight
 
 DAY_US, HOUR_US = 86_400_000_000, 3_600_000_000
 
@@ -191,6 +192,9 @@ def test_the_map_counts_the_tiles_under_what_is_sent(fed):
     (found,) = [f["R1"] for _, f in fed.windows.close(NOW_US + 260_000) if f]
     pose = fed.sensor.pose
     east, north = pose.to_map(np.array([[30.0, 0.0, -1.8]]))[0, :2]
+    seen = find_sight(pose, ROAD).seen
+    assert 0 < len(seen) < len(ROAD.tile_id)
+    np.testing.assert_array_equal(ROAD.tile_id[found.in_sight], seen)
     quads = ROAD.quads[found.tiles]
     assert len(quads)
     assert (quads.min(axis=1) <= [east, north]).all()

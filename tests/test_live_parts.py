@@ -308,13 +308,13 @@ def test_a_clock_that_is_set_back_begins_the_map_anew():
 def test_cumulative_counts_begin_anew_with_the_interval():
     current = MapOfNow(3, interval=10)
     current.holds_s["R1"] = 0.1
-    for step in range(5, 13):
-        current.take(step, {"R1": seen(0, in_sight=[0, 1])} if step in {6, 9, 11} else {})
+    for step in range(5, 15):
+        current.take(step, {"R1": seen(0, in_sight=[0, 1])} if step in {6, 9, 13} else {})
     state = current.state()
-    # a frame is valid in its own step and two more, on tiles that are seen
+    # a frame is valid in its own step and two more, on tiles that are seen: none is in step 12
     assert state.begin == 10
-    assert state.hit_steps.tolist() == [3, 0, 0]
-    assert state.observed_steps.tolist() == [3, 3, 0]
+    assert state.hit_steps.tolist() == [4, 0, 0]
+    assert state.observed_steps.tolist() == [4, 4, 0]
 
 
 def test_a_looping_replay_is_at_the_same_place_whenever_it_began(monkeypatch):

@@ -119,6 +119,15 @@ def test_the_spool_reaches_the_disk_before_it_counts(tmp_path, monkeypatch):
     assert calls == ["write", "fsync"]
 
 
+@pytest.mark.skipif(os.name != "posix", reason="names are brought to disk by the system")
+def test_a_new_file_of_the_spool_has_its_name_on_disk_before_it_is_used(tmp_path, monkeypatch):
+    spool, synced, sync = Spool(tmp_path / "s"), [], os.fsync
+    monkeypatch.setattr(os, "fsync", lambda each: synced.append(os.fstat(each)) or sync(each))
+    spool.rotate({})
+    places = [*spool_files(tmp_path / "s"), tmp_path / "s"]
+    assert [each.st_ino for each in synced] == [each.stat().st_ino for each in places]
+
+
 def test_a_recording_holds_each_frame_once_in_the_order_of_time(tmp_path):
     """Of two files of the spool that overlap, out of order, over the end of an hour."""
     made = SpooledSite(tmp_path)

@@ -10,7 +10,7 @@ from live_programs import Lines
 from live_site import SAMPLE, LiveSite
 
 import gis_radar as gr
-from gis_radar.base import NoAnswerError
+from gis_radar.base import CrsError, NoAnswerError
 from gis_radar.calibration import LOCALIZATION
 from gis_radar.live import Edge, PoseContent, frames_of_recording, read_edge_file
 from gis_radar.live import edge as edge_module
@@ -182,3 +182,10 @@ def test_frames_are_counted_whose_pose_the_buffer_refuses(run, monkeypatch):
     monkeypatch.setattr(Outbox, "put_pose", lambda *_: False)
     edge, _ = run(50)
     assert (edge.frames, edge.not_sent) == (50, 50)
+
+
+def test_a_pose_in_another_system_than_the_tiles_is_refused(tmp_path, once):
+    gr.write_pose(replace(RIGHT, crs="EPSG:25833"), tmp_path / "other.json")
+    file = LiveSite(tmp_path, once).edge("R1", pose='"other.json"')
+    with pytest.raises(CrsError, match="of R1 is in EPSG:25833, but the tiles in EPSG:25832"):
+        Edge(read_edge_file(file))

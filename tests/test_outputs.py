@@ -1,6 +1,7 @@
 import errno
 import json
 import math
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -28,6 +29,7 @@ def test_a_file_appears_whole(tmp_path):
     with atomic_write(tmp_path / "a.txt") as part:
         part.write_text("new")
         assert not (tmp_path / "a.txt").exists()
+        assert stat.S_IMODE(part.parent.stat().st_mode) == 0o700  # passwords are written, too
     assert (tmp_path / "a.txt").read_text() == "new"
     assert contents(tmp_path) == ["a.txt"]
 

@@ -11,7 +11,15 @@ from maps import Listener
 
 import gis_radar as gr
 from gis_radar.base import UsageError
-from gis_radar.calibration import ImplausibleError, LaneMap, RecordedSensor, check_plausibility
+from gis_radar.calibration import (
+    Finding,
+    ImplausibleError,
+    LaneMap,
+    RecordedSensor,
+    check_plausibility,
+    refuse_implausible,
+)
+from gis_radar.calibration.findings import FITS, UNKNOWN, wrong
 from gis_radar.poses import PoseTrack, as_track, write_pose
 
 SAMPLE = gr.sample_folder()
@@ -94,6 +102,20 @@ def test_a_pose_a_metre_off_is_doubted_not_refused(tmp_path, tiles, rows):
     )  # fmt: skip
     assert made.manifest.doubts["R1"].startswith("R1: fits, but its pose may be off (9")
     assert made.manifest.doubts["R1"] in str(heard.messages)
+
+
+def test_who_is_accepted_lets_no_other_pass_and_each_doubt_is_told():
+    one, other = (replace(wrong("few", "turned", "turn"), sensor=name) for name in ("R1", "R2"))
+    with pytest.raises(ImplausibleError, match=r"^R2: does not fit") as caught:
+        refuse_implausible([one, other], ["R1"], Listener())
+    assert caught.value.findings == (other,)
+    heard, fits = Listener(), Finding(sensor="R3", verdict=FITS, evidence="many")
+    doubted = [replace(fits, cause="it may be off"), replace(fits, verdict=UNKNOWN)]
+    refuse_implausible([one, other, fits, *doubted], ["R1", "R2"], heard)
+    assert [line for _, line in heard.messages] == [
+        f"{one.line}; it is accepted anyway", f"{other.line}; it is accepted anyway",
+        *(each.line for each in doubted),
+    ]  # fmt: skip
 
 
 @pytest.fixture

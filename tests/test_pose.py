@@ -150,10 +150,19 @@ def test_a_quaternion_that_agrees_passes_in_either_sign():
 
 def test_a_quaternion_may_be_a_hundredth_of_a_degree_off():
     own = Rotation.from_quat(pose_from_dict(RECORD, what="x").quaternion)
-    for off_deg, refused in ((0.009, False), (0.011, True)):
+    for off_deg, refused in ((0.009, False), (0.011, True), (180.0, True)):
         turned = (own * Rotation.from_euler("z", off_deg, degrees=True)).as_quat().tolist()
         with pytest.raises(InputError, match="differ by") if refused else nullcontext():
             pose_from_dict(RECORD | {"quaternion": turned}, what="x")
+
+
+@pytest.mark.parametrize(
+    ("length", "refused"), [(0.998, True), (0.9995, False), (1.0005, False), (1.002, True)]
+)
+def test_a_quaternion_has_length_one_to_a_thousandth(length, refused):
+    longer = (length * pose_from_dict(RECORD, what="x").quaternion).tolist()
+    with pytest.raises(InputError, match="has length") if refused else nullcontext():
+        pose_from_dict(RECORD | {"quaternion": longer}, what="x")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", '"pose"', "{}"])
@@ -220,8 +229,8 @@ def test_odd_tracks_are_refused(tmp_path, rows, reason):
 def test_a_view_is_about_the_axis_of_the_sensor():
     view = View(azimuth_deg=120, elevation_deg=30, min_range_m=1, max_range_m=100)
     points = np.array(
-        [[50, 0, 0], [50, 80, 0], [50, 90, 0], [101, 0, 0], [0.5, 0, 0], [50, 0, -13], [50, 0, -14],
-         [-50, 0, 0], [50, 0, np.nan]], dtype=float,
+        [[50, 0, 0], [45, 77, 0], [45, 79, 0], [101, 0, 0], [0.5, 0, 0], [50, 0, -13], [50, 0, -14],
+         [-50, 0, 0], [50, 0, np.nan], [99, 0, -24]], dtype=float,
     )  # fmt: skip
-    expected = [True, True, False, False, False, True, False, False, True]
+    expected = [True, True, False, False, False, True, False, False, True, False]
     assert view.sees(points).tolist() == expected

@@ -9,7 +9,7 @@ import shapely
 from sites import EAST, NORTH, START, UTM, pose, recording
 
 import gis_radar as gr
-from gis_radar.base import InputError, OutputError, Reporter, UsageError
+from gis_radar.base import CrsError, InputError, OutputError, Reporter, UsageError
 from gis_radar.poses import PoseTrack
 from gis_radar.products import project, write_projection
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
@@ -54,6 +54,12 @@ def test_points_lie_in_the_map(made):
     assert points["object"].tolist() == [1, 2, 4]
     assert points["utc"].iloc[0].isoformat() == "2023-11-14T22:13:20+00:00"
     assert set(points["sensor"]) == {"R1"}
+
+
+def test_lanes_of_a_map_in_another_system_are_refused(made):
+    roads = gr.read_map(gr.sample_folder() / "junction.osm")
+    with pytest.raises(CrsError, match="R1 is in EPSG:25833, but the map in EPSG:25832"):
+        project(made, pose(crs="EPSG:25833"), roads=roads)
 
 
 @pytest.mark.parametrize("suffix", ["gpkg", "parquet"])

@@ -206,13 +206,13 @@ def test_no_style_of_a_heat_map_that_was_given_comes_into_the_project(results, t
 def test_the_print_layout_of_a_project(results, tmp_path):
     gr.write_qgis_project(
         tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=results / "sensors.gpkg",
-        title="Knoten [% 1+1 %]", timezone="Europe/Berlin", source="Stadt & Land [% 2 %]",
+        title="Knoten [% 1+1 %][%3%]", timezone="Europe/Berlin", source="Stadt & Land [% 2 %]",
     )  # fmt: skip
     root = read_project(tmp_path / "site.qgz")
     layout = root.find("Layouts/Layout")
     texts = [item.get("labelText") for item in layout.iter("LayoutItem") if item.get("labelText")]
     assert texts[:2] == [  # QGIS prints the title as it was given: `[%` is a text in it
-        "Knoten [% '[' || '%' %] 1+1 %]",
+        "Knoten [% '[' || '%' %] 1+1 %][% '[' || '%' %]3%]",
         "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)"
     ]  # fmt: skip
     assert texts[2].startswith("Hit share: the share of the observed time")

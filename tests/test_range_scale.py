@@ -164,7 +164,9 @@ def test_range_rates_of_other_detections_have_no_scale(right):
 
 @pytest.mark.parametrize(
     ("factor", "sigma", "off"),
-    [(1.05, 0.01, True), (1.05, 0.02, False), (1.009, 0.001, False), (0.98, 0.004, True)],
-)
+    [(1.05, 0.01, True), (1.05, 0.02, False), (1.009, 0.001, False), (0.98, 0.004, True),
+     (-1.0, 0.001, True)],
+)  # fmt: skip
 def test_off_one_is_beyond_three_sigma_and_one_percent(factor, sigma, off):
     assert RangeScale(factor=factor, sigma=sigma, vehicles=9).off is off
+    assert RangeScale(factor=factor, sigma=sigma, vehicles=9, absolute=True).off

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
+from datasets import write_dataset
 from report_site import (
     FILES,
     FORMULA,
@@ -98,6 +99,15 @@ def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     assert [each.endswith("and no usual day") for each in short] == [True]
     assert told in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert pd.read_csv(tmp_path / "run" / "sensors.csv")["sensor"].tolist() == ["R1"]
+
+
+def test_a_dataset_of_other_tiles_is_left_out_or_refused(results, tmp_path, without_pdf):
+    shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
+    other = write_dataset(tmp_path / "run" / "dataset").folder
+    remarks = gr.write_report(tmp_path / "run").summary["remarks"]
+    assert "The dataset in the folder belongs to other tiles and is left out." in remarks
+    with pytest.raises(gr.InputError, match="the heat map was not made with the tiles of"):
+        gr.write_report(tmp_path / "run", dataset=other)
 
 
 def test_a_file_of_somebody_beside_a_heat_map_stays(results, tmp_path):

@@ -297,6 +297,15 @@ def test_a_short_recording_corrects_no_sight(rebuilt, run, tmp_path):
     assert (gpd.read_file("sight.gpkg", layer="sight")["state"] == "in sight").all()
 
 
+def test_the_pose_and_the_tiles_of_a_sight_are_in_one_system(rebuilt, run, tmp_path):
+    gr.write_pose(moved(crs="EPSG:25833"), tmp_path / "R1.json")
+    words = ("--pose", "R1.json", "--tiles", "tiles.gpkg", "--scan", "scan.laz")
+    code, _, err = run("sight", *words, "-o", "sight.gpkg")
+    told = "the pose of R1 is in EPSG:25833, but the tiles in EPSG:25832"
+    assert (code, told in " ".join(err.split())) == (3, True)
+    assert not (tmp_path / "sight.gpkg").exists()
+
+
 def test_sensors_that_see_the_same_tiles_keep_their_own_sight(tmp_path, monkeypatch):
     lanes = [lane_quads(EAST + 20.0, NORTH - 10.0, 90.0), lane_quads(EAST + 60.0, NORTH, 90.0)]
     road = SightTiles.of(tiles_of(lanes, height_m=[370.0, 374.0]))

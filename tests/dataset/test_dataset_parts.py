@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -194,19 +195,26 @@ def test_a_making_that_ends_between_two_parts_is_no_hour(tmp_path, monkeypatch):
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="names of open files")
 def test_a_part_and_its_name_are_on_disk_before_the_record_says_so(tmp_path, monkeypatch):
     """As after a power failure: what was not brought to disk may be missing, in any order."""
-    synced, sync = [], os.fsync
+    done, sync, move = [], os.fsync, Path.replace
 
     def note(handle):
-        synced.append(Path(f"/proc/self/fd/{handle}").resolve())
+        done.append(Path(f"/proc/self/fd/{handle}").resolve())
         sync(handle)
 
+    def renamed(fresh, path):
+        done.append(path)
+        return move(fresh, path)
+
     monkeypatch.setattr(os, "fsync", note)
-    write_hour(tmp_path, hits=HIT_ROWS)
-    for table in HOUR_TABLES:
-        path = part_path(tmp_path, table, HOUR)
-        assert path.parent in synced[synced.index(unfinished(path)) :]
+    monkeypatch.setattr(Path, "replace", renamed)
     record = record_path(tmp_path, HOUR)
-    assert [synced[-2].parent, synced[-1]] == [record.parent] * 2
+    paths = [*(part_path(tmp_path, table, HOUR) for table in HOUR_TABLES), record]
+    in_order = [each for path in paths for each in (unfinished(path), path, path.parent)]
+    write_hour(tmp_path, hits=HIT_ROWS)
+    assert done == in_order
+    done.clear()
+    write_hour(tmp_path, hits=HIT_ROWS)
+    assert done == [record.parent, *in_order]  # that the earlier record is gone
 
 
 def test_tables_that_are_no_longer_made_go(tmp_path):
@@ -300,6 +308,25 @@ def test_parts_that_are_not_their_hours_are_refused(tmp_path, damage, message):
         record.opened(tmp_path, HITS).__enter__()
     assert refused.value.message.startswith(str(path))
     assert "measure again" in refused.value.hint
+
+
+def test_a_flipped_bit_that_unpacks_to_another_number_is_found_when_it_is_read(tmp_path):
+    rng = np.random.default_rng(1)
+    steps = BEGIN + np.sort(rng.choice(STEPS_PER_HOUR, 2000, replace=False))
+    record = write_hour(tmp_path, hits={"tile_id": np.zeros(2000, np.int64), "step": steps})
+    path = part_path(tmp_path, HITS, HOUR)
+    column, whole = pq.read_metadata(path).row_group(0).column(1), path.read_bytes()
+    end = column.data_page_offset + column.total_compressed_size
+    for place in range(end - 1, column.data_page_offset, -1):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with suppress(OSError):  # it does not unpack
+            if (pq.read_table(path)["step"].to_numpy() != steps).any():
+                break
+    with (
+        pytest.raises(InputError, match=r"damaged: .*checksum"),
+        record.opened(tmp_path, HITS) as file,
+    ):
+        file.read()
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,15 @@
 import json
 import os
 import shutil
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from maps import Listener
-from measured import EDGE_S, MAP, contents, cut, measured, sample_pose
+from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
 from gis_radar.base import QUIET
@@ -261,6 +263,51 @@ def test_a_recording_that_is_not_found_again_is_named(files, tmp_path):
         gr.withdraw(tmp_path / "site", ["R7.parquet"])
     gr.withdraw(tmp_path / "site", ["R1.parquet"])  # need not be there
     assert len(gr.open_dataset(tmp_path / "site").hours()) == 0
+
+
+def test_an_hour_names_what_it_was_made_from(files, tmp_path):
+    """Other rows at the same times, another pose, filter or validity: another digest."""
+    pose, folders = sample_pose("R1"), (tmp_path / f"{number}" for number in count())
+    change = {"change": lambda t: t.assign(x=t["x"] + np.float32(0.5))}
+    other = cut(tmp_path / "other.parquet", "R1", 18.0, 22.0, edge_s=20.0, **change)
+
+    def digests(path=files["R1"], pose=pose, **options):
+        folder = next(folders)
+        gr.measure([path], [pose], tiles(), MAP, folder, hits_only=True, check=False, **options)
+        return tuple(record.origin.inputs for record in read_hours(folder).values())
+
+    found = [
+        digests(), digests(other), digests(pose=replace(pose, yaw=pose.yaw + 0.1)),
+        digests(filters=gr.Filters(min_speed=1.0)), digests(cycles={"R1": 0.1}),
+    ]  # fmt: skip
+    assert [len(each) for each in found] == [2] * len(found)
+    assert [len(set(each)) for each in zip(*found, strict=True)] == [len(found)] * 2
+    assert digests() == found[0]
+
+
+def test_a_withdrawn_recording_is_gone_from_the_hour_after_it(files, tmp_path):
+    """Its last frame is valid in the first steps of that hour."""
+    site = tmp_path / "site"
+    hits_of(site, ("R2", files["R2"]))
+    alone = contents(site)
+    early = cut(tmp_path / "early.parquet", "R1", 18.0, 20.0, edge_s=20.0)
+    hits_of(site, ("R1", early))
+    after = "observed/date=2025-06-12/08.parquet"
+    assert contents(site)[after] != alone[after]
+    gr.withdraw(site, ["early.parquet"])
+    assert contents(site) == alone
+
+
+def test_a_name_that_two_recordings_have_withdraws_neither(files, tmp_path):
+    twin = cut(tmp_path / "twin" / "R1.parquet", "R1", 23.0, 24.0, edge_s=20.0)
+    hits_of(tmp_path / "site", ("R1", files["R1"]), ("R1", twin))
+    before = contents(tmp_path / "site")
+    with pytest.raises(gr.InputError, match=r"has several recordings R1\.parquet"):
+        gr.withdraw(tmp_path / "site", ["R1.parquet"])
+    assert contents(tmp_path / "site") == before
+    gr.withdraw(tmp_path / "site", [twin])
+    left = gr.open_dataset(tmp_path / "site").recordings()["path"]
+    assert left.tolist() == [files["R1"].as_posix()]
 
 
 def test_parts_removed_by_hand_are_made_again(files, tmp_path):
