@@ -58,7 +58,7 @@ def write_days(folder: Path, *, tiles: int, days: int, busy: bool = False) -> gr
     west, south = np.floor(table.total_bounds[:2]).astype(int).tolist()
     manifest = Manifest(
         map="0" * 64, fingerprint=fingerprint(table), crs="EPSG:25832", origin=(west, south),
-        timezone="Europe/Berlin", settings={"vehicles": {}},
+        timezone="Europe/Berlin", settings={"vehicles": True},
     )  # fmt: skip
     create_dataset(folder, manifest, table)
     write_whole(

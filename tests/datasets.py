@@ -61,7 +61,7 @@ def write_dataset(
     manifest = Manifest(
         map="0" * 64, fingerprint=fingerprint(tiles), crs="EPSG:25832",
         origin=(int(EAST), int(NORTH)), timezone=timezone,
-        settings={"vehicles": {} if vehicles else None, "sight": VIEW_ONLY, "filters": {}}
+        settings={"vehicles": vehicles, "sight": VIEW_ONLY, "filters": {}}
         | (settings or {}),
     )  # fmt: skip
     if lanes is not None and "lanelets" not in lanes:
