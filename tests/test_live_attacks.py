@@ -97,6 +97,7 @@ def test_the_token_in_the_file_of_the_page_is_asked_for(live, tmp_path, once):
 
 def test_idle_connections_take_no_more_files_than_there_are(place, monkeypatch):
     monkeypatch.setattr(web_server, "REQUEST_S", LONGEST_S)  # none is closed for its time
+    assert 3 * MOST_CONNECTIONS <= 1024  # that a process may usually open
     with ExitStack() as stack:
         idle = [stack.enter_context(socket.create_connection(place, LONGEST_S))
                 for _ in range(MOST_CONNECTIONS + 100)]  # fmt: skip

@@ -1,11 +1,21 @@
 """What fusion takes of what sensors send, and what it refuses: nothing acknowledged is lost."""
 
+import time
+
 import numpy as np
 import pytest
 from live_intake import NOW_US, ROAD, STREAM, FedIntake, frame, pose_message
 from live_programs import Lines
+from live_site import LiveSite
 
-from gis_radar.live import Envelope, key_of_pose, pack_message, prometheus_text
+from gis_radar.live import (
+    Envelope,
+    Fusion,
+    key_of_pose,
+    pack_message,
+    prometheus_text,
+    read_live_site,
+)
 from gis_radar.live.recordings import hour_of_time
 from gis_radar.live.spool import FRAMES, PASSED, POSE
 from gis_radar.scans import find_sight
@@ -199,3 +209,19 @@ def test_the_map_counts_the_tiles_under_what_is_sent(fed):
     assert len(quads)
     assert (quads.min(axis=1) <= [east, north]).all()
     assert (quads.max(axis=1) >= [east, north]).all()
+
+
+def test_a_frame_is_valid_on_the_map_for_the_cycle_that_the_site_file_states(tmp_path, once):
+    """At 4 Hz no step between two frames is unobserved, and the last frame holds for seven more."""
+    site = LiveSite(tmp_path, once, names=("R1",), of_live='interval = "2400h"')
+    text = site.file.read_text().replace('name = "R1"', 'name = "R1"\ncycle = "250ms"')
+    site.file.write_text(text)
+    read = read_live_site(site.file)
+    begin_us, fed = int(time.time()) * 1_000_000 - 20_000_000, FedIntake(read.folder)
+    fed.pose()
+    for k in range(20):
+        fed.frames(k + 1, frame(begin_us + 250_000 * k), first=k == 0)
+    fed.commit()
+    fed.spool.close()
+    state = Fusion(read).state()
+    assert state.observed_steps.max() == state.hit_steps.max() == 19 * 5 + 8

@@ -152,11 +152,23 @@ def test_a_scan_of_another_place_is_refused(tmp_path):
         find_sight(SENSOR, tiles, SightScan([path], tiles))
 
 
-def test_a_scan_in_another_vertical_system_is_refused(tmp_path):
+@pytest.mark.parametrize("higher_m", [46.3, -46.3])
+def test_a_scan_in_another_vertical_system_is_refused(tmp_path, higher_m):
     tiles = across()
-    path = write_points(tmp_path / "high.laz", flat() + [0.0, 0.0, 46.3])
-    with pytest.raises(InputError, match=r"high.laz: its road is \+46.3 m from the height"):
+    path = write_points(tmp_path / "high.laz", flat() + [0.0, 0.0, higher_m])
+    told = re.escape(f"high.laz: its road is {higher_m:+} m from the height")
+    with pytest.raises(InputError, match=told):
         find_sight(SENSOR, tiles, SightScan([path], tiles))
+
+
+@pytest.mark.parametrize("drop_m", [5.1, 5.7])
+def test_what_is_looked_at_is_60_cm_over_the_road(drop_m):
+    """From 6 m over it, through a view that ends so much lower at 100 m."""
+    view = View(max_range_m=150.0, elevation_deg=2.0 * np.degrees(np.arctan(drop_m / 100.0)))
+    sensor, tiles = pose(height=ROAD_M + 6.0, view=view), across()
+    away_m = np.hypot(*(tiles.centres[:, :2] - sensor.position[:2]).T)
+    in_sight = find_sight(sensor, tiles).state == IN_SIGHT
+    np.testing.assert_array_equal(in_sight, 5.4 / away_m <= drop_m / 100.0)
 
 
 def test_what_the_scan_does_not_cover_counts_as_in_sight_and_is_named(tmp_path):
@@ -193,8 +205,12 @@ def test_a_dataset_observes_what_is_in_sight_and_names_the_scan(tmp_path):
     )
     found = measured([track], [SENSOR], tiles, tmp_path / "ds", scans=[path])
     road = SightTiles.of(tiles)
-    seen = find_sight(SENSOR, road, SightScan([path], road)).seen
+    sight = find_sight(SENSOR, road, SightScan([path], road))
+    seen = road.tile_id[sight.state == IN_SIGHT]
+    assert (sight.state == HIDDEN).any()
+    np.testing.assert_array_equal(sight.seen, seen)
     np.testing.assert_array_equal(found.sight_of("R1"), seen)
+    np.testing.assert_array_equal(np.unique(found.observed()["tile_id"]), seen)
     assert found.manifest.settings["sight"]["files"] == ["scan.laz"]
     plain = measured([track], [SENSOR], tiles, tmp_path / "plain")
     assert len(plain.sights()) == 240
