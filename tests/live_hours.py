@@ -3,6 +3,8 @@
 from dataclasses import replace
 from functools import cache
 from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import gis_radar as gr
 from gis_radar.live import (
@@ -25,10 +27,25 @@ FRAMES = 800  # of a sensor: 40 s of the sample's hundred
 
 
 @cache
+def sample_road():
+    """Return the sample's tiles, as where vehicles are looked for."""
+    return SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
+
+
+@cache
+def tiles_file():
+    """Return the bytes of a file of the sample's tiles, and their fingerprint."""
+    roads = gr.read_map(SAMPLE / "junction.osm")
+    with TemporaryDirectory() as place:
+        path = Path(place) / "tiles.gpkg"
+        gr.write_tiles(gr.make_tiles(roads), path, problems=roads.problems)
+        return path.read_bytes(), SightTiles.of(gr.read_tiles(path)).fingerprint
+
+
+@cache
 def selected_frames(name, path=None):
     """Return what a sensor of the sample sends: of its first seconds, or of another recording."""
-    road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
-    pose = gr.read_pose(SAMPLE / f"{name}.json")
+    road, pose = sample_road(), gr.read_pose(SAMPLE / f"{name}.json")
     selector, height = DetectionSelector(road), road_near(find_sight(pose, road), road)
     frames = frames_of_recording(path or SAMPLE / f"{name}.parquet")
     if path is None:
@@ -55,8 +72,8 @@ class SpooledSite:
     def __init__(self, folder, **given):
         self.folder = folder / "live"
         tiles = folder / "tiles.gpkg"
-        roads = gr.read_map(SAMPLE / "junction.osm")
-        gr.write_tiles(gr.make_tiles(roads), tiles, problems=roads.problems)
+        content, self._print = tiles_file()
+        tiles.write_bytes(content)
         self.site = MeasuredSite(
             **{
                 "folder": self.folder, "map": SAMPLE / "junction.osm", "tiles": tiles,
@@ -67,7 +84,6 @@ class SpooledSite:
         )  # fmt: skip
         self.spool = Spool(self.folder / "spool")
         self.spool.rotate({})
-        self._print = SightTiles.of(gr.read_tiles(tiles)).fingerprint
         self._number = 0
 
     def pose(self, name, **changes):

@@ -136,7 +136,7 @@ def test_there_are_commands_to_check():
     assert len([words for page in PAGES for words in commands(page)]) > 30
 
 
-def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
+def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch, without_picture):
     sample = gr.sample_folder()
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")

@@ -7,7 +7,7 @@ from measured import EDGE_S, cut, measured
 
 import gis_radar as gr
 
-FIRST_S, LAST_S = 10.0, 38.0
+FIRST_S, LAST_S = 18.0, 38.0
 EDGE_AT_S = 28.35
 WHOLE_S = -971.65  # no edge, and steps that begin alike
 NEAR_S = 0.5  # as the tracker may see one passage from another window
