@@ -12,6 +12,8 @@ from maps import Listener
 import gis_radar as gr
 from gis_radar.base import UsageError
 from gis_radar.calibration import (
+    FITS,
+    UNKNOWN,
     Finding,
     ImplausibleError,
     LaneMap,
@@ -19,7 +21,7 @@ from gis_radar.calibration import (
     check_plausibility,
     refuse_implausible,
 )
-from gis_radar.calibration.findings import FITS, UNKNOWN, wrong
+from gis_radar.calibration.findings import wrong
 from gis_radar.poses import PoseTrack, as_track, write_pose
 
 SAMPLE = gr.sample_folder()
