@@ -291,9 +291,7 @@ class HourJobs:
     def finish(self, spooled: Sequence[Path]) -> None:
         """Make recordings of what is there, and measure the hours that are over."""
         self.stop()
-        self._hours, now_s = {}, time.time()
-        due = sorted(hour for hour in self.touched if end_of_hour_s(hour) <= now_s)
-        self._next = partial(_of_hours, due) if due else make_recordings
+        self._hours, self._next = {}, _of_all_that_waits
         self.begin(spooled)
         while self._running is not None:
             time.sleep(LOOK_S)
@@ -330,6 +328,12 @@ def _kept_doubts(path: Path) -> tuple[dict[str, str | None], dict[str, int]]:
 
 def _of_hours(hours: Sequence[int], site: MeasuredSite, spooled: Sequence[Path]) -> Done:
     return make_hours(site, spooled, hours)
+
+
+def _of_all_that_waits(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+    done = take_up(site, spooled)
+    over = [hour for hour in done.hours if end_of_hour_s(hour) <= time.time()]
+    return make_hours(site, [], over) if over else done
 
 
 def _of_quarter(quarter: int, site: MeasuredSite, spooled: Sequence[Path]) -> Done:
