@@ -7,7 +7,8 @@ keeps what fusion has not stored. From a frame's time to the map that has it is 
 for each frame; one that comes too late for its window counts as never. Clients have other cores
 than fusion and broker, where there are two or more. With `--vehicles` they are followed, too, and
 quarters and hours are measured meanwhile. `--kill MINUTE NAME ...` kills `fusion`, `broker` or the
-`worker` then; the first two are started again at once. Figures go to `out/bench-live-soak.json`.
+`worker` then; the first two are started again at once. `--go-on` begins anew in the folder of an
+earlier soak, as after an outage; its figures count both. They go to `out/bench-live-soak.json`.
 """
 
 from __future__ import annotations
@@ -184,7 +185,7 @@ def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
         "delay_p99_ms": float(np.percentile(delays, 99)),
         "delay_by_10_s_ms": [float(delays[:, k : k + looks.step].max()) for k in looks],
     }
-    (folder / f"sent-{names[0]}.json").write_text(json.dumps(figures))
+    (folder / f"sent-{last}-{names[0]}.json").write_text(json.dumps(figures))
     for each in made:
         each.link.close()
 
@@ -208,7 +209,6 @@ class TimedFusion(Fusion):
         self.shown: dict[str, float] = {}
         self.ages = np.zeros(MOST_MS + 1, np.int64)  # by milliseconds
         super().__init__(*args, **options)
-        self.phases = {name: phase_us(name, len(self.sensors)) for name in self.sensors}
 
     def _finish(self) -> None:
         begin = time.monotonic()
@@ -223,7 +223,8 @@ class TimedFusion(Fusion):
             now_us = time.time() * 1e6
             begin_us = step * STEP_US
             for name in frames:
-                age_ms = int((now_us - begin_us - self.phases[name]) / 1e3)
+                phase = phase_us(name, len(self.sensors))
+                age_ms = int((now_us - begin_us - phase) / 1e3)
                 self.ages[min(max(age_ms, 0), MOST_MS)] += 1
 
 
@@ -393,12 +394,13 @@ def mosquitto_here() -> str:
 
 
 def soak(
-    folder: Path, *, sensors: int, processes: int, seconds: float, port: int, vehicles: bool,
+    folder: Path, *, sensors: int, processes: int, seconds: float, vehicles: bool, go_on: bool,
     kills: list[tuple[float, str]],
 ) -> Figures:  # fmt: skip
     """Run all programs, and return the figures; `kills` are seconds and names of what is killed."""
     names = [f"S{k:04d}" for k in range(sensors)]
-    write_site(folder, names, port, vehicles=vehicles)
+    if not go_on:
+        write_site(folder, names, free_port(), vehicles=vehicles)
     load, (own, others) = os.getloadavg(), cores_apart()
     centre, senders = Centre(folder, own), list[subprocess.Popen[bytes]]()
     try:
@@ -431,21 +433,17 @@ def soak(
                 each.terminate()
                 each.wait()
         centre.end()
-    return gathered(folder, shares, cores, memory, load) | {
+    return gathered(folder, cores, memory, load) | {
         "sensors": sensors, "seconds": seconds, "processes": processes,
         "cores_of_fusion_and_broker": own, "cores_of_senders": others, "kills": kills,
     }  # fmt: skip
 
 
 def gathered(
-    folder: Path,
-    shares: list[list[str]],
-    cores: dict[str, float],
-    memory: list[float],
-    load: tuple[float, float, float],
+    folder: Path, cores: dict[str, float], memory: list[float], load: tuple[float, float, float]
 ) -> Figures:
     """Return all figures in one table."""
-    sent = [json.loads((folder / f"sent-{share[0]}.json").read_text()) for share in shares]
+    sent = [json.loads(each.read_text()) for each in sorted(folder.glob("sent-*.json"))]
     runs = [json.loads(each.read_text()) for each in sorted(folder.glob("fused-*.json"))]
     ages = np.sum([each["ages"] for each in runs], axis=0)
     fused = runs[-1]
@@ -499,6 +497,7 @@ def main() -> None:
     words.add_argument("--sensors", type=int, default=100)
     words.add_argument("--processes", type=int, default=4)
     words.add_argument("--vehicles", action="store_true")
+    words.add_argument("--go-on", action="store_true")
     words.add_argument("--kill", nargs="*", default=[], metavar="MINUTE NAME")
     words.add_argument("--folder", type=Path, default=Path("out/soak"))
     words.add_argument("--out", type=Path, default=OUT)
@@ -514,8 +513,8 @@ def main() -> None:
     else:
         found = soak(
             given.folder, sensors=given.sensors, processes=given.processes,
-            seconds=given.seconds or 60.0 * given.minutes, port=free_port(),
-            vehicles=given.vehicles,
+            seconds=given.seconds or 60.0 * given.minutes, vehicles=given.vehicles,
+            go_on=given.go_on,
             kills=[(60.0 * float(at), name) for at, name in
                    zip(given.kill[::2], given.kill[1::2], strict=True)],
         )  # fmt: skip
