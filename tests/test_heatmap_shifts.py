@@ -66,7 +66,8 @@ def test_what_is_not_stated_is_as_usual_and_a_scale_of_range_counts_by_range():
     assert own_m([POSE]) == pytest.approx((POSE_M, POSE_M))
     scaled = POSE | {"range_scale": {"factor": 1.0, "sigma": 0.004, "vehicles": 30}}
     assert own_m([scaled]) == pytest.approx((np.hypot(POSE_M, 0.401), POSE_M))
-    assert own_m([POSE | {"range_scale": "not fitted"}]) == pytest.approx((POSE_M, POSE_M))
+    for unknown in ("not fitted", {"factor": 1.0, "sigma": None}):
+        assert own_m([POSE | {"range_scale": unknown}]) == pytest.approx((POSE_M, POSE_M))
 
 
 def test_sensors_err_independently_and_the_poses_of_one_as_one():

@@ -33,6 +33,7 @@ STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # between two reports of a child that runs
 _REAPED_S = 0.001  # between two looks whether another thread has reaped one
 _GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
+_TRIES = 100  # to weigh a session, 0.1 s apart: so many workers may begin at once
 _PATIENCE_S = 0.7  # for a stopped worker to clear up: it has files to remove, not work to end
 
 OFFLINE = {
@@ -192,9 +193,19 @@ def watch_parent() -> None:
         raise RuntimeError("only a process of multiprocessing has a parent to watch")
     if sys.platform != "win32" and os.getpgrp() != os.getpid():
         os.setsid()
-        with suppress(OSError):  # Linux shares cores among sessions first, each of niceness 0
-            Path("/proc/self/autogroup").write_text(str(os.nice(0)), encoding="ascii")
+        _weigh_session()
     _start_watchdog(parent.join, _kill_own_group)
+
+
+def _weigh_session() -> None:
+    """Give a new session the niceness of its process: Linux shares cores among sessions first."""
+    niceness = os.nice(0)
+    with suppress(OSError):
+        for _ in range(_TRIES if niceness else 0):
+            with suppress(BlockingIOError):  # Linux takes ten a second, of all users' processes
+                Path("/proc/self/autogroup").write_text(str(niceness), encoding="ascii")
+                return
+            time.sleep(0.1)
 
 
 def stop_workers(workers: Iterable[BaseProcess]) -> None:

@@ -102,8 +102,13 @@ class Day:
         return {}
 
     def is_made(self, tables: Sequence[TableSchema], keys: Keys) -> bool:
-        """Return whether tables were made from just these hours, as they are now."""
-        return all(self.made(table) == keys for table in tables)
+        """Return whether tables have all columns, from just these hours, as they are now."""
+        return all(self.made(table) == keys and self._is_whole(table) for table in tables)
+
+    def _is_whole(self, table: TableSchema) -> bool:
+        """Return whether a table has the columns that are newer than it, too."""
+        with self.opened(table) as file:
+            return {*table.names} <= {*file.schema_arrow.names}
 
     def update(self, tables: Sequence[TableSchema], keys: Keys, make: Maker) -> None:
         """Bring tables up to date; the caller is the only writer of the date.

@@ -239,9 +239,11 @@ class Pose:
         """
         what, stated = Text("pose of {}", self.sensor), self.evidence
         scale = stated.get("range_scale")  # a text where there was none to fit
-        scale_sigma = scale.get("sigma", 0.0) if isinstance(scale, Mapping) else 0.0
+        scale_sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
         return Evidence(
-            range_scale_sigma=_from_zero(scale_sigma, "range_scale", what),
+            range_scale_sigma=_from_zero(
+                0.0 if scale_sigma is None else scale_sigma, "range_scale", what
+            ),
             sigma=_parse_sigma(stated.get("sigma"), what),
             covariance=_parse_covariance(stated.get("covariance"), what),
             method=str(stated.get("method") or ""),

@@ -144,7 +144,10 @@ def test_a_day_of_before_a_column_keeps_its_rows_though_its_hours_are_gone(datas
         assert found.pop("stops").isna().all()
         pd.testing.assert_frame_equal(found, rows.drop(columns="stops"))
         assert dataset.traffic("1h")["counted"].tolist() == [6, 2]
+        told = dataset.query("SELECT count(*) AS rows, count(stops) AS stops FROM lane_measures")
+        assert told.iloc[0].tolist() == [len(rows), 0]
         update(dataset)
+    assert "stops" in pq.read_schema(path).names  # as other programs read it
 
 
 @pytest.mark.parametrize("other", [{"inputs": "other"}, {"method": 99}])

@@ -116,9 +116,9 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
 def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool) -> Obstacles:
     """Find what hides over the cells of a window.
 
-    Solid is what the lowest returns show over a square of `crown_m`: an opening of the lowest
+    Solid is what the lowest returns show over a square of `CROWN_M`: an opening of the lowest
     surface, which crowns do not survive, as pulses reach the ground under them, nor poles, hedges
-    and cars. The road itself is free up to `clear_m`, whatever stood on it when the scan was
+    and cars. The road itself is free up to `CLEAR_M`, whatever stood on it when the scan was
     flown. Over a lower level's tiles, and some metres beside them, an upper level is a slab.
 
     Parameters

@@ -41,8 +41,8 @@ MOVEMENT_MPS, MOVEMENT_LEVEL_M = 1.0, 2.5
 # radar's error of bearing, narrower than a house; the least driveway between two walls.
 SECTOR_DEG, RING_M = 1.0, 10.0
 SECTORS_IN_ROW = 3  # width of a contradiction: one alone is an edge, smeared by bearing errors
-# A cell is empty where less than this share of the expected movement is there: ghosts of facades
-# come to a tenth at most; in a sector of which so many frames of movement are missed.
+# A cell is empty where less than this share of the expected movement is there, as ghosts of facades
+# come to a tenth at most; and where so many frames with movement are expected from it on outwards.
 EMPTY_SHARE, LEAST_IN_SECTOR = 0.1, 2.0
 # Frames of movement missed, or seen though hidden, in a run of sectors before it counts: half a
 # dozen vehicles, each seen in several frames of several sectors.

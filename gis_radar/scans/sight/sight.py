@@ -348,7 +348,7 @@ class SightScan:
 def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None) -> Sight:
     """Find which tiles a sensor sees from one pose.
 
-    A tile is in sight where its centre, `target_m` over the road, lies within range, azimuth and
+    A tile is in sight where its centre, `TARGET_M` over the road, lies within range, azimuth and
     elevation, and, with a scan, nothing that stands in it hides that point.
 
     Parameters

@@ -162,7 +162,7 @@ class MeasureTraffic(WorkerAlgorithm):
             "Corrects clocks that are off: a file from 'Compare clocks', or the word auto.",
         ),
         replace(shared.TIMEZONE, about="The site's, such as Europe/Berlin; UTC without."),
-        Number("JOBS", "Hours at once", "As cores and memory allow, without it."),
+        Number("JOBS", "Processes at once", "As cores and memory allow, without it."),
         OutputFolder(
             "OUTPUT", "Dataset", "A folder; one that holds a dataset of the same tiles is added to."
         ),
