@@ -8,6 +8,7 @@ import math
 import shutil
 import time
 import urllib.request
+from threading import Event
 
 import numpy as np
 import pytest
@@ -40,6 +41,7 @@ from gis_radar.live import (
     Fusion,
     Link,
     SensorTopics,
+    Spool,
     read_edge_file,
     read_live_site,
 )
@@ -173,6 +175,29 @@ def test_fusion_on_a_full_disk_acknowledges_nothing_and_goes_on_once_there_is_ro
         assert_equal_to_batch(site, ["R1"])
     finally:
         disk.close()
+
+
+def test_nothing_is_acknowledged_while_the_disk_is_at_work(tmp_path, once, monkeypatch):
+    """A loss of power at that time takes it."""
+    site = LiveSite(tmp_path, once, names=("R1",))
+    site.broker.start()
+    write, may_write = Spool.write, Event()
+    monkeypatch.setattr(Spool, "write", lambda each: may_write.wait(60.0) and write(each))
+    fusion = Fusion(read_live_site(site.file))
+    middle = Background(fusion.run)
+    edge = Edge(read_edge_file(site.edge("R1")))
+    work = Background(edge.run)
+    try:
+        wait_for(lambda: fusion.sensors["R1"].health.counts["frames"] > 0)
+        time.sleep(3.0)  # commits are a second apart
+        assert edge.outbox.stored == 0
+    finally:
+        may_write.set()
+        work.join()
+        work.end()
+        middle.end()
+        site.broker.kill()
+    assert_all_recorded(site, ["R1"])
 
 
 def test_fusion_on_a_disk_without_an_inode_goes_on_and_measures_once_there_is_one(tmp_path, once):

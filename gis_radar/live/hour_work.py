@@ -111,7 +111,7 @@ class MeasuredSite:
         self, recordings: Sequence[tuple[Path, PoseTrack]], folder: Path, *, before_hour: int,
         reporter: Reporter,
     ) -> Dataset:  # fmt: skip
-        """Measure recordings as `gis-radar measure` does, on all cores of this process."""
+        """Measure recordings as `gis-radar measure` does, on all cores but fusion's."""
         return measure(
             [path for path, _ in recordings], [track for _, track in recordings],
             read_tiles(self.tiles), self.map, folder, scans=self.scans, scan_crs=self.scan_crs,
@@ -119,7 +119,7 @@ class MeasuredSite:
             cycles={name: self.cycles[name] for name in self.cycles
                     if any(track.sensor == name for _, track in recordings)},
             hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
-            check=False, processes=workers_here(), reporter=reporter,
+            check=False, processes=max(workers_here() - 1, 1), reporter=reporter,
         )  # fmt: skip
 
 
@@ -226,7 +226,7 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
         except InputError as error:
             done.not_measured[hour] = error.message
     groups = [each for each in found.items() if each[1]]
-    if len(groups) > 1 and workers_here() > 1:
+    if len(groups) > 1 and workers_here() > 2:
         every = [each for _, recordings in groups for each in recordings]
         with suppress(InputError):  # of one hour: each alone then, to find it
             site.measure(every, site.dataset, before_hour=before_hour, reporter=done)

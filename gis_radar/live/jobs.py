@@ -56,9 +56,6 @@ def _begin() -> None:
     if hasattr(os, "nice"):
         os.nice(NICE)
     watch_parent()
-    if hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, cores[1:] or cores)  # one is left to fusion
 
 
 @dataclass(frozen=True, kw_only=True)
