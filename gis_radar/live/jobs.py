@@ -288,7 +288,7 @@ class HourJobs:
     def finish(self, spooled: Sequence[Path]) -> None:
         """Make recordings of what is there, and measure the hours that are over."""
         self.stop()
-        self._hours, self._next = {}, _of_all_that_waits
+        self._hours, self._next = {}, partial(_of_all_that_waits, list(self.touched))
         self.begin(spooled)
         while self._running is not None:
             time.sleep(LOOK_S)
@@ -327,9 +327,10 @@ def _of_hours(hours: Sequence[int], site: MeasuredSite, spooled: Sequence[Path])
     return make_hours(site, spooled, hours)
 
 
-def _of_all_that_waits(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+def _of_all_that_waits(touched: Sequence[int], site: MeasuredSite, spooled: Sequence[Path]) -> Done:
     done = take_up(site, spooled)
-    over = [hour for hour in done.hours if end_of_hour_s(hour) <= time.time()]
+    hours = sorted({*touched, *done.hours})  # what was touched may be half made
+    over = [hour for hour in hours if end_of_hour_s(hour) <= time.time()]
     return make_hours(site, [], over) if over else done
 
 

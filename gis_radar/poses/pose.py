@@ -234,16 +234,13 @@ class Pose:
         Raises
         ------
         InputError
-            If the covariance is not 6 x 6 finite numbers, symmetric and positive, or a sigma is not
-            a number from 0.
+            If the covariance is not 6 x 6, symmetric and positive, or a sigma no number from 0.
         """
         what, stated = Text("pose of {}", self.sensor), self.evidence
         scale = stated.get("range_scale")  # a text where there was none to fit
-        scale_sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
+        sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
         return Evidence(
-            range_scale_sigma=_from_zero(
-                0.0 if scale_sigma is None else scale_sigma, "range_scale", what
-            ),
+            range_scale_sigma=_from_zero(0.0 if sigma is None else sigma, "range_scale", what),
             sigma=_parse_sigma(stated.get("sigma"), what),
             covariance=_parse_covariance(stated.get("covariance"), what),
             method=str(stated.get("method") or ""),
