@@ -153,10 +153,10 @@ def test_a_clock_of_fusion_that_is_stepped_ends_nothing(tmp_path, once, monkeypa
     wait_for(lambda: follows() and fusion.state().hit.any())
     for clock.ahead_s in (3600.0, -5.0, 0.0):
         wait_for(follows)
-    wait_for(lambda: fusion.state().hit.any() and edge.frames > 40)
+    sensor = fusion.sensors["R1"]
+    wait_for(lambda: fusion.state().hit.any() and sensor.health.counts["frames"] > 40)
     work.stop.set()
     work.join()
-    sensor = fusion.sensors["R1"]
     wait_for(lambda: sensor.mark.stored == sensor.mark.received)
     middle.end()
     site.broker.kill()
