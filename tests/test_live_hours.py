@@ -383,20 +383,29 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
     assert after(6, doubts={"R1": None})["R1"] is None
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[1]", '{"doubts": 3}', '{"doubts": {}, "untold": {"R1": {}}}']
-)
-def test_a_file_of_doubts_that_is_damaged_stops_nothing(tmp_path, pool, text):
-    site = SpooledSite(tmp_path).site
+DAMAGED = (
+    "", "[1]", '{"doubts": 3}', '{"doubts": {"R1": {}}, "untold": {}}',
+    '{"doubts": {}, "untold": {"R1": {}}}', '{"doubts": {}, "untold": {"R1": 1e300}}',
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", DAMAGED)
+def test_a_file_of_doubts_that_is_damaged_stops_nothing_and_is_told(tmp_path, pool, text):
+    site, said = SpooledSite(tmp_path).site, Lines()
     (site.folder / DOUBTS).write_text(text)
-    assert JobsHere(site, Quarters(), pool=pool).doubts == {}
+    assert JobsHere(site, Quarters(), reporter=said, pool=pool).doubts == {}
+    assert said.told("doubts.json: cannot be read")
 
 
 def test_at_the_end_hours_that_an_earlier_run_left_are_measured(tmp_path):
     made = SpooledSite(tmp_path)
-    spooled = recorded_at(made, FULL_US - 45_000_000, ["R1"], seconds=2.0)
-    HourJobs(made.site, Quarters()).finish(spooled)  # of which nothing came in this run
+    spooled, said = recorded_at(made, FULL_US - 45_000_000, ["R1"], seconds=6.0), Lines()
+    content = bytearray(spooled[-1].read_bytes())
+    content[-40] ^= 1  # in the last of three messages
+    spooled[-1].write_bytes(content)
+    HourJobs(made.site, Quarters(), reporter=said).finish(spooled)  # nothing came in this run
     assert list(read_hours(made.site.dataset)) == [HOUR]
+    assert said.told("damaged records are left out")
 
 
 def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):

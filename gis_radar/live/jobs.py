@@ -103,7 +103,7 @@ class HourJobs:
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
-        self._doubts, self._untold = _kept_doubts(site.folder / DOUBTS)
+        self._doubts, self._untold = _kept_doubts(site.folder / DOUBTS, reporter)
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._settings, self._reporter = settings, reporter
@@ -311,16 +311,19 @@ class HourJobs:
         }
 
 
-def _kept_doubts(path: Path) -> tuple[dict[str, str | None], dict[str, int]]:
-    """Return what an earlier fusion doubted; nothing where that cannot be read."""
+def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], dict[str, int]]:
+    """Return what an earlier fusion doubted; what cannot be read is told, and stops nothing."""
+    if not path.exists():
+        return {}, {}
     try:
         found = restored(read_json(path, what="doubts"))
-        doubts: dict[str, str | None] = {
-            name: None if each is None else Text(each) for name, each in found["doubts"].items()
-        }
-        return doubts, {name: int(hour) for name, hour in found["untold"].items()}
-    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError):
+        doubts, untold = dict(found["doubts"]), dict(found["untold"])
+        "".join(each for each in doubts.values() if each is not None)  # else a TypeError
+        [hour_text(hour) for hour in untold.values()]
+    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
+        reporter.warn("{}: cannot be read: alarms of poses begin anew", path)
         return {}, {}
+    return doubts, untold
 
 
 def _of_hours(hours: Sequence[int], site: MeasuredSite, spooled: Sequence[Path]) -> Done:
@@ -331,7 +334,11 @@ def _of_all_that_waits(touched: Sequence[int], site: MeasuredSite, spooled: Sequ
     done = take_up(site, spooled)
     hours = sorted({*touched, *done.hours})  # what was touched may be half made
     over = [hour for hour in hours if end_of_hour_s(hour) <= time.time()]
-    return make_hours(site, [], over) if over else done
+    if not over:
+        return done
+    made = make_hours(site, [], over)
+    made.said = [*done.said, *made.said]
+    return made
 
 
 def _of_quarter(quarter: int, site: MeasuredSite, spooled: Sequence[Path]) -> Done:

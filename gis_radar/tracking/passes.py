@@ -14,7 +14,7 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.strips import Strips
 
 CELLS = 100_000  # of a strip, more than the longest has
-CELL_M = 0.5  # their length: two cells of `stationary`, which looks its places up here
+TWO_CELLS_M = 0.5  # length of two: `stationary` looks its places up here, half as long
 # A vehicle drives over a place if it is at least so fast, was detected within this time of the
 # moment, and its middle comes so near to the place, or to the middle of the lane: half the width of
 # two cars and the error of their places; 0.7 and 1.3 m change the shares of time of towns by less
@@ -66,7 +66,7 @@ class Passes:
             at.strip.tolist(), at.s_m.tolist(), every[at.row].tolist(),
             np.concatenate(pace)[at.row].tolist(), strict=True,
         ):  # fmt: skip
-            for cell in range(int((s - 0.5) / CELL_M), int((s + 0.5) / CELL_M) + 1):
+            for cell in range(int((s - 0.5) / TWO_CELLS_M), int((s + 0.5) / TWO_CELLS_M) + 1):
                 times.setdefault(strip * CELLS + cell, []).append(moment)
                 if speed > FAST_MPS:
                     fast.setdefault(strip * CELLS + cell, []).append(moment)

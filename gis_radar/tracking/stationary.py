@@ -21,7 +21,7 @@ from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
-from gis_radar.tracking.passes import CELLS, Passes
+from gis_radar.tracking.passes import CELLS, TWO_CELLS_M, Passes
 from gis_radar.tracking.size import LONGEST_M, length_prior
 
 FRONT, REAR, SIDE = range(3)  # what of a vehicle a sensor looks at
@@ -30,7 +30,7 @@ SLOT_S = 0.5  # of counts of what is built
 CHANGE_M = 1.5  # by how much the ends of one vehicle may seem to move from second to second
 INSIDE_M = 0.5  # least distance from the lane's edge: kerbs, signs and parked cars lie nearer to it
 HIGH_M = 3.2  # a scatterer whose median height over the road is larger hangs above the lane
-CELL_M = 0.25  # cells of a strip: the scatter of a scatterer
+CELL_M = 0.5 * TWO_CELLS_M  # of a strip: the scatter of a scatterer
 # After a longer gap without a detection a scatterer counts as a new one: a stationary vehicle is
 # silent for 9 to 25 s in one case of ten. One that is first detected so soon after the first
 # detection of all stood there before; so near the last of all, it stays.
