@@ -45,7 +45,7 @@ class Server(ThreadingHTTPServer):
         self.odd, self.asked, self.fails, self.drops, self.at_once = [], [], 0, 0, at_once
         self.raw, self.moved = {}, None  # bytes that a method is answered; code and address
         super().__init__(("127.0.0.1", 0), Handler)
-        threading.Thread(target=self.serve_forever, daemon=True).start()
+        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
 
     @property
     def address(self):

@@ -41,7 +41,7 @@ def server():
     """A web server on this machine; `seen` holds the paths it was asked for."""
     with ThreadingHTTPServer(("127.0.0.1", 0), Recorder) as server:
         server.seen, server.url = [], f"http://127.0.0.1:{server.server_port}"
-        thread = threading.Thread(target=server.serve_forever)
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
         thread.start()
         yield server
         server.shutdown()

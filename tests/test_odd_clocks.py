@@ -6,7 +6,7 @@ import pytest
 from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.odd_clocks import clock_offsets_between, odd_clocks
 
-SENSORS, LATE_S = 12, 1.0
+SENSORS, LATE_S = 9, 1.0
 
 
 def drive(rng, *, late_s=0.0):
@@ -14,7 +14,7 @@ def drive(rng, *, late_s=0.0):
     traffic = np.random.default_rng(7)
     begin = np.sort(traffic.uniform(0.0, 120.0, 40))
     speed = traffic.uniform(8.0, 16.0, 40)
-    moment = np.arange(0.0, 160.0, 0.1)
+    moment = np.arange(0.0, 160.0, 0.25)
     on = (moment - begin[:, None]) * speed[:, None]
     vehicle, step = np.nonzero((on > 0.0) & (on < 300.0))
     order = np.argsort(moment[step], kind="stable")

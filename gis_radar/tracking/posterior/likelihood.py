@@ -52,17 +52,43 @@ def place_density(
 
     `cos` and `sin` are of the angle from the heading to the line of sight.
     """
+    sigma, by_width, of_flank = density_across(left, cos, sin, width, away)
+    return density_along(along, cos, sin, length, width, sigma, by_width, of_flank)
+
+
+@compiled
+def density_across(
+    left: float, cos: float, sin: float, width: float, away: float
+) -> tuple[float, float, float]:
+    """Return what of the density of a place does not depend on the length of the body.
+
+    Returns
+    -------
+    sigma : float
+        Standard deviation along the body, m.
+    by_width, of_flank : float
+        Density across the whole body, and across the flank that is seen, 1 / m.
+    """
+    left_sigma = math.hypot(FACE_M, FACE_RAD * away * cos)
+    side = 0.5 * width
+    flank = -side if sin > 0.0 else side
+    by_width = _blurred(left, side, left_sigma)
+    return math.hypot(FACE_M, FACE_RAD * away * sin), by_width, _normal(left - flank, left_sigma)
+
+
+@compiled
+def density_along(  # noqa: PLR0917 - numba takes plain numbers
+    along: float, cos: float, sin: float, length: float, width: float,
+    sigma: float, by_width: float, of_flank: float,
+) -> float:  # fmt: skip
+    """Return the density of a place on a body, 1 / m2, by what `density_across` returns."""
     ends = width * abs(cos)
     share = ends / (ends + length * abs(sin) + 1e-9)
-    along_sigma = math.hypot(FACE_M, FACE_RAD * away * sin)
-    left_sigma = math.hypot(FACE_M, FACE_RAD * away * cos)
-    half, side = 0.5 * length, 0.5 * width
+    half = 0.5 * length
     end = -half if cos > 0.0 else half
-    flank = -side if sin > 0.0 else side
-    by_length, by_width = _blurred(along, half, along_sigma), _blurred(left, side, left_sigma)
-    of_end = _normal(along - end, along_sigma) * by_width
-    of_flank = _normal(left - flank, left_sigma) * by_length
-    faces = share * of_end + (1.0 - share) * of_flank
+    by_length = _blurred(along, half, sigma)
+    faces = share * (_normal(along - end, sigma) * by_width)
+    faces += (1.0 - share) * (of_flank * by_length)
     return ON_FACES * faces + (1.0 - ON_FACES) * by_length * by_width
 
 

@@ -17,10 +17,11 @@ from gis_radar.tracking.posterior.likelihood import (
     Rates,
     Seen,
     aspect,
+    density_across,
+    density_along,
     gain_of,
     kind_and_cell,
     on_body,
-    place_density,
     rate_density,
     taller,
 )
@@ -107,10 +108,15 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
     """Return the gain for each (length, width, ahead) of `sizes`."""
     begin, row, pair = _pairs(frame, shape, sizes, seen)
     room, new = np.empty((len(row), 2)), np.empty(shape.shape[1])
+    across = np.empty((len(row), 3))
     gains = np.zeros(len(sizes))
     for k in range(len(sizes)):
         length, width, ahead = sizes[k]
         half, side, e = 0.5 * length, 0.5 * width + REACH_M, 0
+        if k == 0 or width != sizes[k - 1, 1]:
+            for q in range(len(row)):
+                _, left, cos, sin = pair[q, :4]
+                across[q] = density_across(left, cos, sin, width, seen[3][row[q]])
         while e < len(group):
             g, n, due = group[e], 0, 0.0
             stands = 1 if shape[e, 4] < STANDS_MPS else 0
@@ -125,8 +131,9 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
                 for q in range(begin[e], begin[e + 1]):
                     along, left = pair[q, 0] - ahead, pair[q, 1]
                     if abs(along) < half + REACH_M and abs(left) < side:
-                        density = pair[q, 4] * place_density(
-                            along, left, pair[q, 2], pair[q, 3], length, width, seen[3][row[q]]
+                        sigma, by_width, of_flank = across[q]
+                        density = pair[q, 4] * density_along(
+                            along, pair[q, 2], pair[q, 3], length, width, sigma, by_width, of_flank
                         )
                         if length > LONG_M:
                             density *= pair[q, 5]
