@@ -77,7 +77,7 @@ def density_across(
 
 
 @compiled
-def density_along(  # noqa: PLR0917 - numba takes plain numbers
+def density_along(
     along: float, cos: float, sin: float, length: float, width: float,
     sigma: float, by_width: float, of_flank: float,
 ) -> float:  # fmt: skip
