@@ -1,5 +1,5 @@
 #!/bin/sh
-# Get what the checks use beside Python: MapLibre, Chromium and QGIS, those two one after the other as apt wants it.
+# Get what the checks use beside Python: MapLibre, PostGIS, Chromium and QGIS, those two one after the other as apt wants it.
 # What cannot be had is left out; with GIS_RADAR_CHROMIUM=required a missing Chromium is a failure.
 #
 #   tools/get_browser_and_qgis.sh --apt    only what apt installs, which needs no .venv
@@ -11,5 +11,6 @@ if command -v flock >/dev/null 2>&1; then # another one may be at it
 fi
 [ "${1:-}" = --apt ] || sh tools/get_maplibre.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
 sh tools/get_mosquitto.sh || [ "${GIS_RADAR_MOSQUITTO:-}" != required ]
+sh tools/get_postgis.sh || [ "${GIS_RADAR_POSTGIS:-}" != required ]
 sh tools/get_chromium.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
 sh tools/get_qgis.sh "$@" 2>/dev/null || true # tools/test_qgis.sh says why

@@ -1,4 +1,4 @@
-"""The commands about a dataset: traffic, compare, query, dataset."""
+"""The commands about a dataset: traffic, compare, query, publish, dataset."""
 
 from __future__ import annotations
 
@@ -116,6 +116,23 @@ def query(
         return Result(outputs=[], summary={"total": total}, rows=rows)
     refuse_inputs(output, folder)
     return Result(outputs=[output], summary={"total": dataset.write_answer(sql, output, **options)})
+
+
+@command(example="gis-radar publish results/dataset postgresql://editor@db.example.org/traffic")
+@click.argument("folder", metavar="DATASET", type=FILE)
+@click.argument("url", metavar="DATABASE")
+@click.option(
+    "--schema", default="gis_radar", show_default=True,
+    help="Schema that holds the tables: one for each site.",
+)  # fmt: skip
+@click.option("--reader", metavar="ROLE", help="A role that may read the tables, nothing more.")
+def publish(
+    *, folder: Path, url: str, schema: str, reader: str | None, reporter: Reporter
+) -> Result:  # fmt: skip
+    """Publish a dataset in PostGIS: tiles, lanes, sensors, traffic; only what changed is sent."""
+    dataset = gr.open_dataset(folder, reporter=reporter)
+    done = gr.publish(dataset, url, schema=schema, reader=reader, reporter=reporter)
+    return Result(outputs=[], summary=done.figures())
 
 
 @command(example="gis-radar dataset results/dataset")

@@ -5,6 +5,7 @@ from .heatmap.by_lane import lane_totals, lanes_with_tiles
 from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
 from .heatmap.intervals import MapLabels
 from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
+from .postgis import Publication, publish
 from .projection.project import project, write_projection
 from .qgis.project import write_qgis_project, write_site_project
 from .qgis.project_file import was_edited
@@ -23,6 +24,7 @@ __all__ = [
     "Comparison",
     "HeatMap",
     "MapLabels",
+    "Publication",
     "Quality",
     "QualitySettings",
     "Report",
@@ -35,6 +37,7 @@ __all__ = [
     "make_traffic",
     "measure_quality",
     "project",
+    "publish",
     "read_heatmap",
     "require_table_name",
     "to_trajectories",

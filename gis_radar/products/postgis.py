@@ -1,0 +1,386 @@
+"""A dataset in PostGIS: tiles, lanes, sensors and traffic by quarter of an hour as tables.
+
+One transaction brings a schema to what the dataset holds: dates that are new or were measured again
+are sent, dates that the dataset no longer has are taken out, all others stay as they are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.csv
+import shapely
+from pyproj import CRS
+
+from gis_radar.base import QUIET, CrsError, GisRadarError, OutputError, Reporter, Text, UsageError
+from gis_radar.dataset import STEPS_PER_HOUR, TILE_COUNTS, Dataset, LaneTraffic
+from gis_radar.hdmap import TILE_FIELDS
+from gis_radar.measures import lane_names
+from gis_radar.products.traffic import TITLES
+
+if TYPE_CHECKING:
+    from psycopg import Connection, Cursor
+
+VERSION = 1  # of the tables; raised when they change
+CHANNEL = "qgis"  # on which QGIS listens for "Refresh layer on notification"
+CONNECT_S = 10  # after which a server that does not answer is given up, seconds
+_STEPS_PER_DAY = 24 * STEPS_PER_HOUR
+_EPOCH = date(1970, 1, 1)
+_NAME = re.compile(r"[a-z_][a-z0-9_]{0,62}")
+_TYPES = {
+    "int": "bigint", "uint": "bigint", "flo": "double precision", "bool": "boolean",
+    "dat": "timestamptz",
+}  # fmt: skip
+"""Types of PostgreSQL by the beginning of those of pandas; all others are text."""
+_TIMES = {"begin": "begin_time", "end": "end_time"}  # END is a word of SQL
+_KEYS = {
+    "tiles": ["tile_id"], "lanes": ["lane"], "sensors": ["sensor"],
+    "tile_counts": ["tile_id", "begin_time"], "lane_measures": ["lane", "begin_time"],
+    "turns": ["from_lane", "to_lane", "begin_time"],
+}  # fmt: skip
+_BY_DAY = ("tile_counts", "lane_measures", "turns")
+_ROWS = {
+    "tiles": "Slices of lanes, on which occupancy is counted",
+    "lanes": "Lanes between junctions, from their begin to their stop line",
+    "sensors": "Where radars stand and look, by the last pose of each",
+    "tile_counts": "Steps of 50 ms of a tile in a quarter of an hour",
+    "lane_measures": "Traffic of a lane in a quarter of an hour; null where it was not visible",
+    "turns": "Traffic from lane to lane in a quarter of an hour",
+}
+_OCCUPANCY = """
+    CREATE OR REPLACE VIEW {schema}.occupancy AS
+    SELECT t.*, c.occupied_steps / 20.0 AS occupied_s, c.visible_steps / 20.0 AS visible_s,
+        c.occupied_steps::float8 / nullif(c.visible_steps, 0) AS occupancy
+    FROM {schema}.tiles t JOIN (
+        SELECT tile_id, sum(occupied_steps) AS occupied_steps, sum(visible_steps) AS visible_steps
+        FROM {schema}.tile_counts GROUP BY tile_id
+    ) c USING (tile_id)
+"""
+_LATEST = """
+    CREATE OR REPLACE VIEW {schema}.latest_traffic AS
+    SELECT DISTINCT ON (lane) m.*, l.name, l.geometry
+    FROM {schema}.lane_measures m JOIN {schema}.lanes l USING (lane) ORDER BY lane, begin_time DESC
+"""
+_VIEWS = {
+    "occupancy": (_OCCUPANCY, "Share of time that a vehicle is on a tile, over all dates"),
+    "latest_traffic": (_LATEST, "Traffic of each lane in its last quarter of an hour"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Publication:
+    """What was published.
+
+    Parameters
+    ----------
+    place : str
+        Database and schema, without user and password.
+    sent, kept, removed : int
+        Dates that were sent, that were there already, and that were taken out.
+    rows : dict
+        Rows sent, by table.
+    """
+
+    place: str
+    sent: int
+    kept: int
+    removed: int
+    rows: Mapping[str, int]
+
+    def figures(self) -> dict[str, Any]:
+        """Return all of it for people."""
+        return {
+            "database": self.place, "dates_sent": self.sent, "dates_kept": self.kept,
+            "dates_removed": self.removed, **{f"rows_of_{k}": n for k, n in self.rows.items()},
+        }  # fmt: skip
+
+
+def publish(
+    dataset: Dataset, url: str, *, schema: str = "gis_radar", reader: str | None = None,
+    reporter: Reporter = QUIET,
+) -> Publication:  # fmt: skip
+    """Bring a schema of a PostGIS database to what a dataset holds, in one transaction.
+
+    Tables `tiles`, `lanes`, `sensors`, `tile_counts`, `lane_measures` and `turns` with keys,
+    indexes of space and time and comments on columns; views `occupancy` and `latest_traffic`.
+    Listeners on the channel `qgis` are notified.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        A dataset whose coordinate system has an EPSG code.
+    url : str
+        The database, as libpq takes it: `postgresql://user@host/database`. The password may come
+        from `PGPASSWORD` or `~/.pgpass`.
+    schema : str
+        Where the tables go; one for each site.
+    reader : str, optional
+        A role that may read the tables and nothing more.
+    reporter : Reporter
+        Receives the progress.
+
+    Returns
+    -------
+    Publication
+        What was sent.
+
+    Raises
+    ------
+    UsageError
+        If the address or the schema's name is none.
+    CrsError
+        If the coordinate system has no EPSG code.
+    OutputError
+        If the database cannot be reached or written, lacks PostGIS, or the schema holds another
+        site or tables of another version; the database is then as it was.
+    """
+    if not _NAME.fullmatch(schema):
+        raise UsageError("schema {} is no name of small letters, digits and _", schema)
+    code = CRS.from_user_input(dataset.crs).to_epsg()
+    if code is None:
+        raise CrsError("{}: {} has no EPSG code, which PostGIS needs", dataset.folder, dataset.crs)
+    with _connected(url, schema) as (connection, place):
+        session = _Session(cursor=connection.cursor(), schema=schema, place=place, srid=code)
+        session.prepare(dataset.manifest.fingerprint)
+        known, days = session.published(), _digests(dataset)
+        changed = [day for day in days if days[day] != known.get(day)]
+        gone = [day for day in known if day not in days]
+        session.remove([*gone, *(day for day in changed if day in known)])
+        session.replace_layers(dataset)
+        for done, day in enumerate(changed):
+            reporter.progress("publishing", done, len(changed))
+            session.send_day(dataset, day, days[day])
+        reporter.progress("publishing", len(changed), len(changed))
+        session.finish(reader)
+    return Publication(
+        place=f"{place}, schema {schema}", sent=len(changed), kept=len(days) - len(changed),
+        removed=len(gone), rows=session.rows,
+    )  # fmt: skip
+
+
+def _digests(dataset: Dataset) -> dict[date, str]:
+    """Return what the tables of each date follow from: the parts of its hours and of one before."""
+    records = dataset.records()
+    found = {}
+    for day in sorted({hour // 24 for hour in records}):
+        hours = [hour for hour in range(24 * day - 1, 24 * day + 24) if hour in records]
+        made = [(hour, sorted(records[hour].parts.items()), records[hour].origin) for hour in hours]
+        found[_EPOCH + timedelta(days=day)] = hashlib.sha256(repr(made).encode()).hexdigest()
+    return found
+
+
+@contextmanager
+def _connected(url: str, schema: str) -> Iterator[tuple[Connection, str]]:
+    """Open a connection whose changes are kept if nothing is raised."""
+    try:
+        import psycopg  # noqa: PLC0415 - an extra
+        from psycopg.conninfo import conninfo_to_dict  # noqa: PLC0415
+    except ImportError as error:
+        raise GisRadarError(
+            "psycopg is not installed", hint="pip install 'gis-radar[postgis]'"
+        ) from error
+    try:
+        asked = conninfo_to_dict(url)
+    except psycopg.ProgrammingError as error:
+        raise UsageError(
+            "the address of the database is none", hint="such as postgresql://user@host/database"
+        ) from error
+    place = f"{asked.get('host', 'localhost')}/{asked.get('dbname', asked.get('user', ''))}"
+    try:
+        with psycopg.connect(
+            url, connect_timeout=CONNECT_S, application_name="gis-radar"
+        ) as connection:
+            lock = "SELECT pg_try_advisory_xact_lock(hashtext(%s))"
+            row = connection.execute(lock, [f"gis_radar {schema}"]).fetchone()
+            if row is None or not row[0]:
+                raise OutputError("{}: schema {} is being published just now", place, schema)
+            yield connection, place
+    except psycopg.Error as error:
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise OutputError("{}: {}", place, reason, hint=_hint(reason)) from error
+
+
+def _hint(reason: str) -> Text:
+    if 'extension "postgis"' in reason:
+        return Text("install PostGIS, and CREATE EXTENSION postgis in the database as its owner")
+    return Text("the database is as it was")
+
+
+class _Session:
+    """The transaction in which a schema is brought up to date."""
+
+    def __init__(self, *, cursor: Cursor, schema: str, place: str, srid: int) -> None:
+        self.cursor, self.schema, self.place, self.srid = cursor, schema, place, srid
+        self.is_new = False
+        self.rows: dict[str, int] = {}
+
+    def run(self, statement: str, *values: Any, text: str = "", **names: str) -> None:
+        """Execute a statement: values for `%s`, a quoted `{text}`, names for the other holes."""
+        from psycopg.sql import SQL, Identifier, Literal  # noqa: PLC0415 - an extra
+
+        held = {hole: Identifier(name) for hole, name in (names | {"schema": self.schema}).items()}
+        composed = SQL(statement).format(text=Literal(text), **held)
+        self.cursor.execute(composed, values or None)
+
+    def ask(self, statement: str, *values: Any) -> Any:
+        """Return the first value of the answer of a statement."""
+        self.run(statement, *values)
+        row = self.cursor.fetchone()
+        return None if row is None else row[0]
+
+    def prepare(self, tiles: str) -> None:
+        """Make the schema where it is not there; refuse one of another version or other tiles."""
+        self.run("CREATE EXTENSION IF NOT EXISTS postgis")
+        there = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
+        self.run("CREATE SCHEMA IF NOT EXISTS {schema}")
+        told = self.ask("SELECT obj_description(to_regnamespace(%s), 'pg_namespace')", self.schema)
+        mine = f"gis_radar, tables of version {VERSION}, tiles {tiles}"
+        self.is_new = not told
+        if told != mine and (told or (there and self._holds_anything())):
+            raise OutputError(
+                "{}: schema {} holds something else ({})", self.place, self.schema,
+                told or "tables of others",
+                hint=Text("name another --schema, or drop {} and publish again", self.schema),
+            )  # fmt: skip
+        if self.is_new:
+            self.run("COMMENT ON SCHEMA {schema} IS {text}", text=mine)
+            self.run(
+                "CREATE TABLE {schema}.publication "
+                "(day date PRIMARY KEY, digest text NOT NULL, published timestamptz DEFAULT now())"
+            )
+            self.run(
+                "COMMENT ON TABLE {schema}.publication IS 'Dates that are published, with a digest'"
+            )
+
+    def _holds_anything(self) -> bool:
+        asked = "SELECT EXISTS (SELECT FROM pg_class WHERE relnamespace = to_regnamespace(%s))"
+        return bool(self.ask(asked, self.schema))
+
+    def published(self) -> dict[date, str]:
+        """Return the dates that are there, with their digests."""
+        self.run("SELECT day, digest FROM {schema}.publication")
+        return dict(self.cursor.fetchall())
+
+    def remove(self, days: list[date]) -> None:
+        """Take dates out of all tables."""
+        for day in days:
+            begin = datetime.combine(day, datetime.min.time(), UTC)
+            for table in filter(self._is_there, _BY_DAY):
+                self.run(
+                    "DELETE FROM {schema}.{table} WHERE begin_time >= %s AND begin_time < %s",
+                    begin, begin + timedelta(days=1), table=table,
+                )  # fmt: skip
+            self.run("DELETE FROM {schema}.publication WHERE day = %s", day)
+
+    def replace_layers(self, dataset: Dataset) -> None:
+        """Send lanes and sensors anew, as names and poses may have changed, and tiles once."""
+        lanes, tiles = dataset.lanes(), dataset.manifest.fingerprint
+        names: dict[int, str] = {}
+        if dataset.has_vehicles:
+            network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
+            names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
+        lanes.insert(1, "name", lanes["lane"].map(names).astype("str"))
+        poses = dataset.poses().drop(columns="document").sort_values(["sensor", "since"])
+        layers = {"lanes": lanes, "sensors": poses.drop_duplicates("sensor", keep="last")}
+        if self.is_new:
+            layers["tiles"] = dataset.tiles()
+        for name, table in layers.items():
+            self._create(name, table)
+            self.run("DELETE FROM {schema}.{table}", table=name)
+            self._copy(name, table)
+
+    def send_day(self, dataset: Dataset, day: date, digest: str) -> None:
+        """Send what was measured on a date."""
+        begin = (day - _EPOCH).days * _STEPS_PER_DAY
+        end = begin + _STEPS_PER_DAY
+        counts = dataset.tile_counts(begin=begin, end=end)
+        tables: dict[str, pd.DataFrame] = {"tile_counts": counts.drop(columns="interval")}
+        if dataset.has_vehicles:
+            lanes = dataset.traffic(begin=begin, end=end)
+            turns = dataset.turns(begin=begin, end=end)
+            tables["lane_measures"] = pd.DataFrame(lanes).drop(columns=["name", "geometry"])
+            without = ["from_name", "to_name", "geometry"]
+            tables["turns"] = pd.DataFrame(turns).drop(columns=without)
+        for name, table in tables.items():
+            self._create(name, table)
+            self._copy(name, table)
+        self.run("INSERT INTO {schema}.publication VALUES (%s, %s)", day, digest)
+
+    def finish(self, reader: str | None) -> None:
+        """Make the views, give the reader its rights, and notify who listens."""
+        for name, (statement, comment) in _VIEWS.items():
+            if self._is_there("lane_measures"):
+                self.run(statement)
+                self.run("COMMENT ON VIEW {schema}.{view} IS {text}", text=comment, view=name)
+        if reader is not None:
+            self.run("GRANT USAGE ON SCHEMA {schema} TO {role}", role=reader)
+            self.run("GRANT SELECT ON ALL TABLES IN SCHEMA {schema} TO {role}", role=reader)
+        self.run("SELECT pg_notify(%s, %s)", CHANNEL, f"gis_radar {self.schema}")
+
+    def _create(self, name: str, table: pd.DataFrame) -> None:
+        """Make a table where it is not there: with key, indexes, and comments."""
+        if self._is_there(name):
+            return
+        types = {_TIMES.get(str(c), str(c)): self._type_of(table, str(c)) for c in table}
+        columns = ", ".join(f'"{column}" {kind}' for column, kind in types.items())
+        key = ", ".join(_KEYS[name])
+        self.run(f"CREATE TABLE {{schema}}.{{table}} ({columns}, PRIMARY KEY ({key}))", table=name)
+        # dates are appended one after the other
+        index = "gist (geometry)" if "geometry" in table else "brin (begin_time)"
+        self.run(f"CREATE INDEX ON {{schema}}.{{table}} USING {index}", table=name)
+        self.run("COMMENT ON TABLE {schema}.{table} IS {text}", text=_ROWS[name], table=name)
+        for column in map(str, table):
+            if text := _meaning(name, column):
+                told = "COMMENT ON COLUMN {schema}.{table}.{column} IS {text}"
+                self.run(told, text=text, table=name, column=_TIMES.get(column, column))
+
+    def _type_of(self, table: pd.DataFrame, column: str) -> str:
+        if isinstance(table, gpd.GeoDataFrame) and column == table.geometry.name:
+            kinds = table.geom_type.unique()
+            kind = kinds[0] if len(kinds) == 1 else "Geometry"
+            return f"geometry({kind}{'Z' if table.has_z.any() else ''}, {self.srid})"
+        kind = str(table[column].dtype).lower()
+        return next((sql for start, sql in _TYPES.items() if kind.startswith(start)), "text")
+
+    def _is_there(self, name: str) -> bool:
+        return self.ask("SELECT to_regclass(%s)", f"{self.schema}.{name}") is not None
+
+    def _copy(self, name: str, table: pd.DataFrame) -> None:
+        from psycopg.sql import SQL, Identifier  # noqa: PLC0415 - an extra
+
+        shown = pd.DataFrame(table).rename(columns=_TIMES)
+        if isinstance(table, gpd.GeoDataFrame):
+            placed = shapely.set_srid(np.asarray(table.geometry), self.srid)
+            shown["geometry"] = shapely.to_wkb(placed, hex=True, include_srid=True)
+        text = io.BytesIO()
+        without_titles = pyarrow.csv.WriteOptions(include_header=False)
+        pyarrow.csv.write_csv(
+            pa.Table.from_pandas(shown, preserve_index=False), text, without_titles
+        )
+        columns = SQL(", ").join([Identifier(str(column)) for column in shown])
+        place = Identifier(self.schema, name)
+        copy = SQL("COPY {} ({}) FROM STDIN (FORMAT csv)").format(place, columns)
+        with self.cursor.copy(copy) as target:
+            target.write(text.getbuffer())
+        self.rows[name] = self.rows.get(name, 0) + len(shown)
+
+
+def _meaning(table: str, column: str) -> str:
+    """Return what a column says, with its unit."""
+    if table == "tile_counts":
+        counts = {each.name: each.means for each in TILE_COUNTS.columns}
+        return counts.get(column, "begin of the quarter of an hour" if column == "begin" else "")
+    if table == "tiles":
+        return TILE_FIELDS[column][1] if column in TILE_FIELDS else ""
+    return TITLES[column].template if column in TITLES else ""

@@ -1,0 +1,205 @@
+"""A dataset in PostGIS: the same figures, only what changed, and never half of it."""
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from datasets import write_dataset
+from driven import drive, driven, straight_tiles
+from maps import Listener
+from postgres import needs_postgis, server
+from shapely import LineString
+
+import gis_radar as gr
+from gis_radar.dataset import STEPS_PER_HOUR
+
+psycopg = pytest.importorskip("psycopg")
+pytestmark = needs_postgis
+
+HOUR = 472_222  # 2023-11-14, 22 h
+TILES = straight_tiles(120)
+LANES = gpd.GeoDataFrame(
+    {
+        "lane": [7], "lanelets": [[7]], "subtype": ["road"], "street": ["Ring"],
+        "street_part": [None], "turn": ["left"], "stop_line_m": [50.0], "speed_limit_kmh": [36.0],
+        "length_m": [60.0],
+    },
+    geometry=[LineString([(0, 0), (60, 0)])], crs="EPSG:25832",
+)  # fmt: skip
+
+
+class Acting(Listener):
+    """Does something when so many dates were sent."""
+
+    def __init__(self, sent, act):
+        super().__init__()
+        self.sent, self.act = sent, act
+
+    def progress(self, stage, done, total):
+        super().progress(stage, done, total)
+        if done == self.sent:
+            self.act()
+
+
+def days(folder, hours):
+    """Write a dataset in which cars drive by in each of these hours, from its begin to its end."""
+    fronts = np.arange(0.0, 59.0, 0.5)
+    tracks = [
+        drive(hour * 1_000_000 + n, hour * STEPS_PER_HOUR + begin, fronts)
+        for hour in hours
+        for n, begin in enumerate([0, 4000, STEPS_PER_HOUR - len(fronts)])
+    ]
+    return driven(folder, TILES, pd.concat(tracks), lanes=LANES, timezone="Europe/Berlin")
+
+
+@pytest.fixture(scope="module")
+def database():
+    with server() as url:
+        yield url
+
+
+@pytest.fixture
+def asked(database):
+    """Ask the database, which is empty again afterwards."""
+    with psycopg.connect(database, autocommit=True) as connection:
+        yield lambda sql: connection.execute(sql).fetchall()
+        connection.execute("DROP SCHEMA IF EXISTS gis_radar, a CASCADE")
+
+
+@pytest.fixture(scope="module")
+def two_days(tmp_path_factory):
+    return days(tmp_path_factory.mktemp("two") / "data", [HOUR, HOUR + 1, HOUR + 2])
+
+
+def test_the_database_holds_what_the_dataset_holds(database, asked, two_days):
+    done = gr.publish(two_days, database)
+    assert (done.sent, done.kept, done.removed) == (2, 0, 0)
+    traffic = two_days.traffic()
+    stored = asked(
+        "SELECT lane, begin_time, counted, volume, speed_kmh, queue_max_m "
+        "FROM gis_radar.lane_measures ORDER BY lane, begin_time"
+    )
+    columns = ["lane", "begin", "counted", "volume", "speed_kmh", "queue_max_m"]
+    found = pd.DataFrame(stored, columns=columns)
+    found["begin"] = pd.DatetimeIndex(found["begin"]).tz_convert("Europe/Berlin").as_unit("us")
+    expected = pd.DataFrame(traffic[columns]).sort_values(["lane", "begin"], ignore_index=True)
+    assert expected["volume"].sum() > 5
+    pd.testing.assert_frame_equal(found, expected, check_dtype=False)
+    ((occupied, visible),) = asked(
+        "SELECT sum(occupied_steps), sum(visible_steps) FROM gis_radar.tile_counts"
+    )
+    counts = two_days.tile_counts()
+    sums = counts[["occupied_steps", "visible_steps"]].sum().tolist()
+    assert [int(occupied), int(visible)] == sums
+    shares = asked("SELECT tile_id, occupancy FROM gis_radar.occupancy ORDER BY tile_id")
+    by_tile = counts.groupby("tile_id")[["occupied_steps", "visible_steps"]].sum()
+    share = by_tile["occupied_steps"] / by_tile["visible_steps"]
+    assert [one for _, one in shares] == pytest.approx(share.tolist())
+    ((area, srid),) = asked(
+        "SELECT sum(ST_Area(geometry)), min(ST_SRID(geometry)) FROM gis_radar.tiles"
+    )
+    assert (area, srid) == (pytest.approx(TILES.area.sum()), 25832)
+    assert asked("SELECT name FROM gis_radar.latest_traffic") == [(traffic["name"].iloc[0],)]
+
+
+def test_only_what_changed_is_sent(database, asked, two_days, tmp_path):
+    gr.publish(days(tmp_path / "one", [HOUR, HOUR + 1]), database)
+    row = "SELECT xmin::text FROM gis_radar.lane_measures WHERE begin_time < '2023-11-14 23:30Z'"
+    before = asked(row)
+    added = gr.publish(two_days, database)
+    assert (added.sent, added.kept, added.removed) == (1, 1, 0)
+    assert asked(row) == before
+    again = gr.publish(two_days, database)
+    assert (again.sent, again.kept) == (0, 2)
+    whole = asked("SELECT * FROM gis_radar.tile_counts ORDER BY 1, 2")
+    withdrawn = gr.publish(days(tmp_path / "later", [HOUR + 2]), database)
+    assert (withdrawn.sent, withdrawn.removed) == (1, 1)
+    ((left,),) = asked("SELECT count(*) FROM gis_radar.tile_counts")
+    assert 0 < left < len(whole)
+    gr.publish(two_days, database)
+    assert asked("SELECT * FROM gis_radar.tile_counts ORDER BY 1, 2") == whole
+
+
+def test_what_ends_midway_changes_nothing(database, asked, two_days, tmp_path):
+    gr.publish(days(tmp_path / "one", [HOUR]), database)
+    before = asked("SELECT * FROM gis_radar.tile_counts ORDER BY 1, 2")
+
+    def stop():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        gr.publish(two_days, database, reporter=Acting(1, stop))
+
+    def end():  # as a server does that is started anew
+        asked(
+            "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+            "WHERE application_name = 'gis-radar'"
+        )
+
+    with pytest.raises(gr.OutputError, match=r"terminating connection|closed") as caught:
+        gr.publish(two_days, database, reporter=Acting(1, end))
+    assert caught.value.hint == "the database is as it was"
+    assert asked("SELECT * FROM gis_radar.tile_counts ORDER BY 1, 2") == before
+
+
+def test_a_schema_of_something_else_is_refused(database, asked, two_days, tmp_path):
+    gr.publish(two_days, database)
+    tiles = straight_tiles(40)
+    tracks = drive(HOUR * 1_000_000, HOUR * STEPS_PER_HOUR, np.arange(0.0, 19.0, 0.5))
+    other = driven(tmp_path / "other", tiles, tracks, lanes=LANES)
+    with pytest.raises(gr.OutputError, match="schema gis_radar holds something else"):
+        gr.publish(other, database)
+    assert gr.publish(other, database, schema="a").sent == 1
+
+
+def test_two_at_once_do_not_meet(database, asked, two_days):
+    def second():
+        with pytest.raises(gr.OutputError, match="is being published just now"):
+            gr.publish(two_days, database)
+        refused.append(True)
+
+    refused = []
+    gr.publish(two_days, database, reporter=Acting(0, second))
+    assert refused
+
+
+def test_a_reader_reads_and_writes_nothing_and_listeners_hear_of_it(database, asked, two_days):
+    with psycopg.connect(database, autocommit=True) as listener:
+        listener.execute("DROP ROLE IF EXISTS planner")
+        listener.execute("CREATE ROLE planner LOGIN")
+        listener.execute("LISTEN qgis")
+        gr.publish(two_days, database, reader="planner")
+        (heard,) = listener.notifies(timeout=5.0, stop_after=1)
+        assert heard.payload == "gis_radar gis_radar"
+    with psycopg.connect(database.replace("postgres@", "planner@"), autocommit=True) as planner:
+        assert planner.execute("SELECT count(*) FROM gis_radar.occupancy").fetchone() == (120,)
+        for statement in ("DELETE FROM gis_radar.tiles", "CREATE TABLE gis_radar.mine (x int)"):
+            with pytest.raises(psycopg.errors.InsufficientPrivilege):
+                planner.execute(statement)
+
+
+def test_hits_without_vehicles_are_published_too(database, asked, tmp_path):
+    rows = {"tile_id": np.array([3]), "step": np.array([HOUR * STEPS_PER_HOUR])}
+    hits = write_dataset(tmp_path / "hits", {"hits": rows}, vehicles=False, lanes=LANES)
+    assert gr.publish(hits, database).sent == 1
+    ((lanes,),) = asked("SELECT count(*) FROM gis_radar.lanes")
+    assert lanes == len(hits.lanes())
+
+
+@pytest.mark.parametrize(
+    ("url", "code", "said"),
+    [
+        ("no address", 2, "the address of the database is none"),
+        ("postgresql://me:secret@localhost:9/city?connect_timeout=1", 3, "localhost/city: "),
+    ],
+)
+def test_a_database_that_is_not_there_is_one_line(run, two_days, url, code, said):
+    got, _, err = run("publish", two_days.folder, url)
+    assert got == code
+    assert said in err
+    assert "secret" not in err
+
+
+def test_a_name_of_a_schema_that_is_none_is_refused(two_days):
+    with pytest.raises(gr.UsageError, match="is no name"):
+        gr.publish(two_days, "postgresql:///x", schema='a"; DROP TABLE b; --')
