@@ -60,10 +60,10 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 		'$(BESIDE) $(BIN)/mypy' '$(BESIDE) $(BIN)/python tools/build_docs.py $(BUILT_DOCS)' \
 		'$(BESIDE) sh tools/get_browser_and_qgis.sh'
 	GIS_RADAR_DEMO=$(DEMO) GIS_RADAR_DOCS=$(BUILT_DOCS) $(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
-		'$(BIN)/pytest -n 2 --dist worksteal' 'nice -n 3 sh tools/test_qgis.sh'
+		'$(BIN)/pytest -n 3 --dist worksteal' 'nice -n 3 sh tools/test_qgis.sh'
 
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
-	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults tests/fuzz
+	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 3 --dist worksteal tests/faults tests/fuzz
 
 live-test: set-up-dev ## Run the live system through all that breaks, minutes long; `make test` runs the short part
 	@sh tools/get_mosquitto.sh
