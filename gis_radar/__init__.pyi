@@ -25,7 +25,7 @@ from .calibration import (
     read_clocks,
     track,
 )
-from .dataset import Dataset, measure, open_dataset, relink, withdraw
+from .dataset import Dataset, count_sections, measure, open_dataset, relink, withdraw
 from .demo import run_demo
 from .hdmap import (
     LaneletMap,
@@ -137,6 +137,7 @@ __all__ = [
     "check_site",
     "compare",
     "convert",
+    "count_sections",
     "draw_localization",
     "draw_scan_check",
     "draw_track",

@@ -29,6 +29,13 @@ TOO_SHORT = Text(
 @click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
 @click.option("--end", help="Only before this time.")
 @click.option(
+    "--sections", type=FILE, help="Lines across roads, at which vehicles are counted by direction."
+)
+@click.option(
+    "--counts", "hand_counts", type=FILE,
+    help="CSV of counts by hand to put beside: section or lane, direction, begin, end, volume.",
+)  # fmt: skip
+@click.option(
     "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
     help="Of the lanes' names and the titles.",
 )  # fmt: skip
@@ -40,7 +47,8 @@ def traffic(
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
 
-    refuse_inputs(output, folder)
+    given = [options[name] for name in ("sections", "hand_counts") if options[name] is not None]
+    refuse_inputs(output, folder, *given)
     measured = gr.open_dataset(folder, reporter=reporter)
     made = gr.make_traffic(measured, language=language, **options)
     with csv_for(csv_locale):

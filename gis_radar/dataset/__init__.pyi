@@ -18,6 +18,7 @@ from .parts import (
 )
 from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
+from .sections import count_sections
 from .states import no_states, states_of
 from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
@@ -40,6 +41,7 @@ __all__ = [
     "Span",
     "TableSchema",
     "clear_unfinished",
+    "count_sections",
     "count_spans",
     "create_dataset",
     "hour_of_step",

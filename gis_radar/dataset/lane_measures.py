@@ -7,7 +7,7 @@ before that go on in it: who has crossed a line already, and who has been standi
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -62,10 +62,14 @@ class LaneTraffic:
         Of the dataset.
     fingerprint : str
         Of its tiles.
+    line_m : mapping, optional
+        By number of the lane: where vehicles are counted, m along it, instead of at the stop line
+        or the middle. Such traffic is measured by :meth:`finer`, and never stored.
     """
 
     folder: Path
     fingerprint: str
+    line_m: Mapping[int, float] = field(default_factory=dict)
     _before: dict[int, HourRecord | None] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -82,7 +86,12 @@ class LaneTraffic:
             dict(zip(lane, known.get(name, ()), strict=False))
             for name in ("stop_line_m", "speed_limit_kmh")
         )
-        return LaneNetwork.of(tiles, stops, limits)
+        network = LaneNetwork.of(tiles, stops, limits)
+        lines = [
+            self.line_m.get(number, usual)
+            for number, usual in zip(network.lane.tolist(), network.line_m.tolist(), strict=True)
+        ]
+        return replace(network, line_m=np.array(lines, np.float64)) if self.line_m else network
 
     def update(self, hour: int, known: Mapping[int, HourRecord] | None = None) -> None:
         """Bring the tables of the date of an hour up to date; the caller is its only writer.

@@ -182,6 +182,8 @@ class TrafficReader:
         Only what begins from the first to the last of these steps.
     language : str, optional
         Of the names; the current one without it.
+    exact : bool
+        Whether intervals of 15 min and more are measured from the exact tables, too.
     """
 
     dataset: Source
@@ -189,6 +191,7 @@ class TrafficReader:
     interval: str = "15min"
     span: Span | None = None
     language: str | None = None
+    exact: bool = False
 
     def lanes(self) -> gpd.GeoDataFrame:
         """Return a row a lane and interval, as of :meth:`gis_radar.Dataset.traffic`."""
@@ -248,7 +251,9 @@ class TrafficReader:
         """Return rows with `begin` and `end` by the clocks of the site."""
         steps = _allowed(self.interval)
         zone = zone_of(self.dataset.manifest.timezone)
-        parts = self._finer(table, steps) if steps < STEPS_PER_QUARTER else self._quarters(table)
+        finer = self.exact or steps < STEPS_PER_QUARTER
+        part_steps = min(steps, STEPS_PER_QUARTER)
+        parts = self._finer(table, part_steps) if finer else self._quarters(table)
         empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
         rows = pa.concat_tables([empty, *parts]).drop_columns(["interval"]).to_pandas()
         begin = pd.to_datetime(rows.pop("first_step") * STEP_US, unit="us", utc=True)
@@ -272,11 +277,11 @@ class TrafficReader:
                 continue
             if TRACKS.name in record.dropped:
                 raise InputError(
-                    "{}: {} has no exact tables any more, which intervals under 15 min are "
-                    "measured from",
+                    "{}: {} has no exact tables any more, which intervals under 15 min and count "
+                    "sections are measured from",
                     self.traffic.folder,
                     hour_text(hour),
-                    hint="ask for 15min or more, or for a later time",
+                    hint="ask for 15min or more of lanes, or for a later time",
                 )
             rows = self.traffic.finer(record, steps)[table is TURNS]
             first = hour * STEPS_PER_HOUR + rows["interval"].to_numpy().astype(np.int64) * steps

@@ -14,7 +14,7 @@ from .lane_measures import (
     VehicleTable,
     measure_lanes,
 )
-from .lane_names import TURN_WORDS, lane_names, turn_lines
+from .lane_names import TURN_WORDS, bound_name, lane_names, place_on, turn_lines
 from .lane_network import LaneNetwork
 from .placing import PoseNumbers
 from .pose_sights import (
@@ -61,12 +61,14 @@ __all__ = [
     "ValidFrames",
     "VehicleTable",
     "VisibleRuns",
+    "bound_name",
     "compare_values",
     "frame_columns",
     "holm_corrected",
     "lane_names",
     "measure_lanes",
     "observed_runs",
+    "place_on",
     "places_of",
     "pose_names",
     "read_sensor",

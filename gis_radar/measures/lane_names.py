@@ -50,18 +50,18 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     lines = list(known.geometry.array)
     stop = np.where(network.has_stop_line, network.line_m - BEFORE_M, network.line_m)
     at = [float(np.clip(m, 0.0, line.length)) for m, line in zip(stop, lines, strict=True)]
-    points, ways = (np.array(each) for each in zip(*map(_place, lines, at), strict=True))
+    points, ways = (np.array(each) for each in zip(*map(place_on, lines, at), strict=True))
     connector = network.connector
     beside = [line for line, inside in zip(lines, connector, strict=True) if not inside]
     names = []
     for k, (_, row) in enumerate(known.iterrows()):
         if connector[k]:
-            way, place = _place(lines[k], 0.0)[1], tr("in the junction")
+            way, place = place_on(lines[k], 0.0)[1], tr("in the junction")
         else:
             way = ways[k]
             place = tr("lane {number}", number=_number(points[k], way, beside))
         street = street_label(row["street"], row.get("street_part")) or tr("Road")
-        name = f"{street} {tr(_BOUND[wind_of(*way) or 'north'])}, {place}"
+        name = f"{street} {bound_name(way)}, {place}"
         leads = connector[k] or network.has_stop_line[k] or connector[[*network.after[k]]].any()
         turns = str(row["turn"]).split(";") if leads and isinstance(row["turn"], str) else []
         words = listed([tr(TURN_WORDS[each]) for each in turns if each in TURN_WORDS])
@@ -69,7 +69,12 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     return _unlike(names, points, ways)
 
 
-def _place(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:
+def bound_name(way: Floats) -> str:
+    """Return how traffic in a direction is called: `northbound`."""
+    return tr(_BOUND[wind_of(*way) or "north"])
+
+
+def place_on(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:
     """Return a point of a line, and its direction there."""
     low, high = max(along_m - 1.0, 0.0), min(along_m + 1.0, line.length)
     before, point, after = (line.interpolate(m).coords[0][:2] for m in (low, along_m, high))
@@ -84,7 +89,7 @@ def _number(point: Floats, way: Floats, lines: Sequence[shapely.LineString]) -> 
     found = []
     for line in lines:
         for met in shapely.get_coordinates(shapely.intersection(line, across)):
-            toward = _place(line, line.project(shapely.Point(met)))[1]
+            toward = place_on(line, line.project(shapely.Point(met)))[1]
             if toward @ way > PARALLEL:
                 found.append(float((met - point) @ right))
     number, reached = 1, 0.0
@@ -125,7 +130,7 @@ def turn_lines(
         entry = shapely.ops.substring(end, 0.0, min(1.0, end.length))
         points = np.concatenate([shapely.get_coordinates(each) for each in (rest, *via, entry)])
         new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-3)
-        way, toward = _place(start, max(line_m - BEFORE_M, 0.0))[1], _place(end, 0.0)[1]
+        way, toward = place_on(start, max(line_m - BEFORE_M, 0.0))[1], place_on(end, 0.0)[1]
         turned = math.atan2(way[0] * toward[1] - way[1] * toward[0], float(way @ toward))
         found.append((_way_of(turned), shapely.LineString(points[new])))
     return [each for each, _ in found], [line for _, line in found]

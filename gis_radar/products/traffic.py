@@ -31,16 +31,19 @@ from gis_radar.base import (
     iso_from_time,
     tr,
     write_csv,
+    zone_of,
 )
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import Dataset, count_sections
 from gis_radar.measures import TURN_WORDS
+from gis_radar.products.hand_counts import beside_hand_counts
 from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
 
-LANES, TURNS = "lanes", "turns"
+LANES, TURNS, SECTIONS = "lanes", "turns", "sections"
 TITLES = {
     "lane": Text("Lane (id)"), "name": Text("Lane"),
+    "section": Text("Section"), "direction": Text("Direction"), "place": Text("Section or lane"),
     "from_lane": Text("From lane (id)"), "to_lane": Text("To lane (id)"),
     "from_name": Text("From"), "to_name": Text("To"), "turn": Text("Turn"),
     "begin": Text("Begin"), "end": Text("End"),
@@ -56,6 +59,9 @@ TITLES = {
     "travel_time_s": Text("Travel time [s]"), "delay_s": Text("Delay [s]"),
     "queue_max_m": Text("Longest queue [m]"), "queue_mean_m": Text("Mean queue [m]"),
     "stops": Text("Stops [veh]"),
+    "volume_by_hand": Text("Counted by hand [veh]"),
+    "difference": Text("Ours less theirs [veh]"), "geh": Text("GEH"),
+    "agrees": Text("Within both errors"),
 }  # fmt: skip
 """Titles of all columns, with units."""
 _KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
@@ -72,15 +78,29 @@ class Traffic:
     ----------
     lanes, turns : GeoDataFrame
         As of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+    sections : GeoDataFrame, optional
+        As of :func:`gis_radar.count_sections`.
+    hand_counts : DataFrame, optional
+        Counts by hand beside ours: `place`, `direction`, `begin`, `end`, `volume_by_hand`,
+        `volume`, `volume_se`, `difference`, `geh`, `agrees` (within two standard errors of the
+        difference; null where ours is missing).
     """
 
     lanes: gpd.GeoDataFrame
     turns: gpd.GeoDataFrame
+    sections: gpd.GeoDataFrame | None = None
+    hand_counts: pd.DataFrame | None = None
 
     def figures(self) -> dict[str, Any]:
         """Return how many lanes, turns and intervals there are, and what was counted."""
         rows = self.lanes
-        return {
+        known: dict[str, Any] = {}
+        if self.sections is not None:
+            known["sections"] = int(self.sections["section"].nunique())
+        if self.hand_counts is not None:
+            known["hand_counts"] = len(self.hand_counts)
+            known["hand_counts_that_agree"] = int(self.hand_counts["agrees"].eq(True).sum())
+        return known | {
             "lanes": int(rows["lane"].nunique()),
             "turns": len(self.turns[["from_lane", "to_lane"]].drop_duplicates()),
             "intervals": int(rows["begin"].nunique()),
@@ -97,9 +117,10 @@ class Traffic:
         """Write all files into a folder, which appears whole or not at all.
 
         `traffic.csv` and `turns.csv`; `traffic.xlsx` with a sheet each; `traffic.gpkg` with the
-        layers `lanes` and `turns`, which QGIS shows in our style; `sumo.edgedata.xml`,
-        `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane with its number; and
-        where turns have volumes `turns.png`, the turning diagram.
+        layers `lanes`, `turns` and, where there are, `sections`, which QGIS shows in our style;
+        `sumo.edgedata.xml`, `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane
+        with its number; and where turns have volumes `turns.png`, the turning diagram. Of sections
+        `sections.csv`, of counts by hand `hand_counts.csv`, and a sheet each.
 
         Parameters
         ----------
@@ -124,6 +145,7 @@ class Traffic:
         writers: dict[str, Callable[[Path], object]] = {
             "traffic.csv": partial(_write_table, self.lanes),
             "turns.csv": partial(_write_table, self.turns),
+            **{f"{name}.csv": partial(_write_table, table) for name, table in self._more.items()},
             "traffic.xlsx": self._write_workbook,
             "traffic.gpkg": self._write_package,
             "sumo.edgedata.xml": partial(_write_mean_data, self.lanes, zero, by_lane=False),
@@ -137,8 +159,16 @@ class Traffic:
             reporter=reporter,
         )  # fmt: skip
 
+    @property
+    def _more(self) -> dict[str, pd.DataFrame]:
+        tables = {SECTIONS: self.sections, "hand_counts": self.hand_counts}
+        return {name: table for name, table in tables.items() if table is not None}
+
     def _write_workbook(self, path: Path) -> None:
-        for sheet, table in ((tr("Lanes"), self.lanes), (tr("Turns"), self.turns)):
+        sheets = {tr("Lanes"): self.lanes, tr("Turns"): self.turns}
+        names = {SECTIONS: tr("Count sections"), "hand_counts": tr("Counts by hand")}
+        sheets |= {names[name]: table for name, table in self._more.items()}
+        for sheet, table in sheets.items():
             zone = str(table["begin"].dt.tz)
             shown = _for_people(table)
             if "turn" in shown:
@@ -154,7 +184,9 @@ class Traffic:
 
     def _write_package(self, path: Path) -> None:
         titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
-        for layer, table in ((LANES, self.lanes), (TURNS, self.turns)):
+        layers = {LANES: self.lanes, TURNS: self.turns}
+        layers |= {} if self.sections is None else {SECTIONS: self.sections}
+        for layer, table in layers.items():
             shown = table.assign(
                 **{name: table[name].dt.tz_convert("UTC") for name in _TIMES},
             )
@@ -166,18 +198,19 @@ class Traffic:
                 traffic_style(
                     seconds,
                     {str(n): tr(TITLES[str(n)]) for n in table if n in TITLES},
-                    wide=layer == TURNS,
+                    layer,
                 ),
                 "",
             )
-            for layer, table in ((LANES, self.lanes), (TURNS, self.turns))
+            for layer, table in layers.items()
         }
         notes = {
             LANES: LayerNotes(tr("Lanes"), tr("Traffic of lanes by interval"), titles),
             TURNS: LayerNotes(tr("Turns"), tr("Volumes of turns by interval"), titles),
+            SECTIONS: LayerNotes(tr("Count sections"), tr("Volumes by direction"), titles),
         }
         with closing(sqlite3.connect(path)) as database, database:
-            describe_layers(database, notes)
+            describe_layers(database, {name: notes[name] for name in layers})
             add_styles(database, styles, name="traffic", about="volumes by lane and turn")
 
 
@@ -187,9 +220,11 @@ def make_traffic(
     interval: str = "15min",
     begin: Any = None,
     end: Any = None,
+    sections: gpd.GeoDataFrame | str | Path | None = None,
+    hand_counts: str | Path | None = None,
     language: str | None = None,
 ) -> Traffic:
-    """Return the traffic of a dataset by lane and turn.
+    """Return the traffic of a dataset by lane and turn, and at sections that somebody drew.
 
     Parameters
     ----------
@@ -197,11 +232,18 @@ def make_traffic(
         With vehicles, from :func:`gis_radar.open_dataset`.
     interval, begin, end, language
         As for :meth:`gis_radar.Dataset.traffic`.
+    sections : GeoDataFrame, str or Path, optional
+        Lines across roads, as for :func:`gis_radar.count_sections`.
+    hand_counts : str or Path, optional
+        CSV of counts by hand, which are put beside ours: `section` and `direction`, or `lane` (its
+        number or name); `begin`, `end`, without a zone by the clocks of the site; `volume`; where
+        known `volume_se`, its standard error.
 
     Raises
     ------
     InputError
-        If vehicles were not looked for, or none of its lanes is observed in that time.
+        If vehicles were not looked for, or none of its lanes is observed in that time; if sections
+        or counts by hand are not what they should be.
     UsageError
         If there is no such interval.
     """
@@ -213,12 +255,18 @@ def make_traffic(
             dataset.folder,
             hint="gis-radar dataset shows from when to when it was measured",
         )
-    return Traffic(lanes=lanes, turns=dataset.turns(interval, **options))
+    there = None if sections is None else count_sections(dataset, sections, interval, **options)
+    beside = None
+    if hand_counts is not None:
+        beside = beside_hand_counts(hand_counts, lanes, there, zone_of(dataset.timezone))
+    return Traffic(
+        lanes=lanes, turns=dataset.turns(interval, **options), sections=there, hand_counts=beside
+    )
 
 
-def _for_people(table: gpd.GeoDataFrame) -> pd.DataFrame:
+def _for_people(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table without geometry: ids as text, numbers rounded."""
-    shown = pd.DataFrame(table.drop(columns="geometry"))
+    shown = pd.DataFrame(table.drop(columns="geometry", errors="ignore"))
     for name in shown:
         if name in _IDS:
             shown[name] = shown[name].astype(str)
@@ -237,7 +285,7 @@ def _fix_dates(path: Path) -> None:
             file.writestr(entry, data, zipfile.ZIP_DEFLATED)
 
 
-def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
+def _write_table(table: pd.DataFrame, path: Path) -> None:
     """Write CSV: columns by their names, times by the clocks of the site with their offset."""
     shown = _for_people(table)
     for name in _TIMES:

@@ -14,6 +14,10 @@ BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes
 _SHORTER_MS = 10  # as in heat maps: QGIS takes an interval that ends at a moment for one with it
 _LANE_MM, _TURN_ALPHA = 1.2, 200  # turns cross: those below are seen through
 _WIDTH = f'max(0.4, min(6, "{VOLUMES}" / 100))'  # mm: 1 for 100 veh/h
+NAMED = {
+    "lanes": ["name"], "turns": ["from_name", "to_name"], "sections": ["section", "direction"],
+}  # fmt: skip
+"""Columns that name a row of a layer."""
 
 
 class LineClass(NamedTuple):
@@ -25,8 +29,8 @@ class LineClass(NamedTuple):
     label: str
 
 
-def traffic_style(interval_s: float, titles: Mapping[str, str], *, wide: bool) -> str:
-    """Return the QGIS style of a layer of lanes or turns as QML.
+def traffic_style(interval_s: float, titles: Mapping[str, str], layer: str) -> str:
+    """Return the QGIS style of a layer of lanes, turns or sections as QML.
 
     Parameters
     ----------
@@ -34,8 +38,8 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], *, wide: bool) -
         For how long the temporal controller shows a row from its `begin`.
     titles : mapping
         Of the columns, by name.
-    wide : bool
-        Whether lines are as wide as the volume, with an arrow at their end: turns.
+    layer : {"lanes", "turns", "sections"}
+        Which; the lines of turns are as wide as their volume, with an arrow at the end.
     """
     root = Element(
         "qgis", {"version": "3.34", "styleCategories": "Symbology|MapTips|Fields|Temporal"}
@@ -49,11 +53,11 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], *, wide: bool) -
         LineClass(low, high, colour, f"{low:g} - {high:g}" if high < BREAKS[-1] else f"> {low:g}")
         for (low, high), colour in zip(pairwise(BREAKS), RAMP, strict=True)
     )
-    _add_classes(root, VOLUMES, classes, unit=" veh/h", wide=wide)
+    _add_classes(root, VOLUMES, classes, unit=" veh/h", wide=layer == "turns")
     aliases = SubElement(root, "aliases")
     for number, (name, title) in enumerate(titles.items(), start=1):
         SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
-    SubElement(root, "mapTip", {"enabled": "1"}).text = _tip(wide=wide)
+    SubElement(root, "mapTip", {"enabled": "1"}).text = _tip(layer)
     return _document(root)
 
 
@@ -139,13 +143,14 @@ def _add_options(parent: Element, values: dict[str, str]) -> None:
         SubElement(parent, "Option", {"name": name, "type": "QString", "value": value})
 
 
-def _tip(*, wide: bool) -> str:
+def _tip(layer: str) -> str:
     """Return what QGIS shows under the cursor; names are text, not HTML."""
 
     def text(column: str) -> str:
         return f"[% replace(replace(\"{column}\", '&', '&amp;'), '<', '&lt;') %]"
 
-    name = f"{text('from_name')} &rarr; {text('to_name')}" if wide else text("name")
+    name = " &rarr; ".join(map(text, NAMED[layer]))
     number = f"""[% coalesce(format_number("{VOLUMES}", 0), '\u2013') %] veh/h"""
-    speed = "" if wide else """, [% coalesce(format_number("speed_kmh", 0), '\u2013') %] km/h"""
+    speed = """, [% coalesce(format_number("speed_kmh", 0), '\u2013') %] km/h"""
+    speed = speed if layer == "lanes" else ""
     return f"<b>{name}</b><br>{number}{speed}"

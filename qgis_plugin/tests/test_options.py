@@ -44,6 +44,7 @@ NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
     "trajectories": "files for other programs; 'Vehicles that move on the map' shows them here",
     "query": "a language for programs; the tables open in QGIS as they lie",
+    "publish": "an administrator fills the database; QGIS opens its tables",
     "edge": "a server at a sensor, which runs for years",
     "live": "a server, which runs for years; QGIS shows its files",
     "demo": "'Get the sample site' and 'Run a site file'",
@@ -158,9 +159,9 @@ WORDS = {
         {"RECORDING": R1, "POSE": POSE}, ["project", R1, "--pose", POSE, "-o", "OUT"]
     ),
     "traffic": (
-        {"DATASET": "d", "BEGIN": "2025-06-12 07:30", "LANGUAGE": "de"},
-        ["traffic", "d", "--interval", "15min", "--begin", "2025-06-12 07:30", "--language", "de",
-         "--csv-locale", "en", "-o", "OUT"],
+        {"DATASET": "d", "BEGIN": "2025-06-12 07:30", "COUNTS": "c.csv", "LANGUAGE": "de"},
+        ["traffic", "d", "--interval", "15min", "--begin", "2025-06-12 07:30", "--counts", "c.csv",
+         "--language", "de", "--csv-locale", "en", "-o", "OUT"],
     ),
     "compare": (
         {"DATASET": "d", "OTHER": "e", "BEFORE": "2026-09-07/2026-09-21", "DAYS": "Mo-Fr"},

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from qgis.core import QgsProcessingOutputVectorLayer
+from qgis.core import QgsProcessing, QgsProcessingOutputVectorLayer
 
 from ..base import TRAFFIC, WorkerAlgorithm
 from ..loading import dress, load
-from ..parameters import Folder, Given, OutputFolder, Result, Text
+from ..parameters import File, Folder, Given, Layer, OutputFolder, Result, Text
 from ..runner import Answer
 from ..words import tr
 from . import shared
@@ -25,6 +25,8 @@ class CountTraffic(WorkerAlgorithm):
     HELP = (
         "Counts the traffic of each lane and turn by interval: volumes with their errors, speeds, "
         "occupancy, delays, queues at stop lines. Nothing visible is empty, not 0.\n"
+        "Lines that you draw across roads are count sections, with volumes by direction; a count "
+        "by hand can stand beside ours.\n"
         "The result is a GeoPackage whose layers the temporal controller animates, tables (CSV and "
         "a workbook), a turning diagram, and files for SUMO."
     )
@@ -37,11 +39,22 @@ class CountTraffic(WorkerAlgorithm):
         ),
         Text("BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30."),
         Text("END", "End", "Only before this time."),
+        Layer(
+            "SECTIONS", "Count sections",
+            "Lines across roads, with their names in a field 'name'.",
+            optional=True, source=QgsProcessing.SourceType.TypeVectorLine, layer="count_sections",
+        ),
+        File(
+            "COUNTS", "Counts by hand",
+            "CSV: section (and direction) or lane, begin, end, volume.",
+            optional=True, kinds="Tables (*.csv)",
+        ),
         shared.LANGUAGE,
         shared.CSV_LOCALE,
         OutputFolder("OUTPUT", "Traffic", "A folder."),
         Result("LANES", "Traffic of lanes", kind=QgsProcessingOutputVectorLayer),
         Result("TURNS", "Volumes of turns", kind=QgsProcessingOutputVectorLayer),
+        Result("SECTION_VOLUMES", "Volumes of sections", kind=QgsProcessingOutputVectorLayer),
     )  # fmt: skip
 
     def finish(self, given: Given, answer: Answer) -> dict[str, Any]:
@@ -51,6 +64,9 @@ class CountTraffic(WorkerAlgorithm):
         layers = {name.upper(): f"{package}|layername={name}" for name in ("lanes", "turns")}
         load(given.context, layers["LANES"], tr("Traffic of lanes"), finish=dress)
         load(given.context, layers["TURNS"], tr("Volumes of turns"))
+        if given.has("SECTIONS"):
+            layers["SECTION_VOLUMES"] = f"{package}|layername=sections"
+            load(given.context, layers["SECTION_VOLUMES"], tr("Volumes of sections"))
         self.made = [
             (tr("Open the workbook"), folder / "traffic.xlsx"), (tr("Show the folder"), folder)
         ]  # fmt: skip

@@ -1,0 +1,176 @@
+"""Count sections: volumes by direction at lines that somebody draws across a road."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from gis_radar.base import Floats, InputError, current_language, metric_crs, read_vector, speaking
+from gis_radar.dataset.dataset import Dataset
+from gis_radar.dataset.lane_measures import LaneTraffic
+from gis_radar.dataset.traffic import Moment, TrafficReader
+from gis_radar.hdmap import LANES_LAYER
+from gis_radar.measures import LaneNetwork, bound_name, place_on
+
+NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
+ALONG = math.sin(math.radians(30.0))  # a section that crosses a lane more flatly runs along it
+_FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
+
+
+@dataclass(frozen=True)
+class _Crossing:
+    """Where a section crosses a lane.
+
+    Parameters
+    ----------
+    lane : int
+        Number of the lane.
+    along_m : float
+        Where along it.
+    way : (2,) array
+        Direction of the lane there.
+    is_left : bool
+        Whether traffic comes from the left of the section, seen from its first point.
+    """
+
+    lane: int
+    along_m: float
+    way: Floats
+    is_left: bool
+
+
+def count_sections(
+    dataset: Dataset, sections: gpd.GeoDataFrame | str | Path, interval: str = "15min", *,
+    begin: Moment = None, end: Moment = None, language: str | None = None,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Count vehicles by direction at sections: lines across a road.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With vehicles and its exact tables.
+    sections : GeoDataFrame, str or Path
+        Lines in a projected coordinate system, with their names in a column `name`, `section` or
+        `id`; without one they are numbered from 1.
+    interval, begin, end, language
+        As for :meth:`gis_radar.Dataset.traffic`.
+
+    Returns
+    -------
+    GeoDataFrame
+        A row a section, direction and interval: `section`, `direction` (`northbound`), `begin`,
+        `end`, `visible_share` (of the lane that is seen least), `counted`, `volume`, `volume_se`,
+        `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the section's line. Null where a lane of
+        the direction is not visible.
+
+    Raises
+    ------
+    InputError
+        If a section crosses no lane, one lane twice, or runs along it; if two have one name; if the
+        dataset has no vehicles, or no exact tables of that time any more.
+    CrsError
+        If the sections state no projected coordinate system.
+    """
+    lines, what = _lines(sections, dataset.crs)
+    if not dataset.has_vehicles:
+        raise InputError("{}: holds no vehicles, of which traffic is counted", dataset.folder)
+    layer, tiles = dataset.layer(LANES_LAYER), dataset.manifest.fingerprint
+    network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
+    found = []
+    for name, line in lines.items():
+        crossed = _crossings(line, layer, network, f"{what}: section {name}")
+        along = {each.lane: each.along_m for each in crossed}
+        traffic = LaneTraffic(folder=dataset.folder, fingerprint=tiles, line_m=along)
+        rows = TrafficReader(
+            dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),
+            language=language, exact=True,
+        ).lanes()  # fmt: skip
+        for side in sorted({each.is_left for each in crossed}):
+            mine = [each for each in crossed if each.is_left is side]
+            sums = _of_direction(rows, mine)
+            with speaking(language or current_language()):
+                sums["direction"] = bound_name(np.sum([each.way for each in mine], axis=0))
+            sums["geometry"] = gpd.GeoSeries([line] * len(sums))
+            found.append(sums.assign(section=name))
+    whole = pd.concat(found, ignore_index=True)
+    first = ["section", "direction", "begin", "end"]
+    return gpd.GeoDataFrame(
+        whole[[*first, *(name for name in whole if name not in first)]], crs=dataset.crs
+    )
+
+
+def _lines(
+    sections: gpd.GeoDataFrame | str | Path, crs: Any
+) -> tuple[dict[str, shapely.LineString], str]:
+    """Return the sections by name, in the dataset's system, and what they are called."""
+    what: str = "sections"
+    table: Any = sections
+    if isinstance(sections, str | Path):
+        what = str(sections)
+        table = read_vector(sections, what="layer of count sections", columns=None)
+    metric_crs(table.crs, what=what)
+    table = table.to_crs(crs).explode(ignore_index=True)
+    if table.empty or set(table.geom_type) != {"LineString"}:
+        raise InputError("{}: sections are lines across a road", what)
+    column = next((name for name in NAME_FIELDS if name in table), None)
+    names = range(1, len(table) + 1) if column is None else table[column]
+    found = dict(zip(map(str, names), table.geometry, strict=True))
+    if len(found) < len(table):
+        raise InputError("{}: two sections have one name", what)
+    return found, what
+
+
+def _crossings(
+    line: shapely.LineString, lanes: gpd.GeoDataFrame, network: LaneNetwork, what: str
+) -> list[_Crossing]:
+    found = []
+    known = lanes.set_index("lane").geometry
+    for number, length_m in zip(network.lane.tolist(), network.length_m.tolist(), strict=True):
+        lane = known[number]
+        points = shapely.get_coordinates(line.intersection(lane))[:, :2]
+        if len(points) == 0:
+            continue
+        if len(points) > 1:
+            raise InputError("{} crosses lane {} more than once", what, number)
+        along = float(lane.project(shapely.Point(points[0])))
+        way = place_on(lane, along)[1]
+        across = place_on(line, float(line.project(shapely.Point(points[0]))))[1]
+        turned = float(across[0] * way[1] - across[1] * way[0])  # sine of the angle
+        if abs(turned) < ALONG:
+            raise InputError("{} runs along lane {}", what, number, hint="draw it across the road")
+        found.append(_Crossing(number, along / lane.length * length_m, way, turned < 0.0))
+    if not found:
+        raise InputError("{} crosses no lane", what, hint="draw it across a road of the map")
+    return found
+
+
+def _of_direction(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFrame:
+    """Return the sums over the lanes of one direction, by interval."""
+    numbers = [each.lane for each in crossed]
+    mine = pd.DataFrame(rows.loc[rows["lane"].isin(numbers), ["begin", "end", *_FIGURES]])
+    mine = mine.assign(
+        counted=mine["counted"].astype("Float64"), variance=mine["volume_se"].astype(float) ** 2
+    )
+    mine["by_speed"] = mine["speed_time_mean_kmh"] * mine["counted"].astype(float)
+    groups = mine.groupby(["begin", "end"])
+    all_seen = groups.size() == len(numbers)  # a lane without a row is not observed
+    sums = groups[["volume", "variance"]].sum(min_count=len(numbers))
+    some = groups[["counted", "heavy", "by_speed"]].sum(min_count=1)
+    table = pd.DataFrame(
+        {
+            "visible_share": groups["visible_share"].min().where(all_seen, 0.0),
+            "counted": some["counted"].astype("Int64"), "volume": sums["volume"],
+            "volume_se": np.sqrt(sums["variance"]), "heavy": some["heavy"],
+            "speed_time_mean_kmh": some["by_speed"] / some["counted"].astype(float),
+        }
+    ).reset_index()  # fmt: skip
+    hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
+    table.insert(5, "volume_veh_h", table["volume"] / hours)
+    return table

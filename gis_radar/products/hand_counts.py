@@ -1,0 +1,159 @@
+"""Counts by hand beside ours: differences, GEH, and whether both agree within their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import InputError, Text, UsageError, listed, moment_in
+
+AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
+_PLACES = ("section", "lane")
+_NEEDED = ("begin", "end", "volume")
+
+
+def beside_hand_counts(
+    path: str | Path, lanes: pd.DataFrame, sections: pd.DataFrame | None, zone: ZoneInfo
+) -> pd.DataFrame:
+    """Put volumes that were counted by hand beside those of the radar.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV with a header: `section` (and `direction`, where a section has two) or `lane` (its
+        number or name); `begin`, `end`, without a zone by the clocks of the site; `volume`; and,
+        where known, `volume_se`, the standard error of the count by hand: 0 without it.
+    lanes, sections : DataFrame
+        Ours by interval, as of :meth:`gis_radar.Dataset.traffic` and
+        :func:`gis_radar.count_sections`.
+    zone : ZoneInfo
+        Of the site.
+
+    Returns
+    -------
+    DataFrame
+        The rows of the file: `place`, `direction`, `begin`, `end`, `volume_by_hand`, `volume`,
+        `volume_se`, `difference` (ours less theirs), `geh` (of hourly volumes; Design Manual for
+        Roads and Bridges, vol. 12), `agrees`. Ours is null where an interval was not measured.
+
+    Raises
+    ------
+    InputError
+        If the file is no such table, names no lane or section of ours, or a time of it is within
+        one of our intervals.
+    """
+    table = _read(path)
+    found = []
+    for number, row in enumerate(table.to_dict("records"), start=2):
+        what = f"{path}, line {number}"
+        place, ours = _ours_at(row, lanes, sections, what)
+        begin, end = (_moment(row[name], zone, f"{what}: {name}") for name in ("begin", "end"))
+        mine = _within(ours, begin, end, what)
+        hours = (end - begin).total_seconds() / 3600.0
+        by_hand, its_se = _number(row, "volume", what), _number(row, "volume_se", what, 0.0)
+        volume = mine["volume"].sum(min_count=max(len(mine), 1))
+        spread = mine["volume_se"].astype(float).pow(2).sum(min_count=max(len(mine), 1))
+        both, apart = (volume + by_hand) / hours, (volume - by_hand) / hours
+        found.append({
+            "place": place, "direction": _text(row, "direction") or None, "begin": begin,
+            "end": end, "volume_by_hand": by_hand, "volume": volume, "volume_se": np.sqrt(spread),
+            "difference": volume - by_hand,
+            "geh": np.sqrt(2.0 * apart**2 / both) if both else apart,
+            "agrees": None if np.isnan(volume) else bool(
+                abs(volume - by_hand) <= AGREE * np.sqrt(spread + its_se**2)
+            ),
+        })  # fmt: skip
+    return pd.DataFrame(found)
+
+
+def _read(path: str | Path) -> pd.DataFrame:
+    try:
+        header = Path(path).read_text(encoding="utf-8-sig").partition("\n")[0]
+        separator = ";" if ";" in header else ","  # as Excel writes it in Germany
+        table = pd.read_csv(path, sep=separator, dtype=str, encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError("{}: not a table of counts: {}", path, reason) from error
+    missing = [name for name in _NEEDED if name not in table]
+    if missing or not any(name in table for name in _PLACES):
+        lacks = listed(missing) or Text("section or lane")
+        hint = "columns are section or lane, direction, begin, end, volume"
+        raise InputError("{}: lacks the columns {}", path, lacks, hint=Text(hint))
+    if table.empty:
+        raise InputError("{}: holds no counts", path)
+    return table.rename(columns=str.strip)
+
+
+def _text(row: Mapping[Any, Any], name: str) -> str:
+    value = row.get(name)
+    return value.strip() if isinstance(value, str) else ""
+
+
+def _number(row: Mapping[Any, Any], name: str, what: str, missing: float | None = None) -> float:
+    text = _text(row, name).replace(",", ".")
+    if not text and missing is not None:
+        return missing
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not 0.0 <= value < np.inf:
+        raise InputError("{}: {} is {}, expected a number of vehicles", what, name, repr(text))
+    return value
+
+
+def _moment(value: Any, zone: ZoneInfo, what: str) -> pd.Timestamp:
+    try:
+        return pd.Timestamp(moment_in(str(value), zone, what=what)).tz_convert(zone)
+    except UsageError as error:
+        raise InputError("{}", error.message, hint=error.hint) from error
+
+
+def _ours_at(
+    row: Mapping[Any, Any], lanes: pd.DataFrame, sections: pd.DataFrame | None, what: str
+) -> tuple[str, pd.DataFrame]:
+    """Return the name of a place that was counted, and our rows of it."""
+    section, lane, direction = (_text(row, name) for name in (*_PLACES, "direction"))
+    if section:
+        if sections is None:
+            hint = "give the layer of sections, too: --sections"
+            raise InputError("{}: section {} is not known", what, section, hint=hint)
+        ours = sections[sections["section"] == section]
+        known, ways = sorted(set(sections["section"])), sorted(set(ours["direction"]))
+        if ours.empty:
+            raise InputError("{}: section {} is none of {}", what, section, ", ".join(known))
+        if direction not in ways and (direction or len(ways) > 1):
+            expected = ", ".join(ways)
+            raise InputError(
+                "{}: direction is {}, expected one of {}", what, repr(direction), expected
+            )
+        return section, ours[ours["direction"] == direction] if direction else ours
+    ours = lanes[(lanes["lane"].astype(str) == lane) | (lanes["name"] == lane)]
+    if ours.empty:
+        raise InputError(
+            "{}: lane {} is none that was measured", what, repr(lane),
+            hint="traffic.csv lists lanes with numbers and names",
+        )  # fmt: skip
+    return str(ours["name"].iloc[0]), ours
+
+
+def _within(ours: pd.DataFrame, begin: pd.Timestamp, end: pd.Timestamp, what: str) -> pd.DataFrame:
+    """Return our intervals from begin to end; none unless they fill it."""
+    if begin >= end:
+        raise InputError("{}: ends before it begins", what)
+    cut = ours[((ours["begin"] < begin) & (ours["end"] > begin)) | (
+        (ours["begin"] < end) & (ours["end"] > end)
+    )]  # fmt: skip
+    if len(cut):
+        raise InputError(
+            "{}: begins or ends within one of our intervals", what,
+            hint="choose a shorter --interval that fits",
+        )  # fmt: skip
+    mine = ours[(ours["begin"] >= begin) & (ours["end"] <= end)]
+    filled = (mine["end"] - mine["begin"]).sum() == end - begin
+    return mine if filled else mine.iloc[:0]

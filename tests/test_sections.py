@@ -1,0 +1,178 @@
+"""Count sections and counts by hand, on the fork: who crosses a line is counted there once."""
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+import pytest
+from datasets import HOUR
+from driven import drive
+from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
+from maps import EAST, NORTH, UTM
+from shapely import LineString
+
+import gis_radar as gr
+from gis_radar.dataset import STEPS_PER_HOUR
+
+BEGIN = HOUR * STEPS_PER_HOUR
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Eight cars through the fork, each a minute after the last, and two that turn back before."""
+    exits = [STRAIGHT] * 5 + [LEFT] * 3
+    tracks = [through(n, BEGIN + 1200 * n, lane) for n, lane in enumerate(exits)]
+    short = np.arange(2.0, 30.0, 0.5)
+    tracks += [drive(n, BEGIN + 1200 * n, short, lanelet_id=APPROACH) for n in (20, 21)]
+    return fork_dataset(tmp_path_factory.mktemp("fork") / "dataset", tracks)
+
+
+def lines(**places):
+    """Give sections by name: from one place to another, metres from the fork's begin."""
+    drawn = [LineString(np.add(each, (EAST, NORTH))) for each in places.values()]
+    return gpd.GeoDataFrame({"name": list(places)}, geometry=drawn, crs=UTM)
+
+
+ACROSS = lines(early=[(20, -5), (20, 5)], late=[(40, -5), (40, 5)], exits=[(80, 20), (80, -5)])
+
+
+def test_who_crosses_a_section_is_counted_there(dataset):
+    found = gr.count_sections(dataset, ACROSS, "15min")
+    assert found.groupby("section")["counted"].sum().to_dict() == {
+        "early": 10, "late": 8, "exits": 8,
+    }  # fmt: skip
+    assert set(found["direction"]) == {"eastbound"}
+    assert found["speed_time_mean_kmh"].dropna().tolist() == pytest.approx([36.0] * 4, abs=1.0)
+    by_minute = gr.count_sections(dataset, ACROSS, "1min")
+    sums = by_minute.groupby("section")["counted"].sum()
+    assert sums.to_dict() == {"early": 10, "late": 8, "exits": 8}
+    whole = gr.count_sections(dataset, ACROSS, "1h").set_index("section")
+    assert whole["counted"].to_dict() == sums.to_dict()
+
+
+def test_a_section_at_the_stop_line_counts_what_its_lane_does(dataset):
+    there = lines(line=[(60 - 1e-6, -2), (60 - 1e-6, 2)])
+    found = gr.count_sections(dataset, there, "5min").set_index("begin")
+    lane = dataset.traffic("5min").query(f"lane == {APPROACH}").set_index("begin")
+    for name in ("visible_share", "counted", "volume", "volume_se"):
+        assert found[name].astype(float).tolist() == pytest.approx(
+            lane[name].astype(float).tolist(), nan_ok=True
+        )
+
+
+def test_directions_are_told_apart_by_the_side_they_come_from(dataset):
+    """A line that is drawn the other way round names the same direction."""
+    turned = lines(late=[(40, 5), (40, -5)])
+    one, other = (gr.count_sections(dataset, each, "15min") for each in (ACROSS, turned))
+    columns = ["direction", "begin", "counted", "volume"]
+    one = one[one["section"] == "late"].reset_index(drop=True)
+    pd.testing.assert_frame_equal(pd.DataFrame(one[columns]), pd.DataFrame(other[columns]))
+
+
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        ({"off": [(20, 50), (20, 60)]}, "section off crosses no lane"),
+        ({"flat": [(10, -0.2), (50, 0.2)]}, "section flat runs along lane 10"),
+        ({"bow": [(20, -5), (25, 5), (30, -5)]}, "section bow crosses lane 10 more than once"),
+    ],
+)
+def test_a_section_off_the_road_or_along_it_is_refused(dataset, places, said):
+    with pytest.raises(gr.InputError, match=said):
+        gr.count_sections(dataset, lines(**places))
+
+
+def test_sections_of_other_systems_are_moved_or_refused(dataset):
+    moved = gr.count_sections(dataset, ACROSS.to_crs("EPSG:25833"), "15min")
+    assert moved["counted"].sum() == 26
+    with pytest.raises(gr.CrsError, match="is geographic"):
+        gr.count_sections(dataset, ACROSS.to_crs("EPSG:4326"))
+    with pytest.raises(gr.CrsError, match="has no coordinate system"):
+        gr.count_sections(dataset, ACROSS.set_crs(None, allow_override=True))
+    twice = pd.concat([ACROSS, ACROSS])
+    with pytest.raises(gr.InputError, match="two sections have one name"):
+        gr.count_sections(dataset, twice)
+
+
+@pytest.fixture
+def given(tmp_path):
+    ACROSS.to_file(tmp_path / "sections.gpkg")
+
+    def write(text):
+        (tmp_path / "counts.csv").write_text(text, encoding="utf-8")
+        return tmp_path / "sections.gpkg", tmp_path / "counts.csv"
+
+    return write
+
+
+def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
+    name = dataset.traffic()["name"].iloc[0]
+    sections, counts = given(
+        "section;lane;begin;end;volume;volume_se\n"
+        "late;;2023-11-14 22:00;2023-11-14 22:10;8;\n"
+        "early;;2023-11-14 22:00;2023-11-14 22:05;9,5;0,2\n"
+        f";{APPROACH};2023-11-14 22:00;2023-11-14 22:05;1;\n"
+        f";{name};2023-11-14T22:05Z;2023-11-14T22:10Z;3;\n"
+        "late;;2023-11-15 22:00;2023-11-15 22:10;8;\n"
+    )
+    code, out, _ = run(
+        "traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "5min", "--json",
+        "--sections", sections, "--counts", counts,
+    )  # fmt: skip
+    assert code == 0, out
+    table = pd.read_csv(tmp_path / "out" / "hand_counts.csv")
+    late, early, lane, named, gone = table.to_dict("records")
+    assert (late["volume_by_hand"], late["volume"], late["agrees"]) == (8, pytest.approx(8), True)
+    assert late["geh"] == pytest.approx(0.0, abs=0.01)
+    assert early["difference"] == pytest.approx(early["volume"] - 9.5)
+    assert lane["agrees"] is False or not lane["agrees"]
+    assert lane["geh"] == pytest.approx(
+        np.sqrt(2 * 12 * (lane["volume"] - 1) ** 2 / (lane["volume"] + 1)), rel=0.01
+    )
+    assert named["place"] == f"'{name}"  # a name that begins with = is text for spreadsheets
+    assert np.isnan(gone["volume"])
+    assert pd.isna(gone["agrees"])
+    assert '"hand_counts": 5' in out
+    layer = gpd.read_file(tmp_path / "out" / "traffic.gpkg", layer="sections")
+    assert layer["counted"].sum() == 26
+    sheets = pyogrio.list_layers(tmp_path / "out" / "traffic.xlsx")[:, 0]
+    assert sheets.tolist() == ["Lanes", "Turns", "Count sections", "Counts by hand"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("section,begin,volume\nlate,2023-11-14,3\n", "lacks the columns end"),
+        ("begin,end,volume\n2023-11-14,2023-11-15,3\n", "lacks the columns section or lane"),
+        ("lane,begin,end,volume\n99,22:00,22:05,3\n", "line 2: lane '99' is none"),
+        ("section,begin,end,volume\nx,22:00,22:05,3\n", "line 2: section x is none of early"),
+        (
+            "section,begin,end,volume\nlate,2023-11-14 22:01,2023-11-14 22:05,3\n",
+            "line 2: begins or ends within one of our intervals",
+        ),
+        (
+            "section,begin,end,volume\nlate,2023-11-14 22:05,2023-11-14 22:00,3\n",
+            "line 2: ends before it begins",
+        ),
+        (
+            "section,begin,end,volume\nlate,2023-11-14 22:00,2023-11-14 22:05,many\n",
+            "line 2: volume is 'many'",
+        ),
+        ("section,begin,end,volume\nlate,tomorrow,2023-11-14 22:05,3\n", "line 2: begin is"),
+        (
+            "section,direction,begin,end,volume\nlate,upward,2023-11-14 22:00,2023-11-14 22:05,3\n",
+            "line 2: direction is 'upward', expected one of eastbound",
+        ),
+        ("section,begin,end,volume\n", "holds no counts"),
+        ("", "not a table of counts"),
+    ],
+)
+def test_counts_that_are_none_are_one_line(run, dataset, given, tmp_path, text, said):
+    sections, counts = given(text)
+    code, _, err = run(
+        "traffic", dataset.folder, "-o", tmp_path / "out", "--interval", "5min",
+        "--sections", sections, "--counts", counts,
+    )  # fmt: skip
+    assert code == 3
+    assert said in err
+    assert not (tmp_path / "out").exists()
