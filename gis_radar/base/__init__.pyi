@@ -91,7 +91,7 @@ from .processes import (
     workers_here,
 )
 from .progress import LETTERS_OF_AN_ERROR, QUIET, SILENT, Level, Reporter, one_line, warnings_once
-from .spreadsheets import csv_for, csv_style, write_csv
+from .spreadsheets import csv_for, write_csv
 from .steps import (
     CLOCK_SET_S,
     CYCLE_HINT,
@@ -196,7 +196,6 @@ __all__ = [
     "content_digest",
     "contiguous",
     "csv_for",
-    "csv_style",
     "current_language",
     "decimal",
     "describe_layers",

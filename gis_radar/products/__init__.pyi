@@ -12,7 +12,7 @@ from .quality.quality import Quality, QualitySettings, measure_quality, require_
 from .report.names import REPORT_FILES
 from .report.report import Report, write_report
 from .traffic import Traffic, make_traffic
-from .trajectories import to_trajectories, track_points, write_trajectories
+from .trajectories import to_trajectories, track_points
 
 __all__ = [
     "BREAKS",
@@ -46,5 +46,4 @@ __all__ = [
     "write_qgis_project",
     "write_report",
     "write_site_project",
-    "write_trajectories",
 ]

@@ -162,13 +162,10 @@ class Traffic:
         interval = (self.lanes["end"] - self.lanes["begin"]).min()
         seconds = interval.total_seconds()
         styles = {
-            layer: (
-                traffic_style(
-                    seconds,
-                    {str(n): tr(TITLES[str(n)]) for n in table if n in TITLES},
-                    wide=layer == TURNS,
-                ),
-                "",
+            layer: traffic_style(
+                seconds,
+                {str(n): tr(TITLES[str(n)]) for n in table if n in TITLES},
+                wide=layer == TURNS,
             )
             for layer, table in ((LANES, self.lanes), (TURNS, self.turns))
         }

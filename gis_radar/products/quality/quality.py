@@ -25,10 +25,11 @@ from gis_radar.base import (
     Text,
     UsageError,
     atomic_write,
-    axes_or_new,
-    csv_style,
+    csv_for,
+    iso_from_time,
     seconds_from_iso,
     table_card,
+    write_csv,
     zone_of,
 )
 from gis_radar.dataset import Dataset
@@ -132,10 +133,6 @@ def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
         )
 
 
-MOST_NUMBERS = 24  # hours; beyond that numbers would overlap
-KINDS = {"good": "#a8c8e8", "at fault": "#d9641a", "no data": "#e5e7eb"}
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Quality:
     """Data quality of a dataset, by sensor and hour.
@@ -218,56 +215,18 @@ class Quality:
         """
         path = Path(path)
         require_table_name(path)
-        style = csv_style(csv_locale)
-        with atomic_write(path) as part:
+        with csv_for(csv_locale), atomic_write(path) as part:
             if path.suffix.lower() == ".csv":
-                self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ", **style)
+                self.write_rows(part)
             else:
                 self.table.to_parquet(part, index=False)
         return path
 
-    def plot(self, ax: Any = None) -> Any:
-        """Draw sensors by hours: good, at fault, or without data, with the share of frames.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Where; without it, on a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        from matplotlib.colors import ListedColormap  # noqa: PLC0415 - only who draws waits for it
-        from matplotlib.patches import Patch  # noqa: PLC0415
-
-        table, timezone = self.table, self.timezone
-        sensors, hours = table["sensor"].unique(), np.sort(table["begin"].unique())
-        ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * len(sensors)))
-        row = pd.Index(sensors).get_indexer(table["sensor"])
-        column = pd.Index(hours).get_indexer(table["begin"])
-        kind = np.full((len(sensors), len(hours)), 2)
-        bad = (table["verdict"] != GOOD).to_numpy(int)
-        kind[row, column] = np.where(table["verdict"] == NO_DATA, 2, bad)
-        ax.pcolormesh(kind, cmap=ListedColormap(list(KINDS.values())), vmin=0, vmax=2,
-                      edgecolors="white", linewidth=1.0)  # fmt: skip
-        if len(hours) <= MOST_NUMBERS:
-            expected = table["frames_expected"].clip(lower=1)
-            share = (100.0 * (table["frames"] - table["doubled"]) / expected).round()
-            for x, y, text in zip(column, row, share, strict=True):
-                ax.text(x + 0.5, y + 0.5, f"{text:.0f} %", ha="center", va="center", fontsize=8)
-        local = pd.DatetimeIndex(hours).tz_convert(timezone)
-        every = max(1, len(hours) // 12)
-        labels = [f"{t:%H:%M}" + (f"\n{t:%Y-%m-%d}" if i == 0 or t.hour == 0 else "")
-                  for i, t in enumerate(local)]  # fmt: skip
-        ax.set_xticks(np.arange(0, len(hours), every) + 0.5, labels[::every])
-        ax.set_yticks(np.arange(len(sensors)) + 0.5, sensors)
-        ax.invert_yaxis()
-        ax.tick_params(length=0)
-        ax.set(xlabel=f"hour ({timezone})", title="Data quality; share of the frames expected")
-        ax.legend(handles=[Patch(color=c, label=n) for n, c in KINDS.items()], frameon=False,
-                  loc="upper left", bbox_to_anchor=(1.0, 1.0))  # fmt: skip
-        return ax
+    def write_rows(self, path: Path) -> None:
+        """Write the table as CSV, as the tables of a report are."""
+        times = {name: self.table[name].map(iso_from_time) for name in ("begin", "end")}
+        table = self.table.assign(**times)
+        write_csv(path, list(table.columns), table.itertuples(index=False, name=None))
 
     def _repr_html_(self) -> str:
         columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]

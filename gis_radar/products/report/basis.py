@@ -27,7 +27,7 @@ from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
 from gis_radar.products.report import names
 from gis_radar.products.report.content import Column, Fact, Table, text_rows
-from gis_radar.products.report.lanes import LEAST_SEEN, LEAST_TRACKS, LaneSums, shown_of
+from gis_radar.products.report.lanes import LEAST_SEEN, LEAST_TRACKS, part_and_base
 from gis_radar.products.report.results import NOT_KNOWN, Results
 from gis_radar.scans import VIEW_ONLY
 
@@ -43,7 +43,7 @@ class Findings(NamedTuple):
     title: str
     clock: Clock
     quality: Quality | None  # what sensors delivered; None where that is not known
-    lanes: LaneSums
+    lanes: pd.DataFrame  # by interval, from `sums_of`
     table: pd.DataFrame  # the lanes over the whole time, from `lane_table`
 
 
@@ -64,8 +64,8 @@ def recorded_s(results: Results) -> float:
 def totals_of(found: Findings) -> dict[str, Any]:
     """Count the totals of the whole time; the highest lane is None where none may be named."""
     heat, table, measure = found.results.heat, found.table, found.results.heat.measure
-    shares, length_m = shown_of(heat), heat.tiles["length_m"].to_numpy(np.float64)
-    seen = shares.base_s > 0
+    (part_s, base_s), length_m = part_and_base(heat), heat.tiles["length_m"].to_numpy(np.float64)
+    seen = base_s > 0
     base, touched = ("visible", "occupied") if measure == "occupancy" else ("observed", "hit")
     seconds = recorded_s(found.results)
     totals = {
@@ -75,7 +75,7 @@ def totals_of(found: Findings) -> dict[str, Any]:
         "lane_length_m": round(float(length_m.sum()), 2),
         f"lane_length_{base}_m": round(float(length_m[seen].sum()), 2),
         f"tiles_{base}": int(seen.sum()),
-        f"tiles_{touched}": int(np.count_nonzero(shares.part_s[seen])),
+        f"tiles_{touched}": int(np.count_nonzero(part_s[seen])),
     }
     known = heat.occupancy_shares()
     if known is None or not seen.any():

@@ -15,9 +15,7 @@ from PIL import Image
 
 from gis_radar.base import (
     FONTS,
-    Booleans,
     Clock,
-    Floats,
     Reporter,
     figure_text,
     name_of,
@@ -27,7 +25,7 @@ from gis_radar.base import (
 from gis_radar.hdmap import quads
 from gis_radar.measures import sight_of_tiles
 from gis_radar.products.heatmap.heatmap import HeatMap
-from gis_radar.products.heatmap.occupancy import OccupancyShares, mean_occupancy
+from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.heatmap.picture import (
     NARROW_IN,
     OVERLAY_IN,
@@ -40,7 +38,7 @@ from gis_radar.products.heatmap.picture import (
     png,
 )
 from gis_radar.products.report.content import WORDS, Figure, MapSeries
-from gis_radar.products.report.lanes import TileShares, hits_of, shown_of
+from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import Results
 from gis_radar.scans import (
     HIDDEN,
@@ -96,8 +94,7 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
         begin, end = heat.timeline.span(group.start)[0], heat.timeline.span(group.stop - 1)[1]
         if len(heat.timeline) > 1:
             label = clock.span(begin, end)
-            shown = shown_of(heat, group)
-            frames.append(_map(picture, shown, label, heat, heat.uncertain(group)))
+            frames.append(_map(picture, heat, label, group))
         reporter.progress(STAGE, done, len(groups))
     size, note = groups[0].stop, ""
     if size > 1:
@@ -115,7 +112,7 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
         overlay = png(picture.overlay(poses))
         narrow = png(for_a_phone(picture.overlay(poses, NARROW_IN)))
     return MapSeries(
-        whole=_map(picture, shown_of(heat), tr("Whole time"), heat, heat.uncertain()),
+        whole=_map(picture, heat, tr("Whole time")),
         frames=frames,
         overlay=overlay,
         narrow=narrow,
@@ -133,8 +130,7 @@ def _groups(heat: HeatMap) -> list[slice]:
 
 def draw_hits(results: Results, picture: MapPicture) -> Figure:
     """Draw what radar hit over the whole time, for diagnosis beside the map of occupancy."""
-    hits, certain = hits_of(results.heat), np.zeros(len(results.heat.tiles), np.bool_)
-    figure = _map(picture, hits, tr("Whole time"), results.heat, certain, measure="hit_share")
+    figure = _map(picture, results.heat, tr("Whole time"), measure="hit_share")
     with Image.open(BytesIO(figure.png)) as tiles:
         whole = tiles.convert("RGBA")
     with mpl.rc_context(FONTS):
@@ -149,16 +145,16 @@ def draw_hits(results: Results, picture: MapPicture) -> Figure:
 
 
 def _map(
-    picture: MapPicture, shares: TileShares, label: str, heat: HeatMap, uncertain: Booleans,
-    *, measure: str = "",
-) -> Figure:  # fmt: skip
+    picture: MapPicture, heat: HeatMap, label: str, group: slice | None = None, *, measure: str = ""
+) -> Figure:
     measure = measure or heat.measure
-    text = _sentence(shares, heat, measure)
+    text = _sentence(heat, group, measure)
+    vague = heat.uncertain(group) if measure == "occupancy" else np.zeros(len(heat.tiles), np.bool_)
     alt = "Map of occupancy, {time}. {text}"
     if measure == "hit_share":
         alt = "Map of radar hits, {time}. {text}"
     return Figure(
-        png=png(image_of_pixels(picture.paint(shares.share, uncertain))),
+        png=png(image_of_pixels(picture.paint(heat.shown(group, measure), vague))),
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
@@ -167,23 +163,21 @@ def _map(
     )
 
 
-def _sentence(shares: TileShares, heat: HeatMap, measure: str) -> str:
+def _sentence(heat: HeatMap, group: slice | None, measure: str) -> str:
     """Describe a map: the mean of what was seen, and how much was seen and hit or occupied."""
     words = WORDS[measure]
-    seen, hit = int((shares.base_s > 0).sum()), int((shares.part_s > 0).sum())
+    part_s, base_s = part_and_base(heat, group, measure)
+    seen, hit = int((base_s > 0).sum()), int((part_s > 0).sum())
     if not seen:
         return tr(words.nothing)
     if not hit:
         return tr(words.none, n=figure_text(seen))
     text = tr(words.touched, share=percent(hit / seen, 0), n=figure_text(seen))
-    if measure == "hit_share":
+    known = heat.occupancy_shares(group)
+    if measure == "hit_share" or known is None:
         return text
-    mean, error = mean_occupancy(heat.tiles, OccupancyShares(*_as_occupancy(shares)))
+    mean, error = mean_occupancy(heat.tiles, known)
     return f"{tr('Mean occupancy {share}.', share=percent(mean, off=error))} {text}"
-
-
-def _as_occupancy(shares: TileShares) -> tuple[Floats, Floats, Floats, Floats]:
-    return shares.base_s, shares.part_s, shares.share, shares.error
 
 
 def draw_sights(results: Results) -> list[Figure]:

@@ -32,9 +32,9 @@ from gis_radar.base import (
     speaking,
     street_label,
     tr,
-    write_csv,
     zone_of,
 )
+from gis_radar.hdmap import lanes_of
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.quality.quality import Quality, measure_quality
 from gis_radar.products.report import names
@@ -67,7 +67,7 @@ from gis_radar.products.report.lanes import (
     LEAST_TRACKS,
     WHY_NOT,
     lane_table,
-    sum_by_lane,
+    sums_of,
     tracks_of,
     write_lane_intervals,
     write_lanes,
@@ -186,8 +186,8 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
     """Work out what page, paper and tables are made of."""
     heat = results.heat
     zone = timezone or results.timezone
-    sums = sum_by_lane(heat)
-    table = lane_table(heat, sums, tracks_of(results.dataset, sums.lanes))
+    sums = sums_of(heat, each=True)
+    table = lane_table(heat, sums, tracks_of(results.dataset, lanes_of(heat.tiles)))
     known = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
     table["street"], table["street_part"] = zip(*known, strict=True) if known else ((), ())
     return Findings(
@@ -215,7 +215,7 @@ def _pictures(found: Findings, reporter: Reporter) -> _Pictures:
     occupied = results.heat.measure == "occupancy"
     return _Pictures(
         maps=draw_maps(results, picture, found.clock, reporter),
-        plan=draw_plan(results.heat.tiles, picture, found.lanes.lanes, found.table),
+        plan=draw_plan(results.heat.tiles, picture, found.table),
         over_time=draw_lanes_over_time(results.heat, found.lanes, found.table, found.clock),
         hits=[draw_hits(results, picture)] if occupied else [],
     )
@@ -275,17 +275,8 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
         names.SENSORS: lambda path: write_sensor_table(path, found.results),
     }
     if quality is not None:
-        writers[names.QUALITY] = lambda path: _write_quality(path, quality)
+        writers[names.QUALITY] = quality.write_rows
     return writers
-
-
-def _write_quality(path: Path, quality: Quality) -> None:
-    """Write the table of :func:`gis_radar.measure_quality`, a row a sensor and hour."""
-    rows = (
-        tuple(utc(cell) if isinstance(cell, pd.Timestamp) else cell for cell in row)
-        for row in quality.table.itertuples(index=False, name=None)
-    )
-    write_csv(path, list(quality.table.columns), rows)
 
 
 def _summary(found: Findings, content: Content) -> dict[str, Any]:
