@@ -66,7 +66,6 @@ from .json_documents import json_text, parsed_json, read_json
 from .languages import LANGUAGES, class_label, translated, users_language
 from .notebooks import (
     FONTS,
-    PANELS_KEY,
     axes_or_new,
     card,
     label_map,
@@ -157,7 +156,6 @@ __all__ = [
     "LONGEST_CYCLE_S",
     "NO_FIGURE",
     "OFFLINE",
-    "PANELS_KEY",
     "QUIET",
     "SHORTEST_CYCLE_S",
     "SILENT",

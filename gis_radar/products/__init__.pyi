@@ -8,7 +8,7 @@ from .heatmap.style import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_cl
 from .projection.project import project, write_projection
 from .qgis.project import write_qgis_project, write_site_project
 from .qgis.project_file import was_edited
-from .quality.quality import Quality, QualitySettings, measure_quality, require_table_name
+from .quality.quality import Quality, measure_quality, require_table_name
 from .report.names import REPORT_FILES
 from .report.report import Report, write_report
 from .traffic import Traffic, make_traffic
@@ -24,7 +24,6 @@ __all__ = [
     "HeatMap",
     "MapLabels",
     "Quality",
-    "QualitySettings",
     "Report",
     "Traffic",
     "colour_classes",

@@ -23,7 +23,7 @@ LEAST_SEEN = 0.5  # share of its length: less may be its queue alone, or all but
 MOST_ERROR = 0.5  # standard error, as a share of the occupancy: beyond, 0 is within two of them
 
 
-def part_and_base(heat: HeatMap, interval: When = None, measure: str = "") -> tuple[Floats, Floats]:
+def part_and_base(heat: HeatMap, interval: When = None) -> tuple[Floats, Floats]:
     """Return what a share of each tile is made of: seconds occupied and visible, or of hits.
 
     Parameters
@@ -32,11 +32,9 @@ def part_and_base(heat: HeatMap, interval: When = None, measure: str = "") -> tu
         Whose tiles.
     interval : optional
         Which, as for :meth:`HeatMap.shares`.
-    measure : str
-        `occupancy` or `hit_share`; by default what the heat map shows.
     """
     known = heat.occupancy_shares(interval)
-    if known is None or measure == "hit_share":
+    if known is None:
         hits = heat.shares(interval)
         return hits.hit_s, hits.observed_s
     return known.occupied_s, known.visible_s
@@ -118,7 +116,7 @@ def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None
     tiles, shares, known = heat.tiles, heat.shown(), heat.occupancy_shares()
     error = np.full(len(tiles), np.nan) if known is None else known.occupancy_se
     length, centre = tiles["length_m"].to_numpy(np.float64), quads(tiles).mean(axis=1)
-    rows = []
+    by_lane, rows = dict(iter(each.groupby(level=LANE_COLUMN))), []
     for i, lane in enumerate(lanes_of(tiles)):
         mine, long = shares[lane.rows], length[lane.rows]
         seen = np.isfinite(mine)
@@ -137,7 +135,7 @@ def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None
                 "busiest_spot_m": spot_m if seen.any() else np.nan,
                 "busy_m": long[mine >= BUSY].sum() if seen.any() else np.nan,
                 "tracks": -1 if tracks is None else int(tracks[i]),
-                **_busiest(heat, each.xs(lane.number, level=LANE_COLUMN)),
+                **_busiest(heat, by_lane[lane.number]),
             }
         )
     whole = sums_of(heat).reset_index().rename(columns={"seen_m": "base_m"})
@@ -234,9 +232,9 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
                   for each in table["lanelets"]],
         street=table.get("street", ""), street_part=table.get("street_part", ""),
         leads_to=[wind_of(*each) or NO_FIGURE for each in towards],
-        busiest_begin_utc=[None if pd.isna(each) else utc(each) for each in begins],
-        busiest_begin_local=[None if pd.isna(each) else clock.iso(each) for each in begins],
-        busiest_end_utc=[None if pd.isna(each) else utc(each) for each in ends],
+        busiest_begin_utc=["" if pd.isna(each) else utc(each) for each in begins],
+        busiest_begin_local=["" if pd.isna(each) else clock.iso(each) for each in begins],
+        busiest_end_utc=["" if pd.isna(each) else utc(each) for each in ends],
     )  # fmt: skip
     _write(path, shown, columns)
 

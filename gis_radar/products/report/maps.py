@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from io import BytesIO
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Patch
 from PIL import Image
@@ -28,7 +25,6 @@ from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.heatmap.picture import (
     NARROW_IN,
-    OVERLAY_IN,
     MapPicture,
     for_a_phone,
     image_of_figure,
@@ -56,11 +52,6 @@ MOST_FRAMES = 96  # pictures in time: a day of quarter hours
 MOST_PIXELS = 2_200_000  # of a picture
 ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
 STAGE = "drawing the maps"
-HITS = (
-    "For diagnosis, not for planning: in which share of the observed time radar hit each tile, in "
-    "the colours of the map (hit share, the measure of the paper). A lane that carries "
-    "vehicles on the map and hardly a hit here is one that the sensors see badly."
-)
 
 SIGHT_IN = 3.4  # width of a sensor's picture: alone on a phone's page its words can be read
 MOST_SIGHTS = 6  # sensors of which it is drawn what they see
@@ -128,33 +119,13 @@ def _groups(heat: HeatMap) -> list[slice]:
     return [slice(first, min(first + size, total)) for first in range(0, total, size)]
 
 
-def draw_hits(results: Results, picture: MapPicture) -> Figure:
-    """Draw what radar hit over the whole time, for diagnosis beside the map of occupancy."""
-    figure = _map(picture, results.heat, tr("Whole time"), measure="hit_share")
-    with Image.open(BytesIO(figure.png)) as tiles:
-        whole = tiles.convert("RGBA")
-    with mpl.rc_context(FONTS):
-        overlays = [picture.overlay(results.poses, each) for each in (OVERLAY_IN, NARROW_IN)]
-    wide, narrow = (Image.alpha_composite(whole, each.resize(whole.size)) for each in overlays)
-    return replace(
-        figure,
-        png=png(wide.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
-        narrow=png(for_a_phone(narrow.convert("RGB")).quantize(128, dither=Image.Dither.NONE)),
-        caption=f"{tr(HITS)} {figure.caption}",
-    )
-
-
-def _map(
-    picture: MapPicture, heat: HeatMap, label: str, group: slice | None = None, *, measure: str = ""
-) -> Figure:
-    measure = measure or heat.measure
-    text = _sentence(heat, group, measure)
-    vague = heat.uncertain(group) if measure == "occupancy" else np.zeros(len(heat.tiles), np.bool_)
+def _map(picture: MapPicture, heat: HeatMap, label: str, group: slice | None = None) -> Figure:
+    text = _sentence(heat, group)
     alt = "Map of occupancy, {time}. {text}"
-    if measure == "hit_share":
+    if heat.measure == "hit_share":
         alt = "Map of radar hits, {time}. {text}"
     return Figure(
-        png=png(image_of_pixels(picture.paint(heat.shown(group, measure), vague))),
+        png=png(image_of_pixels(picture.paint(heat.shown(group), heat.uncertain(group)))),
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
@@ -163,10 +134,10 @@ def _map(
     )
 
 
-def _sentence(heat: HeatMap, group: slice | None, measure: str) -> str:
+def _sentence(heat: HeatMap, group: slice | None) -> str:
     """Describe a map: the mean of what was seen, and how much was seen and hit or occupied."""
-    words = WORDS[measure]
-    part_s, base_s = part_and_base(heat, group, measure)
+    words = WORDS[heat.measure]
+    part_s, base_s = part_and_base(heat, group)
     seen, hit = int((base_s > 0).sum()), int((part_s > 0).sum())
     if not seen:
         return tr(words.nothing)
@@ -174,7 +145,7 @@ def _sentence(heat: HeatMap, group: slice | None, measure: str) -> str:
         return tr(words.none, n=figure_text(seen))
     text = tr(words.touched, share=percent(hit / seen, 0), n=figure_text(seen))
     known = heat.occupancy_shares(group)
-    if measure == "hit_share" or known is None:
+    if known is None:
         return text
     mean, error = mean_occupancy(heat.tiles, known)
     return f"{tr('Mean occupancy {share}.', share=percent(mean, off=error))} {text}"

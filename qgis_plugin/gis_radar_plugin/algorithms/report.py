@@ -18,8 +18,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QDateTime, QTimeZone
 
-from ..base import RESULTS, Algorithm, one_sentence
-from ..claims import claimed
+from ..base import RESULTS, Algorithm, make_folders, one_sentence
 from ..loading import INTERVALS
 from ..parameters import (
     Choice,
@@ -145,7 +144,8 @@ class ExportReport(Algorithm):
     def _report(self, given: Given) -> Path:
         dest, feedback = Path(given.text("OUTPUT")), given.feedback
         zone = timezone(given.text("TIME_ZONE") or zone_name(_package(given)))
-        with one_sentence(), claimed([str(dest)]):
+        with one_sentence():
+            make_folders([str(dest)])
             refuse_foreign(dest)
             # Beside the target first: a report appears whole or not at all.
             with private_folder(dest) as folder:
