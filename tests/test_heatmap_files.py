@@ -62,7 +62,7 @@ def test_a_failure_leaves_nothing(heatmap, tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gis_radar.products.heatmap.heatmap.write_raster", fail)
+    monkeypatch.setattr("rasterio.shutil.copy", fail)
     with pytest.raises(OutputError, match=r"hits\.tif: cannot be written: the disk is full"):
         heatmap.write(tmp_path / "map")
     assert list(tmp_path.iterdir()) == []
