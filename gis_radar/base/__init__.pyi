@@ -27,7 +27,6 @@ from .crs import (
 )
 from .errors import (
     INSTALL_LOCALIZE,
-    INSTALL_NOTEBOOKS,
     INSTALL_TRAJECTORIES,
     CrsError,
     GisRadarError,
@@ -148,7 +147,6 @@ __all__ = [
     "FIRST_YEAR",
     "FONTS",
     "INSTALL_LOCALIZE",
-    "INSTALL_NOTEBOOKS",
     "INSTALL_TRAJECTORIES",
     "LANGUAGES",
     "LAST_YEAR",
