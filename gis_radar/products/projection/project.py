@@ -360,7 +360,7 @@ class _Dimension:
         if self.kind is np.int64:
             column = pc.fill_null(pc.cast(column, pa.int64()), MISSING)
         elif not pa.types.is_floating(column.type):
-            column = pc.cast(column, pa.float64())
+            column = pc.cast(column, pa.float64(), safe=False)  # whole ones of 64 bits lose digits
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
 
 
