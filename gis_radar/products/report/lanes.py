@@ -69,7 +69,7 @@ def sums_of(heat: HeatMap, *, each: bool = False) -> pd.DataFrame:
     table = heat.by_lane(each=each)
     tiles = {lane.number: len(lane.rows) for lane in lanes_of(heat.tiles)}
     count = table.index.get_level_values(LANE_COLUMN).map(tiles).to_numpy()
-    table = table.assign(**{n: table[n] * count for n in table if str(n).endswith("_s")})
+    table = table.assign(**{str(n): table[n] * count for n in table if str(n).endswith("_s")})
     shown = zip(_NAMES, _SHARES[heat.measure], strict=False)
     return table.assign(**{"share_se": np.nan} | {name: table[of] for name, of in shown})
 
@@ -116,7 +116,8 @@ def lane_table(heat: HeatMap, each: pd.DataFrame, tracks: Integers | None = None
     tiles, shares, known = heat.tiles, heat.shown(), heat.occupancy_shares()
     error = np.full(len(tiles), np.nan) if known is None else known.occupancy_se
     length, centre = tiles["length_m"].to_numpy(np.float64), quads(tiles).mean(axis=1)
-    by_lane, rows = dict(iter(each.groupby(level=LANE_COLUMN))), []
+    by_lane = {int(str(lane)): rows for lane, rows in each.groupby(level=LANE_COLUMN)}
+    rows = []
     for i, lane in enumerate(lanes_of(tiles)):
         mine, long = shares[lane.rows], length[lane.rows]
         seen = np.isfinite(mine)
