@@ -76,7 +76,6 @@ from .products import (
     write_qgis_project,
     write_report,
     write_site_project,
-    write_trajectories,
 )
 from .recordings import Conversion, convert, open_recording
 from .sample import sample_folder
@@ -192,6 +191,5 @@ __all__ = [
     "write_site_project",
     "write_tiles",
     "write_track",
-    "write_trajectories",
     "yaw_from_compass",
 ]

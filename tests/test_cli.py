@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import click
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,7 +19,7 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 import gis_radar as gr
 from gis_radar.base import Text
 from gis_radar.cli import group
-from gis_radar.cli.console import JsonConsole, Result, TerminalConsole
+from gis_radar.cli.console import JsonConsole, Result, TerminalConsole, command, run_group
 
 COMMANDS = sorted(group.commands)
 
@@ -213,51 +214,33 @@ def test_no_command_replaces_what_it_reads(site, run):
     assert {path.name: path.read_bytes() for path in site.iterdir()} == before
 
 
-def test_every_option_reaches_its_argument(site, run, monkeypatch):
-    """What the library is called with, for a call that sets all options."""
-    seen = {}
-
-    def caught(recordings, poses, tiles, roads, output, **options):
-        seen.update(options, recordings=recordings, poses=poses, output=output)
-        raise gr.NoAnswerError("enough")
-
-    monkeypatch.setattr("gis_radar.dataset.measure", caught)
+def test_every_option_reaches_its_argument(site, run):
+    """What the dataset says of a call that sets all options."""
     gr.write_pose(pose(view=None), site / "R1.json")
     answer = run(
         *measure_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",
         "--min-speed", "0.15", "--min-rcs", "-3", "--clearance", "0.1,4.5",
-        "--elevation-error", "0.7",
+        "--elevation-error", "0.7", "--timezone", "Europe/Berlin",
     )  # fmt: skip
-    refused(answer, 4, "enough")
-    assert seen["filters"] == gr.Filters(
-        min_speed=0.15, min_rcs=-3.0, clearance=(0.1, 4.5), elevation_error_deg=0.7
-    )
-    assert seen["hits_only"]
-    view = seen["poses"][0].poses[0].view
-    assert view == gr.View(azimuth_deg=90.0, elevation_deg=20.0, max_range_m=150.0)
-    assert seen["output"] == site / "occ"
+    assert answer[0] == 0, answer
+    made = gr.open_dataset(site / "occ")
+    given = {"min_speed": 0.15, "min_rcs": -3.0, "clearance": [0.1, 4.5],
+             "elevation_error_deg": 0.7}  # fmt: skip
+    assert given.items() <= made.manifest.settings["filters"].items()
+    assert not made.has_vehicles
+    assert made.timezone == "Europe/Berlin"
+    (document,) = made.poses()["document"]
+    view = json.loads(document)["view"]
+    assert (view["azimuth_deg"], view["elevation_deg"], view["max_range_m"]) == (90.0, 20.0, 150.0)
 
 
-def test_tiles_options_reach_their_arguments(tmp_path, run, monkeypatch):
-    seen = {}
-
-    def read(path, **options):
-        seen.update(options, path=path)
-        return roads
-
-    def make(given, **options):
-        seen.update(options)
-        raise gr.NoAnswerError("enough")
-
-    roads = object()
-    monkeypatch.setattr("gis_radar.hdmap.read_map", read)
-    monkeypatch.setattr("gis_radar.hdmap.make_tiles", make)
-    run(
-        "tiles", "m.osm", "-o", tmp_path / "t.gpkg", "--crs", "EPSG:25832", "--length", "2",
-        "--origin", "3.5,4.5", "--subtype", "road,walkway",
-    )  # fmt: skip
-    assert (seen["crs"], seen["origin"]) == ("EPSG:25832", (3.5, 4.5))
-    assert (seen["length_m"], seen["subtypes"]) == (2.0, ("road", "walkway"))
+def test_tiles_options_reach_their_arguments(tmp_path, run):
+    words = ("tiles", gr.sample_folder() / "junction.osm", "-o", tmp_path / "t.gpkg")
+    assert run(*words, "--crs", "EPSG:25833", "--length", "2", "--subtype", "road")[0] == 0
+    tiles = gr.read_tiles(tmp_path / "t.gpkg")
+    assert tiles.crs == "EPSG:25833"
+    assert tiles["length_m"].median() == pytest.approx(2.0, abs=0.1)
+    assert set(tiles["subtype"]) == {"road"}
 
 
 @pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM"])
@@ -314,16 +297,18 @@ run_group(waits)
     assert time.monotonic() - begun < 25.0
 
 
-def test_an_interruption_of_compiled_code_is_one(site, run, monkeypatch):
+def test_an_interruption_of_compiled_code_is_one(capfd, monkeypatch):
     """Numba reports an error of its own for an interruption that reaches it."""
 
-    def interrupted(*_, **__):
+    @command(example="work")
+    def work(*, reporter):
         raise SystemError("a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr("gis_radar.read_track", interrupted)
-    code, out, err = run(*measure_words(site), "--json")
-    event = json.loads(out.splitlines()[-1])
-    assert (code, event["code"], err) == (130, 130, "")
+    monkeypatch.setattr(sys, "argv", ["gis-radar", "work", "--json"])
+    with pytest.raises(SystemExit) as ended:
+        run_group(click.Group(commands=[work]))
+    event = json.loads(capfd.readouterr().out)
+    assert (ended.value.code, event["code"]) == (130, 130)
     assert event["message"] == "interrupted; nothing was left half-written"
 
 

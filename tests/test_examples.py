@@ -51,8 +51,6 @@ def test_a_notebook_runs(elsewhere, path, request):
     names, code = {}, code_of(path)
     if any("from simulation" in source for source in code):
         request.getfixturevalue("sumo_installed")
-    if any("to_xarray" in source for source in code):
-        pytest.importorskip("xarray")
     begin = time.process_time()  # others may use the machine, too
     for number, source in enumerate(code):
         exec(compile(source, f"{path.name} cell {number}", "exec"), names)  # noqa: S102

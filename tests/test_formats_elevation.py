@@ -240,8 +240,8 @@ def test_hits_places_them_on_the_road(tmp_path):
     assert "370.0 m" in notes.text
     assert found.recordings()["has_elevation"].tolist() == [False]
     assert expected.recordings()["has_elevation"].tolist() == [True]
-    assert "measures no elevation" in gr.measure_quality(found).lines()["R1"]
-    assert "elevation" not in gr.measure_quality(expected).lines()["R1"]
+    assert "measures no elevation" in gr.measure_quality(found).figures()["R1"]
+    assert "elevation" not in gr.measure_quality(expected).figures()["R1"]
 
 
 def test_what_is_nearer_than_the_road_hits_nothing(tmp_path):

@@ -62,7 +62,7 @@ def test_a_failure_leaves_nothing(heatmap, tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gis_radar.products.heatmap.heatmap.write_raster", fail)
+    monkeypatch.setattr("rasterio.shutil.copy", fail)
     with pytest.raises(OutputError, match=r"hits\.tif: cannot be written: the disk is full"):
         heatmap.write(tmp_path / "map")
     assert list(tmp_path.iterdir()) == []
@@ -187,17 +187,16 @@ def test_rows_of_views_are_known_without_a_count(heatmap, folder):
 def test_default_styles_are_registered(folder):
     found = rows(
         folder,
-        "SELECT f_table_name, f_geometry_column, useAsDefault, styleQML, styleSLD "
+        "SELECT f_table_name, f_geometry_column, useAsDefault, styleQML "
         "FROM layer_styles ORDER BY f_table_name",
     )
     assert [row[0] for row in found] == ["by_interval", "heatmap"]
     columns = dict(rows(folder, "SELECT table_name, column_name FROM gpkg_geometry_columns"))
-    for name, geometry, default, qml, sld in found:
+    for name, geometry, default, qml in found:
         assert geometry == columns[name]
         assert default == 1
         assert "graduatedSymbol" in qml
         assert ('mode="1"' in qml) == (name == "by_interval")
-        assert "StyledLayerDescriptor" in sld
     kind = "SELECT data_type FROM gpkg_contents WHERE table_name = 'layer_styles'"
     assert rows(folder, kind) == [("attributes",)]
 

@@ -196,19 +196,12 @@ def test_the_layer_by_interval_reads_as_made(written):
     )
 
 
-def test_plots_browser_map_and_cube_show_occupancy(written):
+def test_plots_show_occupancy(written):
     heat, _ = written
     labels = [
         text.get_text() for text in heat.plot(Figure().add_subplot()).get_legend().get_texts()
     ]
     assert labels[-3:] == ["0 %, no vehicle", "uncertain", "not visible"]
-    assert "0 %, no vehicle" in heat.explore(tiles=None).get_root().render()
-    cube = heat.to_xarray()
-    for i in range(len(heat.timeline)):
-        for name, values in heat.occupancy_shares(i)._asdict().items():
-            np.testing.assert_array_equal(cube[name][:, i], values.astype(np.float32))
-    assert cube["occupied_s"].attrs["units"] == "s"
-    assert "vehicle was on it" in cube["occupied_s"].attrs["long_name"]
 
 
 def test_a_qgis_project_of_it_shows_occupancy(written, tmp_path):

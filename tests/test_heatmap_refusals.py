@@ -9,9 +9,9 @@ from gis_radar.base import InputError, UsageError
 from gis_radar.products import make_heatmap
 
 
-def test_too_many_rows_are_refused(monkeypatch):
-    monkeypatch.setattr("gis_radar.products.heatmap.intervals.MOST_ROWS", 1000)
-    site = two_sensors(2000)
+def test_too_many_rows_are_refused():
+    view = ("R1", "a")
+    site = make_site(lane_tiles(2000), {view: set(range(T0, T0 + 60_000))}, {view: {0}}, set())
     with pytest.raises(UsageError, match="more than a heat map can hold") as caught:
         make_heatmap(site.dataset, interval="50ms")
     assert "longer interval" in caught.value.hint

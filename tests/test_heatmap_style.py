@@ -105,17 +105,6 @@ def test_a_pixel_on_a_break_has_the_class_of_its_tile():
         assert float(item.get("value")) == float(np.float32(level.upper))
 
 
-def test_sld_filters_are_half_open():
-    space = {"s": "http://www.opengis.net/sld", "o": "http://www.opengis.net/ogc"}
-    root = ET.fromstring(style.sld("heatmap"))  # noqa: S314
-    rules = root.findall(".//s:Rule", space)
-    assert len(rules) == len(style.colour_classes())
-    assert rules[0].find("o:Filter/o:PropertyIsEqualTo/o:Literal", space).text == "0"
-    both = rules[2].find("o:Filter/o:And", space)
-    assert both.find("o:PropertyIsGreaterThan/o:Literal", space).text == "0.005"
-    assert both.find("o:PropertyIsLessThanOrEqualTo/o:Literal", space).text == "0.01"
-
-
 def test_style_needs_the_standard_library_only():
     code = f"import runpy; print(runpy.run_path({style.__file__!r})['sidecar_qml']()[:9])"
     done = subprocess.run(

@@ -8,7 +8,6 @@ import sys
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 import pytest
 import shapely
 from matplotlib.colors import to_rgb
@@ -81,27 +80,6 @@ def test_a_heat_map_is_drawn_by_interval(heat):
         heat.plot(interval=2)
 
 
-def test_exploring_shows_the_observed_tiles_and_loads_no_map(heat):
-    pytest.importorskip("folium")
-    text = heat.explore(interval=0, tiles=None).get_root().render()
-    assert "openstreetmap" not in text.lower()
-    assert text.count('"type": "Polygon"') == 3
-    assert "50 to 100 %" in text
-    assert style.RAMP[-1] in text
-
-
-def test_exploring_takes_a_map_that_needs_no_key(heat):
-    pytest.importorskip("folium")
-    assert "https://tile.openstreetmap.org/{z}/{x}/{y}.png" in heat.explore().get_root().render()
-
-
-def test_exploring_without_folium_gives_the_install_line(heat, monkeypatch):
-    monkeypatch.setitem(sys.modules, "folium", None)
-    with pytest.raises(gr.InputError, match="explore needs folium") as error:
-        heat.explore()
-    assert error.value.hint == "pip install gis_radar[notebooks]"
-
-
 def test_a_pose_is_drawn_with_view_arrow_and_ellipse():
     pose = a_pose()
     ax = pose.plot(reach_m=50.0)
@@ -137,24 +115,9 @@ def test_a_track_is_drawn_component_by_component():
         track.plot("x")
 
 
-def test_quality_is_drawn_by_sensor_and_hour():
-    hours = pd.to_datetime(["2025-06-12T22:00Z", "2025-06-12T23:00Z"])
-    rows = [
-        ("R1", hours[0], 72_000, "good"), ("R1", hours[1], 7_200, "10 % of the frames expected"),
-        ("R2", hours[0], 0, "no data"),
-    ]  # fmt: skip
-    table = pd.DataFrame(rows, columns=["sensor", "begin", "frames", "verdict"])
-    table = table.assign(frames_expected=72_000, doubled=0)
-    ax = gr.Quality(table=table, timezone="Europe/Berlin").plot()
-    assert ax.collections[0].get_array().ravel().tolist() == [0, 1, 2, 2]
-    assert [text.get_text() for text in ax.texts] == ["100 %", "10 %", "0 %"]
-    labels = [label.get_text() for label in ax.get_xticklabels()]
-    assert labels == ["00:00\n2025-06-13", "01:00"]
-
-
 def test_reading_a_pose_does_not_wait_for_matplotlib():
     code = (
         "import sys, gis_radar as gr; p = gr.read_pose(gr.sample_folder() / 'R1.json'); repr(p); "
-        "p._repr_html_(); assert not {'matplotlib', 'xarray', 'folium'} & set(sys.modules)"
+        "p._repr_html_(); assert not {'matplotlib', 'folium'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

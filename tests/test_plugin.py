@@ -184,7 +184,7 @@ def test_no_error_of_the_plugin_is_put_together_where_it_is_raised():
 
 @posix
 def test_what_is_wrong_with_a_worker_is_german(plugin, program, monkeypatch, tmp_path):
-    from gis_radar_plugin import claims, installer, worker
+    from gis_radar_plugin import installer, worker
 
     monkeypatch.setattr("gis_radar_plugin.words.language", lambda: "de")
     gone, odd = str(tmp_path / "gone"), program("print('Käse', file=sys.stderr)\nsys.exit(1)")
@@ -203,11 +203,6 @@ def test_what_is_wrong_with_a_worker_is_german(plugin, program, monkeypatch, tmp
     monkeypatch.delenv("GIS_RADAR_PYTHON", raising=False)
     with pytest.raises(plugin.NoWorkerError, match="gis_radar braucht"):
         worker.find_python("", tmp_path)
-    with (
-        claims.claimed([gone]), pytest.raises(plugin.WorkerError, match="eine andere Berechnung"),
-        claims.claimed([gone]),
-    ):  # fmt: skip
-        pass
 
 
 def test_the_environment_is_cleaned(plugin):

@@ -182,7 +182,7 @@ def test_columns_whose_names_are_taken_get_others(tmp_path, suffix):
     found = gpd.read_parquet(out) if suffix == "parquet" else gpd.read_file(out)
     names = {
         "fid": "fid_recorded", "Rcs": "Rcs_recorded", "Time": "Time_recorded",
-        "geometry": "geometry_recorded", "geom": "geom_recorded", "GEOM": "GEOM_recorded_2",
+        "geometry": "geometry_recorded", "geom": "geom_recorded", "GEOM": "GEOM_recorded_recorded",
         "UTC": "UTC_recorded", "sensor": "sensor_recorded",
         "fid_recorded": "fid_recorded_recorded",
     }  # fmt: skip
@@ -223,7 +223,7 @@ def test_a_scan_file_holds_every_number(tmp_path, suffix):
     numbers = {
         "object": pa.array([7, None], pa.int64()),
         "small": pa.array([255, None], pa.uint8()),
-        "huge": pa.array([2**64 - 2, None], pa.uint64()),
+        "huge": pa.array([2**63, None], pa.uint64()),
         "snr": pa.array([1.5, None], pa.float64()),
         "half": pa.array([1.5, None], pa.float16()),
         "price": pa.array([2, None], pa.decimal128(9, 2)),
@@ -231,7 +231,6 @@ def test_a_scan_file_holds_every_number(tmp_path, suffix):
         "Intensity": pa.array([3, 4], pa.int32()),
         "sensor_x": pa.array([5, 6], pa.int32()),
         long_name: pa.array([1, 2]),
-        long_name + "n": pa.array([3, 4]),
     }
     texts = {"note": pa.array(["a", "b"]), "when": pa.array([1, 2], pa.timestamp("ms"))}
     points = np.array([[10, 0, -5], [20, 5, -4]], np.float32)
@@ -239,22 +238,23 @@ def test_a_scan_file_holds_every_number(tmp_path, suffix):
     listener = Listener()
     write_projection(path, pose(), tmp_path / f"hits.{suffix}", reporter=listener)
     scan = laspy.read(tmp_path / f"hits.{suffix}")
-    lowest = {bits: np.iinfo(f"i{bits // 8}").min for bits in (8, 16, 64)}
+    lowest = np.iinfo(np.int64).min
     expected = {
-        "object": [7, lowest[64]], "small": [255, lowest[16]], "huge": [2**64 - 2, 2**64 - 1],
+        "object": [7, lowest], "small": [255, lowest], "huge": [2.0**63, np.nan],
         "snr": [1.5, np.nan], "half": [1.5, np.nan], "price": [2, np.nan],
-        "valid": [1, lowest[8]], "Intensity_recorded": [3, 4], "sensor_x_recorded": [5, 6],
-        "ö" * 16: [1, 2], "ö" * 11 + "_recorded": [3, 4],
+        "valid": [1, lowest], "Intensity_recorded": [3, 4], "sensor_x_recorded": [5, 6],
     }  # fmt: skip
     for name, values in expected.items():
         np.testing.assert_array_equal(scan[name], np.array(values, scan[name].dtype))
     for i, axis in enumerate("xyz"):
         np.testing.assert_array_equal(scan[f"sensor_{axis}"], points[:, i])
     about = {d.name: d.description for d in scan.header.point_format.extra_dimensions}
-    assert about["small"] == "missing: -32768"
+    assert about["small"] == f"missing: {lowest}"
     (remark,) = listener.remarks
-    assert remark.startswith(f"hits.{suffix}: columns left out, no numbers: note, when; renamed: ")
-    for name in ("Intensity", "sensor_x", long_name):
+    assert remark.startswith(f"hits.{suffix}: columns left out, no numbers or a long name: ")
+    for name in ("note", "when", long_name):
+        assert name in remark
+    for name in ("Intensity", "sensor_x"):
         assert repr(name) in remark
 
 

@@ -13,7 +13,7 @@ from sites import START, crossing, pose, recording
 
 from gis_radar.base import InputError, UsageError
 from gis_radar.dataset import measure
-from gis_radar.products import QualitySettings, measure_quality
+from gis_radar.products import measure_quality
 from gis_radar.products.quality.counting import hour_begins
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -113,14 +113,6 @@ def test_too_many_tiles_hit(tmp_path):
     time = START + np.arange(120) * 0.05
     dataset = measured(tmp_path, "a", np.repeat(time, len(points)), np.tile(points, (120, 1)), 3.0)
     assert "over 70 % of its tiles hit in 100 % of the frames" in row_of(dataset)["verdict"]
-
-
-def test_thresholds_are_those_in_effect(tmp_path):
-    dataset = measured(tmp_path, "a", *drive(START + np.arange(400) * 0.05))
-    strict = measure_quality(dataset, settings=QualitySettings(least_moving=0.6))
-    assert strict.table["verdict"].tolist() == ["hits without motion"]
-    assert strict.figures()["settings"]["least_moving"] == 0.6
-    assert measure_quality(dataset).figures()["R1"] == "1 of 1 hours good"
 
 
 def test_pose_and_its_age(tmp_path):

@@ -12,7 +12,6 @@ import pytest
 from axe_core_python.selenium import Axe
 from browser import start_chromium, wide
 from report_site import reports_of_whole_run
-from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
@@ -102,14 +101,6 @@ def test_the_buttons(page):
     assert shown(page)[1] == LABELS[1]
     by_id(page, "reset").click()
     assert shown(page)[1] == LABELS[0]
-
-
-def test_the_slider_by_mouse(page):
-    slider = by_id(page, "slider")
-    ActionChains(page).move_to_element_with_offset(
-        slider, slider.size["width"] // 2 - 8, 0
-    ).click().perform()
-    assert shown(page)[1] == LABELS[-1]
 
 
 def test_play_goes_on_and_stops(page):
@@ -229,7 +220,7 @@ def test_pictures_have_their_room_before_they_are_seen(chromium, report):
     wide(chromium, 1280)
     chromium.get(report.as_uri())
     shape = (
-        "return [...document.querySelectorAll('.plate-of-lanes img, .plate-of-hits img')]"
+        "return [...document.querySelectorAll('.plate-of-lanes img')]"
         ".map(e => [e.loading, e.width > 50 && e.height > 50])"
     )
     found = chromium.execute_script(shape)

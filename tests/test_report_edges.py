@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from pathlib import Path
-from types import SimpleNamespace
 
 import geopandas as gpd
 import numpy as np
@@ -184,29 +182,20 @@ def test_very_many_intervals_share_pictures(tmp_path, blank_paper):
     assert len(pd.read_csv(folder / "lanes_by_interval.csv")) == 100 * 3
 
 
-def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path):
-    told = {}
-
-    def listen(folder, **options):
-        told.update(folder=folder, **options)
-        summary = {"pictures": 3, "timezone": "Europe/Berlin"}
-        return SimpleNamespace(outputs=[tmp_path / "report.html"], summary=summary)
-
-    monkeypatch.setattr(gr, "write_report", listen)
+def test_the_options_of_the_command_reach_their_arguments(results, tmp_path, blank_paper):
+    shutil.copytree(results / "heatmap", tmp_path / "map")
     words = [
-        "report", "results", "-o", "out", "--title", "Main Street", "--timezone", "Europe/Berlin",
-        "--language", "de", "--dataset", "a", "--json",
+        "report", str(tmp_path / "map"), "-o", str(tmp_path / "out"), "--title", "Main Street",
+        "--timezone", "Asia/Kolkata", "--language", "de", "--csv-locale", "de",
+        "--dataset", str(results / "dataset"), "--json",
     ]  # fmt: skip
     done = CliRunner().invoke(group, words)
     assert done.exit_code == 0, done.output
-    (line,) = done.stdout.splitlines()
-    assert json.loads(line)["summary"] == {"pictures": 3, "timezone": "Europe/Berlin"}
-    assert told.pop("reporter") is not None
-    assert told == {
-        "folder": Path("results"), "output": Path("out"), "title": "Main Street",
-        "timezone": "Europe/Berlin", "language": "de", "csv_locale": "en",
-        "dataset": Path("a"),
-    }  # fmt: skip
+    assert json.loads(done.stdout.splitlines()[-1])["summary"]["timezone"] == "Asia/Kolkata"
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    for part in ('<html lang="de">', "<h1>Main Street</h1>", "Asia/Kolkata"):
+        assert part in text
+    assert (tmp_path / "out" / "quality.csv").read_bytes().startswith(b"\xef\xbb\xbf")
 
 
 def test_a_folder_without_a_heat_map_is_bad_input(tmp_path):

@@ -22,7 +22,7 @@ from gis_radar.hdmap import lanes_of
 from gis_radar.products import make_heatmap
 from gis_radar.products.heatmap.occupancy import surest
 from gis_radar.products.report import chart
-from gis_radar.products.report.lanes import lane_table, sum_by_lane, write_lanes
+from gis_radar.products.report.lanes import lane_table, sums_of, write_lanes
 from gis_radar.products.report.plan import place_numbers
 
 
@@ -123,7 +123,7 @@ def test_the_busiest_spot_is_not_the_one_of_which_least_is_known(share, error, t
 def test_names_of_lanes_are_whole_in_the_chart(tmp_path):
     tiles = lane_tiles(14).assign(lane=lambda t: np.where(t["lanelet_id"] == 7, 2**63 - 1, 90))
     heat = make_heatmap(both_of(tiles, steps=400)[0], interval="5s")
-    sums, charts = sum_by_lane(heat), []
+    sums, charts = sums_of(heat, each=True), []
     begin, end = heat.timeline.span(0)[0], heat.timeline.span(-1)[1]
     clock = Clock(zone=ZoneInfo("UTC"), first=begin, last=end)
     for street in ("", "Heinrich-von-Stephan", "Wilhelm WWWWWWWWWWW"):
@@ -139,7 +139,7 @@ def test_the_error_of_a_lane_is_the_mean_of_its_tiles(tmp_path):
     """Weighted by visible time; that of the busiest interval too, and both are in the table."""
     tiles = lane_tiles(14)
     heat = make_heatmap(both_of(tiles, steps=400)[0], interval="5s")
-    table = lane_table(heat, sum_by_lane(heat))
+    table = lane_table(heat, sums_of(heat, each=True))
     begins = [begin for begin, _ in heat.timeline.spans()]
     for _, row in table.iterrows():
         mine = tiles["lanelet_id"].isin(row["lanelets"]).to_numpy()

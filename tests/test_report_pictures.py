@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as MplFigure
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
-from gis_radar.base import Clock, label_map, legend_below, picture_file
+from gis_radar.base import Clock, label_map, legend_below
 from gis_radar.products.heatmap import picture
 from gis_radar.products.report import chart, maps, plan
-from gis_radar.products.report.results import flat_picture, panels_of
 
 PHONE_PX, LEAST_PX = 350, 10  # of a page 390 pixels wide, between its edges
 LONELY = np.array([0.2, np.nan, 0.4]), np.array([0.1, np.nan, 0.1])
@@ -65,29 +62,6 @@ def test_ticks_and_legend_of_a_map_are_clear_of_each_other(size_m):
     assert shown
     assert all(one.x1 < other.x0 for one, other in pairwise(shown))
     assert legend.get_window_extent().y1 <= ax.xaxis.label.get_window_extent().y0 + 1
-
-
-def test_panels_of_a_picture_are_found_again(tmp_path):
-    with picture_file(tmp_path / "p.png", (6.0, 4.0), 100, tight=True) as figure:
-        for ax in figure.subplot_mosaic([["a", "b"], ["a", "c"]]).values():
-            ax.set(xlabel="below", title="above")
-    drawn = flat_picture(tmp_path / "p.png", 500)
-    boxes = panels_of(tmp_path / "p.png", drawn)
-    assert len(boxes) == 3
-    ink = np.asarray(drawn.convert("L")) < 200
-    for left, top, right, base in boxes:
-        assert ink[top:base, left:right].any()
-        ink[top:base, left:right] = False
-    assert not ink.any()
-
-
-@pytest.mark.parametrize("told", ["[[0, 0, NaN, 1], [0, 0, 1, 1]]", "[[1]]", "{}", "no", "[]"])
-def test_a_picture_whose_panels_are_not_told_is_shown_whole(tmp_path, told):
-
-    about = PngInfo()
-    about.add_text("Panels", told)
-    Image.new("RGB", (300, 300)).save(tmp_path / "p.png", pnginfo=about)
-    assert panels_of(tmp_path / "p.png", flat_picture(tmp_path / "p.png", 500)) == []
 
 
 def test_words_in_pictures_can_be_read_on_a_phone():

@@ -23,7 +23,6 @@ COMMANDS = [
     "qgis heatmap -o {}.qgz",
     "quality dataset -o {}.csv",
     "sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o {}.gpkg",
-    "trajectories dataset -o {}.json",
     "traffic dataset --interval 1min -o {}",
 ]  # fmt: skip
 

@@ -27,7 +27,6 @@ from .crs import (
 )
 from .errors import (
     INSTALL_LOCALIZE,
-    INSTALL_NOTEBOOKS,
     INSTALL_TRAJECTORIES,
     CrsError,
     GisRadarError,
@@ -66,7 +65,6 @@ from .json_documents import json_text, parsed_json, read_json
 from .languages import LANGUAGES, class_label, translated, users_language
 from .notebooks import (
     FONTS,
-    PANELS_KEY,
     axes_or_new,
     card,
     label_map,
@@ -91,7 +89,7 @@ from .processes import (
     workers_here,
 )
 from .progress import LETTERS_OF_AN_ERROR, QUIET, SILENT, Level, Reporter, one_line, warnings_once
-from .spreadsheets import csv_for, csv_style, write_csv
+from .spreadsheets import csv_for, write_csv
 from .steps import (
     CLOCK_SET_S,
     CYCLE_HINT,
@@ -149,7 +147,6 @@ __all__ = [
     "FIRST_YEAR",
     "FONTS",
     "INSTALL_LOCALIZE",
-    "INSTALL_NOTEBOOKS",
     "INSTALL_TRAJECTORIES",
     "LANGUAGES",
     "LAST_YEAR",
@@ -157,7 +154,6 @@ __all__ = [
     "LONGEST_CYCLE_S",
     "NO_FIGURE",
     "OFFLINE",
-    "PANELS_KEY",
     "QUIET",
     "SHORTEST_CYCLE_S",
     "SILENT",
@@ -196,7 +192,6 @@ __all__ = [
     "content_digest",
     "contiguous",
     "csv_for",
-    "csv_style",
     "current_language",
     "decimal",
     "describe_layers",

@@ -109,5 +109,4 @@ def first_line(error: Exception) -> str:
 
 
 INSTALL_LOCALIZE = Text("pip install gis_radar[localize]")
-INSTALL_NOTEBOOKS = Text("pip install gis_radar[notebooks]")
 INSTALL_TRAJECTORIES = Text("pip install gis_radar[trajectories]")

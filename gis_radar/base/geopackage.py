@@ -247,7 +247,7 @@ def _qgis_metadata(about: LayerNotes) -> str:
 
 
 def add_styles(
-    database: sqlite3.Connection, styles: Mapping[str, tuple[str, str]], *, name: str, about: str
+    database: sqlite3.Connection, styles: Mapping[str, str], *, name: str, about: str
 ) -> None:
     """Give layers of a GeoPackage that has no styles yet their default style.
 
@@ -256,14 +256,14 @@ def add_styles(
     database : sqlite3.Connection
         The GeoPackage.
     styles : mapping
-        QML and SLD (or an empty text) by layer.
+        QML by layer.
     name, about : str
         Of the styles, in a few words.
     """
     database.execute(_TABLE)
     database.execute(_CONTENTS, (_WRITTEN,))
-    for layer, (qml, sld) in styles.items():
-        database.execute(_STYLE, (name, qml, sld, about, _owner(qml), _WRITTEN, layer))
+    for layer, qml in styles.items():
+        database.execute(_STYLE, (name, qml, "", about, _owner(qml), _WRITTEN, layer))
 
 
 def keep_styles(path: Path, *, earlier: Path) -> None:

@@ -7,7 +7,6 @@ Matplotlib is imported where it is used, so that other work does not wait for it
 
 from __future__ import annotations
 
-import json
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -100,7 +99,6 @@ SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
 MOST_TICKS = 5
 EDGE_IN = 0.1  # around a picture
 LABELS_IN = 0.42  # what ticks and label of an axis take
-PANELS_KEY = "Panels"  # of a picture: where its panels lie, for pages that lay them out anew
 FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
@@ -179,8 +177,7 @@ def picture_file(
     dpi : int
         Pixels an inch.
     tight : bool
-        Fit the picture to what is drawn, for axes true to scale outgrow a constrained layout; and
-        note in the file where each panel lies (:data:`PANELS_KEY`).
+        Fit the picture to what is drawn, for axes true to scale outgrow a constrained layout.
     letters_pt : float
         Size of its words.
     """
@@ -191,28 +188,9 @@ def picture_file(
     with mpl.rc_context(FONTS | letters):
         figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
         yield figure
-        how = _fitted(figure) if tight else {}
+        box = "tight" if tight else None
         with atomic_write(Path(path)) as part:
-            figure.savefig(part, format="png", **how)
-
-
-def _fitted(figure: Any) -> dict[str, Any]:
-    """Return how to save a figure cut to what is drawn, and where its panels then lie.
-
-    Left, top, width and height of each are shares of the picture.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-
-    FigureCanvasAgg(figure)
-    figure.draw_without_rendering()
-    whole = figure.get_tightbbox().padded(EDGE_IN)
-    panels = []
-    for ax in figure.axes:
-        box = ax.get_tightbbox().transformed(figure.dpi_scale_trans.inverted())
-        left, top = (box.x0 - whole.x0) / whole.width, (whole.y1 - box.y1) / whole.height
-        size = box.width / whole.width, box.height / whole.height
-        panels.append([round(float(each), 4) for each in (left, top, *size)])
-    return {"bbox_inches": whole, "metadata": {PANELS_KEY: json.dumps(panels)}}
+            figure.savefig(part, format="png", bbox_inches=box, pad_inches=EDGE_IN)
 
 
 def small_picture(draw: Callable[[Any], Any]) -> bytes:

@@ -52,19 +52,6 @@ def csv_for(locale: str) -> Iterator[None]:
         _csv_locale.reset(token)
 
 
-def csv_style(locale: str) -> dict[str, Any]:
-    """Return how pandas writes a table for :func:`csv_for` of a country.
-
-    Raises
-    ------
-    UsageError
-        If there is no such locale.
-    """
-    with csv_for(locale):
-        german = {"sep": ";", "decimal": ",", "encoding": "utf-8-sig"}
-        return german if locale == "de" else {}
-
-
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table as CSV in UTF-8, with commas and points.
 

@@ -33,7 +33,7 @@ def group() -> None:
 
 
 for verb in (
-    *(maps.tiles, maps.mask, maps.heatmap, maps.footprints, maps.trajectories),
+    *(maps.tiles, maps.mask, maps.heatmap, maps.footprints),
     maps.project,
     *(recordings.convert, recordings.measure),
     *(recordings.clocks, recordings.quality),

@@ -126,26 +126,6 @@ def footprints(*, folder: Path, output: Path, reporter: Reporter) -> Result:
     return Result(outputs=[output], summary={"rows": count})
 
 
-@command(example="gis-radar trajectories dataset/ -o tracks.json")
-@dataset
-@output
-@click.option("--every", default="500ms", show_default=True, help="How far apart in time.")
-@click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
-@click.option("--end", help="Only before this time.")
-@click.option(
-    "--timezone", default="UTC", show_default=True, help="Whose clocks they are by: Europe/Berlin."
-)
-def trajectories(*, folder: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
-    """Write tracks of single vehicles as OGC Moving Features (.json).
-
-    A working file, not to be published.
-    """
-    refuse_inputs(output, folder)
-    read = gr.open_dataset(folder)
-    count = gr.write_trajectories(read, output, reporter=reporter, **options)
-    return Result(outputs=[output], summary={"vehicles": count})
-
-
 @command(example="gis-radar project R1.parquet --pose R1.json --map junction.osm -o hits.parquet")
 @click.argument("recording", metavar="RECORDING", type=FILE)
 @click.option("--pose", type=FILE, required=True, help="Pose (JSON) or pose track (CSV).")

@@ -38,8 +38,8 @@ def states_of(
     Yields
     ------
     vehicles : DataFrame
-        The columns of `vehicles`, by number, and `goes_on`: whether it does in the next hour. One
-        that goes on over an hour's begin keeps the number that it had first.
+        The columns of `vehicles`, by number. One that goes on over an hour's begin keeps the number
+        that it had first.
     states : DataFrame
         `vehicle, step, easting, northing` (m, the middle of the footprint), `heading` (degrees),
         `speed` (m/s), `lanelet_id, s_m, d_m` (null off the lanes), `seen`; by step and vehicle.
@@ -51,7 +51,6 @@ def states_of(
     first = first_numbers(ahead)
     for tracks, vehicles in zip(*tables, strict=True):
         known, states = vehicles.to_pandas(), _states(tracks, dataset.manifest.origin, every, span)
-        known["goes_on"] = known["vehicle"].isin(ahead)
         for table in (known, states):
             table["vehicle"] = table["vehicle"].map(lambda each: first.get(each, each))
         yield (

@@ -254,7 +254,7 @@ def write_tiles(
             metadata = seal if layer == TILES_LAYER else None
             options = {"geometry_type": kind, "layer_metadata": metadata}
             add_layer(table, part, layer, use_arrow=True, **options)
-        styles = {name: (lane_style(name), "") for name, _, _ in layers[2:]}
+        styles = {name: lane_style(name) for name, _, _ in layers[2:]}
         about = LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", TILE_FIELDS)
         with closing(sqlite3.connect(part)) as database, database:
             notes = {

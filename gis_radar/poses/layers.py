@@ -59,7 +59,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
         for name, table in layers.items():
             add_layer(table, part, name, geometry_type=kinds[name])
         with closing(sqlite3.connect(part)) as database, database:
-            styles = {name: (read_style(name), "") for name in layers}
+            styles = {name: read_style(name) for name in layers}
             add_styles(database, styles, name="sensor", about="where a sensor stands and looks")
         keep_styles(part, earlier=path)
 

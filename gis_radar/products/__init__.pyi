@@ -9,11 +9,11 @@ from .postgis import Publication, publish
 from .projection.project import project, write_projection
 from .qgis.project import write_qgis_project, write_site_project
 from .qgis.project_file import was_edited
-from .quality.quality import Quality, QualitySettings, measure_quality, require_table_name
+from .quality.quality import Quality, measure_quality, require_table_name
 from .report.names import REPORT_FILES
 from .report.report import Report, write_report
 from .traffic import Traffic, make_traffic
-from .trajectories import to_trajectories, track_points, write_trajectories
+from .trajectories import to_trajectories, track_points
 
 __all__ = [
     "BREAKS",
@@ -26,7 +26,6 @@ __all__ = [
     "MapLabels",
     "Publication",
     "Quality",
-    "QualitySettings",
     "Report",
     "Traffic",
     "colour_classes",
@@ -49,5 +48,4 @@ __all__ = [
     "write_qgis_project",
     "write_report",
     "write_site_project",
-    "write_trajectories",
 ]

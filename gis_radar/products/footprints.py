@@ -97,7 +97,7 @@ def write_footprints(dataset: Dataset, path: str | Path, *, reporter: Reporter =
             geometry_type="Polygon", crs=dataset.crs,
         )  # fmt: skip
         with closing(sqlite3.connect(part)) as database, database:
-            styles = {FOOTPRINTS: (footprint_style(), "")}
+            styles = {FOOTPRINTS: footprint_style()}
             add_styles(database, styles, name="vehicles", about="vehicles, moved by the time")
         keep_styles(part, earlier=path)
     return rows.count

@@ -194,13 +194,8 @@ class Traffic:
         interval = (self.lanes["end"] - self.lanes["begin"]).min()
         seconds = interval.total_seconds()
         styles = {
-            layer: (
-                traffic_style(
-                    seconds,
-                    {str(n): tr(TITLES[str(n)]) for n in table if n in TITLES},
-                    layer,
-                ),
-                "",
+            layer: traffic_style(
+                seconds, {str(n): tr(TITLES[str(n)]) for n in table if n in TITLES}, layer
             )
             for layer, table in layers.items()
         }

@@ -17,7 +17,6 @@ from qgis.core import (
 )
 from qgis.PyQt.QtGui import QIcon
 
-from .claims import claimed
 from .loading import finish_output
 from .opening import Opened, offer
 from .parameters import Given, Output, OutputLayer, Parameter
@@ -95,6 +94,17 @@ def one_sentence() -> Iterator[None]:
         raise QgsProcessingException(tr("Cancelled; nothing was left half-written.")) from error
     except WorkerError as error:
         raise QgsProcessingException(str(error)) from error
+
+
+def make_folders(outputs: Sequence[str]) -> None:
+    """Make the folders that outputs go into."""
+    try:
+        for each in outputs:
+            Path(each).parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WorkerError(
+            "{folder}: cannot be made: {reason}", folder=error.filename, reason=error.strerror
+        ) from error
 
 
 class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
@@ -241,7 +251,8 @@ class WorkerAlgorithm(Algorithm):
             In one sentence, if it is cancelled or fails.
         """
         python = self._python()
-        with one_sentence(), claimed(outputs):
+        with one_sentence():
+            make_folders(outputs)
             answer = run_worker(python, words, WorkerFeedback(feedback))
         for line in summary_lines(answer.summary):
             feedback.pushInfo(line)

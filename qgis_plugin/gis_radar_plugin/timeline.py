@@ -9,7 +9,6 @@ from qgis.core import (
     QgsInterval,
     QgsProject,
     QgsTemporalNavigationObject,
-    QgsTemporalUtils,
     QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QDateTime, Qt
@@ -90,8 +89,3 @@ def _drive(extent: QgsDateTimeRange, step: QgsInterval) -> None:
     controller.setTemporalExtents(extent)
     controller.setFrameDuration(step)
     controller.setCurrentFrameNumber(0)
-
-
-def project_extent() -> QgsDateTimeRange:
-    """Return the time that all layers of the project cover."""
-    return QgsTemporalUtils.calculateTemporalRangeForProject(QgsProject.instance())

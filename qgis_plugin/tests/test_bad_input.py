@@ -154,22 +154,6 @@ def test_an_output_that_is_open_in_qgis(run, site, tmp_path):
     assert leftovers(tmp_path) == []
 
 
-def test_a_second_run_while_one_runs(run, provider, site, tmp_path, fake_worker):
-    """The second one for the same output is refused; one for another output is not."""
-    from gis_radar_plugin.claims import claimed
-    from gis_radar_plugin.runner import WorkerError
-
-    parameters, _ = parameters_of("heatmap", site, tmp_path)
-    with claimed([parameters["OUTPUT"]]):
-        refused(run, "heatmap", dict(parameters), "another run is writing this output")
-        with pytest.raises(WorkerError), claimed([str(tmp_path / "." / "map")]):
-            pass
-        with claimed([str(tmp_path / "other")]):
-            pass
-    with claimed([parameters["OUTPUT"]]):
-        pass
-
-
 def test_two_runs_at_once(run, provider, site, tmp_path):
     """Two background runs with outputs of their own do not disturb each other."""
     from gis_radar_plugin.runner import Listener, run_worker
@@ -234,17 +218,6 @@ def test_much_on_standard_error_does_not_block(run, site, tmp_path, fake_worker)
     parameters, _ = parameters_of("samplesite", site, tmp_path)
     results, _ = run("samplesite", parameters)
     assert results is not None
-
-
-def test_a_killed_worker_leaves_nothing_beside_its_output(run, site, tmp_path, fake_worker):
-    fake_worker(
-        "import tempfile, pathlib\nout = pathlib.Path(words[words.index('-o') + 1])\n"
-        "tempfile.mkdtemp(prefix=f'.{out.name}.', suffix='.part', dir=out.parent)\n"
-        "os.kill(os.getpid(), signal.SIGKILL)"
-    )
-    parameters, _ = parameters_of("heatmap", site, tmp_path)
-    refused(run, "heatmap", parameters, "SIGKILL")
-    assert leftovers(tmp_path) == []
 
 
 def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):

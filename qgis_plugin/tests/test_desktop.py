@@ -131,7 +131,7 @@ def sheets():
     import processing
     global box
     box = processing.createAlgorithmDialog("gisradar:exportreport", {
-        "HEATMAP": SITE + "/heatmap", "OVER": 2, "DPI": 50, "OUTPUT": OUT + "/sheets"})
+        "HEATMAP": SITE + "/heatmap", "OVER": 1, "DPI": 50, "OUTPUT": OUT + "/sheets"})
     box.show()
     box.runButton().click()
 

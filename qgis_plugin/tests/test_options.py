@@ -42,7 +42,6 @@ LEFT_OUT = {
 # Commands without an algorithm, and why.
 NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
-    "trajectories": "files for other programs; 'Vehicles that move on the map' shows them here",
     "query": "a language for programs; the tables open in QGIS as they lie",
     "publish": "an administrator fills the database; QGIS opens its tables",
     "edge": "a server at a sensor, which runs for years",

@@ -154,7 +154,7 @@ def test_no_code_of_a_style_comes_onto_the_sheets(run, site, tmp_path, qgis_new_
         in QgsVectorLayer(f"{heat}/heatmap.gpkg|layername=heatmap").editFormConfig().initCode()
     )
     out = tmp_path / "report"
-    _, heard = run("exportreport", {"HEATMAP": str(heat), "OVER": 2, "DPI": 50, "OUTPUT": str(out)})
+    _, heard = run("exportreport", {"HEATMAP": str(heat), "OVER": 1, "DPI": 50, "OUTPUT": str(out)})
     assert heard.errors == []
     with zipfile.ZipFile(out / "report.qgz") as archive:
         assert all(b"os.abort" not in archive.read(name) for name in archive.namelist())
@@ -170,7 +170,7 @@ def test_a_report_replaces_an_earlier_one(run, earlier_report, site):
         {
             "HEATMAP": str(site / "heatmap"),
             "WHAT": 1,
-            "OVER": 2,
+            "OVER": 1,
             "DPI": 60,
             "OUTPUT": str(earlier_report),
         },
@@ -182,18 +182,23 @@ def test_a_report_replaces_an_earlier_one(run, earlier_report, site):
     assert before > 4
 
 
-@pytest.mark.parametrize(
-    ("over", "places"), [(0, ["Junction_1", "Overview"]), (1, ["Overview", "R1", "R2"])]
-)
-def test_places_are_found_without_a_layer(run, site, tmp_path, over, places):
-    """Nothing but a heat map is given: junctions, and sensors from the run's file beside it."""
-    out = tmp_path / "report"
-    call = {"HEATMAP": str(site / "heatmap"), "OVER": over, "WHAT": 1, "DPI": 60}
+def test_places_are_found_without_a_layer(run, site, tmp_path):
+    """Nothing but a heat map is given: the overview marks the frame of the junction."""
+    out, places = tmp_path / "report", ["Junction_1", "Overview"]
+    call = {"HEATMAP": str(site / "heatmap"), "WHAT": 1, "DPI": 60}
     results, heard = run("exportreport", call | {"OUTPUT": str(out)})
     assert heard.errors == []
     assert sorted(path.stem for path in out.glob("*.png")) == [f"{name}_whole" for name in places]
     assert QgsProject.instance().read(str(out / "report.qgz"))
     assert len(QgsProject.instance().mapLayersByName("Sensors")) == 1
+    overview, junction = (QImage(str(out / f"{name}_whole.png")) for name in reversed(places))
+    assert blue_dots(overview) > 100 > blue_dots(junction)
+
+
+def blue_dots(picture):
+    """Count the dots in the colour of frames."""
+    dots = ((x, y) for x in range(picture.width()) for y in range(picture.height()))
+    return sum(picture.pixelColor(x, y).name() == "#1d4ed8" for x, y in dots)
 
 
 def lanes(*rows):
@@ -266,15 +271,6 @@ def test_places_that_are_none(run, site, tmp_path, kind, said):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_sensors_that_are_missing_are_told(run, site, tmp_path):
-    heat = tmp_path / "heatmap"
-    shutil.copytree(site / "heatmap", heat)
-    call = {"HEATMAP": str(heat), "OVER": 1, "OUTPUT": str(tmp_path / "report")}
-    results, heard = run("exportreport", call)
-    assert results is None
-    assert one_sentence(heard) == "There are no sensors: name their file."
-
-
 def test_a_cancelled_report_leaves_nothing(run, site, tmp_path):
     results, heard = run(
         "exportreport",
@@ -293,7 +289,6 @@ def test_a_cancelled_report_leaves_nothing(run, site, tmp_path):
         ({"HEATMAP": str(SAMPLE)}, "is no heat map"),
         ({"OUTPUT": "/proc/gis_radar/report"}, "/proc/gis_radar"),
         ({"SENSORS": "/nowhere/sensors.gpkg"}, "/nowhere/sensors.gpkg is no file of sensors"),
-        ({"SENSORS": "/nowhere/sensors.gpkg", "OVER": 1}, "is no file of sensors"),
     ],
 )
 def test_refusals(run, site, tmp_path, given, said):

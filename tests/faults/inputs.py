@@ -67,7 +67,7 @@ KINDS = [
     Kind(path=f"dataset/tile_counts/date={DAY}/day.parquet", words=HEATMAP),
     Kind(path="dataset/poses.parquet", words="quality dataset -o out.csv"),
     Kind(path=part_of("frames"), words="quality dataset -o out.csv"),
-    Kind(path=part_of("tracks"), words="trajectories dataset -o out.json"),
+    Kind(path=part_of("tracks"), words="footprints dataset -o out.gpkg"),
     Kind(path=part_of("vehicles"), words="traffic dataset --interval 1min -o out"),
     Kind(path="heatmap/heatmap.gpkg", words="report heatmap -o out"),
     Kind(path="heatmap/heatmap.gpkg", words="qgis heatmap -o out.qgz"),

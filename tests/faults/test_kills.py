@@ -44,7 +44,6 @@ COMMANDS = {
     "clocks": f"clocks {SAMPLE}/R1.parquet {SAMPLE}/R2.parquet --pose {SAMPLE}/R1.json "
     f"--pose {SAMPLE}/R2.json --tiles sample/tiles.gpkg -o out.json",
     "footprints": "footprints dataset -o out.gpkg",
-    "trajectories": "trajectories dataset -o out.json",
     "traffic": "traffic dataset --interval 1min -o out",
     "demo": "demo -o out",
 }

@@ -127,7 +127,7 @@ def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     with closing(sqlite3.connect(path)) as database, database:
         describe_layers(database, {LAYER: about})
         style = class_style(f"{measure}_change", change_classes())
-        add_styles(database, {LAYER: (style, "")}, name="change", about="change of the volume")
+        add_styles(database, {LAYER: style}, name="change", about="change of the volume")
 
 
 def change_classes() -> Iterator[LineClass]:

@@ -1,4 +1,4 @@
-"""Show a heat map: the figure for a report with legend and time, plots, a map in a browser."""
+"""Show a heat map: the figure for a report with legend and time, and plots."""
 
 from __future__ import annotations
 
@@ -16,13 +16,10 @@ from matplotlib.patches import Rectangle
 
 from gis_radar.base import (
     FONTS,
-    INSTALL_NOTEBOOKS,
     Clock,
     Floats,
-    InputError,
     Reporter,
     axes_or_new,
-    class_label,
     figure_text,
     label_map,
     name_of,
@@ -406,66 +403,3 @@ def _frame(ax: Axes, colour: str) -> None:
     ax.set_yticks([])
     for spine in ax.spines.values():
         spine.set(color=colour, linewidth=0.8)
-
-
-SHOWN = ("tile_id", "lanelet_id", "s_m", "hit_s", "observed_s", "hit_share")
-
-
-def show_in_browser(
-    tally: Tally, *, interval: When = None, begin: Any = None, end: Any = None, **options: Any
-) -> Any:
-    """Show the observed tiles on a map to move about in (folium, extra `notebooks`).
-
-    Parameters
-    ----------
-    interval, begin, end : optional
-        Which intervals, as for :meth:`plot`; without them, the whole time.
-    **options
-        For :meth:`geopandas.GeoDataFrame.explore`; with `tiles=None` nothing is loaded from a map
-        server.
-
-    Returns
-    -------
-    folium.Map
-
-    Raises
-    ------
-    UsageError
-        If there is no such interval.
-    InputError
-        If folium is not installed.
-    """
-    part = tally.chosen(interval, begin=begin, end=end)
-    measure, known = tally.measure, tally.occupancy_shares(part)
-    columns = tally.shares(part)._asdict() | ({} if known is None else known._asdict())
-    tiles = tally.tiles.assign(**columns).dropna(subset=measure)
-    tiles = tiles.sort_values(measure, kind="stable")  # the busiest on top
-    levels = style.colour_classes(measure)
-    place = np.searchsorted([level.upper for level in levels], tiles[measure])
-    with speaking(tally.labels.language):
-        labels = [class_label(level.label, tally.labels.language) for level in levels]
-        name, caption = tr(style.MAP_WORDS[measure].title), time_span(tally, part)
-    popup = SHOWN if known is None else (*SHOWN, *known._fields)
-    # what a browser reads has no 64-bit integers
-    tiles = tiles.assign(lanelet_id=tiles["lanelet_id"].astype(str))
-    tiles[name] = np.array(labels, object)[place]
-    chosen: dict[str, Any] = {
-        "column": name,
-        "categorical": True,
-        "categories": labels,
-        "cmap": [level.colour for level in levels],
-        "style_kwds": {"weight": 0.3, "fillOpacity": 0.9},
-        "tooltip": [name],
-        "popup": list(popup),
-        "tiles": "OpenStreetMap",
-        "max_zoom": 21,
-        "legend_kwds": {"caption": caption},
-    }
-    try:
-        return tiles[[*popup, name, "geometry"]].round(4).explore(**chosen | options)
-    except ImportError as error:
-        raise InputError(
-            "explore needs folium and mapclassify: {} is missing",
-            error.name or "one",
-            hint=INSTALL_NOTEBOOKS,
-        ) from error

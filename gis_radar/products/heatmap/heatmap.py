@@ -1,20 +1,17 @@
-"""From a dataset to a heat map: its figures, plots and files, and a labelled cube for xarray."""
+"""From a dataset to a heat map: its figures, plots and files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike
 
 from gis_radar.base import (
-    INSTALL_NOTEBOOKS,
     QUIET,
-    STEP_US,
     InputError,
     Integers,
     Reporter,
@@ -24,7 +21,6 @@ from gis_radar.base import (
     card,
     iso_from_step,
     keep_styles,
-    name_of,
     output_errors,
     small_picture,
     step_at,
@@ -35,8 +31,8 @@ from gis_radar.dataset import Dataset
 from gis_radar.hdmap import fingerprint
 from gis_radar.measures import Runs
 from gis_radar.products.heatmap.by_lane import table_by_lane
-from gis_radar.products.heatmap.counting import SHARES, Shares, Tally, positions
-from gis_radar.products.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
+from gis_radar.products.heatmap.counting import SHARES, Tally, positions
+from gis_radar.products.heatmap.figure import SMALL_PIXELS, draw, write_figure
 from gis_radar.products.heatmap.intervals import MapLabels, intervals_of, whole_of
 from gis_radar.products.heatmap.layers import (
     long_layer,
@@ -45,16 +41,9 @@ from gis_radar.products.heatmap.layers import (
     write_package,
     write_table,
 )
-from gis_radar.products.heatmap.occupancy import OccupancyShares
 from gis_radar.products.heatmap.raster import write_raster
 from gis_radar.products.heatmap.style import sidecar_qml
 
-if TYPE_CHECKING:
-    import xarray
-
-MOST_MIB = 1024.0  # of a cube
-LANELET, START = "lanelet of the tile", "start of the tile along its lanelet"
-CELL_BYTES = 7 * 4 + 4  # of a tile and interval: seven numbers, and the count they come from
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # A report of it may stand there; it goes when the heat map does.
@@ -79,57 +68,7 @@ class HeatMap(Tally):
     wide = wide_layer
     long = long_layer
     plot = draw
-    explore = show_in_browser
     by_lane = table_by_lane
-
-    def to_xarray(self, *, most_mib: float = MOST_MIB) -> xarray.Dataset:
-        """Return the heat map as an xarray Dataset over (tile, time).
-
-        `hit_s`, `observed_s` and `hit_share` are float32; where a tile was not observed,
-        `observed_s` is 0 and the others are NaN. So are `visible_s`, `occupied_s`, `occupancy` and
-        `occupancy_se`, where vehicles are known. Coordinates of a tile: `tile_id` (an index, so
-        that `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m);
-        of a time: `time` and `begin`, `end` (exclusive), datetime64 in UTC; the attribute
-        `timezone` names the site's.
-
-        Parameters
-        ----------
-        most_mib : float
-            The memory that it may take, MiB.
-
-        Raises
-        ------
-        UsageError
-            If it would take more; :func:`gis_radar.make_heatmap` counts a part of the time or of
-            the tiles alone.
-        InputError
-            If xarray is not installed.
-        """
-        xr = _require_xarray()
-        require_room(len(self.tiles), len(self.timeline), most_mib)
-        shape = (len(self.tiles), len(self.timeline))
-        names = (*Shares._fields, *(() if self.occupancy is None else OccupancyShares._fields))
-        arrays = {name: np.full(shape, np.nan, np.float32) for name in names}
-        for column in range(shape[1]):
-            known = self.occupancy_shares(column)
-            shares = self.shares(column)._asdict() | ({} if known is None else known._asdict())
-            for name, value in shares.items():
-                arrays[name][:, column] = value
-        about = self.definitions
-        units = {name: "s" if name.endswith("_s") else "1" for name in names}
-        values = {
-            name: (("tile", "time"), array, {"long_name": about[name], "units": units[name]})
-            for name, array in arrays.items()
-        }
-        attributes = {
-            "title": f"{' and '.join(dict.fromkeys((self.measure, 'hit_share')))} of lane tiles",
-            "crs": name_of(self.crs),
-            "fingerprint": self.fingerprint,
-            "sensors": ", ".join(self.sensors),
-            "timezone": str(self.zone),
-        }
-        cube: xarray.Dataset = xr.Dataset(values, coords=_coordinates(self), attrs=attributes)
-        return cube.set_xindex("tile_id")
 
     def _repr_html_(self) -> str:
         def small(ax: Any) -> None:
@@ -330,59 +269,6 @@ def read_heatmap(path: str | Path) -> HeatMap:
         If there is none, it is damaged, or its tiles were changed since.
     """
     return HeatMap(**read_package(Path(path)))
-
-
-def _require_xarray() -> Any:
-    """Return the module xarray, or refuse where it is not installed."""
-    try:
-        import xarray  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise InputError(
-            "a Dataset needs xarray, which is missing", hint=INSTALL_NOTEBOOKS
-        ) from error
-    return xarray
-
-
-def require_room(tiles: int, intervals: int, most_mib: float) -> None:
-    """Refuse a cube that would take more memory than it may, before it is made.
-
-    Raises
-    ------
-    UsageError
-        If it would.
-    """
-    mib = tiles * intervals * CELL_BYTES / 2**20
-    if mib > most_mib:
-        raise UsageError(
-            "{} tiles in {} intervals take {:.0f} MiB, over {:g} MiB",
-            tiles,
-            intervals,
-            mib,
-            most_mib,
-            hint="take a longer interval, fewer tiles (tile_ids), a part of the time (begin, end), "
-            "or raise most_mib",
-        )
-
-
-def _coordinates(tally: Tally) -> dict[str, Any]:
-    tiles = tally.tiles
-    middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
-    metres = {"units": "m"}
-    begin, end = (
-        (steps * (STEP_US // 1000)).astype("datetime64[ms]").astype("datetime64[ns]")
-        for steps in (tally.timeline.begin, tally.timeline.end)
-    )
-    begins = ("time", begin, {"long_name": "begin of the interval, UTC"})
-    return {
-        "tile_id": ("tile", tiles["tile_id"].to_numpy(np.int64)),
-        "lanelet_id": ("tile", tiles["lanelet_id"].to_numpy(), {"long_name": LANELET}),
-        "s_m": ("tile", tiles["s_m"].to_numpy(), {"long_name": START} | metres),
-        "easting": ("tile", middle[:, 0], {"long_name": "easting"} | metres),
-        "northing": ("tile", middle[:, 1], {"long_name": "northing"} | metres),
-        "time": begins,
-        "begin": begins,
-        "end": ("time", end, {"long_name": "end of the interval, exclusive, UTC"}),
-    }
 
 
 def _chosen(all_ids: Integers, tile_ids: ArrayLike) -> Integers:

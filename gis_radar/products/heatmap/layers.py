@@ -133,10 +133,7 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
     measure, notes = tally.measure, _notes_of(tally)
     least_s = {layer: tally.least_visible_s(part) for layer, part in ((WIDE, None), (LONG, 0))}
-    styles = {
-        layer: (qml, style.sld(layer, measure, least_s=least_s[layer]))
-        for layer, qml in own_styles(measure, length_s, least_s).items()
-    }
+    styles = own_styles(measure, length_s, least_s)
     about = f"fixed classes of {measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
         write_wide(database, tally)

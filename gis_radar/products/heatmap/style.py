@@ -1,4 +1,4 @@
-"""The one look of all heat maps: colour ramp, class breaks, and QGIS and SLD styles of them.
+"""The one look of all heat maps: colour ramp, class breaks, and QGIS styles of them.
 
 The QGIS styles are `occupancy.qml`, a pattern, and `ground.qml`. Everything here needs the
 standard library only, so that a Python without the geographic packages can load this file.
@@ -252,62 +252,6 @@ def _shown_ms(interval_s: float) -> int:
     rounding, and less than a step.
     """
     return max(0, round(interval_s * 1000) - 10)
-
-
-def sld(layer: str, measure: str = "hit_share", *, least_s: float = 0.0) -> str:
-    """Return the style of a layer as Styled Layer Descriptor 1.0, for map servers.
-
-    Occupancy of tiles that were visible for less than `least_s` is hatched as uncertain.
-    """
-    root = Element("StyledLayerDescriptor", {
-        "version": "1.0.0",
-        "xmlns": "http://www.opengis.net/sld",
-        "xmlns:ogc": "http://www.opengis.net/ogc",
-    })  # fmt: skip
-    named = SubElement(root, "NamedLayer")
-    SubElement(named, "Name").text = layer
-    style = SubElement(SubElement(named, "UserStyle"), "FeatureTypeStyle")
-    for level in colour_classes(measure):
-        rule = SubElement(style, "Rule")
-        SubElement(rule, "Name").text = level.label
-        _add_filter(SubElement(rule, "ogc:Filter"), level, measure)
-        fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
-        SubElement(fill, "CssParameter", name="fill").text = level.colour
-    if measure == "occupancy":
-        _add_hatch_rule(style, least_s)
-    return _document(root, '<?xml version="1.0" encoding="UTF-8"?>')
-
-
-def _add_hatch_rule(style: Element, least_s: float) -> None:
-    rule = SubElement(style, "Rule")
-    SubElement(rule, "Name").text = UNCERTAIN
-    either = SubElement(SubElement(rule, "ogc:Filter"), "ogc:Or")
-    vague, least = SubElement(either, "ogc:And"), "ogc:PropertyIsGreaterThanOrEqualTo"
-    _add_comparison(vague, least, "occupancy_se", UNCERTAIN_FROM)
-    beside = SubElement(vague, least)
-    for name in ("occupancy_se", "occupancy"):
-        SubElement(beside, "ogc:PropertyName").text = name
-    _add_comparison(either, "ogc:PropertyIsLessThan", "visible_s", least_s)
-    fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
-    mark = SubElement(SubElement(SubElement(fill, "GraphicFill"), "Graphic"), "Mark")
-    SubElement(mark, "WellKnownName").text = "shape://backslash"
-    stroke = SubElement(mark, "Stroke")
-    SubElement(stroke, "CssParameter", name="stroke").text = HATCH_DARK
-
-
-def _add_filter(parent: Element, level: ColourClass, measure: str) -> None:
-    if level.upper == 0.0:
-        _add_comparison(parent, "ogc:PropertyIsEqualTo", measure, 0.0)
-        return
-    both = SubElement(parent, "ogc:And")
-    _add_comparison(both, "ogc:PropertyIsGreaterThan", measure, level.lower)
-    _add_comparison(both, "ogc:PropertyIsLessThanOrEqualTo", measure, level.upper)
-
-
-def _add_comparison(parent: Element, kind: str, measure: str, value: float) -> None:
-    comparison = SubElement(parent, kind)
-    SubElement(comparison, "ogc:PropertyName").text = measure
-    SubElement(comparison, "ogc:Literal").text = f"{value:g}"
 
 
 def _rgba(colour: str) -> str:

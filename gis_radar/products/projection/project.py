@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -138,32 +138,17 @@ OWN = pa.schema(
 TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
 
 
-def _distinct_names(
-    names: Iterable[str], taken: Collection[str], *, longest: int | None = None
-) -> dict[str, str]:
-    """Give each name one that differs from all others by more than upper and lower case.
-
-    `longest` is the most bytes that a name may have in UTF-8.
-    """
+def _distinct_names(names: Iterable[str], taken: Iterable[str]) -> dict[str, str]:
+    """Give each name one that differs from all others by more than upper and lower case."""
     used = {name.lower() for name in taken}
     given: dict[str, str] = {}
     for name in names:
-        endings = ("", SUFFIX, *(f"{SUFFIX}_{number}" for number in range(2, len(used) + 3)))
-        fresh = next(
-            fitting
-            for ending in endings
-            if (fitting := _fitting(name or "unnamed", ending, longest)).lower() not in used
-        )
+        fresh = name or "unnamed"
+        while fresh.lower() in used:
+            fresh += SUFFIX
         used.add(fresh.lower())
         given[name] = fresh
     return given
-
-
-def _fitting(name: str, ending: str, longest: int | None) -> str:
-    if longest is None:
-        return name + ending
-    room = longest - len(ending.encode())
-    return name.encode()[:room].decode(errors="ignore") + ending
 
 
 def _renamed(names: dict[str, str]) -> list[str]:
@@ -355,28 +340,27 @@ SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
 POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
 TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
 LONGEST_NAME = 32  # bytes of an extra dimension in LAS
+MISSING = int(np.iinfo(np.int64).min)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Dimension:
-    """A column of the points as an extra dimension; `missing` stands for null in integers."""
+    """A column of the points as an extra dimension; `MISSING` stands for null in integers."""
 
     column: str
     name: str
     kind: type[np.generic]
     about: str = ""
-    missing: int | None = None
 
     def params(self) -> Any:
-        about = self.about if self.missing is None else f"missing: {self.missing}"
-        return laspy.ExtraBytesParams(self.name, self.kind, about)
+        return laspy.ExtraBytesParams(self.name, self.kind, self.about)
 
     def values(self, batch: pa.RecordBatch) -> np.ndarray:
         column = batch[self.column]
-        if self.missing is not None:
-            column = pc.fill_null(pc.cast(column, pa.from_numpy_dtype(self.kind)), self.missing)
+        if self.kind is np.int64:
+            column = pc.fill_null(pc.cast(column, pa.int64()), MISSING)
         elif not pa.types.is_floating(column.type):
-            column = pc.cast(column, pa.float64())
+            column = pc.cast(column, pa.float64(), safe=False)  # whole ones of 64 bits lose digits
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
 
 
@@ -388,17 +372,6 @@ _OURS = (
     _Dimension(column="y", name="sensor_y", kind=np.float32, about="m left of the sensor"),
     _Dimension(column="z", name="sensor_z", kind=np.float32, about="m up from the sensor"),
 )
-# Smaller integers are widened: all their values are in use, and none is left for null.
-_INTEGERS: dict[pa.DataType, type[np.signedinteger[Any]]] = {
-    pa.bool_(): np.int8,
-    pa.int8(): np.int16,
-    pa.uint8(): np.int16,
-    pa.int16(): np.int32,
-    pa.uint16(): np.int32,
-    pa.int32(): np.int32,
-    pa.uint32(): np.int64,
-    pa.int64(): np.int64,
-}
 
 
 def write_points_las(points: _PointStream, path: Path) -> None:
@@ -418,26 +391,30 @@ def write_points_las(points: _PointStream, path: Path) -> None:
 
 def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
     further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
-    numeric = [f for f in further if any(is_kind(f.type) for is_kind in NUMERIC)]
     taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
-    names = _distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
-    left = [field.name for field in further if field not in numeric]
-    remarks = [Text("left out, no numbers: {}", ", ".join(left))] * bool(left)
+    names = _distinct_names([f.name for f in further if _fits_las(f)], taken)
+    remarks = []
+    if left := [field.name for field in further if field.name not in names]:
+        remarks.append(Text("left out, no numbers or a long name: {}", ", ".join(left)))
     if changed := _renamed(names):
         remarks.append(Text("renamed: {}", ", ".join(changed)))
     if remarks:
         points.reporter.warn("{}: columns {}", path.name, Text("; ").join(remarks))
-    return [*_OURS, *(_dimension(field, names[field.name]) for field in numeric)]
+    kept = [_dimension(f, names[f.name]) for f in further if f.name in names]
+    return [*_OURS, *kept]
+
+
+def _fits_las(field: pa.Field) -> bool:
+    longest = LONGEST_NAME - len(SUFFIX)
+    return len(field.name.encode()) <= longest and any(each(field.type) for each in NUMERIC)
 
 
 def _dimension(field: pa.Field, name: str) -> _Dimension:
-    if integer := _INTEGERS.get(field.type):
-        lowest = int(np.iinfo(integer).min)
-        return _Dimension(column=field.name, name=name, kind=integer, missing=lowest)
-    if pa.types.is_uint64(field.type):
-        highest = int(np.iinfo(np.uint64).max)
-        return _Dimension(column=field.name, name=name, kind=np.uint64, missing=highest)
-    short = pa.types.is_floating(field.type) and field.type.bit_width <= 32
+    kind, types = field.type, pa.types
+    if types.is_boolean(kind) or (types.is_integer(kind) and not types.is_uint64(kind)):
+        about = f"missing: {MISSING}"
+        return _Dimension(column=field.name, name=name, kind=np.int64, about=about)
+    short = types.is_floating(kind) and kind.bit_width <= 32
     return _Dimension(column=field.name, name=name, kind=np.float32 if short else np.float64)
 
 

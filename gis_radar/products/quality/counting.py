@@ -15,6 +15,7 @@ from gis_radar.dataset import FRAMES, Dataset
 from gis_radar.measures import FrameTimes
 
 HOUR_S = 3600
+HIGH = 0.7  # share of the seen tiles hit: a frame with more is high
 QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
 
 
@@ -74,8 +75,8 @@ class Count:
     seen: int = 0
     shift_us: int = 0
 
-    def add(self, rows: Columns, high: float) -> None:
-        """Add frames; over a share `high` of the seen tiles hit, a frame is high."""
+    def add(self, rows: Columns) -> None:
+        """Add frames."""
         self.frames += len(rows["time_us"])
         for name in ("detections", "moving", "wild", "shift_us", "doubled", "repeated"):
             setattr(self, name, getattr(self, name) + int(rows[name].sum()))
@@ -84,7 +85,7 @@ class Count:
         self.hits += int(hit.sum())
         self.fewest, self.most = min(self.fewest, int(hit.min())), max(self.most, int(hit.max()))
         self.share += float(share.sum())
-        self.high += int((share > high).sum())
+        self.high += int((share > HIGH).sum())
         self.seen = max(self.seen, int(seen.max()))
 
 
@@ -117,7 +118,7 @@ Gap = tuple[int, int, int]  # the sensor's number, and when the gap begins and e
 
 
 def count_frames(
-    dataset: Dataset, times: dict[int, FrameTimes], zone: ZoneInfo, high: float,
+    dataset: Dataset, times: dict[int, FrameTimes], zone: ZoneInfo,
     reporter: Reporter,
 ) -> Counts:  # fmt: skip
     """Count by sensor (its number) and hour (the UTC second of its begin).
@@ -134,8 +135,6 @@ def count_frames(
         When frames came, as from :func:`frame_times`.
     zone : ZoneInfo
         Whose hours.
-    high : float
-        Over this share of the seen tiles hit a frame is high.
     reporter : Reporter
         Receives the progress.
     """
@@ -151,7 +150,7 @@ def count_frames(
         hours = hour_begins(mine["time_us"], zone)
         for hour in np.unique(hours).tolist():
             part = {name: column[hours == hour] for name, column in mine.items()}
-            counts[number, hour].add(part, high)
+            counts[number, hour].add(part)
         done += len(mine["time_us"])
         reporter.progress(STAGE, done, None)
     for number, each in times.items():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC
 from pathlib import Path
 from typing import Any
@@ -25,59 +25,31 @@ from gis_radar.base import (
     Text,
     UsageError,
     atomic_write,
-    axes_or_new,
-    csv_style,
+    csv_for,
+    iso_from_time,
     seconds_from_iso,
     table_card,
+    write_csv,
     zone_of,
 )
 from gis_radar.dataset import Dataset
-from gis_radar.products.quality.counting import HOUR_S, Count, count_frames, frame_times
+from gis_radar.products.quality.counting import HIGH, HOUR_S, Count, count_frames, frame_times
 
 GOOD = "good"
 NO_DATA = "no data"
 
-
-@dataclass(frozen=True, kw_only=True)
-class QualitySettings:
-    """Thresholds by which the hour of a sensor is at fault; those in effect are in the figures.
-
-    Shares are of the frames, if not stated else. The verdicts follow those of loop detectors (PeMS,
-    Chen et al. 2003); the thresholds are far from what the simulated sites give (no fault).
-
-    Parameters
-    ----------
-    least_share : float
-        Received of the frames expected, at least.
-    high, high_share : float
-        Share of the seen tiles hit in a frame that is high, and how many frames may be high.
-    least_moving : float
-        Share of the detections that move, at least: a street at night has some.
-    most_doubled, most_repeated : float
-        Frames that follow within half a cycle, or repeat the positions of the one before.
-    most_wild : float
-        Share of the detections faster than any vehicle: noise gives some.
-    frames_judged : int
-        Of fewer frames, 5 s at 20 Hz, only their number is judged.
-    clock_set_s : float
-        An earlier hour, UNIX seconds, is that of a clock that was never set.
-    """
-
-    least_share: float = 0.6
-    high: float = 0.7
-    high_share: float = 0.2
-    least_moving: float = 0.001
-    most_doubled: float = 0.05
-    most_repeated: float = 0.2
-    most_wild: float = 0.02
-    frames_judged: int = 100
-    clock_set_s: float = CLOCK_SET_S
+# Of which the hour of a sensor is at fault, after those of loop detectors (PeMS, Chen et al. 2003),
+# and far from what the simulated sites give (no fault). Shares are of the frames, if not stated.
+LEAST_SHARE = 0.6  # received of the frames expected
+HIGH_SHARE = 0.2  # with more than `counting.HIGH` of the seen tiles hit
+LEAST_MOVING = 0.001  # of the detections: a street at night has some
+MOST_DOUBLED = 0.05  # that follow within half a cycle
+MOST_REPEATED = 0.2  # with the positions of the one before
+MOST_WILD = 0.02  # of the detections, faster than any vehicle: noise gives some
+FRAMES_JUDGED = 100  # 5 s at 20 Hz: of fewer only their number is judged
 
 
-DEFAULTS = QualitySettings()
-
-
-def faults_of(count: Count, hour: int, settings: QualitySettings = DEFAULTS) -> Iterator[str]:
+def faults_of(count: Count, hour: int) -> Iterator[str]:
     """Yield the faults of a sensor in an hour, worst first.
 
     Parameters
@@ -86,26 +58,24 @@ def faults_of(count: Count, hour: int, settings: QualitySettings = DEFAULTS) -> 
         Its frames in that hour.
     hour : int
         UNIX second in which the hour began.
-    settings : QualitySettings
-        The thresholds.
     """
     if count.frames == 0:
         yield NO_DATA
         return
     single = count.frames - count.doubled
     expected = single + count.dropped
-    if single < settings.least_share * expected:
+    if single < LEAST_SHARE * expected:
         yield Text("{:.0f} % of the frames expected", 100 * single / expected)
-    if hour < settings.clock_set_s:
+    if hour < CLOCK_SET_S:
         yield "clock not set"
-    if count.frames >= settings.frames_judged:
-        yield from _faults_of_frames(count, settings)
+    if count.frames >= FRAMES_JUDGED:
+        yield from _faults_of_frames(count)
 
 
-def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
-    if count.doubled > settings.most_doubled * count.frames:
+def _faults_of_frames(count: Count) -> Iterator[str]:
+    if count.doubled > MOST_DOUBLED * count.frames:
         yield Text("{:.0f} % of the frames come twice", 100 * count.doubled / count.frames)
-    if count.repeated > settings.most_repeated * count.frames:
+    if count.repeated > MOST_REPEATED * count.frames:
         yield Text(
             "frozen: {:.0f} % of the frames repeat the last", 100 * count.repeated / count.frames
         )
@@ -116,24 +86,20 @@ def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
         yield "sees no tile"
     elif count.hits == 0:
         yield "no tile is ever hit"
-    elif count.high > settings.high_share * count.frames:
+    elif count.high > HIGH_SHARE * count.frames:
         yield Text(
             "over {:.0f} % of its tiles hit in {:.0f} % of the frames",
-            100 * settings.high,
+            100 * HIGH,
             100 * count.high / count.frames,
         )
     elif count.fewest == count.most:
         yield "hit share is constant"
-    if count.hits and count.moving < settings.least_moving * count.detections:
+    if count.hits and count.moving < LEAST_MOVING * count.detections:
         yield "hits without motion"
-    if count.wild > settings.most_wild * count.detections:
+    if count.wild > MOST_WILD * count.detections:
         yield Text(
             "{:.0f} % of the detections are absurdly fast", 100 * count.wild / count.detections
         )
-
-
-MOST_NUMBERS = 24  # hours; beyond that numbers would overlap
-KINDS = {"good": "#a8c8e8", "at fault": "#d9641a", "no data": "#e5e7eb"}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -150,8 +116,6 @@ class Quality:
         `pose`, `pose_age_h`; `verdict`, "good" or the faults.
     timezone : str
         Of the local hours.
-    settings : QualitySettings
-        Thresholds in effect.
     without_elevation : frozenset of str
         Sensors that measure no elevation.
     verdicts : mapping
@@ -160,7 +124,6 @@ class Quality:
 
     table: pd.DataFrame
     timezone: str
-    settings: QualitySettings = DEFAULTS
     without_elevation: frozenset[str] = frozenset()
     verdicts: Mapping[str, str] = field(default_factory=dict)
 
@@ -168,11 +131,7 @@ class Quality:
         """Return a verdict of the table as a text that can be translated."""
         return self.verdicts.get(told, told)
 
-    def figures(self) -> dict[str, Any]:
-        """Return a line a sensor, and the thresholds in effect."""
-        return {**self.lines(), "settings": asdict(self.settings)}
-
-    def lines(self) -> dict[str, str]:
+    def figures(self) -> dict[str, str]:
         """Return a line a sensor: how many hours are good, and the faults of the others."""
         lines: dict[str, str] = {}
         for sensor, rows in self.table.groupby("sensor"):
@@ -218,56 +177,18 @@ class Quality:
         """
         path = Path(path)
         require_table_name(path)
-        style = csv_style(csv_locale)
-        with atomic_write(path) as part:
+        with csv_for(csv_locale), atomic_write(path) as part:
             if path.suffix.lower() == ".csv":
-                self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ", **style)
+                self.write_rows(part)
             else:
                 self.table.to_parquet(part, index=False)
         return path
 
-    def plot(self, ax: Any = None) -> Any:
-        """Draw sensors by hours: good, at fault, or without data, with the share of frames.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Where; without it, on a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        from matplotlib.colors import ListedColormap  # noqa: PLC0415 - only who draws waits for it
-        from matplotlib.patches import Patch  # noqa: PLC0415
-
-        table, timezone = self.table, self.timezone
-        sensors, hours = table["sensor"].unique(), np.sort(table["begin"].unique())
-        ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * len(sensors)))
-        row = pd.Index(sensors).get_indexer(table["sensor"])
-        column = pd.Index(hours).get_indexer(table["begin"])
-        kind = np.full((len(sensors), len(hours)), 2)
-        bad = (table["verdict"] != GOOD).to_numpy(int)
-        kind[row, column] = np.where(table["verdict"] == NO_DATA, 2, bad)
-        ax.pcolormesh(kind, cmap=ListedColormap(list(KINDS.values())), vmin=0, vmax=2,
-                      edgecolors="white", linewidth=1.0)  # fmt: skip
-        if len(hours) <= MOST_NUMBERS:
-            expected = table["frames_expected"].clip(lower=1)
-            share = (100.0 * (table["frames"] - table["doubled"]) / expected).round()
-            for x, y, text in zip(column, row, share, strict=True):
-                ax.text(x + 0.5, y + 0.5, f"{text:.0f} %", ha="center", va="center", fontsize=8)
-        local = pd.DatetimeIndex(hours).tz_convert(timezone)
-        every = max(1, len(hours) // 12)
-        labels = [f"{t:%H:%M}" + (f"\n{t:%Y-%m-%d}" if i == 0 or t.hour == 0 else "")
-                  for i, t in enumerate(local)]  # fmt: skip
-        ax.set_xticks(np.arange(0, len(hours), every) + 0.5, labels[::every])
-        ax.set_yticks(np.arange(len(sensors)) + 0.5, sensors)
-        ax.invert_yaxis()
-        ax.tick_params(length=0)
-        ax.set(xlabel=f"hour ({timezone})", title="Data quality; share of the frames expected")
-        ax.legend(handles=[Patch(color=c, label=n) for n, c in KINDS.items()], frameon=False,
-                  loc="upper left", bbox_to_anchor=(1.0, 1.0))  # fmt: skip
-        return ax
+    def write_rows(self, path: Path) -> None:
+        """Write the table as CSV, as the tables of a report are."""
+        times = {name: self.table[name].map(iso_from_time) for name in ("begin", "end")}
+        table = self.table.assign(**times)
+        write_csv(path, list(table.columns), table.itertuples(index=False, name=None))
 
     def _repr_html_(self) -> str:
         columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]
@@ -275,7 +196,7 @@ class Quality:
         return table_card(title, columns, self.table[columns].to_numpy(object).tolist())
 
     def __repr__(self) -> str:
-        lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.lines().items())
+        lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.figures().items())
         return f"Quality({lines})"
 
 
@@ -289,7 +210,6 @@ def measure_quality(
     dataset: Dataset,
     *,
     timezone: str = "UTC",
-    settings: QualitySettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Quality:
     """Measure by sensor and hour which frames a dataset is made from, and judge them.
@@ -300,8 +220,6 @@ def measure_quality(
         As from :func:`gis_radar.open_dataset`.
     timezone : str
         Whose hours, days and weekdays: a name such as Europe/Berlin.
-    settings : QualitySettings
-        Thresholds of the verdicts.
     reporter : Reporter
         Receives the progress.
 
@@ -326,11 +244,11 @@ def measure_quality(
     times = frame_times(dataset)
     if not times:
         raise InputError("{}: holds no frame", dataset.folder, hint="were the recordings empty?")
-    counts = count_frames(dataset, times, zone, settings.high, reporter)
+    counts = count_frames(dataset, times, zone, reporter)
     poses = _poses(dataset.poses())
     hours = sorted({hour for _, hour in counts})
     rows = [
-        _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone, settings)
+        _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone)
         for number, sensor in enumerate(dataset.sensors)
         if number in times
         for hour in hours
@@ -339,7 +257,7 @@ def measure_quality(
     level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
     verdicts = {row["verdict"]: row["verdict"] for row in rows}
     return Quality(
-        table=pd.DataFrame(rows), timezone=timezone, settings=settings,
+        table=pd.DataFrame(rows), timezone=timezone,
         without_elevation=frozenset(level), verdicts=verdicts,
     )  # fmt: skip
 
@@ -382,7 +300,6 @@ def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
 
 def _row(
     sensor: str, hour: int, count: Count | None, poses: Poses, zone: ZoneInfo,
-    settings: QualitySettings = DEFAULTS,
 ) -> dict[str, Any]:  # fmt: skip
     count = count or Count()
     begin = pd.Timestamp(hour, unit="s", tz=UTC)
@@ -409,5 +326,5 @@ def _row(
         "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
         "pose": pose,
         "pose_age_h": age_h,
-        "verdict": Text("; ").join(faults_of(count, hour, settings)) or GOOD,
+        "verdict": Text("; ").join(faults_of(count, hour)) or GOOD,
     }

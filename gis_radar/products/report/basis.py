@@ -27,7 +27,7 @@ from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.quality.quality import GOOD, Quality
 from gis_radar.products.report import names
 from gis_radar.products.report.content import Column, Fact, Table, text_rows
-from gis_radar.products.report.lanes import LEAST_SEEN, LEAST_TRACKS, LaneSums, shown_of
+from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import NOT_KNOWN, Results
 from gis_radar.scans import VIEW_ONLY
 
@@ -43,7 +43,7 @@ class Findings(NamedTuple):
     title: str
     clock: Clock
     quality: Quality | None  # what sensors delivered; None where that is not known
-    lanes: LaneSums
+    lanes: pd.DataFrame  # by interval, from `sums_of`
     table: pd.DataFrame  # the lanes over the whole time, from `lane_table`
 
 
@@ -64,8 +64,8 @@ def recorded_s(results: Results) -> float:
 def totals_of(found: Findings) -> dict[str, Any]:
     """Count the totals of the whole time; the highest lane is None where none may be named."""
     heat, table, measure = found.results.heat, found.table, found.results.heat.measure
-    shares, length_m = shown_of(heat), heat.tiles["length_m"].to_numpy(np.float64)
-    seen = shares.base_s > 0
+    (part_s, base_s), length_m = part_and_base(heat), heat.tiles["length_m"].to_numpy(np.float64)
+    seen = base_s > 0
     base, touched = ("visible", "occupied") if measure == "occupancy" else ("observed", "hit")
     seconds = recorded_s(found.results)
     totals = {
@@ -75,7 +75,7 @@ def totals_of(found: Findings) -> dict[str, Any]:
         "lane_length_m": round(float(length_m.sum()), 2),
         f"lane_length_{base}_m": round(float(length_m[seen].sum()), 2),
         f"tiles_{base}": int(seen.sum()),
-        f"tiles_{touched}": int(np.count_nonzero(shares.part_s[seen])),
+        f"tiles_{touched}": int(np.count_nonzero(part_s[seen])),
     }
     known = heat.occupancy_shares()
     if known is None or not seen.any():
@@ -230,12 +230,7 @@ def _ranked(found: Findings) -> list[list[str]]:
         return [[tr("Lanes compared"), tr("none"), tr(text)]]
     number, all_of_them = int(found.table["rank"].gt(0).sum()), len(found.table)
     here = tr("{part} of {all} lanes are ranked", part=number, all=all_of_them)
-    rule = tr(
-        "Ranked is a lane with {tracks} tracks or more, {share} of its length visible or more, "
-        "and a standard error of at most half its occupancy.",
-        tracks=LEAST_TRACKS, share=percent(LEAST_SEEN, 0),
-    )  # fmt: skip
-    return [[tr("Lanes compared"), here, rule]]
+    return [[tr("Lanes compared"), here, tr("The table of lanes says by which rule.")]]
 
 
 def _placed(results: Results) -> list[str]:
@@ -270,14 +265,9 @@ def _delivered(found: Findings) -> list[str]:
         return [name, tr(NOT_KNOWN), ""]
     table = found.quality.table
     good, hours = int(table["verdict"].eq(GOOD).sum()), len(table)
-    runs = sorted(recorded_runs(found.results).items())
-    times = [f"{sensor} {seconds_text(each.steps * STEP_S)}" for sensor, each in runs]
-    recorded = listed(times) or tr(NOT_KNOWN)
-    if good == hours:
-        here = tr("no fault in what was recorded: {recorded}", recorded=recorded)
-    else:
-        text = "faults in {bad} of {all} hours of sensors; recorded: {recorded}"
-        here = tr(text, bad=hours - good, all=hours, recorded=recorded)
+    here = tr("no fault in what was recorded")
+    if good < hours:
+        here = tr("faults in {bad} of {all} hours of sensors", bad=hours - good, all=hours)
     text = "An hour counts as soon as some of it was recorded: see the seconds in the table."
     return [name, here, tr(text)]
 
@@ -328,15 +318,13 @@ def quality_table(found: Findings) -> Table:
     note, rows = tr("What sensors delivered is not known."), []
     if quality is not None:
         table = quality.table.assign(recorded_s=_recorded_in(quality.table, found.results))
-        lines = [f"{sensor}: {text}." for sensor, text in _hours_in_words(table).items()]
+        note = ""
         if len(table) > MOST_HOURS:
             faulty = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
             table = table.loc[faulty].head(MOST_HOURS)
-            lines.append(tr(
-                "Here {part} of {all} rows, those with a fault first.",
-                part=MOST_HOURS, all=figure_text(len(quality.table)),
-            ))  # fmt: skip
-        note, rows = " ".join(lines), text_rows((row for _, row in table.iterrows()), columns)
+            text = "Here {part} of {all} rows, those with a fault first."
+            note = tr(text, part=MOST_HOURS, all=figure_text(len(quality.table)))
+        rows = text_rows((row for _, row in table.iterrows()), columns)
     return Table(
         name="quality",
         caption=tr("Measurements by sensor and hour ({zone})", zone=found.clock.name),
@@ -386,15 +374,3 @@ def _hour_columns(found: Findings) -> list[Column]:
         Column(tr("Pose age"), "h", age),
         Column(tr("Verdict"), "", verdict, False),
     ]
-
-
-def _hours_in_words(table: pd.DataFrame) -> dict[str, str]:
-    """Return by sensor in how many hours no test found fault, and how much of them was recorded."""
-    words = {}
-    for sensor, rows in table.groupby("sensor"):
-        good = int(rows["verdict"].eq(GOOD).sum())
-        hours = plural(len(rows), "{n} hour", "{n} hours")
-        recorded = seconds_text(float(rows["recorded_s"].sum()))
-        text = "no fault in {good} of {hours} with {time} recorded"
-        words[str(sensor)] = tr(text, good=figure_text(good), hours=hours, time=recorded)
-    return words

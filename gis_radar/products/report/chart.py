@@ -21,7 +21,6 @@ from gis_radar.base import (
 )
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.report.content import Chart, Strip
-from gis_radar.products.report.lanes import LaneSums
 
 STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; as many charts
 TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # of the scale
@@ -35,7 +34,7 @@ ACROSS, UP = 1000, 100  # units of a strip on the page, to the right and upwards
 
 
 def draw_lanes_over_time(
-    heat: HeatMap, sums: LaneSums, table: pd.DataFrame, clock: Clock
+    heat: HeatMap, each: pd.DataFrame, table: pd.DataFrame, clock: Clock
 ) -> list[Chart]:
     """Draw the share of each lane by interval, with its standard error; nothing of one interval.
 
@@ -43,8 +42,8 @@ def draw_lanes_over_time(
     ----------
     heat : HeatMap
         Whose intervals.
-    sums : LaneSums
-        Its sums by lane and interval.
+    each : DataFrame
+        From :func:`gis_radar.products.report.lanes.sums_of`: its sums by lane and interval.
     table : DataFrame
         From :func:`gis_radar.products.report.lanes.lane_table`: lanes with a share, in this order.
     clock : Clock
@@ -53,19 +52,20 @@ def draw_lanes_over_time(
     if len(heat.timeline) < 2:
         return []
     lanes = table[table["share"].notna()].head(STRIPS * MOST_CHARTS)
-    place = {lane.number: i for i, lane in enumerate(sums.lanes)}
-    rows = [place[int(number)] for number in lanes["lane"]]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share, error = sums.part_s / sums.base_s, sums.error_s / sums.base_s
-    if not rows or not np.isfinite(share[:, rows]).any():
+    share, error = (
+        each[name].unstack(sort=False)[lanes["lane"]]  # noqa: PD010 - a value each
+        for name in ("share", "share_se")
+    )
+    if not np.isfinite(share).any(axis=None):
         return []
-    high = float(np.nanmax(share[:, rows]))
+    high = float(np.nanmax(share))
     top = next((each for each in TOPS if each >= high), 1.0)
     charts = []
-    for first in range(0, len(rows), STRIPS):
-        part = rows[first : first + STRIPS]
-        names = [_named(row) for _, row in lanes.iloc[first : first + STRIPS].iterrows()]
-        strips = [(name, share[:, i], error[:, i]) for name, i in zip(names, part, strict=True)]
+    for first in range(0, len(lanes), STRIPS):
+        strips = [
+            (_named(row), share[row["lane"]].to_numpy(), error[row["lane"]].to_numpy())
+            for _, row in lanes.iloc[first : first + STRIPS].iterrows()
+        ]
         charts.append(_chart(heat, strips, top, clock))
     return charts
 

@@ -175,9 +175,6 @@ class Figure:
         What it shows, for who cannot see it.
     narrow : bytes
         PNG for a phone, with larger words; empty where it is the same.
-    panels : sequence of bytes
-        PNG of each of its panels, for a page that lays them out as wide as it is; none where it is
-        one.
     """
 
     png: bytes
@@ -187,7 +184,6 @@ class Figure:
     caption: str
     alt: str
     narrow: bytes = b""
-    panels: Sequence[bytes] = ()
 
 
 class Strip(NamedTuple):

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from io import BytesIO
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Patch
 from PIL import Image
 
 from gis_radar.base import (
     FONTS,
-    Booleans,
     Clock,
-    Floats,
     Reporter,
     figure_text,
     name_of,
@@ -27,10 +22,9 @@ from gis_radar.base import (
 from gis_radar.hdmap import quads
 from gis_radar.measures import sight_of_tiles
 from gis_radar.products.heatmap.heatmap import HeatMap
-from gis_radar.products.heatmap.occupancy import OccupancyShares, mean_occupancy
+from gis_radar.products.heatmap.occupancy import mean_occupancy
 from gis_radar.products.heatmap.picture import (
     NARROW_IN,
-    OVERLAY_IN,
     MapPicture,
     for_a_phone,
     image_of_figure,
@@ -40,7 +34,7 @@ from gis_radar.products.heatmap.picture import (
     png,
 )
 from gis_radar.products.report.content import WORDS, Figure, MapSeries
-from gis_radar.products.report.lanes import TileShares, hits_of, shown_of
+from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import Results
 from gis_radar.scans import (
     HIDDEN,
@@ -58,11 +52,6 @@ MOST_FRAMES = 96  # pictures in time: a day of quarter hours
 MOST_PIXELS = 2_200_000  # of a picture
 ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
 STAGE = "drawing the maps"
-HITS = (
-    "For diagnosis, not for planning: in which share of the observed time radar hit each tile, in "
-    "the colours of the map (hit share, the measure of the paper). A lane that carries "
-    "vehicles on the map and hardly a hit here is one that the sensors see badly."
-)
 
 SIGHT_IN = 3.4  # width of a sensor's picture: alone on a phone's page its words can be read
 MOST_SIGHTS = 6  # sensors of which it is drawn what they see
@@ -96,8 +85,7 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
         begin, end = heat.timeline.span(group.start)[0], heat.timeline.span(group.stop - 1)[1]
         if len(heat.timeline) > 1:
             label = clock.span(begin, end)
-            shown = shown_of(heat, group)
-            frames.append(_map(picture, shown, label, heat, heat.uncertain(group)))
+            frames.append(_map(picture, heat, label, group))
         reporter.progress(STAGE, done, len(groups))
     size, note = groups[0].stop, ""
     if size > 1:
@@ -115,7 +103,7 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
         overlay = png(picture.overlay(poses))
         narrow = png(for_a_phone(picture.overlay(poses, NARROW_IN)))
     return MapSeries(
-        whole=_map(picture, shown_of(heat), tr("Whole time"), heat, heat.uncertain()),
+        whole=_map(picture, heat, tr("Whole time")),
         frames=frames,
         overlay=overlay,
         narrow=narrow,
@@ -131,34 +119,13 @@ def _groups(heat: HeatMap) -> list[slice]:
     return [slice(first, min(first + size, total)) for first in range(0, total, size)]
 
 
-def draw_hits(results: Results, picture: MapPicture) -> Figure:
-    """Draw what radar hit over the whole time, for diagnosis beside the map of occupancy."""
-    hits, certain = hits_of(results.heat), np.zeros(len(results.heat.tiles), np.bool_)
-    figure = _map(picture, hits, tr("Whole time"), results.heat, certain, measure="hit_share")
-    with Image.open(BytesIO(figure.png)) as tiles:
-        whole = tiles.convert("RGBA")
-    with mpl.rc_context(FONTS):
-        overlays = [picture.overlay(results.poses, each) for each in (OVERLAY_IN, NARROW_IN)]
-    wide, narrow = (Image.alpha_composite(whole, each.resize(whole.size)) for each in overlays)
-    return replace(
-        figure,
-        png=png(wide.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
-        narrow=png(for_a_phone(narrow.convert("RGB")).quantize(128, dither=Image.Dither.NONE)),
-        caption=f"{tr(HITS)} {figure.caption}",
-    )
-
-
-def _map(
-    picture: MapPicture, shares: TileShares, label: str, heat: HeatMap, uncertain: Booleans,
-    *, measure: str = "",
-) -> Figure:  # fmt: skip
-    measure = measure or heat.measure
-    text = _sentence(shares, heat, measure)
+def _map(picture: MapPicture, heat: HeatMap, label: str, group: slice | None = None) -> Figure:
+    text = _sentence(heat, group)
     alt = "Map of occupancy, {time}. {text}"
-    if measure == "hit_share":
+    if heat.measure == "hit_share":
         alt = "Map of radar hits, {time}. {text}"
     return Figure(
-        png=png(image_of_pixels(picture.paint(shares.share, uncertain))),
+        png=png(image_of_pixels(picture.paint(heat.shown(group), heat.uncertain(group)))),
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
@@ -167,23 +134,21 @@ def _map(
     )
 
 
-def _sentence(shares: TileShares, heat: HeatMap, measure: str) -> str:
+def _sentence(heat: HeatMap, group: slice | None) -> str:
     """Describe a map: the mean of what was seen, and how much was seen and hit or occupied."""
-    words = WORDS[measure]
-    seen, hit = int((shares.base_s > 0).sum()), int((shares.part_s > 0).sum())
+    words = WORDS[heat.measure]
+    part_s, base_s = part_and_base(heat, group)
+    seen, hit = int((base_s > 0).sum()), int((part_s > 0).sum())
     if not seen:
         return tr(words.nothing)
     if not hit:
         return tr(words.none, n=figure_text(seen))
     text = tr(words.touched, share=percent(hit / seen, 0), n=figure_text(seen))
-    if measure == "hit_share":
+    known = heat.occupancy_shares(group)
+    if known is None:
         return text
-    mean, error = mean_occupancy(heat.tiles, OccupancyShares(*_as_occupancy(shares)))
+    mean, error = mean_occupancy(heat.tiles, known)
     return f"{tr('Mean occupancy {share}.', share=percent(mean, off=error))} {text}"
-
-
-def _as_occupancy(shares: TileShares) -> tuple[Floats, Floats, Floats, Floats]:
-    return shares.base_s, shares.part_s, shares.share, shares.error
 
 
 def draw_sights(results: Results) -> list[Figure]:

@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from PIL import Image
 
 from gis_radar.base import FONTS, Floats, Integers, figure_text, tr
-from gis_radar.hdmap import Lane, quads
+from gis_radar.hdmap import Lane, lanes_of, quads
 from gis_radar.products.heatmap.picture import (
     HALO,
     INK,
@@ -56,9 +56,7 @@ class PlacedNumber(NamedTuple):
     foot: Floats | None = None
 
 
-def draw_plan(
-    tiles: gpd.GeoDataFrame, picture: MapPicture, lanes: Sequence[Lane], table: pd.DataFrame
-) -> Figure:
+def draw_plan(tiles: gpd.GeoDataFrame, picture: MapPicture, table: pd.DataFrame) -> Figure:
     """Draw the lanes with their numbers and where they lead.
 
     Parameters
@@ -67,13 +65,11 @@ def draw_plan(
         All tiles.
     picture : MapPicture
         The piece of the map.
-    lanes : sequence of Lane
-        All lanes.
     table : DataFrame
         From :func:`~gis_radar.products.report.lanes.lane_table`: lanes with a share are named, the
         first where they are too many.
     """
-    west, east, south, north = picture.grid.bounds
+    lanes, (west, east, south, north) = lanes_of(tiles), picture.grid.bounds
     corner, size = np.array([west, south]), np.array([east - west, north - south])
     centres = quads(tiles).mean(axis=1)
     place = (centres - corner) / size

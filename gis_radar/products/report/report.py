@@ -32,9 +32,9 @@ from gis_radar.base import (
     speaking,
     street_label,
     tr,
-    write_csv,
     zone_of,
 )
+from gis_radar.hdmap import lanes_of
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.quality.quality import Quality, measure_quality
 from gis_radar.products.report import names
@@ -67,18 +67,17 @@ from gis_radar.products.report.lanes import (
     LEAST_TRACKS,
     WHY_NOT,
     lane_table,
-    sum_by_lane,
+    sums_of,
     tracks_of,
     write_lane_intervals,
     write_lanes,
 )
-from gis_radar.products.report.maps import draw_hits, draw_maps, draw_sights, lay_out
+from gis_radar.products.report.maps import draw_maps, draw_sights, lay_out
 from gis_radar.products.report.pages import page_of
 from gis_radar.products.report.paper import write_pdf
 from gis_radar.products.report.plan import draw_plan
 from gis_radar.products.report.results import (
     Results,
-    pose_figures,
     read_results,
     sensor_table,
     write_sensor_table,
@@ -186,8 +185,8 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
     """Work out what page, paper and tables are made of."""
     heat = results.heat
     zone = timezone or results.timezone
-    sums = sum_by_lane(heat)
-    table = lane_table(heat, sums, tracks_of(results.dataset, sums.lanes))
+    sums = sums_of(heat, each=True)
+    table = lane_table(heat, sums, tracks_of(results.dataset, lanes_of(heat.tiles)))
     known = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
     table["street"], table["street_part"] = zip(*known, strict=True) if known else ((), ())
     return Findings(
@@ -206,18 +205,15 @@ class _Pictures(NamedTuple):
     maps: MapSeries
     plan: Figure
     over_time: Sequence[Chart]
-    hits: Sequence[Figure]
 
 
 def _pictures(found: Findings, reporter: Reporter) -> _Pictures:
     """Draw the pictures of a report."""
     results, picture = found.results, lay_out(found.results.heat)
-    occupied = results.heat.measure == "occupancy"
     return _Pictures(
         maps=draw_maps(results, picture, found.clock, reporter),
-        plan=draw_plan(results.heat.tiles, picture, found.lanes.lanes, found.table),
+        plan=draw_plan(results.heat.tiles, picture, found.table),
         over_time=draw_lanes_over_time(results.heat, found.lanes, found.table, found.clock),
-        hits=[draw_hits(results, picture)] if occupied else [],
     )
 
 
@@ -275,17 +271,8 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
         names.SENSORS: lambda path: write_sensor_table(path, found.results),
     }
     if quality is not None:
-        writers[names.QUALITY] = lambda path: _write_quality(path, quality)
+        writers[names.QUALITY] = quality.write_rows
     return writers
-
-
-def _write_quality(path: Path, quality: Quality) -> None:
-    """Write the table of :func:`gis_radar.measure_quality`, a row a sensor and hour."""
-    rows = (
-        tuple(utc(cell) if isinstance(cell, pd.Timestamp) else cell for cell in row)
-        for row in quality.table.itertuples(index=False, name=None)
-    )
-    write_csv(path, list(quality.table.columns), rows)
 
 
 def _summary(found: Findings, content: Content) -> dict[str, Any]:
@@ -347,31 +334,29 @@ def _content(found: Findings, drawn: _Pictures) -> Content:
 def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
     """Return what follows the map."""
     results, clock = found.results, found.clock
-    figures = pose_figures(results)
     lanes = _lanes(found, intervals=len(results.heat.timeline) > 1)
-    sensors = sensor_table(results, figures=len(figures))
+    sensors = sensor_table(results)
     sources = [settings_of(results), sources_of(results)]
     over_time = tr("The lanes over time")
-    hits = tr("Diagnosis: radar hits")
     return [
         Chapter("trust", tr("Can this be trusted?"), [trust_table(results, clock)]),
         Chapter("lanes", tr("Lanes"), [drawn.plan, lanes]),
         *([Chapter("time", over_time, drawn.over_time)] if drawn.over_time else []),
-        Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures]),
+        Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results)]),
         Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
-        *([Chapter("hits", hits, drawn.hits)] if drawn.hits else []),
         Chapter("settings", tr("Settings and sources"), sources),
         Chapter("words", tr("What the words mean"), [_terms(results.heat.measure)]),
     ]
 
 
 def _terms(measure: str) -> Terms:
-    """Return what the words of a report mean, of occupancy only where it shows that."""
+    """Return what the words of a report mean, of the measure that it shows."""
     text = (
         files("gis_radar.products.report").joinpath("definitions.toml").read_text(encoding="utf-8")
     )
     groups = tomllib.loads(text)
-    chosen = [name for name in groups if measure == "occupancy" or name != "occupancy"]
+    other = "hits" if measure == "occupancy" else "occupancy"
+    chosen = [name for name in groups if name != other]
     pairs = [pair for name in chosen for pair in groups[name].items()]
     return Terms(tuple((tr(term), tr(meaning)) for term, meaning in pairs))
 

@@ -9,13 +9,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyogrio
-from PIL import Image
 
 from gis_radar.base import (
     NO_FIGURE,
-    PANELS_KEY,
     THIN_SPACE,
     InputError,
     Text,
@@ -38,16 +35,12 @@ from gis_radar.hdmap import LANES_LAYER
 from gis_radar.poses import ANGLES, POSITION, Pose, View, pose_from_dict, read_track
 from gis_radar.products.heatmap.heatmap import HeatMap, read_heatmap
 from gis_radar.products.heatmap.layers import FILE as PACKAGE
-from gis_radar.products.heatmap.picture import png
 from gis_radar.products.report import names
-from gis_radar.products.report.content import Column, Figure, Table, how_found, text_rows
+from gis_radar.products.report.content import Column, Table, how_found, text_rows
 
 DATASET = "dataset"
 RUN = "run.json"
 NOT_KNOWN = "not known here"
-FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
-COARSE_PIXELS, MOST_FIGURES = 1000, 20
-PAD, LEAST_PANEL = 6, 40  # pixels: around a panel, and what none is smaller than
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,8 +61,8 @@ class Results:
     streets : mapping
         Name of a lane's street, and which of several of that name it is (else empty), by the lane's
         number, where it is known.
-    figures : mapping
-        Picture of how a sensor's pose was found, by its name.
+    figures : bool
+        Whether there are pictures of how poses were found.
     run : mapping
         The `run.json` of `gis-radar run`; empty where the steps were made one by one.
     missing : sequence of str
@@ -81,7 +74,7 @@ class Results:
     dataset: Dataset | None
     poses: Sequence[Pose]
     streets: Mapping[int, tuple[str, str]]
-    figures: Mapping[str, Path]
+    figures: bool
     run: Mapping[str, Any]
     missing: Sequence[str]
 
@@ -200,14 +193,13 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
         for pose in poses
         if not same_plane(pose.crs, heat.crs)
     ]
-    pictures = sorted((folder / "sensors").glob("*/localization.png"))
     return Results(
         name=place.name,
         heat=heat,
         dataset=measured,
         poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
         streets=_streets(folder),
-        figures={path.parent.name: path for path in pictures},
+        figures=any((folder / "sensors").glob("*/localization.png")),
         run=run,
         missing=missing,
     )
@@ -293,102 +285,13 @@ def _run(folder: Path) -> dict[str, Any]:
     return restored(document)
 
 
-def pose_figures(results: Results) -> list[Figure]:
-    """Return the pictures of how poses were found, of the sensors that are shown."""
-    found: list[Figure] = []
-    poses = [pose for pose in results.poses if pose.sensor in results.figures]
-    width = FIGURE_PIXELS if len(poses) <= FINE_FIGURES else COARSE_PIXELS
-    for pose in poses[:MOST_FIGURES]:
-        image = flat_picture(results.figures[pose.sensor], width)
-        if image is None:
-            continue
-        boxes = panels_of(results.figures[pose.sensor], image)
-        found.append(
-            Figure(
-                png=png(image),
-                width=image.width,
-                height=image.height,
-                panels=[png(image.crop(box)) for box in boxes],
-                caption=tr("Sensor {line}", line=f"{pose.sensor}: {how_found(pose.evidence)}."),
-                alt=tr(
-                    "How the pose of {sensor} was found: paths of vehicles on the map's lanes; "
-                    "{how}.",
-                    sensor=pose.sensor,
-                    how=how_found(pose.evidence),
-                ),
-            )
-        )
-    return found
-
-
-def flat_picture(path: Path, width: int) -> Image.Image | None:
-    """Return a picture file on white.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    width : int
-        The most pixels across; a wider picture is made smaller.
-
-    Returns
-    -------
-    Image or None
-        RGB; None where the file is no picture.
-    """
-    try:
-        with Image.open(path) as image:
-            image.load()
-            whole = image.convert("RGBA")
-    except (OSError, ValueError):
-        return None
-    if whole.getchannel("A").getextrema() != (255, 255):
-        whole = Image.alpha_composite(Image.new("RGBA", whole.size, "white"), whole)
-    flat = whole.convert("RGB")
-    flat.thumbnail((width, width * 4))
-    return flat
-
-
-def panels_of(path: Path, image: Image.Image) -> list[tuple[int, int, int, int]]:
-    """Return where the panels of a picture lie.
-
-    Parameters
-    ----------
-    path : Path
-        The picture file, with the shares of its panels in its text.
-    image : Image
-        The same picture, of any size.
-
-    Returns
-    -------
-    list of (int, int, int, int)
-        Left, top, right and base in pixels of the image; none where the file does not tell them.
-    """
-    with Image.open(path) as file:
-        told = file.info.get(PANELS_KEY)
-    try:
-        shares = np.array(json.loads(str(told)), np.float64).reshape(-1, 4)
-    except (TypeError, ValueError):
-        return []
-    if len(shares) < 2:
-        return []
-    size = np.array([image.width, image.height])
-    low, high = shares[:, :2] * size - PAD, (shares[:, :2] + shares[:, 2:]) * size + PAD
-    boxes = np.hstack([np.maximum(low, 0), np.minimum(high, size)])
-    if not np.isfinite(boxes).all() or (boxes[:, 2:] - boxes[:, :2] < LEAST_PANEL).any():
-        return []
-    return [(int(left), int(top), int(right), int(base)) for left, top, right, base in boxes]
-
-
-def sensor_table(results: Results, *, figures: int) -> Table:
+def sensor_table(results: Results) -> Table:
     """Return where sensors stand, how well that is known, and how it was found.
 
     Parameters
     ----------
     results : Results
         Whose sensors.
-    figures : int
-        How many pictures follow; the note says where there are more.
     """
     columns = _sensor_columns()
     rows = text_rows(results.poses, columns)
@@ -400,9 +303,8 @@ def sensor_table(results: Results, *, figures: int) -> Table:
         "± is one standard deviation. Bearings count clockwise from grid north; pitch over 0 "
         "looks down. Width is the opening angle."
     )
-    if figures < len(results.figures):
-        text = "Pictures follow of {part}; there are {all} in sensors/."
-        note += " " + tr(text, part=figures, all=len(results.figures))
+    if results.figures:
+        note += " " + tr("Pictures of how they were found: sensors/NAME/localization.png.")
     if not rows:
         note = tr("No pose is known here.")
     return Table(

@@ -114,7 +114,7 @@ def write_sights(
             )
         names = {SIGHT_LAYER: "sight.qml", CONTRADICTED_LAYER: "contradicted.qml"}
         styles = {
-            layer: ((files(__package__) / names[layer]).read_text(encoding="utf-8"), "")
+            layer: (files(__package__) / names[layer]).read_text(encoding="utf-8")
             for layer in layers
         }
         with closing(sqlite3.connect(part)) as database, database:

@@ -11,15 +11,13 @@ from qgis.core import (
     QgsProcessing,
     QgsProcessingAlgorithm,
     QgsProcessingException,
-    QgsProcessingFeatureSource,
     QgsProcessingOutputFile,
     QgsProject,
     QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QDateTime, QTimeZone
 
-from ..base import RESULTS, Algorithm, one_sentence
-from ..claims import claimed
+from ..base import RESULTS, Algorithm, make_folders, one_sentence
 from ..loading import INTERVALS
 from ..parameters import (
     Choice,
@@ -62,7 +60,7 @@ from ..words import speaks_german, tr
 from . import shared
 
 MOST_PAGES = 2000
-JUNCTIONS, SENSORS = 0, 1  # what the pages go over
+JUNCTIONS = 0  # what the pages go over
 
 
 class ExportReport(Algorithm):
@@ -73,9 +71,10 @@ class ExportReport(Algorithm):
     GROUP = RESULTS
     HELP = (
         "Prints a heat map as sheets: map, legend, scale bar, north arrow, title, source and time, "
-        "one page for each junction or sensor and each interval.\n"
-        "Junctions are found where lanes cross; the first pages show the whole map. In their place "
-        "a layer of points or polygons with a name will do, such as places drawn by hand.\n"
+        "one page for each junction and each interval.\n"
+        "Junctions are found where lanes cross; the first pages show the whole map, and the frames "
+        "of the others. In their place a layer of points or polygons with a name will do, such as "
+        "places drawn by hand.\n"
         "The folder gets one PDF, a PNG a page, and a project with the print layout, to change it "
         "by hand. It needs no window, so that qgis_process can run it every night."
     )
@@ -85,10 +84,7 @@ class ExportReport(Algorithm):
         Folder("HEATMAP", "Heat map", "A folder from 'Heat map'."),
         Choice(
             "OVER", "Pages over", "Junctions are found where observed lanes cross.", advanced=False,
-            labels=(
-                "the whole map and its junctions", "the whole map and the sensors",
-                "the whole map",
-            ),
+            labels=("the whole map and its junctions", "the whole map"),
         ),
         Layer(
             "PLACES", "Places of your own",
@@ -145,7 +141,8 @@ class ExportReport(Algorithm):
     def _report(self, given: Given) -> Path:
         dest, feedback = Path(given.text("OUTPUT")), given.feedback
         zone = timezone(given.text("TIME_ZONE") or zone_name(_package(given)))
-        with one_sentence(), claimed([str(dest)]):
+        with one_sentence():
+            make_folders([str(dest)])
             refuse_foreign(dest)
             # Beside the target first: a report appears whole or not at all.
             with private_folder(dest) as folder:
@@ -206,23 +203,15 @@ def _pages(given: Given, whole: QgsVectorLayer, each: QgsVectorLayer) -> list[Pa
 
 def _places(given: Given, whole: QgsVectorLayer) -> list[Place]:
     """Return what the pages show: the user's places, or the whole map and what is in it."""
-    radius_m, over = given.number("RADIUS"), given.place("OVER")
+    radius_m = given.number("RADIUS")
     source = given.algorithm.parameterAsSource(given.parameters, "PLACES", given.context)
     if source is not None:
         return places_of(source, given.first("NAME"), radius_m, whole.crs())
     if given.has("PLACES"):
         raise QgsProcessingException(tr("The layer of places cannot be read."))
-    overview = Place(tr("Overview"), QgsGeometry.fromRect(_observed_extent(whole)))
-    if over == JUNCTIONS:
-        return [overview, *junction_places(whole, radius_m)]
-    if over != SENSORS:
-        return [overview]
-    package = _sensors(given)
-    if package is None:
-        raise QgsProcessingException(tr("There are no sensors: name their file."))
-    points = QgsVectorLayer(f"{package}|layername=sensors", tr("Sensors"), "ogr")
-    sensors = QgsProcessingFeatureSource(points, given.context)
-    return [overview, *places_of(sensors, "", radius_m, whole.crs())]
+    junctions = junction_places(whole, radius_m) if given.place("OVER") == JUNCTIONS else []
+    frame = QgsGeometry.fromRect(_observed_extent(whole))
+    return [Place(tr("Overview"), frame, marks=bool(junctions)), *junctions]
 
 
 def _sensors(given: Given) -> Path | None:

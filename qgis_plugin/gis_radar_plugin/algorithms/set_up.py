@@ -19,7 +19,6 @@ from ..base import (
     one_sentence,
     profile_folder,
 )
-from ..claims import claimed
 from ..installer import bundled_package, find_tools, set_up
 from ..parameters import File, Given, OutputFolder, Result
 from ..words import tr
@@ -75,8 +74,7 @@ class SetUpWorker(Algorithm):
                     )
                 tools = find_tools(given.text("PYTHON"))
                 feedback.pushInfo(f"{package}\n{tools.uv or tools.python}")
-                with claimed([str(folder)]):
-                    version = set_up(folder, package, tools, WorkerFeedback(feedback))
+                version = set_up(folder, package, tools, WorkerFeedback(feedback))
                 python = str(python_in(folder))
         if not same_series(version, plugin_version()):
             text = tr("The worker is gis_radar {worker}, the plugin {plugin}:").format(

@@ -9,6 +9,7 @@ from typing import Any
 from qgis.core import (
     QgsFeature,
     QgsFeatureRequest,
+    QgsFillSymbol,
     QgsLayoutExporter,
     QgsMapLayer,
     QgsPrintLayout,
@@ -145,6 +146,8 @@ def copied(layers: Sequence[QgsMapLayer]) -> list[QgsMapLayer]:
     return kept
 
 
+# Of the sheets, on the overview.
+_FRAME = {"style": "no", "outline_color": "#1d4ed8", "outline_width": "0.6"}
 _PAGE = "Polygon?" + "&".join(
     f"field={name}" for name in (
         "place:string", "file:string", "time:string", "note:string", "layers:string",
@@ -165,13 +168,16 @@ def write_pages(
         row.setGeometry(page.place.frame)
         time = local_time(page.begin, page.end, zone)
         row.setAttributes([
-            page.place.name, page.file_name(), time, tr("whole time"), layers[page.whole],
+            page.place.name, page.file_name(), time, tr("whole time"),
+            f"{tr('Pages')}|{layers[page.whole]}" if page.place.marks else layers[page.whole],
             page.begin, page.end, page.whole,
         ])  # fmt: skip
         rows.append(row)
     written.dataProvider().addFeatures(rows)
     write_package(written, str(path), "pages")
-    return QgsVectorLayer(f"{path}|layername=pages", tr("Pages"), "ogr")
+    layer = QgsVectorLayer(f"{path}|layername=pages", tr("Pages"), "ogr")
+    layer.renderer().setSymbol(QgsFillSymbol.createSimple(_FRAME))
+    return layer
 
 
 def export(layout: QgsPrintLayout, folder: Path, dpi: float, feedback: Any) -> list[Path]:

@@ -33,7 +33,7 @@ Interval = tuple[QDateTime, QDateTime]
 
 @dataclass(frozen=True)
 class Place:
-    """A junction, a sensor, or the whole map.
+    """A junction, a place of the user's, or the whole map.
 
     Parameters
     ----------
@@ -41,10 +41,13 @@ class Place:
         As it stands on the page.
     frame : QgsGeometry
         What the page shows, in the coordinate system of the heat map.
+    marks : bool
+        Whether it shows the frames of the other pages.
     """
 
     name: str
     frame: QgsGeometry
+    marks: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,25 +1,18 @@
-"""Hit share as xarray, against a count by pandas; and heat maps read back."""
+"""Intervals of a heat map against a count by pandas; and heat maps read back."""
 
 from __future__ import annotations
 
 import shutil
 import sqlite3
-import sys
-import tracemalloc
 from contextlib import closing
 
 import numpy as np
 import pandas as pd
 import pytest
-from datasets import recordings_of, write_dataset
-from test_heatmap import T0, lane_tiles, two_sensors
+from test_heatmap import T0, two_sensors
 
 import gis_radar as gr
-from gis_radar.dataset import FRAMES, STEPS_PER_HOUR
-from gis_radar.dataset.tables import OBSERVED
-from gis_radar.products.heatmap.heatmap import require_room
 
-xr = pytest.importorskip("xarray")
 pytestmark = pytest.mark.usefixtures("without_picture")
 
 
@@ -45,91 +38,37 @@ def counted(site, steps, within=None):
     return table.groupby(["tile", "time"])["hit"].agg(["sum", "count"]) / 20.0
 
 
-def compared(cube, expected):
-    """Compare every cell of a cube with the count."""
-    for tile in cube["tile_id"].to_numpy():
-        for time in cube["time"].to_numpy():
-            cell = cube.sel(tile_id=tile, time=time)
-            hit, observed = float(cell["hit_s"]), float(cell["observed_s"])
-            if (tile, time) in expected.index:
-                sum_s, count_s = expected.loc[(tile, time)]
-                assert (hit, observed) == pytest.approx((sum_s, count_s))
-                assert float(cell["hit_share"]) == pytest.approx(sum_s / count_s)
-            else:
-                assert observed == 0.0
-                assert np.isnan([hit, float(cell["hit_share"])]).all()
+def compared(rows, expected):
+    """Compare every tile and interval with the count."""
+    for row in rows.itertuples():
+        key = row.tile_id, row.begin.tz_localize(None)
+        if key in expected.index:
+            assert (row.hit_s, row.observed_s) == pytest.approx(tuple(expected.loc[key]))
+            assert row.hit_share == pytest.approx(row.hit_s / row.observed_s)
+        else:
+            assert row.observed_s == 0.0
+            assert np.isnan([row.hit_s, row.hit_share]).all()
 
 
-def test_a_heat_map_as_a_cube(site):
-    heat = gr.make_heatmap(site.dataset, interval="5s")
-    cube = heat.to_xarray()
-    assert dict(cube.sizes) == {"tile": 16, "time": 4}
-    compared(cube, counted(site, 100))
-    assert cube.attrs["crs"] == "EPSG:25832"
-    assert cube.attrs["fingerprint"] == site.dataset.manifest.fingerprint
-    assert {name: cube[name].attrs["units"] for name in cube} == {
-        "hit_s": "s", "observed_s": "s", "hit_share": "1",
-    }  # fmt: skip
-    assert cube["begin"].dtype == np.dtype("datetime64[ns]")
-    assert ((cube["end"] - cube["begin"]) == np.timedelta64(5, "s")).all()
-    centre = site.tiles.geometry.iloc[3].centroid
-    assert float(cube["easting"][3]) == pytest.approx(centre.x)
-    assert cube["lanelet_id"].to_numpy().tolist() == site.tiles["lanelet_id"].tolist()
+def test_intervals_are_those_of_a_count(site):
+    rows = gr.make_heatmap(site.dataset, interval="5s").long()
+    assert len(rows) == 16 * 4
+    compared(rows, counted(site, 100))
 
 
 @pytest.mark.parametrize(("interval", "steps"), [("50ms", 1), ("2s", 40)])
 def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
     begin, end = (pd.Timestamp((T0 + k) * 50, unit="ms", tz="UTC") for k in (90, 171))
-    cube = gr.make_heatmap(
+    rows = gr.make_heatmap(
         site.dataset, interval=interval, tile_ids=[9, 2, 5], begin=begin, end=end
-    ).to_xarray()
-    assert cube["tile_id"].to_numpy().tolist() == [2, 5, 9]
-    assert cube["begin"].to_numpy().max() < end.to_datetime64() <= cube["end"].to_numpy().max()
+    ).long()
+    assert rows["tile_id"].unique().tolist() == [2, 5, 9]
+    assert rows["begin"].max() < end <= rows["end"].max()
     expected = counted(site, steps, (T0 + 90, T0 + 171))
     cut = expected.reset_index()
     cut["time"] = cut["time"].clip(lower=begin.tz_localize(None))  # intervals are cut at the ends
-    compared(cube, cut.set_index(["tile", "time"]))
-    assert float(cube["hit_s"].sum()) > 0.0
-
-
-def test_memory_is_that_of_the_result(tmp_path):
-    """Hits of 20 times the memory allowed pass through."""
-    tiles, steps = lane_tiles(400), 24_000
-    ids = tiles["tile_id"].to_numpy()
-    step = np.arange(T0, T0 + steps)
-    frames = {"sensor": np.full(steps, "R1"), "time_us": step * 50_000, "first_step": step,
-              "last_step": step, "pose": np.full(steps, "R1-a")}  # fmt: skip
-    zeros = [name for name in FRAMES.names if name not in frames]
-    hours = np.unique(step // STEPS_PER_HOUR)
-    edges = [(max(T0, h * STEPS_PER_HOUR), min(T0 + steps, (h + 1) * STEPS_PER_HOUR) - 1)
-             for h in hours.tolist()]  # fmt: skip
-    runs = np.array([(tile, *edge) for tile in ids.tolist() for edge in edges])
-    tables = {
-        "frames": frames | dict.fromkeys(zeros, np.zeros(steps, np.int64)),
-        "hits": {"tile_id": np.repeat(ids, steps), "step": np.tile(step, len(ids))},
-        "observed": dict(zip(OBSERVED.names, runs.T, strict=True)),
-    }
-    dataset = write_dataset(
-        tmp_path / "site", tables, tiles=tiles, vehicles=False, recordings=recordings_of({"R1"}),
-        sights={"pose": np.full(len(ids), "R1-a"), "tile_id": ids},
-    )  # fmt: skip
-    del tables
-    tracemalloc.start()
-    cube = gr.make_heatmap(dataset, interval="1min").to_xarray()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert float(cube["hit_s"].sum()) == pytest.approx(400 * steps / 20)
-    assert peak < 400 * steps * 16 / 5
-
-
-def test_too_large_a_cube_is_refused(site):
-    heat = gr.make_heatmap(site.dataset, interval="50ms")
-    with pytest.raises(gr.UsageError, match=r"16 tiles in .* over 0.01 MiB") as error:
-        heat.to_xarray(most_mib=0.01)
-    for way in ("longer interval", "tile_ids", "begin"):
-        assert way in error.value.hint
-    with pytest.raises(gr.UsageError, match="60000 tiles in 1728000 intervals take 3164062 MiB"):
-        require_room(60_000, 1_728_000, 1024.0)
+    compared(rows, cut.set_index(["tile", "time"]))
+    assert rows["hit_s"].sum() > 0.0
 
 
 @pytest.mark.parametrize(
@@ -152,13 +91,6 @@ def test_a_map_of_some_tiles_is_not_written(site, tmp_path):
     assert len(heat.wide()) == 1
     with pytest.raises(gr.UsageError, match="a heat map of some tiles is not written"):
         heat.write(tmp_path / "map")
-
-
-def test_without_xarray_the_install_line_is_given(site, monkeypatch):
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(gr.InputError, match="needs xarray") as error:
-        gr.make_heatmap(site.dataset).to_xarray()
-    assert error.value.hint == "pip install gis_radar[notebooks]"
 
 
 @pytest.mark.parametrize("options", [{}, {"interval": "5s"}, {"interval": "50ms"}])
