@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
@@ -35,8 +35,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from gis_radar.base import LANGUAGES, class_label, speaking, step_begin, street_label, tr
 from gis_radar.live.features import feature_routes
 from gis_radar.live.health import ALARMS, METRICS_TYPE
-from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
+from gis_radar.live.snapshot import DEGREES, Place, ShownSensor, Snapshot, geometries
 from gis_radar.products import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
+
+if TYPE_CHECKING:
+    from gis_radar.live.server import ShownMap
 
 _LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
@@ -66,12 +69,12 @@ _HEADERS = {
 }
 
 
-def make_app(live: LiveMap, token: str = "") -> Starlette:
+def make_app(live: ShownMap, token: str = "") -> Starlette:
     """Return the page and its services as an application: read only.
 
     Parameters
     ----------
-    live : LiveMap
+    live : ShownMap
         The map that is shown.
     token : str
         Required of readers; empty: none.
@@ -106,7 +109,7 @@ def make_app(live: LiveMap, token: str = "") -> Starlette:
 class _Answers:
     """Responses by address of the page."""
 
-    def __init__(self, live: LiveMap) -> None:
+    def __init__(self, live: ShownMap) -> None:
         self._live = live
         self._sites: dict[str, bytes] = {}  # tiles and lanes by language, made once
 
@@ -170,11 +173,11 @@ class Changes:
 
     Parameters
     ----------
-    live : LiveMap
+    live : ShownMap
         The map that is shown.
     """
 
-    def __init__(self, live: LiveMap) -> None:
+    def __init__(self, live: ShownMap) -> None:
         self._live = live
         self._shown: dict[str, Any] = {}  # the state of the readers, where there are any
         self._readers: set[asyncio.Queue[str | None]] = set()

@@ -19,6 +19,11 @@ from gis_radar.products import lane_totals, lanes_with_tiles
 KEPT = 96  # quarters: a day
 
 
+def share_of(part: Integers | Floats, whole: Integers | Floats) -> Floats:
+    """Return parts as shares, NaN where the whole is 0."""
+    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class TileOccupancy:
     """Steps of tiles: in which each was visible, and occupied while it was.
@@ -34,9 +39,7 @@ class TileOccupancy:
 
     def share(self) -> Floats:
         """Return the occupancy of each tile, NaN where it was not visible."""
-        found = np.full(len(self.visible), np.nan)
-        np.divide(self.occupied, self.visible, out=found, where=self.visible > 0)
-        return found
+        return share_of(self.occupied, self.visible)
 
 
 @dataclass(frozen=True, kw_only=True)

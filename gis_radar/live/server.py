@@ -6,42 +6,25 @@ import time
 from collections import deque
 from pathlib import Path
 from threading import Lock
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import Booleans, InputError
+from gis_radar.base import STEP_S, InputError, step_begin
 from gis_radar.live.intake import SensorState
-from gis_radar.live.map_of_now import MapState
 from gis_radar.live.page import make_app
-from gis_radar.live.quarters import Quarters
-from gis_radar.live.recent import RecentCounts
+from gis_radar.live.recent import QUARTER
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot, place_of
-from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.live.web_server import WebServer
 from gis_radar.site import PageTable
 
+if TYPE_CHECKING:
+    from gis_radar.live.fusion import Fusion
+
 RATE_S = 10.0  # over which frames are counted
-
-
-class FusedMap(Protocol):
-    """The part of fusion that is shown."""
-
-    sensors: dict[str, SensorState]
-    quarters: Quarters
-
-    def state(self) -> MapState:
-        """Return the map of now."""
-
-    def metrics(self) -> str:
-        """Return counts and alarms as text for Prometheus."""
-
-    @property
-    def vehicles(self) -> LiveVehicles | None:
-        """Vehicles, where they are followed."""
 
 
 class ShownMap:
@@ -49,16 +32,14 @@ class ShownMap:
 
     Parameters
     ----------
-    fusion : FusedMap
+    fusion : Fusion
         The map of now, sensors, vehicles.
     place : Place
         Tiles and lanes.
-    recent : RecentCounts
-        Counts of the last minutes.
     """
 
-    def __init__(self, fusion: FusedMap, place: Place, recent: RecentCounts) -> None:
-        self._fusion, self._place, self._recent = fusion, place, recent
+    def __init__(self, fusion: Fusion, place: Place) -> None:
+        self._fusion, self._place = fusion, place
         self._frames: deque[tuple[float, dict[str, int]]] = deque()
         self._lock = Lock()
 
@@ -70,7 +51,7 @@ class ShownMap:
     def snapshot(self) -> Snapshot:
         """Return the map of now."""
         state = self._fusion.state()
-        hit, observed = self._recent.last_minutes()
+        hit, observed = self._fusion.counts.last_minutes()
         rates, followed = self._rates(), self._fusion.vehicles
         return Snapshot(
             step=state.step,
@@ -88,8 +69,16 @@ class ShownMap:
 
     def lane_intervals(self) -> pd.DataFrame:
         """Return what was measured of each lane by quarter of an hour, and hits since then."""
-        both = [self._fusion.quarters.intervals(), self._recent.lane_intervals()]
-        table = pd.concat([each for each in both if len(each)] or both, ignore_index=True)
+        tables = [self._fusion.quarters.intervals()]
+        for number, counts in self._fusion.counts.quarters():
+            hit_s, observed_s = (STEP_S * self._place.means_by_lane(each) for each in counts)
+            tables.append(pd.DataFrame({
+                "lane": self._place.lane_numbers, "hit_s": hit_s, "observed_s": observed_s,
+                "begin": step_begin(number * QUARTER), "end": step_begin((number + 1) * QUARTER),
+            }))  # fmt: skip
+        table = pd.concat([each for each in tables if len(each)] or tables, ignore_index=True)
+        columns = ["lane", "begin", "end", "hit_s", "observed_s"]
+        table = table.reindex(columns=[*columns, *table.columns.difference(columns)])
         return table.drop_duplicates(["lane", "begin"]).sort_values("begin", kind="stable")
 
     def metrics(self) -> str:
@@ -141,12 +130,14 @@ def read_token(path: Path) -> str:
     return token
 
 
-class Page:
-    """The page of a site's live map, with the counts that it shows.
+def page_server(
+    fusion: Fusion, site: LiveSite, table: PageTable, tiles: gpd.GeoDataFrame
+) -> WebServer:
+    """Return what serves the page of a site's live map once it is opened.
 
     Parameters
     ----------
-    fusion : FusedMap
+    fusion : Fusion
         The map of now, sensors, vehicles.
     site : LiveSite
         Of the site's file.
@@ -162,24 +153,6 @@ class Page:
     OutputError
         If the address is taken.
     """
-
-    def __init__(
-        self, fusion: FusedMap, site: LiveSite, table: PageTable, tiles: gpd.GeoDataFrame
-    ) -> None:
-        place = place_of(site, tiles)
-        self._recent = RecentCounts(place.lane_of_tile, place.lane_numbers)
-        token = "" if table.token_file is None else read_token(table.token_file)
-        app = make_app(ShownMap(fusion, place, self._recent), token)
-        self._server = WebServer(app, table.address, table.names)
-
-    def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
-        """Count a closed step."""
-        self._recent.take(step, hit, observed)
-
-    def open(self) -> str:
-        """Begin to serve; return the address."""
-        return self._server.open()
-
-    def close(self) -> None:
-        """Serve no more."""
-        self._server.close()
+    token = "" if table.token_file is None else read_token(table.token_file)
+    app = make_app(ShownMap(fusion, place_of(site, tiles)), token)
+    return WebServer(app, table.address, table.names)

@@ -6,19 +6,18 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
 from pyproj import CRS, Transformer
 
 from gis_radar.base import Booleans, Floats, Integers, transformer, zone_of
 from gis_radar.hdmap import fingerprint, lanes, read_map
 from gis_radar.live.now_filter import VehiclesNow
-from gis_radar.live.quarters import Lately
+from gis_radar.live.quarters import Lately, share_of
 from gis_radar.live.settings import LiveSite
 from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
@@ -70,6 +69,14 @@ class Place:
     def lane_numbers(self) -> list[int]:
         """Numbers of the lanes that have tiles, ascending."""
         return [lane.number for lane in lanes_with_tiles(self.tiles)[0]]
+
+    def totals_by_lane(self, values: Integers) -> Floats:
+        """Return the sum over each lane's tiles of a value by tile."""
+        return lane_totals(values.astype(float), self.lane_of_tile, len(self.lane_numbers))
+
+    def means_by_lane(self, values: Integers) -> Floats:
+        """Return the mean over each lane's tiles of a value by tile."""
+        return self.totals_by_lane(values) / self.totals_by_lane(np.ones_like(values))
 
     def in_degrees(self, layer: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
         """Return a layer of the site in longitude and latitude."""
@@ -174,9 +181,7 @@ class Snapshot:
 
     def hit_share(self) -> Floats:
         """Return the hit share of each tile over the last 15 minutes, NaN where not observed."""
-        share = np.full(len(self.observed), np.nan)
-        np.divide(self.hit, self.observed, out=share, where=self.observed > 0)
-        return share
+        return share_of(self.hit, self.observed)
 
     def classes(self) -> Integers:
         """Return the class of each tile's hit share: 0 never hit, then as in the legend; or -1."""
@@ -190,38 +195,14 @@ class Snapshot:
 
     def by_lane(self, place: Place) -> Floats:
         """Return the hit share of each lane over the last 15 minutes, NaN where not observed."""
-        size = len(place.lane_numbers)
-        observed = lane_totals(self.observed.astype(float), place.lane_of_tile, size)
-        hit = lane_totals(self.hit.astype(float), place.lane_of_tile, size)
-        share = np.full(size, np.nan)
-        np.divide(hit, observed, out=share, where=observed > 0)
-        return share
+        observed = place.totals_by_lane(self.observed)
+        return share_of(place.totals_by_lane(self.hit), observed)
 
 
 def classes_of(share: Floats) -> Integers:
     """Return the class of each share: 0 for none, then as in the legend; -1 where not known."""
     found = np.searchsorted(BREAKS[:-1], np.nan_to_num(share), side="left")
     return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
-
-
-class LiveMap(Protocol):
-    """What fusion offers to those that show its map; safe to call from another thread."""
-
-    @property
-    def place(self) -> Place:
-        """What stays."""
-
-    def snapshot(self) -> Snapshot:
-        """Return the map of now."""
-
-    def lane_intervals(self) -> pd.DataFrame:
-        """Return `lane, begin, end` (UTC), `hit_s, observed_s` of intervals of 15 minutes.
-
-        One row a lane and interval, the newest interval last, at most the last 24 hours.
-        """
-
-    def metrics(self) -> str:
-        """Return counts and lags as Prometheus reads them."""
 
 
 def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
