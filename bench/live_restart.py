@@ -98,7 +98,8 @@ def keep(file: Path, end_s: int, kept_s: int, seconds: int) -> None:
 
 def main() -> None:
     """Fill a spool, begin anew, and print what it took."""
-    sensors, seconds, kept_s = map(int, (*sys.argv[1:], *(100, 300, 8)[len(sys.argv) - 1 :]))
+    given = [int(each) for each in sys.argv[1:]]
+    sensors, seconds, kept_s = [*given, *(100, 300, 8)[len(given) :]]
     names, end_s = [f"S{k:03}" for k in range(sensors)], int(time.time())
     with tempfile.TemporaryDirectory() as place:
         file = filled(Path(place), names, seconds, end_s)

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from gis_radar.base import STEP_S, Floats, Integers, step_begin
 from gis_radar.dataset import PASSAGES, STEPS_PER_QUARTER, TILE_COUNTS, Dataset, TableSchema
@@ -19,9 +21,11 @@ from gis_radar.products import lane_totals, lanes_with_tiles
 KEPT = 96  # quarters: a day
 
 
-def share_of(part: Integers | Floats, whole: Integers | Floats) -> Floats:
+def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
     """Return parts as shares, NaN where the whole is 0."""
-    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
+    share = np.full(len(whole), np.nan)
+    np.divide(part, whole, out=share, where=whole > 0)
+    return share
 
 
 @dataclass(frozen=True, kw_only=True)
