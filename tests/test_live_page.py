@@ -437,7 +437,9 @@ def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     assert painted[HIT] == 0
     assert sum(painted[each] for each in classes[1:]) > 200
     side = chromium.find_element(By.CLASS_NAME, "side").text.splitlines()
-    words = "share of time with a vehicle while a tile was visible, last 15 minutes"
+    words = (
+        "share of time with a vehicle while a tile was visible, last measured quarter of an hour"
+    )
     assert side[4:6] == ["Occupancy", words]
     assert "0 %, no vehicle" in side
     assert not {"Share of the observed time", "0 %, never hit", "hit now"} & set(side)

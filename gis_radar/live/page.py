@@ -359,7 +359,10 @@ def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
         },
         "occupancy": {
             "title": tr("Occupancy"),
-            "note": tr("share of time with a vehicle while a tile was visible, last 15 minutes"),
+            "note": tr(
+                "share of time with a vehicle while a tile was visible, last measured quarter "
+                "of an hour"
+            ),
             "classes": _colours_in_words("occupancy", language),
         },
     }
