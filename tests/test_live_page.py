@@ -45,8 +45,7 @@ from gis_radar.live import (
     read_edge_file,
     read_live_site,
 )
-from gis_radar.live.page import HIT, VEHICLE, difference, whole_event
-from gis_radar.live.server import page_server
+from gis_radar.live.page import HIT, VEHICLE, difference, page_server, whole_event
 from gis_radar.live.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable

@@ -41,8 +41,8 @@ from gis_radar.live.buffer import ROW_BYTES, FullError
 from gis_radar.live.detections import FARTHEST, UNKNOWN_Z
 from gis_radar.live.health import ALARMS
 from gis_radar.live.map_of_now import Seen
+from gis_radar.live.page import read_token
 from gis_radar.live.payload import VersionError
-from gis_radar.live.server import read_token
 from gis_radar.live.settings import BufferTable
 from gis_radar.live.sources import Replay
 from gis_radar.measures import NO_FURTHER

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -23,11 +23,8 @@ from starlette.routing import Route
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, InputError, iso_from_step, seconds_from_iso
 from gis_radar.live.health import ALARMS
 from gis_radar.live.now_filter import VehiclesNow
-from gis_radar.live.snapshot import Snapshot, geometries
+from gis_radar.live.snapshot import ShownMap, Snapshot, geometries
 from gis_radar.live.vehicles_now import layer_of
-
-if TYPE_CHECKING:
-    from gis_radar.live.server import ShownMap
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
 _CONFORMANCE = [

@@ -430,7 +430,7 @@ def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:
     """Return the page where the site's file asks for one; only then is a web server loaded."""
     if site.live.page is None:
         return None
-    from gis_radar.live.server import page_server  # noqa: PLC0415
+    from gis_radar.live.page import page_server  # noqa: PLC0415
 
     return page_server(fusion, site, site.live.page, fusion.tiles)
 

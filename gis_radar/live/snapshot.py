@@ -3,28 +3,37 @@
 from __future__ import annotations
 
 import json
+import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from threading import Lock
+from typing import Any, Protocol
 from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import shapely
 from pyproj import CRS, Transformer
 
-from gis_radar.base import Booleans, Floats, Integers, transformer, zone_of
+from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_begin, transformer, zone_of
 from gis_radar.hdmap import fingerprint, lanes, read_map
+from gis_radar.live.intake import SensorState
+from gis_radar.live.map_of_now import MapState
 from gis_radar.live.now_filter import VehiclesNow
-from gis_radar.live.quarters import Lately, share_of
+from gis_radar.live.quarters import Lately, Quarters, share_of
+from gis_radar.live.recent import QUARTER, RecentCounts
 from gis_radar.live.settings import LiveSite
+from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
 NOT_OBSERVED = -1  # in place of a class
 DEGREES = 7  # digits after the point: a centimetre
 RINGS = 1_000  # views that are kept: poses of a following sensor change every 5 s
+RATE_S = 10.0  # over which frames are counted
 GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: what web maps and OGC API - Features take
 
 
@@ -203,6 +212,105 @@ def classes_of(share: Floats) -> Integers:
     """Return the class of each share: 0 for none, then as in the legend; -1 where not known."""
     found = np.searchsorted(BREAKS[:-1], np.nan_to_num(share), side="left")
     return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
+
+
+class FusedMap(Protocol):
+    """The part of fusion that is shown."""
+
+    sensors: dict[str, SensorState]
+    quarters: Quarters
+    counts: RecentCounts
+    vehicles: LiveVehicles | None
+
+    def state(self) -> MapState:
+        """Return the map of now."""
+
+    def metrics(self) -> str:
+        """Return counts and alarms as text for Prometheus."""
+
+
+class ShownMap:
+    """The map of fusion for the page and its services.
+
+    Parameters
+    ----------
+    fusion : FusedMap
+        The map of now, sensors, vehicles.
+    place : Place
+        Tiles and lanes.
+    """
+
+    def __init__(self, fusion: FusedMap, place: Place) -> None:
+        self._fusion, self._place = fusion, place
+        self._frames: deque[tuple[float, dict[str, int]]] = deque()
+        self._lock = Lock()
+
+    @property
+    def place(self) -> Place:
+        """Tiles and lanes."""
+        return self._place
+
+    def snapshot(self) -> Snapshot:
+        """Return the map of now."""
+        state = self._fusion.state()
+        hit, observed = self._fusion.counts.last_minutes()
+        rates, followed = self._rates(), self._fusion.vehicles
+        return Snapshot(
+            step=state.step,
+            now=np.flatnonzero(state.hit),
+            observed_now=state.observed,
+            hit=hit,
+            observed=observed,
+            sensors=[
+                self._shown(name, each, rates.get(name, 0.0))
+                for name, each in list(self._fusion.sensors.items())
+            ],
+            vehicles=None if followed is None else followed.now(),
+            lately=self._fusion.quarters.lately(),
+        )
+
+    def lane_intervals(self) -> pd.DataFrame:
+        """Return what was measured of each lane by quarter of an hour, and hits since then."""
+        tables = [self._fusion.quarters.intervals()]
+        for number, counts in self._fusion.counts.quarters():
+            hit_s, observed_s = (STEP_S * self._place.means_by_lane(each) for each in counts)
+            tables.append(pd.DataFrame({
+                "lane": self._place.lane_numbers, "hit_s": hit_s, "observed_s": observed_s,
+                "begin": step_begin(number * QUARTER), "end": step_begin((number + 1) * QUARTER),
+            }))  # fmt: skip
+        table = pd.concat([each for each in tables if len(each)] or tables, ignore_index=True)
+        columns = ["lane", "begin", "end", "hit_s", "observed_s"]
+        table = table.reindex(columns=[*columns, *table.columns.difference(columns)])
+        return table.drop_duplicates(["lane", "begin"]).sort_values("begin", kind="stable")
+
+    def metrics(self) -> str:
+        """Return counts and alarms as text for Prometheus."""
+        return self._fusion.metrics()
+
+    def _rates(self) -> dict[str, float]:
+        """Return frames a second of each sensor over the last seconds."""
+        now = time.monotonic()
+        counts = {name: each.health.counts["frames"] for name, each in self._fusion.sensors.items()}
+        with self._lock:
+            self._frames.append((now, counts))
+            while now - self._frames[0][0] > RATE_S and len(self._frames) > 1:
+                self._frames.popleft()
+            since, before = self._frames[0]
+        passed_s = max(now - since, 1e-3)
+        return {name: (count - before.get(name, 0)) / passed_s for name, count in counts.items()}
+
+    def _shown(self, name: str, sensor: SensorState, rate: float) -> ShownSensor:
+        health = sensor.health
+        alarms = dict(health.alarms)
+        return ShownSensor(
+            name=name,
+            online="offline" not in alarms and bool(sensor.stream),
+            alarms={kind: text for kind, text in alarms.items() if kind != "offline"},
+            pose=sensor.pose,
+            lag_s=health.lag_s if rate > 0.0 else float("nan"),  # else it is of long ago
+            frames_per_s=rate,
+            lost=health.counts["lost"],
+        )
 
 
 def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
