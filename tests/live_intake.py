@@ -51,7 +51,7 @@ class FedIntake:
         self.folder, self.spool = folder, Spool(folder / "spool")
         files = [SpoolFile(path) for path in spool_files(folder / "spool")]
         given = {} if reporter is None else {"reporter": reporter}
-        self.map = MapOfNow(len(ROAD.tile_id), interval=18_000)
+        self.map = MapOfNow(len(ROAD.tile_id))
         self.windows = Windows(0.2)
         self.intake = Intake(
             names, site="s", spool=self.spool, road=ROAD,

@@ -25,12 +25,12 @@ from gis_radar.live import (
     SensorTopics,
     check_of,
     frames_of_recording,
-    own_pose,
     pack_detections,
     pack_message,
     unpack_detections,
     unpack_message,
 )
+from gis_radar.live.own_pose import WAITING_FRAMES, PoseFollower
 from gis_radar.live.payload import MOST_BYTES, MOST_CONTENT, in_parts
 
 PRINT = "00112233445566778899aabbccddeeff"
@@ -92,15 +92,15 @@ def test_an_acknowledgement_on_a_full_disk_ends_no_edge(tmp_path, monkeypatch):
     with filled(tmp_path / "b") as buffer:
         link, reporter = NoLink(), Lines()
         outbox = outbox_of(buffer, link, reporter)
-        monkeypatch.setattr(Database, "full", True)
+        Database.full = True
         link.received = [ack(buffer, 2), ack(buffer, 3)]
         outbox.pump()
         assert not outbox.put(b"x")  # lost, and said
         assert (outbox.lost, len(buffer), outbox.stored) == (1, 5, 3)
         assert sum("the disk is full" in line for line in reporter.lines) == 2
         assert [number for _, number in link.messages()] == [4, 5]  # what fusion has goes not again
-        monkeypatch.setattr(Database, "full", False)
-        monkeypatch.setattr("gis_radar.live.outbox.STATUS_S", 0.0)  # the next one is due
+        Database.full = False
+        link.connections += 1  # so that a status is due
         outbox.pump()
         assert len(buffer) == 2
 
@@ -170,27 +170,18 @@ def test_what_fusion_has_of_another_program_is_not_dropped_here(tmp_path, stored
         assert (len(buffer), outbox.empty) == (0, True)
 
 
-@pytest.fixture
-def edge_file(monkeypatch):
-    """Give a sensor's file whose map is not looked at."""
-    monkeypatch.setattr(own_pose, "read_map", lambda *_, **__: SimpleNamespace(crs=None))
-    monkeypatch.setattr(own_pose, "read_road", lambda *_: None)
-    monkeypatch.setattr(own_pose, "WindowFitter", lambda *_, **__: None)
-    map_table = SimpleNamespace(file="map.osm", crs=None, origin=None)
-    return SimpleNamespace(map=map_table, road="road.laz")
+def pose_follower(follower, begin):
+    return PoseFollower(follower, SimpleNamespace(), gr.read_pose(SAMPLE / "R1.json"), begin)
 
 
-def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeypatch, edge_file):
+def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised():
     """What a thread meets is never silent, and nothing gathers before a thread that is gone."""
     frame = next(frames_of_recording(SAMPLE / "R1.parquet"))
-    begin = float(frame.time[0])
-    monkeypatch.setattr(own_pose, "WAITING_FRAMES", 10)
     for fault in (NoAnswerError("no traffic"), ZeroDivisionError("a fault")):
-        monkeypatch.setattr(own_pose, "Follower", lambda *_, fault=fault, **__: Faulty(fault))
-        follower = own_pose.PoseFollower(edge_file, gr.read_pose(SAMPLE / "R1.json"), begin)
+        follower = pose_follower(Faulty(fault), float(frame.time[0]))
         follower.push(frame)
         wait_for(lambda: all(each.name != "pose" for each in threading.enumerate()))
-        assert all(follower.push(frame) for _ in range(50))  # nothing gathers: no room is needed
+        assert all(follower.push(frame) for _ in range(2 * WAITING_FRAMES))  # none gathers
         if isinstance(fault, NoAnswerError):
             found = follower.latest()
             assert (found.trusted, found.refused) == (False, "no traffic")
@@ -200,16 +191,13 @@ def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeyp
         follower.close()
 
 
-def test_frames_that_a_slow_follower_leaves_out_are_counted(monkeypatch, edge_file):
+def test_frames_that_a_slow_follower_leaves_out_are_counted():
     frame = next(frames_of_recording(SAMPLE / "R1.parquet"))
     free = Event()
-    monkeypatch.setattr(own_pose, "Follower", lambda *_, **__: Slow(free))
-    monkeypatch.setattr(own_pose, "WAITING_FRAMES", 10)
-    start, begin = gr.read_pose(SAMPLE / "R1.json"), float(frame.time[0])
-    follower = own_pose.PoseFollower(edge_file, start, begin)
-    taken = [follower.push(frame) for _ in range(40)]
-    assert 10 <= sum(taken) <= 11  # one of them is being fitted
-    assert taken[:10] == [True] * 10
+    follower = pose_follower(Slow(free), float(frame.time[0]))
+    taken = [follower.push(frame) for _ in range(WAITING_FRAMES + 30)]
+    assert WAITING_FRAMES <= sum(taken) <= WAITING_FRAMES + 1  # one of them is being fitted
+    assert all(taken[:WAITING_FRAMES])
     free.set()
     follower.close()
 
@@ -234,15 +222,13 @@ class Faulty:
         raise self._fault
 
 
-def test_a_fault_in_a_reader_ends_the_source(monkeypatch):
-    class Form:
-        def frames(self, *_):
-            yield from ()
-            raise ZeroDivisionError("a fault")
+def test_a_fault_in_a_reader_ends_the_source():
+    def read(*_):
+        yield from ()
+        raise ZeroDivisionError("a fault")
 
-    monkeypatch.setattr("gis_radar.live.sources.format_of", lambda _: Form())
     with pytest.raises(ZeroDivisionError):
-        for waited, _ in enumerate(Radar(source="udp://x").frames()):
+        for waited, _ in enumerate(Radar(source="udp://x", read=read).frames()):
             assert waited < 100
 
 

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -101,15 +102,15 @@ def test_a_pose_that_does_not_fit_is_named_each_hour(tmp_path):
     assert doubts["R2"] is None
 
 
-def test_a_check_that_fails_loses_nothing_of_the_hour(tmp_path, monkeypatch):
+def test_a_check_that_fails_loses_nothing_of_the_hour(tmp_path):
     """No table depends on it: the hour is made, and the log says why it is not checked."""
 
     def fail(*_, **__):
         raise np.linalg.LinAlgError("singular")
 
     made = SpooledSite(tmp_path)
-    monkeypatch.setattr(hour_work, "check_plausibility", fail)
-    done = make_hours(made.site, recorded_at(made, FULL_US - 45_000_000, ["R1"]), [HOUR])
+    spooled = recorded_at(made, FULL_US - 45_000_000, ["R1"])
+    done = make_hours(made.site, spooled, [HOUR], check=fail)
     assert list(read_hours(made.site.dataset)) == [HOUR]
     assert done.doubts == {}
     assert "poses and recordings could not be checked: singular" in done.said
@@ -184,21 +185,12 @@ def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path
     assert there == {recording_path(made.folder, "R1", HOUR).stem}
 
 
-def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path, monkeypatch):
-    """On three cores, one of which is fusion's; with an hour that is refused too."""
-    monkeypatch.setattr(hour_work, "workers_here", lambda: 3)
-    made, asked = SpooledSite(tmp_path), []
-    measure = gr.measure
-
-    def noted(*given, **more):
-        asked.append(more["processes"])
-        return measure(*given, **more)
-
-    monkeypatch.setattr(hour_work, "measure", noted)
+def test_hours_that_wait_are_measured_side_by_side_and_equal_the_batch(tmp_path):
+    """With an hour that is refused, too."""
+    made = SpooledSite(tmp_path, processes=2)
     recorded_at(made, FULL_US - 20_000_000)
     spooled = recorded_at(made, FULL_US + 2 * HOUR_US)
     make_hours(made.site, spooled, [HOUR, HOUR + 1, HOUR + 2, HOUR + 3])
-    assert asked == [2]
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
     same = frames_at("R1", FULL_US + 5 * HOUR_US, seconds=40.0)
     for name in NAMES:
@@ -278,33 +270,32 @@ def test_an_hour_that_is_not_measured_is_tried_again_ever_more_rarely(tmp_path, 
 class HeldPool:
     """A pool of processes whose work is done when the test says so."""
 
+    _processes = None
+
     def __init__(self):
         self.begun, self.future = [], Future()
         self.future.set_result(None)
 
-    def submit(self, work, *given):
-        work(*given)
+    def submit(self, work, *_):
+        known = work if isinstance(work, partial) else partial(work)
+        self.begun.append((known.func.__name__, *known.keywords.values()))
         self.future = Future()
         return self.future
 
+    def shutdown(self, **_):
+        """Stop nothing."""
+
 
 @pytest.fixture
-def pool(monkeypatch):
-    """Put a pool that is held in place of the processes, which notes what is begun."""
-    held = HeldPool()
-    for name in ("make_quarter", "make_hours", "make_recordings"):
-        note = lambda _site, _spooled, *words, name=name: held.begun.append((name, *words))  # noqa: E731
-        monkeypatch.setattr(jobs_module, name, note)
-    monkeypatch.setattr(jobs_module, "ProcessPoolExecutor", lambda *_, **__: held)
-    monkeypatch.setattr(jobs_module, "stop_pool", lambda _: None)
-    return held
+def pool():
+    return HeldPool()
 
 
 class JobsHere(HourJobs):
     """Jobs in a pool that is held."""
 
     def __init__(self, *given, pool, **more):
-        super().__init__(*given, **more)
+        super().__init__(*given, process=lambda: pool, **more)
         self.pool = pool
 
     def turn_at(self, now_s, newest_s, **more):

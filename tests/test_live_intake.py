@@ -1,5 +1,6 @@
 """What fusion takes of what sensors send, and what it refuses: nothing acknowledged is lost."""
 
+import os
 import time
 
 import numpy as np
@@ -11,11 +12,15 @@ from live_site import LiveSite
 from gis_radar.live import (
     Envelope,
     Fusion,
+    RecentCounts,
     key_of_pose,
     pack_message,
     prometheus_text,
     read_live_site,
+    spool_files,
 )
+from gis_radar.live.fusion import COUNTS_FILE
+from gis_radar.live.recent import keep_counts
 from gis_radar.live.recordings import hour_of_time
 from gis_radar.live.spool import FRAMES, PASSED, POSE
 from gis_radar.scans import find_sight
@@ -196,6 +201,53 @@ def test_a_new_start_goes_on_where_it_was(tmp_path):
     assert kinds.count(POSE) == 3  # each file holds those that its frames name
 
 
+def test_a_new_start_counts_on_from_what_it_kept(tmp_path, once):
+    """Steps that were counted are not counted again; the spool gives those since then."""
+    site = read_live_site(LiveSite(tmp_path, once, names=("R1",), of_live='interval = "24h"').file)
+    begin_us, fed = int(time.time()) * 1_000_000 - 20_000_000, FedIntake(site.folder)
+    first_step = begin_us // 50_000
+    fed.pose()
+    for k in range(100):
+        fed.frames(k + 1, frame(begin_us + 50_000 * k), first=k == 0)
+    fed.commit()
+    fed.spool.close()
+    earlier = RecentCounts(len(ROAD.tile_id), interval=24 * 72_000)
+    every = np.ones(len(ROAD.tile_id), np.bool_)
+    for step in range(first_step - 400, first_step + 60):
+        earlier.take(step, every, every)
+    keep_counts(site.folder / COUNTS_FILE, earlier.arrays(), ROAD.fingerprint)
+    fusion = Fusion(site)
+    hit, observed = fusion.counts.since_begin()
+    assert (hit.min(), hit.max(), observed.max()) == (460, 460 + 42, 460 + 42)
+    assert fusion.counts.last_minutes()[1].max() == 460 + 42
+    fusion.close()
+    (site.folder / COUNTS_FILE).write_bytes(b"PK damaged")
+    said = Lines()
+    Fusion(site, reporter=said).close()
+    assert said.told("counts.npz: cannot be read")
+
+
+def test_older_files_of_the_spool_are_read_only_for_what_the_map_counts(tmp_path):
+    fed = FedIntake(tmp_path)
+    fed.pose()
+    fed.frames(1, first=True)
+    fed.commit()
+    fed.spool.close()
+    FedIntake(tmp_path).spool.close()  # a second file, which begins with all marks
+    (first, second) = spool_files(tmp_path / "spool")
+    os.utime(first, (1, 1))
+    again = FedIntake(tmp_path)
+    again.spool.close()
+    assert again.sensor.mark.stored == 1
+    assert not again.sensor.poses
+    second.write_bytes(second.read_bytes()[:20])  # torn
+    third = spool_files(tmp_path / "spool")[-1]
+    third.write_bytes(b"")
+    again = FedIntake(tmp_path)
+    again.spool.close()
+    assert (again.sensor.mark.stored, len(again.sensor.poses)) == (1, 1)
+
+
 def test_the_map_counts_the_tiles_under_what_is_sent(fed):
     fed.map.holds_s["R1"] = 0.1
     fed.frames(1, frame(NOW_US), frame(NOW_US + 100_000, x=40.0), first=True)
@@ -223,5 +275,7 @@ def test_a_frame_is_valid_on_the_map_for_the_cycle_that_the_site_file_states(tmp
         fed.frames(k + 1, frame(begin_us + 250_000 * k), first=k == 0)
     fed.commit()
     fed.spool.close()
-    state = Fusion(read).state()
-    assert state.observed_steps.max() == state.hit_steps.max() == 19 * 5 + 8
+    fusion = Fusion(read)
+    hit, observed = fusion.counts.since_begin()
+    fusion.close()
+    assert observed.max() == hit.max() == 19 * 5 + 8

@@ -22,9 +22,8 @@ from gis_radar.live import (
     pack_detections,
     read_edge_file,
     read_live_site,
-    vehicles_now,
 )
-from gis_radar.live.vehicles_now import LiveVehicles, VehicleFollower
+from gis_radar.live.vehicles_now import MOST_WAITING, LiveVehicles, VehicleFollower
 
 pytestmark = pytest.mark.usefixtures("ready_workers")
 NAMES, KEY, EVERY = ("R1", "R2"), b"pose", 4
@@ -79,10 +78,9 @@ def test_vehicles_of_now_are_where_the_batch_has_them(graph, batch):
     assert shown < 1.4 * true
 
 
-def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph, monkeypatch):
-    monkeypatch.setattr(vehicles_now, "AGAIN_S", 0.1)
+def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph):
     said = Lines()
-    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832", reporter=said)
+    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832", again_s=0.1, reporter=said)
     vehicles.make_ready().result()
     for name in NAMES:
         vehicles.place(name, KEY, POSES[name], np.nan)
@@ -103,17 +101,15 @@ def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph, mo
     assert vehicles.figures()["vehicles_dropped_messages"] >= 40  # which the process had
     assert len(vehicles.now()) == 0
     wait_for(follows)
-    monkeypatch.setattr(vehicles_now, "OLD_S", 0.0)
-    assert len(vehicles.now()) == 0  # nothing came for long
+    wait_for(lambda: len(vehicles.now()) == 0)  # nothing came for 5 s
     vehicles.close()
     assert multiprocessing.active_children() == []
 
 
-def test_what_a_busy_process_cannot_take_is_dropped_and_counted(graph, monkeypatch):
-    monkeypatch.setattr(vehicles_now, "MOST_WAITING", 3)
+def test_what_a_busy_process_cannot_take_is_dropped_and_counted(graph):
     vehicles = LiveVehicles(graph, NAMES, "EPSG:25832")
-    for name, content in messages()[:5]:
-        vehicles.take(name, content)
+    for _ in range(MOST_WAITING + 2):
+        vehicles.take("R1", b"")
     assert vehicles.dropped == 2
 
 

@@ -45,8 +45,7 @@ from gis_radar.live import (
     read_edge_file,
     read_live_site,
 )
-from gis_radar.live.page import HIT, VEHICLE, difference, whole_event
-from gis_radar.live.server import Page
+from gis_radar.live.page import HIT, VEHICLE, difference, page_server, whole_event
 from gis_radar.live.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
@@ -197,6 +196,20 @@ def test_features_are_chosen_by_a_property(live, address):
     share = json.dumps(first["hit_share_15min"])
     alike = get_json(f"{items}&hit_share_15min={share}&lane={first['lane']}")["features"]
     assert first in [each["properties"] for each in alike]
+
+
+@pytest.mark.parametrize(
+    ("layer", "names"),
+    [("tiles", ("lanelet_id", "lane")), ("lanes", ("lane",)), ("intervals", ("lane",))],
+)
+def test_ids_of_the_map_are_text(live, address, layer, names):
+    """They reach 9e18, and a browser's numbers are exact to 9e15."""
+    items = f"{address}/ogc/collections/{layer}/items"
+    first = get_json(f"{items}?limit=1")["features"][0]["properties"]
+    known = {"lane": {*live.place.lanes["lane"]}, "lanelet_id": {*live.place.tiles["lanelet_id"]}}
+    for name in names:
+        assert first[name] in {str(each) for each in known[name]}
+        assert get_json(f"{items}?{name}={first[name]}")["numberMatched"] > 0
 
 
 def test_the_service_describes_itself(address):
@@ -423,7 +436,9 @@ def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     assert painted[HIT] == 0
     assert sum(painted[each] for each in classes[1:]) > 200
     side = chromium.find_element(By.CLASS_NAME, "side").text.splitlines()
-    words = "share of time with a vehicle while a tile was visible, last 15 minutes"
+    words = (
+        "share of time with a vehicle while a tile was visible, last measured quarter of an hour"
+    )
     assert side[4:6] == ["Occupancy", words]
     assert "0 %, no vehicle" in side
     assert not {"Share of the observed time", "0 %, never hit", "hit now"} & set(side)
@@ -494,4 +509,4 @@ def test_an_address_that_is_taken_is_one_line(tmp_path, once, live):
         taken.listen()
         table = PageTable(address=f"127.0.0.1:{taken.getsockname()[1]}")
         with pytest.raises(OutputError, match=r"127\.0\.0\.1:\d+: cannot be served"):
-            Page(live, read_live_site(site.file), table, live.place.tiles)
+            page_server(live, read_live_site(site.file), table, live.place.tiles)

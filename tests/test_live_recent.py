@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gis_radar.live import RecentCounts, recent
+from gis_radar.live import RecentCounts
+from gis_radar.live.recent import keep_counts
 
 FIRST = 20 * 1_700_000_100
-LANE_OF_TILE, LANES = np.array([0, 0, 1, 2]), [7, 9, 30]
-
-
-@pytest.fixture(autouse=True)
-def short_minutes(monkeypatch):
-    """Let a minute have 4 steps and an interval 3 minutes, so that many pass."""
-    monkeypatch.setattr(recent, "MINUTE", 4)
-    monkeypatch.setattr(recent, "MINUTES", 3)
-    monkeypatch.setattr(recent, "INTERVAL", 12)
-
-
-GAPS = st.lists(st.sampled_from([1, 1, 1, 1, 2, 5, 11, 13, 40]), min_size=1, max_size=60)
+GAPS = st.lists(st.sampled_from([300, 300, 600, 1500, 3300, 9000, 24_000, 99_000]),
+                min_size=1, max_size=60)  # fmt: skip
 
 
 @settings(max_examples=60, deadline=None)
@@ -32,27 +21,42 @@ def test_sums_are_those_of_the_steps(gaps, seed):
     steps = FIRST + np.cumsum(gaps)
     observed = chance.random((len(steps), 4)) < 0.8
     hit = observed & (chance.random((len(steps), 4)) < 0.5)
-    counts = RecentCounts(LANE_OF_TILE, LANES)
+    counts, pushed = RecentCounts(4, interval=7000, pushed=2400), {}
+
+    def sums(number, length, last=1):
+        chosen = (steps // length > number - last) & (steps // length <= number)
+        return [hit[chosen].sum(axis=0).tolist(), observed[chosen].sum(axis=0).tolist()]
+
     for step, one, other in zip(steps.tolist(), hit, observed, strict=True):
-        counts.take(step, one, other)
-    lately = steps // 4 > steps[-1] // 4 - 3
-    assert [each.tolist() for each in counts.last_minutes()] == [
-        hit[lately].sum(axis=0).tolist(), observed[lately].sum(axis=0).tolist(),
-    ]  # fmt: skip
-    table = counts.lane_intervals()
-    met = sorted(set((steps // 12).tolist()))
-    assert len(table) == len(met) * len(LANES)
-    for place, number in enumerate(met):
-        part = table[3 * place : 3 * place + 3]
-        chosen = steps // 12 == number
-        assert part["begin"].tolist() == [pd.Timestamp(number * 600, unit="ms", tz="UTC")] * 3
-        for name, values in (("hit_s", hit), ("observed_s", observed)):
-            by_tile = values[chosen].sum(axis=0) * 0.05
-            expected = [by_tile[lane == LANE_OF_TILE].mean() for lane in range(3)]
-            assert part[name].to_numpy() == pytest.approx(expected)
+        if ended := counts.take(step, one, other):
+            pushed[ended[0]] = ended[1].tolist()
+    newest = int(steps[-1])
+    assert [each.tolist() for each in counts.last_minutes()] == sums(newest // 1200, 1200, 15)
+    assert [each.tolist() for each in counts.since_begin()] == sums(newest // 7000, 7000)
+    assert pushed == {
+        number: sums(number, 2400) for number in set((steps[:-1] // 2400).tolist())
+        if number < newest // 2400
+    }  # fmt: skip
+    found = {number: rows.tolist() for number, rows in counts.quarters()}
+    last = range(newest // 18_000 - 4, newest // 18_000 + 1)
+    assert found == {each: sums(each, 18_000) for each in last if any(sums(each, 18_000)[1])}
+
+
+def test_a_new_start_goes_on_with_what_was_kept_for_the_same_tiles(tmp_path):
+    counts, path = RecentCounts(2, interval=100), tmp_path / "counts.npz"
+    some = np.array([True, False])
+    for step in range(FIRST, FIRST + 50):
+        counts.take(step, some, ~some)
+    keep_counts(path, counts.arrays(), "tiles")
+    for fingerprint, interval, since in (("tiles", 100, 51), ("tiles", 200, 1), ("other", 100, 1)):
+        again = RecentCounts(2, interval=interval)
+        again.restore(path, fingerprint)
+        again.take(FIRST + 50, some, ~some)
+        assert [each.tolist() for each in again.since_begin()] == [[since, 0], [0, since]]
+        assert again.last_minutes()[0][0] == (51 if fingerprint == "tiles" else 1)
 
 
 def test_nothing_was_counted_yet():
-    counts = RecentCounts(LANE_OF_TILE, LANES)
-    assert counts.lane_intervals().empty
+    counts = RecentCounts(4)
+    assert not counts.quarters()
     assert not np.any(counts.last_minutes())

@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -20,17 +20,21 @@ LOCK_S = 1.0  # for another program to let go of the file
 ROW_BYTES = 24  # that SQLite takes beside the content of a message; measured
 LAST_NUMBER = 1 << 62  # there is room for the next ones in 64 bits
 CHECK_EVERY = 64  # messages between two looks at the size
-_COLUMNS = {
-    "notes": ["name", "value"], "messages": ["number", "content"], "poses": ["number", "message"],
-}  # fmt: skip
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS messages (number INTEGER PRIMARY KEY, content BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS poses (number INTEGER PRIMARY KEY, message BLOB NOT NULL);
+_APPLICATION = b"grbu"  # in the file's header: it is a buffer
+_TABLE = """CREATE TABLE IF NOT EXISTS {} (
+    number INTEGER PRIMARY KEY CHECK (number BETWEEN 1 AND {}),
+    {} BLOB NOT NULL CHECK (typeof({}) = 'blob'));"""
+_SCHEMA = f"""
+PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;
+PRAGMA locking_mode = EXCLUSIVE; PRAGMA wal_autocheckpoint = 400;
+CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID;
+{_TABLE.format("messages", LAST_NUMBER, "content", "content")}
+{_TABLE.format("poses", LAST_NUMBER, "message", "message")}
 """
+_LOOKS = ("SELECT number, content FROM messages", "SELECT number, message FROM poses")
 # What SQLite says where nothing is wrong with the file: it is in use, or the disk is full or away.
 _OF_THE_PLACE = ("BUSY", "LOCKED", "FULL", "IOERR", "READONLY", "CANTOPEN", "NOMEM", "PERM", "AUTH")
-_BEGINS = (b"", b"SQLite format 3\0", bytes(16))  # a power loss may leave zeros
+_HEADER = (b"SQLite format 3\0", slice(68, 72))  # how it begins, and where the application is
 OTHER_TILES, DAMAGED = "what waited speaks of other tiles", "it is damaged"
 
 
@@ -92,13 +96,12 @@ class DiskBuffer:
         self.path, self._most_bytes = path, most_bytes
         self.put_aside: Path | None = None
         self.why = ""
-        kept = f"{VERSION} {fingerprint}"
+        kept = f"{VERSION} {fingerprint}".encode()
         with _errors(path):
             self._refuse_foreign()
-            if self._is_damaged():
-                self._put_aside(DAMAGED)
-            if self._note() not in {kept, ""}:
-                self._put_aside(OTHER_TILES)
+            if (of := self._open()) not in {kept, b""}:
+                self._put_aside(DAMAGED if of is None else OTHER_TILES)
+                self._open()
             self._database.execute("INSERT OR REPLACE INTO notes VALUES ('of', ?)", (kept,))
         first, last, pose = self._one(
             "SELECT coalesce(min(number), 0), coalesce(max(number), 0), "
@@ -113,57 +116,41 @@ class DiskBuffer:
         self.stream = secrets.token_bytes(STREAM_BYTES)
 
     def _refuse_foreign(self) -> None:
-        """Leave a file alone that is no buffer."""
-        foreign = False
-        if self.path.exists():
-            with self.path.open("rb") as file:
-                foreign = file.read(16) not in _BEGINS
-        if not foreign and self.path.exists() and self.path.stat().st_size:
-            query = "SELECT name FROM sqlite_master WHERE type = 'table'"
-            with (
-                suppress(UnicodeDecodeError),
-                closing(sqlite3.connect(self.path, timeout=LOCK_S)) as database,
-            ):
-                try:
-                    foreign = bool({name for (name,) in database.execute(query)} - {*_COLUMNS})
-                except sqlite3.Error as error:
-                    _raise_of_the_place(error)
-        if foreign:
+        """Leave a file alone that is no buffer; zeros are what a power loss may leave."""
+        if not self.path.exists():
+            return
+        with self.path.open("rb") as file:
+            head = file.read(100)
+        begins, place = _HEADER
+        if head.strip(b"\0") and not (head.startswith(begins) and head[place] == _APPLICATION):
             raise InputError(
                 "{}: is no disk buffer of a sensor",
                 self.path,
                 hint="name another file, or move this one away",
             )
 
-    def _is_damaged(self) -> bool:
-        """Open the file; return whether what it holds cannot be read."""
+    def _open(self) -> bytes | None:
+        """Open the file; return of which version and tiles it is, None where it is damaged."""
         self._database = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_S)
         try:
-            self._database.executescript(
-                "PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;"
-                "PRAGMA locking_mode = EXCLUSIVE; PRAGMA wal_autocheckpoint = 400;" + _SCHEMA
-            )
+            if self._database.execute("PRAGMA application_id").fetchone() == (0,):  # a new one
+                number = int.from_bytes(_APPLICATION)
+                self._database.execute(f"PRAGMA application_id = {number}")
+            self._database.executescript(_SCHEMA)
             (found,) = self._database.execute("PRAGMA quick_check(1)").fetchone()
-            query = "SELECT name FROM pragma_table_info(?)"
-            self._note()
-            if found != "ok" or any(
-                [name for (name,) in self._database.execute(query, (table,))] != names
-                for table, names in _COLUMNS.items()
-            ):
-                return True
-            odd = "SELECT 1 FROM {} WHERE number NOT BETWEEN 1 AND ?"
-            return any(
-                self._database.execute(odd.format(table), (LAST_NUMBER,)).fetchone() is not None
-                for table in ("messages", "poses")
-            )
-        except UnicodeDecodeError:
-            return True
+            for query in _LOOKS:
+                self._database.execute(f"{query} LIMIT 0")
+            query = "SELECT cast(value AS BLOB) FROM notes WHERE name = 'of'"
+            of = self._database.execute(query).fetchone() or (b"",)
         except sqlite3.Error as error:
-            _raise_of_the_place(error)
-            return True
+            name = getattr(error, "sqlite_errorname", "SQLITE_ERROR").removeprefix("SQLITE_")
+            if name.startswith(_OF_THE_PLACE):
+                raise
+            return None
+        return bytes(of[0]) if found == "ok" else None
 
     def _put_aside(self, why: str) -> None:
-        """Keep the file under another name, with its log, and begin a new one."""
+        """Keep the file under another name, with its log."""
         self._database.close()
         self.why = why
         self.put_aside = self.path.with_name(f"{self.path.name}.{secrets.token_hex(STREAM_BYTES)}")
@@ -172,7 +159,6 @@ class DiskBuffer:
         if log.exists():  # it would be read into the new file
             log.rename(self.put_aside.with_name(f"{self.put_aside.name}-wal"))
         self.path.with_name(f"{self.path.name}-shm").unlink(missing_ok=True)
-        self._is_damaged()
 
     def __enter__(self) -> Self:
         return self
@@ -227,7 +213,7 @@ class DiskBuffer:
 
     def pose_of(self, number: int) -> bytes:
         """Return the pose that a message was found by."""
-        query = "SELECT cast(message AS BLOB) FROM poses WHERE number <= ? ORDER BY number DESC"
+        query = "SELECT message FROM poses WHERE number <= ? ORDER BY number DESC"
         with _errors(self.path):
             found = self._database.execute(f"{query} LIMIT 1", (number,)).fetchone()
         return found[0] if found else b""
@@ -236,7 +222,7 @@ class DiskBuffer:
         """Read messages that wait, from after a number on."""
         with _errors(self.path):
             rows = self._database.execute(
-                "SELECT number, cast(content AS BLOB) FROM messages WHERE number > ? "
+                "SELECT number, content FROM messages WHERE number > ? "
                 "ORDER BY number LIMIT ?", (number, most),
             ).fetchall()  # fmt: skip
         before = max(number, self.stored)
@@ -255,22 +241,10 @@ class DiskBuffer:
             )  # fmt: skip
         self.stored, self._appended = max(self.stored, number), 0
 
-    def _note(self) -> str:
-        """Return of which version and tiles the messages are."""
-        found = self._database.execute("SELECT value FROM notes WHERE name = 'of'").fetchone()
-        return str(found[0]) if found else ""
-
     def _one(self, query: str) -> tuple[int, ...]:
         with _errors(self.path):
             found = self._database.execute(query).fetchone()
         return tuple(found)
-
-
-def _raise_of_the_place(error: sqlite3.Error) -> None:
-    """Raise an error of SQLite that is not about what the file holds."""
-    name = getattr(error, "sqlite_errorname", "SQLITE_ERROR").removeprefix("SQLITE_")
-    if name.startswith(_OF_THE_PLACE):
-        raise error
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gis_radar.base import Floats, InputError, Integers, compiled
 from gis_radar.hdmap import LANE_MARGIN_M, TileGrid
-from gis_radar.live.payload import MOST_FRAMES, POSE_BYTES, Numbers, varint
+from gis_radar.live.payload import HEAD_BYTES, MOST_FRAMES, POSE_BYTES, Numbers, varint
 from gis_radar.measures import NO_FURTHER
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
@@ -209,9 +209,11 @@ def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...
     return pose, tuple(frames)
 
 
-def first_time_us(content: bytes) -> int:
-    """Return the time of the first frame of a message, without unpacking it."""
-    read = Numbers(content, POSE_BYTES)
+def first_time_us(message: bytes) -> int:
+    """Return the time of the first frame of a whole message, without unpacking it."""
+    read = Numbers(message, HEAD_BYTES)
+    read.take()
+    read.bytes(POSE_BYTES)
     read.take()
     return read.take()
 

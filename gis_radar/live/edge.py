@@ -147,6 +147,14 @@ class Edge:
         radar = Radar(source=source.address or "", sensor=source.sensor, reporter=self._reporter)
         return radar.frames()
 
+    def find_pose(self, frames: deque[Detections]) -> Pose:
+        """Find the pose from frames, as :func:`find_own_pose` does."""
+        return find_own_pose(self._file, frames, reporter=self._reporter)
+
+    def new_follower(self, start: Pose, begin: float, *, doubted: bool) -> PoseFollower:
+        """Begin to follow a pose, as :meth:`PoseFollower.of` does."""
+        return PoseFollower.of(self._file, start, begin, doubted=doubted, reporter=self._reporter)
+
     def _work(self, stop: Event) -> None:
         for frame in self.source():
             if stop.is_set():
@@ -218,7 +226,7 @@ class Edge:
     def _try_to_find(self) -> bool:
         """Find the pose from the frames so far; try again later where none follows."""
         try:
-            pose = find_own_pose(self._file, self._gathered, reporter=self._reporter)
+            pose = self.find_pose(self._gathered)
         except NoAnswerError as error:
             self._try_at = AGAIN_FRAMES
             self._reporter.warn("no pose yet: {}; trying on", error.message)
@@ -252,9 +260,7 @@ class Edge:
         if file.follow and file.map is not None and file.road is not None and self._pose:
             begin = float(frame.time[0])
             start = self._next.pose if self._next is not None else self._pose
-            self._follower = PoseFollower(
-                file, start, begin, doubted=self._doubted, reporter=self._reporter
-            )
+            self._follower = self.new_follower(start, begin, doubted=self._doubted)
 
     def _take_over(self, found: Followed) -> None:
         """Select by a pose from now on, and tell fusion of it."""

@@ -23,7 +23,7 @@ from starlette.routing import Route
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, InputError, iso_from_step, seconds_from_iso
 from gis_radar.live.health import ALARMS
 from gis_radar.live.now_filter import VehiclesNow
-from gis_radar.live.snapshot import LiveMap, Snapshot, geometries
+from gis_radar.live.snapshot import ShownMap, Snapshot, geometries
 from gis_radar.live.vehicles_now import layer_of
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
@@ -33,6 +33,7 @@ _CONFORMANCE = [
 ]
 JSON, GEOJSON = "application/json", "application/geo+json"
 OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
+IDS = ("lanelet_id", "lane")  # text, as in all JSON: they reach 9e18, numbers of a reader 9e15
 LIMIT, MOST = 1_000, 20_000  # features of a page, and the most that may be asked for
 COLLECTIONS = {  # title and description; the layer is the method of _Layers with this name
     "tiles": ("Tiles", "Slices of 0.5 m of a lane that were observed in the last 15 minutes"),
@@ -45,7 +46,7 @@ COLLECTIONS = {  # title and description; the layer is the method of _Layers wit
 }  # fmt: skip
 
 
-def feature_routes(live: LiveMap) -> list[Route]:
+def feature_routes(live: ShownMap) -> list[Route]:
     """Return the routes of the service, below `/ogc`."""
     service = _Service(live)
     at = {
@@ -64,7 +65,7 @@ def feature_routes(live: LiveMap) -> list[Route]:
 class _Service:
     """Responses by address of the service."""
 
-    def __init__(self, live: LiveMap) -> None:
+    def __init__(self, live: ShownMap) -> None:
         self._title, self._layers = live.place.title, _Layers(live)
         self._bounds = live.place.in_degrees(live.place.lanes).total_bounds.tolist()
 
@@ -141,7 +142,8 @@ class _Service:
 
     def _layer(self, request: Request) -> gpd.GeoDataFrame:
         layer: gpd.GeoDataFrame = getattr(self._layers, _chosen(request))()
-        return layer
+        ids = [name for name in IDS if name in layer]
+        return layer.assign(**{name: layer[name].astype(str) for name in ids})
 
 
 def _chosen(request: Request) -> str:
@@ -155,7 +157,7 @@ def _chosen(request: Request) -> str:
 class _Layers:
     """The layers as they are now, in longitude and latitude."""
 
-    def __init__(self, live: LiveMap) -> None:
+    def __init__(self, live: ShownMap) -> None:
         self._live, self._place = live, live.place
         tiles, lanes = (
             live.place.in_degrees(each) for each in (live.place.tiles, live.place.lanes)

@@ -17,7 +17,6 @@ from gis_radar.base import (
     QUIET,
     STEP_S,
     STEP_US,
-    STEPS_PER_SECOND,
     GisRadarError,
     InputError,
     NoAnswerError,
@@ -40,7 +39,8 @@ from gis_radar.live.jobs import HourJobs
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.map_of_now import MapOfNow, MapState, Seen, Windows
 from gis_radar.live.payload import DETECTIONS, POSE, VERSION, Acknowledgement
-from gis_radar.live.quarters import Quarters
+from gis_radar.live.quarters import Quarters, share_of
+from gis_radar.live.recent import RecentCounts, keep_counts
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
 from gis_radar.live.snapshot import place_of
 from gis_radar.live.spool import Spool, SpoolFile, spool_files
@@ -54,14 +54,15 @@ if TYPE_CHECKING:
 
     import geopandas as gpd
 
-    from gis_radar.live.server import Page
+    from gis_radar.live.web_server import WebServer
 
 TAKEN_AT_ONCE = 500  # messages between two looks at the clock
 WAIT_S = 0.01
 READY_S = 0.1
 SAID_S = 600.0  # until the same error is logged again: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
-HOUR_STEPS = 3600 * STEPS_PER_SECOND  # that the map takes up again at most
+COUNTS_FILE = "counts.npz"
+RESUMED_US = 900_000_000  # that the map takes up again at most: what the page shows
 
 
 class Fusion:
@@ -117,9 +118,18 @@ class Fusion:
         self.vehicles = _vehicles(site, self.tiles, names, reporter)
         self.quarters = Quarters()
         self._jobs = HourJobs(measured, self.quarters, settings=settings, reporter=reporter)
-        self._windows = Windows(site.live.lateness)
-        self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
+        self._map = MapOfNow(len(road.tile_id))
         self._map.holds_s = dict(validity_of(site.cycles(), names))
+        pushed = site.live.sensorthings or site.live
+        self.counts = RecentCounts(
+            len(road.tile_id), interval=interval_steps(site.live.interval),
+            pushed=interval_steps(pushed.interval),
+        )  # fmt: skip
+        self._fingerprint = road.fingerprint
+        self.counts.restore(folder / COUNTS_FILE, road.fingerprint, reporter)
+        self._windows = Windows(
+            site.live.lateness, closed=self.counts.step if self.counts.step >= 0 else None
+        )
         self._spool = Spool(folder / SPOOL)
         self.intake = Intake(
             names, site=site.live.site, spool=self._spool, road=road, scan=scan,
@@ -139,10 +149,11 @@ class Fusion:
     def _resume(self) -> None:
         """Take up what the spool holds, and go on in a new file of it."""
         now_us = int(time.time() * 1e6)
-        begin_us = max(counted_since(self._site, now_us), now_us - HOUR_STEPS * STEP_US)
+        begin_us = max((self.counts.step + 1) * STEP_US, now_us - RESUMED_US)
         files = [SpoolFile(path) for path in spool_files(self._site.folder / SPOOL)]
         self.intake.resume(files, begin_us)
-        self._advance(self._windows.close(now_us, most=HOUR_STEPS))
+        held_s = max(self._map.holds_s.values(), default=0.0)
+        self._advance(self._windows.close_open(now_us, held_s))
         self._spool.rotate(self.intake.marks)
 
     @property
@@ -198,7 +209,7 @@ class Fusion:
         server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(Text("the page is at {}", self._page.open()))
-        self._export(self.state())  # the first takes long, before frames come
+        self._export()  # the first takes long, before frames come
         gc.collect()
         gc.freeze()  # what is there now stays: to look through it holds frames up for 0.3 s
         for each in self.sensors.values():  # what comes before was not listened for
@@ -212,8 +223,8 @@ class Fusion:
                     link.publish(own, _state("online"), retain=True)
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
-                self._take(link)
                 self._advance(self._windows.close(int(time.time() * 1e6)))
+                self._take(link)
                 self._regular()
             self._finish()
         finally:
@@ -256,13 +267,10 @@ class Fusion:
 
     def _advance(self, steps: Iterable[tuple[int, dict[str, Seen]]]) -> None:
         for step, frames in steps:
-            self._map.take(step, frames)
-            if self._page is not None:
-                state = self._map.state()
-                self._page.take(step, state.hit, state.observed)
-            if self._push is not None:
-                state = self._map.state()
-                self._push.take(step, state.hit, state.observed)
+            state = self._map.take(step, frames)
+            ended = self.counts.take(step, state.hit, state.observed)
+            if ended is not None and self._push is not None:
+                self._push.take(*ended)
 
     def _regular(self) -> None:
         """Do what the clock asks for: commit, acknowledge, measure, write files."""
@@ -275,8 +283,7 @@ class Fusion:
         self._measure()
         if now - self._exported >= self._site.live.every and not self._exporter.busy:
             self._exported = now
-            state = self.state()
-            self._exporter.begin(lambda: self._export(state))
+            self._exporter.begin(self._export)
         self._exporter.take()
         if self._push is not None:
             self._push.regular()
@@ -364,19 +371,16 @@ class Fusion:
             self._say(error)
         self._jobs.finish(self._spool.closed)
         self._exporter.take(wait=True)
-        self._export(self.state())
+        self._export()
 
-    def _export(self, state: MapState) -> None:
-        """Replace the files for QGIS."""
-        observed_s = state.observed_steps * STEP_S
-        hit_s = state.hit_steps * STEP_S
-        share = np.divide(
-            hit_s, observed_s, out=np.full(len(observed_s), np.nan), where=observed_s > 0
-        )
+    def _export(self) -> None:
+        """Replace the files for QGIS, and the counts for a new start."""
+        state, arrays = self.state(), self.counts.arrays()
+        hit_s, observed_s = (STEP_S * each for each in self.counts.since_begin())
         table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
             time=state.time, hit=state.hit.astype(np.int8),
             observed=state.observed.astype(np.int8), hit_s=hit_s,
-            observed_s=observed_s, hit_share=share,
+            observed_s=observed_s, hit_share=share_of(hit_s, observed_s),
         )  # fmt: skip
         if (lately := self.quarters.lately()) is not None:
             table = table.assign(
@@ -385,6 +389,7 @@ class Fusion:
             )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:
+            keep_counts(self._site.folder / COUNTS_FILE, arrays, self._fingerprint)
             with output_errors(path), atomic_write(path) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
                 if self.vehicles is not None:
@@ -421,34 +426,13 @@ def _vehicles(
     return LiveVehicles(graph, names, tiles.crs, reporter=reporter)
 
 
-def _page(fusion: Fusion, site: LiveSite) -> Page | None:
+def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:
     """Return the page where the site's file asks for one; only then is a web server loaded."""
     if site.live.page is None:
         return None
-    from gis_radar.live.server import Page  # noqa: PLC0415
+    from gis_radar.live.page import page_server  # noqa: PLC0415
 
-    return Page(fusion, site, site.live.page, fusion.tiles)
-
-
-def counted_since(site: LiveSite, now_us: int) -> int:
-    """Return when the intervals began that count now, those of the map and of the push.
-
-    Parameters
-    ----------
-    site : LiveSite
-        With the lengths of both intervals.
-    now_us : int
-        UNIX microseconds.
-
-    Returns
-    -------
-    int
-        UNIX microseconds of the earlier begin.
-    """
-    texts = [site.live.interval]
-    if site.live.sensorthings is not None:
-        texts.append(site.live.sensorthings.interval)
-    return min(now_us - now_us % (interval_steps(each) * STEP_US) for each in texts)
+    return page_server(fusion, site, site.live.page, fusion.tiles)
 
 
 def _push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> LanePush | None:

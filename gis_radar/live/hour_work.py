@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -87,6 +87,8 @@ class MeasuredSite:
         Whether vehicles are followed.
     keep_s, most_bytes : float
         How long recordings are kept, and how much room they may take.
+    processes : int, optional
+        That measure side by side; without it all cores but fusion's.
     """
 
     folder: Path
@@ -101,6 +103,12 @@ class MeasuredSite:
     vehicles: bool
     keep_s: float
     most_bytes: float
+    processes: int | None = None
+
+    @property
+    def workers(self) -> int:
+        """How many hours, or blocks of one, are measured side by side."""
+        return self.processes or max(workers_here() - 1, 1)
 
     @property
     def dataset(self) -> Path:
@@ -111,7 +119,7 @@ class MeasuredSite:
         self, recordings: Sequence[tuple[Path, PoseTrack]], folder: Path, *, before_hour: int,
         reporter: Reporter,
     ) -> Dataset:  # fmt: skip
-        """Measure recordings as `gis-radar measure` does, on all cores but fusion's."""
+        """Measure recordings as `gis-radar measure` does."""
         return measure(
             [path for path, _ in recordings], [track for _, track in recordings],
             read_tiles(self.tiles), self.map, folder, scans=self.scans, scan_crs=self.scan_crs,
@@ -119,7 +127,7 @@ class MeasuredSite:
             cycles={name: self.cycles[name] for name in self.cycles
                     if any(track.sensor == name for _, track in recordings)},
             hits_only=not self.vehicles, timezone=self.timezone, before_hour=before_hour,
-            check=False, processes=max(workers_here() - 1, 1), reporter=reporter,
+            check=False, processes=self.workers, reporter=reporter,
         )  # fmt: skip
 
 
@@ -187,7 +195,10 @@ def make_recordings(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
     return done
 
 
-def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]) -> Done:
+def make_hours(
+    site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int], *,
+    check: Callable[..., Sequence[Any]] = check_plausibility,
+) -> Done:  # fmt: skip
     """Make the recordings of hours that are over, and measure them.
 
     Parameters
@@ -198,12 +209,14 @@ def make_hours(site: MeasuredSite, spooled: Sequence[Path], hours: Sequence[int]
         Files of the spool that nobody writes to any more.
     hours : sequence of int
         Whose recordings are to be made, since 1970.
+    check : callable
+        Compares poses and recordings with the map.
     """
     done = make_recordings(site, spooled)
     before_hour = hour_of_time(int(time.time() * 1e6))
     _measure_hours(site, hours, before_hour, done)
     if hours:
-        _check_poses(site, max(hours), done)
+        _check_poses(site, max(hours), check, done)
     _read_day(site, done)
     for path in (site.folder / PROVISIONAL).glob("2*"):
         if time_of_name(path.name) // HOUR_US < before_hour:
@@ -226,7 +239,7 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
         except InputError as error:
             done.not_measured[hour] = error.message
     groups = [each for each in found.items() if each[1]]
-    if len(groups) > 1 and workers_here() > 2:
+    if len(groups) > 1 and site.workers > 1:
         every = [each for _, recordings in groups for each in recordings]
         with suppress(InputError):  # of one hour: each alone then, to find it
             site.measure(every, site.dataset, before_hour=before_hour, reporter=done)
@@ -238,7 +251,9 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
             done.not_measured[hour] = error.message
 
 
-def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
+def _check_poses(
+    site: MeasuredSite, hour: int, check: Callable[..., Sequence[Any]], done: Done
+) -> None:
     """Check whether poses, recordings and map fit each other in the last hour that is measured.
 
     No table depends on it. An earlier hour, made again, says nothing of now.
@@ -256,7 +271,7 @@ def _check_poses(site: MeasuredSite, hour: int, done: Done) -> None:
             for name, path in paths.items()
             if path.exists()
         }
-        for each in check_plausibility(sensors, lanes):
+        for each in check(sensors, lanes):
             if each.verdict == UNKNOWN:
                 done.untold[each.sensor] = hour
             else:

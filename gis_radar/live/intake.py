@@ -38,6 +38,7 @@ from gis_radar.live.payload import (
     check_of,
     key_of_pose,
     read_record,
+    stream_of,
     unpack_message,
 )
 from gis_radar.live.recordings import HOUR_US, hour_of_time
@@ -47,13 +48,13 @@ from gis_radar.live.spool import POSE as POSE_RECORD
 from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.measures import FrameCounter, PoseNumbers, PoseSight
 from gis_radar.poses import Pose, pose_from_dict
-from gis_radar.recordings import Detections
 from gis_radar.scans import IN_SIGHT, SightSource, SightTiles, find_sight
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns
 MOST_LOST = 2**63  # of messages, as of their numbers
 STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
+SPAN_US = 5_000_000  # from the first to the last frame of a message: a hundred at 20 Hz
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 LONGEST_MESSAGE_US = HOUR_US  # from its first frame to its last
 MOST_NUMBER = 1 << 40  # that a stream may begin with
@@ -206,24 +207,35 @@ class Intake:
         }
 
     def resume(self, files: Sequence[SpoolFile], begin_us: int) -> None:
-        """Take up marks, and the frames from a time on, from what the spool holds."""
-        for file in files:
-            for _, record in file.records():
-                if record.kind == HEAD:
-                    self._take_up(json.loads(record.payload))
-                sensor = self.sensors.get(record.sensor)
-                if sensor is None:
-                    continue
-                if record.kind == POSE_RECORD:
-                    self._take_pose(sensor, record.payload)
-                elif record.kind in {FRAMES, PASSED}:
-                    envelope, content = unpack_message(record.payload)
-                    mark = sensor.marks.setdefault(envelope.stream.hex(), Mark())
-                    mark.received = mark.stored = envelope.number
-                    mark.check = mark.stored_check = check_of(content)
-                    sensor.stream = envelope.stream.hex()
-                    if record.kind == FRAMES:
-                        self._take_again(sensor, content, begin_us)
+        """Take up marks, and the frames from a time on, from what the spool holds.
+
+        The newest file begins with the marks of all streams: earlier ones are read only where they
+        were written to since then.
+        """
+        newest = max((k for k, each in enumerate(files) if each.has_head), default=0)
+        last: dict[tuple[str, str], bytes] = {}
+        poses: dict[tuple[str, bytes], bytes] = {}  # each costs a look at all tiles
+        for k, file in enumerate(files):
+            if k < newest and file.written_us < begin_us:
+                continue
+            for _, (kind, name, payload) in file.records():
+                sensor = self.sensors.get(name)
+                if kind == HEAD:
+                    last.clear()
+                    self._take_up(json.loads(payload))
+                elif sensor is not None and kind == POSE_RECORD:
+                    poses[name, key_of_pose(payload)] = payload
+                elif sensor is not None and kind in {FRAMES, PASSED}:
+                    last[name, stream_of(payload)] = payload
+                    if kind == FRAMES and first_time_us(payload) >= begin_us - SPAN_US:
+                        self._take_again(sensor, payload, poses, begin_us)
+        for name, payload in {name: payload for (name, _), payload in poses.items()}.items():
+            self._take_pose(self.sensors[name], payload)  # the newest of each
+        for (name, stream), payload in last.items():
+            envelope, content = unpack_message(payload)
+            known = (envelope.number, check_of(content))
+            self.sensors[name].marks[stream] = Mark(*known, *known)
+            self.sensors[name].stream = stream
 
     def _take_up(self, marks: Mapping[str, Mapping[str, Sequence[int]]]) -> None:
         for name, streams in marks.items():
@@ -232,15 +244,20 @@ class Intake:
                 self.sensors[name].marks = known
                 self.sensors[name].stream = next(reversed(known), "")
 
-    def _take_again(self, sensor: SensorState, content: bytes, begin_us: int) -> None:
+    def _take_again(
+        self, sensor: SensorState, message: bytes, poses: Mapping[tuple[str, bytes], bytes],
+        begin_us: int,
+    ) -> None:  # fmt: skip
         """Count frames for the map once more, after a new start."""
-        if first_time_us(content) < begin_us:
-            return
-        key, frames = unpack_detections(content)
+        name = sensor.health.name
+        key, frames = unpack_detections(unpack_message(message)[1])
+        if (name, key) in poses:
+            self._take_pose(sensor, poses[name, key])
         known = sensor.poses.get(key)
         if known is not None and known.seen is not None:
-            for step, seen in self._seen(frames, known):
-                self._windows.add(sensor.health.name, step, seen)
+            ours = [each for each in frames if each.time_us >= begin_us]
+            for step, seen in self._seen(ours, known):
+                self._windows.add(name, step, seen)
 
     def handle(self, message: Received) -> None:
         """Take a message: count it, store it, or say why not."""
@@ -463,21 +480,9 @@ class Intake:
     ) -> Iterator[tuple[int, Seen]]:
         """Yield by frame its step, and the tiles that it hits."""
         assert known.numbers is not None  # noqa: S101 - the caller has looked
-        rows = rows_of_frames([each.as_rows() for each in frames])
-        for counted in self._counter.count(rows, known.numbers):
-            yield counted.time_us // STEP_US, Seen(counted.tiles, known.in_sight)
+        for each in frames:
+            (counted,) = self._counter.count(each.as_rows(), known.numbers)
+            yield each.time_us // STEP_US, Seen(counted.tiles, known.in_sight)
 
 
 _LAST_STEP = 5_000_000_000 * 20  # within the years that ISO 8601 writes
-
-
-def rows_of_frames(parts: Sequence[Detections]) -> Detections:
-    """Return the rows of several frames as one table."""
-    if len(parts) == 1:
-        return parts[0]
-    return Detections(
-        time=np.concatenate([each.time for each in parts]),
-        points=np.concatenate([each.points for each in parts]),
-        range_rate=np.concatenate([each.range_rate for each in parts]),
-        rcs=np.concatenate([each.rcs for each in parts]), further=parts[0].further,
-    )  # fmt: skip

@@ -58,6 +58,11 @@ def _begin() -> None:
     watch_parent()
 
 
+def _process() -> ProcessPoolExecutor:
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, mp_context=context, initializer=_begin)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Unmeasured:
     """An hour that could not be measured.
@@ -86,6 +91,8 @@ class HourJobs:
         Takes in what was measured.
     settings : LiveSettings
         How long it is waited for frames.
+    process : callable
+        Starts the process that works.
     reporter : Reporter
         Receives warnings of the work.
 
@@ -100,7 +107,7 @@ class HourJobs:
 
     def __init__(
         self, site: MeasuredSite, quarters: Quarters, *, settings: LiveSettings = DEFAULTS,
-        reporter: Reporter = QUIET,
+        process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
         self._doubts, self._untold = _kept_doubts(site.folder / DOUBTS, reporter)
@@ -108,6 +115,7 @@ class HourJobs:
         self._site, self._quarters = site, quarters
         self._settings, self._reporter = settings, reporter
         self._pool: ProcessPoolExecutor | None = None
+        self._process = process
         self._running: Future[Done] | None = None
         self._next: Work | None = None
         self._hours: dict[int, float | None] = {}  # that are being made, and when they were touched
@@ -153,10 +161,10 @@ class HourJobs:
             left = quarter - self._quarter - 1 if self._quarter else 0
             self.quarters_left_out += max(left, 0)
             self._quarter = quarter
-            self._next = partial(_of_quarter, quarter)
+            self._next = partial(make_quarter, quarter=quarter)
         elif hours:
             self._hours = {hour: self.touched.get(hour) for hour in hours}
-            self._next = partial(_of_hours, hours)
+            self._next = partial(make_hours, hours=hours)
         elif full:
             self._next = make_recordings
 
@@ -203,8 +211,7 @@ class HourJobs:
     def _submit(self, work: Work, spooled: Sequence[Path]) -> None:
         """Hand work to the process, which is started where there is none."""
         if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin)
+            self._pool = self._process()
         self._running = self._pool.submit(work, self._site, list(spooled))
 
     def _take(self) -> None:
@@ -288,7 +295,7 @@ class HourJobs:
     def finish(self, spooled: Sequence[Path]) -> None:
         """Make recordings of what is there, and measure the hours that are over."""
         self.stop()
-        self._hours, self._next = {}, partial(_of_all_that_waits, list(self.touched))
+        self._hours, self._next = {}, partial(_make_all, touched=list(self.touched))
         self.begin(spooled)
         while self._running is not None:
             time.sleep(LOOK_S)
@@ -326,11 +333,8 @@ def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None],
     return doubts, untold
 
 
-def _of_hours(hours: Sequence[int], site: MeasuredSite, spooled: Sequence[Path]) -> Done:
-    return make_hours(site, spooled, hours)
-
-
-def _of_all_that_waits(touched: Sequence[int], site: MeasuredSite, spooled: Sequence[Path]) -> Done:
+def _make_all(site: MeasuredSite, spooled: Sequence[Path], touched: Sequence[int]) -> Done:
+    """Make recordings of what is there, and measure the hours that are over."""
     done = take_up(site, spooled)
     hours = sorted({*touched, *done.hours})  # what was touched may be half made
     over = [hour for hour in hours if end_of_hour_s(hour) <= time.time()]
@@ -339,7 +343,3 @@ def _of_all_that_waits(touched: Sequence[int], site: MeasuredSite, spooled: Sequ
     made = make_hours(site, [], over)
     made.said = [*done.said, *made.said]
     return made
-
-
-def _of_quarter(quarter: int, site: MeasuredSite, spooled: Sequence[Path]) -> Done:
-    return make_quarter(site, spooled, quarter)

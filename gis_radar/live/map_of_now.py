@@ -13,7 +13,6 @@ from gis_radar.measures import valid_steps
 
 MOST_STEPS = 1_200  # that are closed at once: after a longer standstill the map begins anew
 BACK_STEPS = 40  # a clock that is set back by more begins anew: 2 s
-AHEAD_STEPS = 200  # a frame further in the future is of a wrong clock: 10 s
 
 
 class Seen(NamedTuple):
@@ -41,26 +40,25 @@ class Windows:
     ----------
     lateness_s : float
         How long after its end a step stays open, seconds.
+    closed : int, optional
+        The last step that an earlier run has closed.
 
     Attributes
     ----------
-    late, early : int
-        Frames of steps that were closed, and of steps too far ahead.
+    late : int
+        Frames of steps that were closed.
     """
 
-    def __init__(self, lateness_s: float) -> None:
-        self.late = self.early = 0
+    def __init__(self, lateness_s: float, *, closed: int | None = None) -> None:
+        self.late = 0
         self._lateness_us = round(lateness_s * 1e6)
         self._open: dict[int, dict[str, Seen]] = {}
-        self._closed: int | None = None  # the last step
+        self._closed = closed  # the last step
 
     def add(self, sensor: str, step: int, seen: Seen) -> bool:
         """Take a frame; return whether its step was still open."""
         if self._closed is not None and step <= self._closed:
             self.late += 1
-            return False
-        if self._closed is not None and step > self._closed + AHEAD_STEPS + self._waiting:
-            self.early += 1
             return False
         sensors = self._open.setdefault(step, {})
         if (other := sensors.get(sensor)) is not None:
@@ -68,9 +66,21 @@ class Windows:
         sensors[sensor] = seen
         return True
 
-    @property
-    def _waiting(self) -> int:
-        return self._lateness_us // STEP_US + 1
+    def close_open(self, now_us: int, held_s: float) -> Iterator[tuple[int, dict[str, Seen]]]:
+        """Close the steps in which frames that came so far are valid, as :meth:`close` does.
+
+        Parameters
+        ----------
+        now_us : int
+            Microseconds since 1970.
+        held_s : float
+            How long a frame is valid at the most, seconds.
+        """
+        if not self._open:
+            return iter(())
+        last = max(self._open) + valid_steps(held_s)
+        end_us = (last + 1) * STEP_US + self._lateness_us
+        return self.close(min(now_us, end_us), most=last - min(self._open) + 1)
 
     def close(
         self, now_us: int, *, most: int = MOST_STEPS
@@ -108,20 +118,13 @@ class MapState:
     ----------
     step : int
         The last step that counts.
-    begin : int
-        The step from which the cumulative counts run.
     hit, observed : (n,) bool arrays
         In that step, by position of the tiles.
-    hit_steps, observed_steps : (n,) int64 arrays
-        Steps since the begin.
     """
 
     step: int
-    begin: int
     hit: Booleans
     observed: Booleans
-    hit_steps: Integers
-    observed_steps: Integers
 
     @property
     def time(self) -> str:
@@ -130,38 +133,33 @@ class MapState:
 
 
 class MapOfNow:
-    """Counts closed windows; frames are valid in steps as in a dataset.
+    """What is hit in the last closed window; frames are valid in steps as in a dataset.
 
     Parameters
     ----------
     tiles : int
         How many there are.
-    interval : int
-        Steps over which the cumulative counts run; they begin anew at its multiples.
     """
 
-    def __init__(self, tiles: int, *, interval: int) -> None:
+    def __init__(self, tiles: int) -> None:
         self.holds_s: dict[str, float] = {}
-        self._tiles, self._interval = tiles, interval
+        self._tiles = tiles
         self._latest: dict[str, tuple[int, Seen]] = {}
-        nowhere, never = np.zeros(tiles, np.bool_), np.zeros(tiles, np.int64)
-        self._state = MapState(step=0, begin=0, hit=nowhere, observed=nowhere,
-                               hit_steps=never, observed_steps=never)  # fmt: skip
+        nowhere = np.zeros(tiles, np.bool_)
+        self._state = MapState(step=0, hit=nowhere, observed=nowhere)
 
-    def take(self, step: int, frames: Mapping[str, Seen]) -> None:
-        """Count a closed step; steps come in order, none left out, until a clock is set back.
+    def take(self, step: int, frames: Mapping[str, Seen]) -> MapState:
+        """Take a closed step and return the map of it.
 
         Parameters
         ----------
         step : int
-            The step.
+            The step; steps come in order, none left out, until a clock is set back.
         frames : mapping
             What sensors that have a frame in it report.
         """
-        last, begin = self._state, step - step % self._interval
         hit, observed = (np.zeros(self._tiles, np.bool_) for _ in range(2))
-        set_back = step <= last.step
-        if set_back:
+        if step <= self._state.step:
             self._latest.clear()
         for sensor, seen in frames.items():
             self._latest[sensor] = (step, seen)
@@ -170,13 +168,9 @@ class MapOfNow:
                 hit[seen.tiles] = True
                 observed[seen.in_sight] = True
         hit &= observed  # as a heat map: a hit beyond every view is none
-        anew = set_back or begin != last.begin
         # whoever looks meanwhile has the last one: arrays of a state never change
-        self._state = MapState(
-            step=step, begin=begin, hit=hit, observed=observed,
-            hit_steps=hit + (0 if anew else last.hit_steps),
-            observed_steps=observed + (0 if anew else last.observed_steps),
-        )  # fmt: skip
+        self._state = MapState(step=step, hit=hit, observed=observed)
+        return self._state
 
     @property
     def step(self) -> int:

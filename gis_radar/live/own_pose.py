@@ -113,38 +113,46 @@ class PoseFollower:
 
     Parameters
     ----------
-    file : EdgeFile
-        The sensor's, with map and road.
+    follower : Follower
+        Fits the pose to windows of frames.
+    problem : Problem
+        What it is fitted to.
     start : Pose
         Where it stands.
     begin : float
         UNIX seconds of the first frame that follows.
     doubted : bool
         Whether traffic refused the pose before: it is trusted only once traffic confirms it.
-    reporter : Reporter
-        Receives a warning for each move.
     """
 
     def __init__(
-        self, file: EdgeFile, start: Pose, begin: float, *, doubted: bool = False,
-        reporter: Reporter = QUIET,
+        self, follower: Follower, problem: Problem, start: Pose, begin: float, *,
+        doubted: bool = False,
     ) -> None:  # fmt: skip
-        self._doubted = doubted
+        self._follower, self._problem, self._doubted = follower, problem, doubted
         self._frames: Queue[Detections | None] = Queue(WAITING_FRAMES)
         self._found: SimpleQueue[Followed | Exception] = SimpleQueue()
         self._ended = Event()
         self._start, self._due = start, begin + MONITOR.cycle_s
-        roads, road = _map_of(file, start)
-        self._problem = Problem(
-            name=start.sensor, roads=roads, road=road, guess=start.position[:2], heading=None
-        )
-        self._follower = Follower(
-            WindowFitter(self._problem, MONITOR, reporter=reporter),
-            start_estimate(start, begin, MONITOR), name=start.sensor, reporter=reporter,
-        )  # fmt: skip
         self._moved_at = -np.inf
         self._thread = Thread(target=self._work, daemon=True, name="pose")
         self._thread.start()
+
+    @classmethod
+    def of(
+        cls, file: EdgeFile, start: Pose, begin: float, *, doubted: bool = False,
+        reporter: Reporter = QUIET,
+    ) -> PoseFollower:  # fmt: skip
+        """Follow the pose of a sensor by map and road of its file; say each move."""
+        roads, road = _map_of(file, start)
+        problem = Problem(
+            name=start.sensor, roads=roads, road=road, guess=start.position[:2], heading=None
+        )
+        follower = Follower(
+            WindowFitter(problem, MONITOR, reporter=reporter),
+            start_estimate(start, begin, MONITOR), name=start.sensor, reporter=reporter,
+        )  # fmt: skip
+        return cls(follower, problem, start, begin, doubted=doubted)
 
     def push(self, frame: Detections) -> bool:
         """Take the next frame; return False where fits are too slow for it."""

@@ -13,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 from starlette.applications import Starlette
@@ -32,11 +33,31 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from gis_radar.base import LANGUAGES, class_label, speaking, step_begin, street_label, tr
+from gis_radar.base import (
+    LANGUAGES,
+    InputError,
+    class_label,
+    speaking,
+    step_begin,
+    street_label,
+    tr,
+)
 from gis_radar.live.features import feature_routes
 from gis_radar.live.health import ALARMS, METRICS_TYPE
-from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
+from gis_radar.live.settings import LiveSite
+from gis_radar.live.snapshot import (
+    DEGREES,
+    FusedMap,
+    Place,
+    ShownMap,
+    ShownSensor,
+    Snapshot,
+    geometries,
+    place_of,
+)
+from gis_radar.live.web_server import WebServer
 from gis_radar.products import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colour_classes
+from gis_radar.site import PageTable
 
 _LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
@@ -66,12 +87,12 @@ _HEADERS = {
 }
 
 
-def make_app(live: LiveMap, token: str = "") -> Starlette:
+def make_app(live: ShownMap, token: str = "") -> Starlette:
     """Return the page and its services as an application: read only.
 
     Parameters
     ----------
-    live : LiveMap
+    live : ShownMap
         The map that is shown.
     token : str
         Required of readers; empty: none.
@@ -106,7 +127,7 @@ def make_app(live: LiveMap, token: str = "") -> Starlette:
 class _Answers:
     """Responses by address of the page."""
 
-    def __init__(self, live: LiveMap) -> None:
+    def __init__(self, live: ShownMap) -> None:
         self._live = live
         self._sites: dict[str, bytes] = {}  # tiles and lanes by language, made once
 
@@ -170,11 +191,11 @@ class Changes:
 
     Parameters
     ----------
-    live : LiveMap
+    live : ShownMap
         The map that is shown.
     """
 
-    def __init__(self, live: LiveMap) -> None:
+    def __init__(self, live: ShownMap) -> None:
         self._live = live
         self._shown: dict[str, Any] = {}  # the state of the readers, where there are any
         self._readers: set[asyncio.Queue[str | None]] = set()
@@ -356,7 +377,10 @@ def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
         },
         "occupancy": {
             "title": tr("Occupancy"),
-            "note": tr("share of time with a vehicle while a tile was visible, last 15 minutes"),
+            "note": tr(
+                "share of time with a vehicle while a tile was visible, last measured quarter "
+                "of an hour"
+            ),
             "classes": _colours_in_words("occupancy", language),
         },
     }
@@ -403,3 +427,50 @@ def _collection(shapes: Any) -> dict[str, Any]:
 
 def _json(content: dict[str, Any]) -> str:
     return json.dumps(content, separators=(",", ":"), allow_nan=False)
+
+
+def read_token(path: Path) -> str:
+    """Read the token that readers of a page must show.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds none.
+    """
+    try:
+        token = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("{}: cannot be read: {}", path, error) from error
+    if not token or not token.isascii() or not token.isprintable() or " " in token:
+        raise InputError(
+            "{}: holds no token", path, hint="a token is one word of visible ASCII characters"
+        )
+    return token
+
+
+def page_server(
+    fusion: FusedMap, site: LiveSite, table: PageTable, tiles: gpd.GeoDataFrame
+) -> WebServer:
+    """Return what serves the page of a site's live map once it is opened.
+
+    Parameters
+    ----------
+    fusion : FusedMap
+        The map of now, sensors, vehicles.
+    site : LiveSite
+        Of the site's file.
+    table : PageTable
+        Address of the page and access to it.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.read_tiles`.
+
+    Raises
+    ------
+    InputError
+        If the map cannot be read, or the file with the token cannot or is empty.
+    OutputError
+        If the address is taken.
+    """
+    token = "" if table.token_file is None else read_token(table.token_file)
+    app = make_app(ShownMap(fusion, place_of(site, tiles)), token)
+    return WebServer(app, table.address, table.names)

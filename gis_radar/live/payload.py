@@ -12,7 +12,7 @@ import hashlib
 import json
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ VERSION = 2
 DETECTIONS, POSE = "detections", "pose"  # topics
 _LIVE, _FIRST = 0x80, 0x40  # flags: sent as soon as it was made; none before it is kept
 _HEAD = struct.Struct(">BB4s")
+HEAD_BYTES = _HEAD.size  # before the number
 STREAM_BYTES, POSE_BYTES = 4, 4
 MOST_BYTES = 65_536  # of a message; a frame takes 350
 MOST_FRAMES = 100  # in a message
@@ -83,6 +84,11 @@ def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
         stream=stream, number=read.take(), first=bool(flags & _FIRST), live=bool(flags & _LIVE)
     )
     return envelope, data[read.at :]
+
+
+def stream_of(message: bytes) -> str:
+    """Return the stream of a message in hexadecimal digits."""
+    return message[HEAD_BYTES - STREAM_BYTES : HEAD_BYTES].hex()
 
 
 class VersionError(InputError):
@@ -185,14 +191,7 @@ class PoseContent:
         InputError
             If it is none, or of another version.
         """
-        record = read_record(content, what=Text("a pose"), version=VERSION)
-        kinds = {"pose": dict, "fingerprint": str}
-        odd = [name for name, kind in kinds.items() if not isinstance(record.get(name), kind)]
-        if odd:
-            raise InputError(
-                "a message with a pose: {} is {}", odd[0], f"{record.get(odd[0])!r:.80}"
-            )
-        return cls(**{name: record[name] for name in kinds})
+        return cls(**_fields(content, Text("a pose"), {"pose": dict, "fingerprint": str}))
 
 
 def key_of_pose(message: bytes) -> bytes:
@@ -240,13 +239,18 @@ class Acknowledgement:
         InputError
             If it is none, or of another version.
         """
-        record = read_record(data, what="an acknowledgement", version=VERSION)
         texts, numbers = ("stream", "session", "refused"), ("stored", "check", "resend")
-        odd = [name for name in texts if not isinstance(record.get(name), str)]
-        odd += [name for name in numbers if not isinstance(record.get(name), int)]
-        if odd:
-            raise InputError("an acknowledgement: {} is {}", odd[0], f"{record.get(odd[0])!r:.80}")
-        return cls(**{name: record[name] for name in (*texts, *numbers)})
+        kinds = {**dict.fromkeys(texts, str), **dict.fromkeys(numbers, int)}
+        return cls(**_fields(data, Text("an acknowledgement"), kinds))
+
+
+def _fields(data: bytes, what: str, kinds: Mapping[str, type]) -> dict[str, Any]:
+    """Return the fields of a message, each of its kind."""
+    record = read_record(data, what=what, version=VERSION)
+    for name, kind in kinds.items():
+        if not isinstance(record.get(name), kind):
+            raise InputError("{}: {} is {}", what, name, f"{record.get(name)!r:.80}")
+    return {name: record[name] for name in kinds}
 
 
 def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[str, Any]:

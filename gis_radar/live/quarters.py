@@ -7,16 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from gis_radar.base import STEP_S, Floats, Integers, step_begin
 from gis_radar.dataset import PASSAGES, STEPS_PER_QUARTER, TILE_COUNTS, Dataset, TableSchema
 from gis_radar.products import lane_totals, lanes_with_tiles
 
 KEPT = 96  # quarters: a day
+
+
+def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
+    """Return parts as shares, NaN where the whole is 0."""
+    share = np.full(len(whole), np.nan)
+    np.divide(part, whole, out=share, where=whole > 0)
+    return share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +43,7 @@ class TileOccupancy:
 
     def share(self) -> Floats:
         """Return the occupancy of each tile, NaN where it was not visible."""
-        found = np.full(len(self.visible), np.nan)
-        np.divide(self.occupied, self.visible, out=found, where=self.visible > 0)
-        return found
+        return share_of(self.occupied, self.visible)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,21 +1,42 @@
-"""Counts of the last 15 minutes by tile, and of the last day by lane and 15 minutes."""
+"""Steps in which tiles were hit and observed lately, which a new start takes up from disk."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
+import zipfile
+from pathlib import Path
 from threading import Lock
+from typing import Any, TypeAlias
 
 import numpy as np
-import pandas as pd
 
-from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_begin
-from gis_radar.products import lane_totals
+from gis_radar.base import QUIET, Booleans, Integers, Reporter, atomic_write
 
 MINUTE = 1_200  # steps
-MINUTES = 15  # of a moving sum, and of an interval
-INTERVAL = MINUTES * MINUTE  # steps
-KEPT = 96  # intervals: a day
+MINUTES = 15  # of a moving sum
+QUARTER, QUARTERS = 15 * MINUTE, 5  # kept until the dataset has them: an hour and the one that runs
+Ended: TypeAlias = tuple[int, Integers]
+"""Number of an interval, and (2, n) steps in which tiles were hit and observed in it."""
+
+
+class _Intervals:
+    """Counts of the last intervals, a row each in turn."""
+
+    def __init__(self, tiles: int, steps: int, kept: int) -> None:
+        self.steps, self.number = steps, -1
+        self.rows = np.zeros((kept, 2, tiles), np.int32)
+
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> Ended | None:
+        """Count a step; return the interval that it ends, if it does."""
+        number, before, kept = step // self.steps, self.number, len(self.rows)
+        ended = None
+        if number != before:
+            if before >= 0:
+                ended = (before, self.rows[before % kept].copy())
+            passed = range(max(before, number - kept) + 1, number + 1)
+            self.rows[[each % kept for each in passed]] = 0
+            self.number = number
+        self.rows[number % kept] += [hit, observed]
+        return ended
 
 
 class RecentCounts:
@@ -23,85 +44,109 @@ class RecentCounts:
 
     Parameters
     ----------
-    lane_of_tile : (n,) int64 array
-        Of each tile, the position of its lane.
-    lanes : sequence of int
-        Numbers of the lanes.
+    tiles : int
+        How many there are.
+    interval, pushed : int
+        Steps over which the cumulative map counts, and the push of lanes; intervals begin at
+        multiples of them.
     """
 
-    def __init__(self, lane_of_tile: Integers, lanes: Sequence[int]) -> None:
-        self._lane_of_tile, self._lanes = lane_of_tile, list(lanes)
-        self._tiles_of_lane = np.maximum(np.bincount(lane_of_tile, minlength=len(lanes)), 1)
-        # a row a minute, in turn: hit, observed
-        self._by_minute = np.zeros((2, MINUTES, len(lane_of_tile)), np.int64)
-        self._interval = np.zeros((2, len(lane_of_tile)), np.int64)
-        self._done: deque[tuple[int, Floats]] = deque(maxlen=KEPT)
-        self._minute = self._number = -1
+    def __init__(self, tiles: int, *, interval: int = QUARTER, pushed: int = QUARTER) -> None:
+        self._kinds = {
+            "minutes": _Intervals(tiles, MINUTE, MINUTES),
+            "quarters": _Intervals(tiles, QUARTER, QUARTERS),
+            "interval": _Intervals(tiles, interval, 1),
+            "pushed": _Intervals(tiles, pushed, 1),
+        }
+        self.step = -1
         self._lock = Lock()
 
-    def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
-        """Count a step; steps ascend, until a clock is set back.
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> Ended | None:
+        """Count a step; return the interval of the push that it ends, if it does.
 
         Parameters
         ----------
         step : int
-            The step.
+            The step; steps ascend, until a clock is set back.
         hit, observed : (n,) bool arrays
             Which tiles are, in it.
         """
         with self._lock:
-            self._begin_anew(step)
-            slot = self._by_minute[:, self._minute % MINUTES]
-            for counts in (slot, self._interval):
-                counts[0] += hit
-                counts[1] += observed
-
-    def _begin_anew(self, step: int) -> None:
-        """Clear what is of an earlier minute or interval."""
-        minute, number = step // MINUTE, step // INTERVAL
-        if minute < self._minute:  # the clock was set back
-            self._by_minute[:], self._minute = 0, minute
-        if number < self._number:
-            self._interval[:], self._number = 0, number
-            self._done = deque((each for each in self._done if each[0] < number), maxlen=KEPT)
-        if minute != self._minute:
-            passed = range(max(self._minute + 1, minute - MINUTES + 1), minute + 1)
-            self._by_minute[:, [each % MINUTES for each in passed]] = 0
-            self._minute = minute
-        if number != self._number:
-            if self._number >= 0:
-                self._done.append((self._number, self._by_lane()))
-            self._interval[:] = 0
-            self._number = number
+            if step <= self.step:  # the clock was set back: all begins anew
+                for each in self._kinds.values():
+                    each.number, each.rows[:] = -1, 0
+            self.step = step
+            return [each.take(step, hit, observed) for each in self._kinds.values()][-1]
 
     def last_minutes(self) -> tuple[Integers, Integers]:
         """Return the steps in which each tile was hit and observed: 14 to 15 minutes."""
+        return self._sums("minutes")
+
+    def since_begin(self) -> tuple[Integers, Integers]:
+        """Return the same of the interval of the cumulative map that runs."""
+        return self._sums("interval")
+
+    def _sums(self, kind: str) -> tuple[Integers, Integers]:
         with self._lock:
-            hit, observed = self._by_minute.sum(axis=1)
+            hit, observed = self._kinds[kind].rows.sum(axis=0, dtype=np.int64)
         return hit, observed
 
-    def lane_intervals(self) -> pd.DataFrame:
-        """Return `lane, begin, end` (UTC), `hit_s, observed_s`: means of a lane's tiles."""
+    def quarters(self) -> list[Ended]:
+        """Return the last quarters of an hour of which a tile was observed, in order."""
+        found = self._kinds["quarters"]
         with self._lock:
-            rows = [*self._done]
-            if self._number >= 0:
-                rows.append((self._number, self._by_lane()))
-        tables = [
-            pd.DataFrame(
-                {
-                    "lane": self._lanes,
-                    "begin": step_begin(number * INTERVAL),
-                    "end": step_begin((number + 1) * INTERVAL),
-                    "hit_s": seconds[0],
-                    "observed_s": seconds[1],
-                }
-            )
-            for number, seconds in rows
-        ]
-        names = ["lane", "begin", "end", "hit_s", "observed_s"]
-        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=names)
+            numbers = range(max(found.number - QUARTERS + 1, 0), found.number + 1)
+            rows = [(each, found.rows[each % QUARTERS].copy()) for each in numbers]
+        return [(number, counts) for number, counts in rows if counts[1].any()]
 
-    def _by_lane(self) -> Floats:
-        size = len(self._lanes)
-        sums = [lane_totals(row.astype(float), self._lane_of_tile, size) for row in self._interval]
-        return np.asarray(sums) / self._tiles_of_lane * STEP_S
+    def arrays(self) -> dict[str, Any]:
+        """Return a copy of all counts, by name, to be kept by :func:`keep_counts`."""
+        with self._lock:
+            rows = {name: each.rows.copy() for name, each in self._kinds.items()}
+        return rows | {"state": self._state(self.step)}
+
+    def _state(self, step: int) -> Integers:
+        numbers = [(each.steps, each.number) for each in self._kinds.values()]
+        return np.array([step, *np.ravel(numbers)], np.int64)
+
+    def restore(self, path: Path, fingerprint: str, reporter: Reporter = QUIET) -> None:
+        """Take up the counts in a file, those over intervals of the same length.
+
+        Parameters
+        ----------
+        path : Path
+            Of the file; where there is none, or one of other tiles, all begins anew.
+        fingerprint : str
+            Of the tiles.
+        reporter : Reporter
+            Receives a warning where it cannot be read.
+        """
+        try:
+            with np.load(path) as found:
+                if str(found["tiles"]) != fingerprint:
+                    return
+                step, *numbers = found["state"].tolist()
+                rows = {name: found[name] for name in self._kinds}
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            reporter.warn("{}: cannot be read: the map's counts begin anew", path)
+            return
+        self.step = step
+        for (name, each), (steps, number) in zip(
+            self._kinds.items(), zip(numbers[::2], numbers[1::2], strict=True), strict=True
+        ):
+            if steps == each.steps and rows[name].shape == each.rows.shape:
+                each.number, each.rows = number, rows[name]
+
+
+def keep_counts(path: Path, arrays: dict[str, Any], fingerprint: str) -> None:
+    """Write counts to a file, for a new start.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    with atomic_write(path) as part, part.open("wb") as file:
+        np.savez(file, tiles=np.array(fingerprint), **arrays)

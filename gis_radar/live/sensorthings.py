@@ -285,7 +285,7 @@ class LaneServer:
                     "location": self._shapes[lane]}  # fmt: skip
         return {
             "name": name, "description": about,
-            "properties": {"site": self._site, "lane": lane, "street": street or None},
+            "properties": {"site": self._site, "lane": str(lane), "street": street or None},
             "Locations": [location],
             "Datastreams": [{
                 "name": stream, "description": f"Hit share of lane {lane}",

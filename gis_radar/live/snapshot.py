@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from threading import Lock
 from typing import Any, Protocol
 from zoneinfo import ZoneInfo
 
@@ -15,17 +18,22 @@ import pandas as pd
 import shapely
 from pyproj import CRS, Transformer
 
-from gis_radar.base import Booleans, Floats, Integers, transformer, zone_of
+from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_begin, transformer, zone_of
 from gis_radar.hdmap import fingerprint, lanes, read_map
+from gis_radar.live.intake import SensorState
+from gis_radar.live.map_of_now import MapState
 from gis_radar.live.now_filter import VehiclesNow
-from gis_radar.live.quarters import Lately
+from gis_radar.live.quarters import Lately, Quarters, share_of
+from gis_radar.live.recent import QUARTER, RecentCounts
 from gis_radar.live.settings import LiveSite
+from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
 NOT_OBSERVED = -1  # in place of a class
 DEGREES = 7  # digits after the point: a centimetre
 RINGS = 1_000  # views that are kept: poses of a following sensor change every 5 s
+RATE_S = 10.0  # over which frames are counted
 GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: what web maps and OGC API - Features take
 
 
@@ -70,6 +78,14 @@ class Place:
     def lane_numbers(self) -> list[int]:
         """Numbers of the lanes that have tiles, ascending."""
         return [lane.number for lane in lanes_with_tiles(self.tiles)[0]]
+
+    def totals_by_lane(self, values: Integers) -> Floats:
+        """Return the sum over each lane's tiles of a value by tile."""
+        return lane_totals(values.astype(float), self.lane_of_tile, len(self.lane_numbers))
+
+    def means_by_lane(self, values: Integers) -> Floats:
+        """Return the mean over each lane's tiles of a value by tile."""
+        return self.totals_by_lane(values) / self.totals_by_lane(np.ones_like(values))
 
     def in_degrees(self, layer: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
         """Return a layer of the site in longitude and latitude."""
@@ -174,9 +190,7 @@ class Snapshot:
 
     def hit_share(self) -> Floats:
         """Return the hit share of each tile over the last 15 minutes, NaN where not observed."""
-        share = np.full(len(self.observed), np.nan)
-        np.divide(self.hit, self.observed, out=share, where=self.observed > 0)
-        return share
+        return share_of(self.hit, self.observed)
 
     def classes(self) -> Integers:
         """Return the class of each tile's hit share: 0 never hit, then as in the legend; or -1."""
@@ -190,12 +204,8 @@ class Snapshot:
 
     def by_lane(self, place: Place) -> Floats:
         """Return the hit share of each lane over the last 15 minutes, NaN where not observed."""
-        size = len(place.lane_numbers)
-        observed = lane_totals(self.observed.astype(float), place.lane_of_tile, size)
-        hit = lane_totals(self.hit.astype(float), place.lane_of_tile, size)
-        share = np.full(size, np.nan)
-        np.divide(hit, observed, out=share, where=observed > 0)
-        return share
+        observed = place.totals_by_lane(self.observed)
+        return share_of(place.totals_by_lane(self.hit), observed)
 
 
 def classes_of(share: Floats) -> Integers:
@@ -204,24 +214,103 @@ def classes_of(share: Floats) -> Integers:
     return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
 
 
-class LiveMap(Protocol):
-    """What fusion offers to those that show its map; safe to call from another thread."""
+class FusedMap(Protocol):
+    """The part of fusion that is shown."""
+
+    sensors: dict[str, SensorState]
+    quarters: Quarters
+    counts: RecentCounts
+    vehicles: LiveVehicles | None
+
+    def state(self) -> MapState:
+        """Return the map of now."""
+
+    def metrics(self) -> str:
+        """Return counts and alarms as text for Prometheus."""
+
+
+class ShownMap:
+    """The map of fusion for the page and its services.
+
+    Parameters
+    ----------
+    fusion : FusedMap
+        The map of now, sensors, vehicles.
+    place : Place
+        Tiles and lanes.
+    """
+
+    def __init__(self, fusion: FusedMap, place: Place) -> None:
+        self._fusion, self._place = fusion, place
+        self._frames: deque[tuple[float, dict[str, int]]] = deque()
+        self._lock = Lock()
 
     @property
     def place(self) -> Place:
-        """What stays."""
+        """Tiles and lanes."""
+        return self._place
 
     def snapshot(self) -> Snapshot:
         """Return the map of now."""
+        state = self._fusion.state()
+        hit, observed = self._fusion.counts.last_minutes()
+        rates, followed = self._rates(), self._fusion.vehicles
+        return Snapshot(
+            step=state.step,
+            now=np.flatnonzero(state.hit),
+            observed_now=state.observed,
+            hit=hit,
+            observed=observed,
+            sensors=[
+                self._shown(name, each, rates.get(name, 0.0))
+                for name, each in list(self._fusion.sensors.items())
+            ],
+            vehicles=None if followed is None else followed.now(),
+            lately=self._fusion.quarters.lately(),
+        )
 
     def lane_intervals(self) -> pd.DataFrame:
-        """Return `lane, begin, end` (UTC), `hit_s, observed_s` of intervals of 15 minutes.
-
-        One row a lane and interval, the newest interval last, at most the last 24 hours.
-        """
+        """Return what was measured of each lane by quarter of an hour, and hits since then."""
+        tables = [self._fusion.quarters.intervals()]
+        for number, counts in self._fusion.counts.quarters():
+            hit_s, observed_s = (STEP_S * self._place.means_by_lane(each) for each in counts)
+            tables.append(pd.DataFrame({
+                "lane": self._place.lane_numbers, "hit_s": hit_s, "observed_s": observed_s,
+                "begin": step_begin(number * QUARTER), "end": step_begin((number + 1) * QUARTER),
+            }))  # fmt: skip
+        table = pd.concat([each for each in tables if len(each)] or tables, ignore_index=True)
+        columns = ["lane", "begin", "end", "hit_s", "observed_s"]
+        table = table.reindex(columns=[*columns, *table.columns.difference(columns)])
+        return table.drop_duplicates(["lane", "begin"]).sort_values("begin", kind="stable")
 
     def metrics(self) -> str:
-        """Return counts and lags as Prometheus reads them."""
+        """Return counts and alarms as text for Prometheus."""
+        return self._fusion.metrics()
+
+    def _rates(self) -> dict[str, float]:
+        """Return frames a second of each sensor over the last seconds."""
+        now = time.monotonic()
+        counts = {name: each.health.counts["frames"] for name, each in self._fusion.sensors.items()}
+        with self._lock:
+            self._frames.append((now, counts))
+            while now - self._frames[0][0] > RATE_S and len(self._frames) > 1:
+                self._frames.popleft()
+            since, before = self._frames[0]
+        passed_s = max(now - since, 1e-3)
+        return {name: (count - before.get(name, 0)) / passed_s for name, count in counts.items()}
+
+    def _shown(self, name: str, sensor: SensorState, rate: float) -> ShownSensor:
+        health = sensor.health
+        alarms = dict(health.alarms)
+        return ShownSensor(
+            name=name,
+            online="offline" not in alarms and bool(sensor.stream),
+            alarms={kind: text for kind, text in alarms.items() if kind != "offline"},
+            pose=sensor.pose,
+            lag_s=health.lag_s if rate > 0.0 else float("nan"),  # else it is of long ago
+            frames_per_s=rate,
+            lost=health.counts["lost"],
+        )
 
 
 def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:

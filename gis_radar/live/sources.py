@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, Queue
@@ -111,6 +111,8 @@ class Radar:
         Which, where there are several.
     reporter : Reporter
         Receives remarks.
+    read : callable, optional
+        Yields its frames; by default as its address or name says.
 
     Attributes
     ----------
@@ -121,6 +123,7 @@ class Radar:
     source: str
     sensor: str | None = None
     reporter: Reporter = QUIET
+    read: Callable[[str, ReaderContext], Iterable[Frame]] | None = None
 
     def __post_init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -135,13 +138,13 @@ class Radar:
         InputError
             If the source cannot be read.
         """
-        form = format_of(self.source)
+        frames = self.read or format_of(self.source).frames
         context = ReaderContext(sensor=self.sensor, reporter=self.reporter, counts=self.counts)
         waiting: Queue[Frame | Exception | None] = Queue(WAITING_FRAMES)
 
         def read() -> None:
             try:
-                for frame in form.frames(self.source, context):
+                for frame in frames(self.source, context):
                     waiting.put(frame)
             except Exception as error:  # noqa: BLE001 - raised where frames are read
                 waiting.put(error)

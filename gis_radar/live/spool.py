@@ -210,6 +210,17 @@ class SpoolFile:
             size = os.fstat(file.fileno()).st_size
             self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
 
+    @property
+    def has_head(self) -> bool:
+        """Whether it begins with the marks of all streams, as it does unless a crash tore it."""
+        first = self.at(0)
+        return first is not None and first.kind == HEAD
+
+    @property
+    def written_us(self) -> int:
+        """When it was written to last, microseconds since 1970."""
+        return self.path.stat().st_mtime_ns // 1000
+
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield all records, each with where it begins."""
         at = end = 0  # end: of the last whole record

@@ -27,9 +27,7 @@ from gis_radar.live.now_filter import NowFilter, VehiclesNow
 from gis_radar.live.payload import POSE_BYTES
 from gis_radar.measures import rows_of
 from gis_radar.poses import Pose
-from gis_radar.tracking import (
-    map_detections,
-)
+from gis_radar.tracking import map_detections
 
 NOW_S, REORDER_S = 0.5, 0.3  # how often they are told; how long frames wait for other sensors
 OLD_S = 5.0  # vehicles of now that are older are none
@@ -169,6 +167,8 @@ class LiveVehicles:
         The site's.
     crs : CRS
         The map frame.
+    again_s : float
+        After which a process that ended is started anew, seconds.
     reporter : Reporter
         Receives a line where the process ends.
 
@@ -181,10 +181,12 @@ class LiveVehicles:
     """
 
     def __init__(
-        self, graph: LaneGraph, sensors: Sequence[str], crs: Any, *, reporter: Reporter = QUIET
-    ) -> None:
+        self, graph: LaneGraph, sensors: Sequence[str], crs: Any, *, again_s: float = AGAIN_S,
+        reporter: Reporter = QUIET,
+    ) -> None:  # fmt: skip
         self.dropped = self.late = self.restarts = 0
         self._graph, self._crs, self._reporter = graph, crs, reporter
+        self._again_s = again_s
         self._number = {name: k for k, name in enumerate(sorted(sensors))}
         self._placed: dict[PoseName, Placed] = {}
         self._fresh: dict[PoseName, Placed] = {}
@@ -257,7 +259,7 @@ class LiveVehicles:
             reason,
         )
         self.close()
-        self._start_at = time.monotonic() + AGAIN_S
+        self._start_at = time.monotonic() + self._again_s
 
     def close(self) -> None:
         """Stop the process."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import socket
 from asyncio import TimerHandle, Transport
 from collections.abc import Sequence
+from functools import partial
 from threading import Thread
-from typing import cast
+from typing import Any, cast
 
 import uvicorn
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -29,6 +30,10 @@ class BoundedConnection(H11Protocol):
     uvicorn has no such bounds: its own time-out begins after the first answer and ends with the
     next byte. Of too many connections the one that has waited longest for a request is closed.
     """
+
+    def __init__(self, *given: Any, unread_s: float, **more: Any) -> None:
+        super().__init__(*given, **more)
+        self._unread_s = unread_s
 
     request_due: TimerHandle
     _reading_due: TimerHandle | None = None
@@ -64,7 +69,7 @@ class BoundedConnection(H11Protocol):
     def pause_writing(self) -> None:
         """Wait for the client to read."""
         super().pause_writing()
-        self._reading_due = self.loop.call_later(UNREAD_S, self.transport.abort)
+        self._reading_due = self.loop.call_later(self._unread_s, self.transport.abort)
 
     def resume_writing(self) -> None:
         """Go on, as the client has read."""
@@ -91,6 +96,8 @@ class WebServer:
     names : sequence of str
         Names by which browsers may ask for it, besides this machine's own; without them any where
         other machines reach the address, so that no other page asks in the name of this machine.
+    unread_s : float
+        How long a client may not take what was sent, seconds.
 
     Raises
     ------
@@ -98,12 +105,16 @@ class WebServer:
         If the address is taken.
     """
 
-    def __init__(self, app: ASGIApp, address: str, names: Sequence[str] = ()) -> None:
+    def __init__(
+        self, app: ASGIApp, address: str, names: Sequence[str] = (), *, unread_s: float = UNREAD_S
+    ) -> None:
         self._host, _, port = address.rpartition(":")
         host = self._host.strip("[]")
         hosts = [*names, *LOOPBACK] if names or host in LOOPBACK else ["*"]
         config = uvicorn.Config(
-            TrustedHostMiddleware(app, allowed_hosts=hosts), http=BoundedConnection, ws="none",
+            TrustedHostMiddleware(app, allowed_hosts=hosts),
+            http=cast("type[H11Protocol]", partial(BoundedConnection, unread_s=unread_s)),
+            ws="none",
             log_config=None, log_level="critical", backlog=BACKLOG, timeout_graceful_shutdown=1,
         )  # fmt: skip
         self._server = uvicorn.Server(config)

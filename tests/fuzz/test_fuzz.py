@@ -130,9 +130,6 @@ FOUND = [
     *(
         ("live buffer", "live/buffer", statement(text))
         for text in (
-            "UPDATE messages SET content = 'a'",
-            "UPDATE messages SET number = 9223372036854775807 WHERE number = 1",
-            "UPDATE messages SET number = -5 WHERE number = 1",
             "ALTER TABLE messages RENAME COLUMN number TO other",
             "UPDATE notes SET value = '/'",
             "UPDATE notes SET value = X'FF'",
