@@ -11,7 +11,7 @@ from live_site import SAMPLE, LiveSite
 
 import gis_radar as gr
 from gis_radar.base import CrsError, NoAnswerError
-from gis_radar.calibration import LOCALIZATION
+from gis_radar.calibration import FRAMES
 from gis_radar.live import Edge, PoseContent, frames_of_recording, read_edge_file
 from gis_radar.live import edge as edge_module
 from gis_radar.live.own_pose import Followed
@@ -115,7 +115,7 @@ def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run, monkeypatch)
     found = iter([WRONG, None, RIGHT])
 
     def find(_file, gathered, *, reporter):
-        assert len(gathered) == LOCALIZATION.traces.frames
+        assert len(gathered) == FRAMES
         if (pose := next(found)) is None:
             raise NoAnswerError("too few vehicles")
         return pose

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -88,12 +88,6 @@ class Moments:
     def points(self) -> Floats:
         """What it sees, local coordinates."""
         return np.asarray(self.arm + self.place)
-
-    def first(self, number: int) -> Moments:
-        """Return the first so many of them."""
-        cut = {each.name: getattr(self, each.name) for each in fields(self)}
-        rows = {name: values[:number] for name, values in cut.items() if name != "place"}
-        return replace(self, **rows)
 
     def later(self, moments: int) -> Moments:
         """Return them as if they had been seen so many moments later."""
@@ -247,9 +241,9 @@ def compare_moments(one: Moments, other: Moments, model: Model = MODEL) -> Rows:
     model : Model
         How vehicles reflect.
     """
-    if not _in_reach(one, other):  # sensors of a large site that never meet
-        one = one.first(0)
-    a, b = _same_moment(one.moment, other.moment)
+    a, b = np.empty((2, 0), np.int64)
+    if _in_reach(one, other):  # sensors of a large site may never meet
+        a, b = _same_moment(one.moment, other.moment)
     table = pd.DataFrame({"one": one.track[a], "other": other.track[b]})
     way = np.sum(one.along[a] * other.along[b], axis=1)
     over = np.abs(one.points[a, 2] - other.points[b, 2])

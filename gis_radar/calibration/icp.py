@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.base import INSTALL_LOCALIZE, Floats, InputError, Integers, NoAnswerError, Reporter
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.calibration.hypotheses import GUESS_M
 from gis_radar.calibration.result import STAGE, Localization, Problem, common
-from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.solver import FLOOR, at_least
-from gis_radar.calibration.state import State
+from gis_radar.calibration.state import LEVER_M, State
 from gis_radar.calibration.traces import CROWD_M, Moving
 
 # How far the pose is moved to measure how well the road fixes it: farther than the slack between
@@ -199,18 +199,12 @@ def _open3d() -> Any:
     return open3d
 
 
-def by_icp(
-    problem: Problem,
-    moving: Moving,
-    reporter: Reporter,
-    settings: LocalizationSettings = LOCALIZATION,
-) -> Localization:
+def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
     """Lay the traces on the road's surface, as the paper does."""
     reporter.progress(STAGE, 1, 3)
-    guess_m = settings.search.guess_m
     source = source_voxels(moving)
     local = problem.road - [*problem.guess[:2], 0.0]
-    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + guess_m
+    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + GUESS_M
     local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
     if len(local) == 0:
         raise NoAnswerError("{}: no road within {:.0f} m of the guess", problem.name, reach_m)
@@ -219,7 +213,7 @@ def by_icp(
     starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
     fit = register_icp(source, voxels(local, VOXEL_M), starts)
     away = float(np.hypot(*fit.state.position[:2]))
-    if away > FARTHEST * guess_m:
+    if away > FARTHEST * GUESS_M:
         raise NoAnswerError(
             "{}: the registration went {:.0f} m from the guess",
             problem.name,
@@ -228,7 +222,7 @@ def by_icp(
         )
     reporter.progress(STAGE, 3, 3)
     information = pose_information(source, local, fit.state)
-    observable = is_fixed(pose_covariance(information, fit.state), settings.answer)
+    observable = is_fixed(pose_covariance(information, fit.state))
     evidence = {**common(moving, "icp"), "fitness": fit.fitness, "observable": observable}
     return Localization(
         pose=problem.pose(fit.state, evidence),

@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import QUIET, Floats, NoAnswerError, Reporter, scratch_folder
 from gis_radar.calibration import (
-    MONITOR,
+    CYCLE_S,
+    LOST_S,
     MOVED,
     Follower,
     Problem,
@@ -133,14 +134,14 @@ class PoseFollower:
         self._frames: Queue[Detections | None] = Queue(WAITING_FRAMES)
         self._found: SimpleQueue[Followed | Exception] = SimpleQueue()
         self._ended = Event()
-        self._start, self._due = start, begin + MONITOR.cycle_s
+        self._start, self._due = start, begin + CYCLE_S
         roads, road = _map_of(file, start)
         self._problem = Problem(
             name=start.sensor, roads=roads, road=road, guess=start.position[:2], heading=None
         )
         self._follower = Follower(
-            WindowFitter(self._problem, MONITOR, reporter=reporter),
-            start_estimate(start, begin, MONITOR), name=start.sensor, reporter=reporter,
+            WindowFitter(self._problem, reporter=reporter),
+            start_estimate(start, begin), name=start.sensor, reporter=reporter,
         )  # fmt: skip
         self._moved_at = -np.inf
         self._thread = Thread(target=self._work, daemon=True, name="pose")
@@ -189,8 +190,8 @@ class PoseFollower:
             now = float(frame.time[0])
             if now >= self._due:
                 self._cycle(self._due)
-                gone = np.floor((now - self._due) / MONITOR.cycle_s) + 1.0
-                self._due += float(gone) * MONITOR.cycle_s
+                gone = np.floor((now - self._due) / CYCLE_S) + 1.0
+                self._due += float(gone) * CYCLE_S
             self._follower.push(frame)
 
     def _cycle(self, time: float) -> None:
@@ -199,7 +200,7 @@ class PoseFollower:
         rows = self._follower.rows
         if any(row.event == MOVED and id(row) not in known for row in rows):
             self._moved_at = time
-        window_s = MONITOR.lost_s
+        window_s = LOST_S
         confirmed = self._follower.confirmed or not self._doubted
         trusted = confirmed and self._moved_at == -np.inf
         if confirmed and not trusted and rows[-1].corrected and time - self._moved_at >= window_s:
