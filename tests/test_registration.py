@@ -112,7 +112,7 @@ def test_heights_are_a_mixture_of_two_bells_and_strays(scene):
     own[:] = np.random.default_rng(1).normal(0.0, 0.3, own.shape)
     model, samples = compared.model, compared.placed.samples
     rows = height(compared, own)
-    over = height_over_road(compared.lanes, compared.placed, compared.matches, VIEW_EDGE)
+    over = height_over_road(compared.lanes, compared.placed, compared.matches)
     noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
     away = over - state.reflection - own.ravel()[samples.spells]
     tall = model.body_share
@@ -527,12 +527,13 @@ def test_heights_over_the_road_follow_its_slope_and_end_with_the_view(scene):
     off = placed.points - lanes.points[matches.lane]
     ahead = np.einsum("ij,ij->i", off[:, :2], lanes.along[matches.lane])
     over = off[:, 2] - lanes.slope[matches.lane] * ahead
-    found = height_over_road(lanes, placed, matches, 0.0)
+    found = height_over_road(lanes, placed, matches)
     seen = ~np.isnan(found)
     assert np.allclose(found[seen], over[seen], atol=1e-9)
     up, flat, upward = placed.arms[:, 2], placed.flat, scene.samples.upward
     lower = np.abs(np.arctan2(up - off[:, 2], flat) - np.arctan2(up, flat))
-    in_view = np.abs(upward + np.sign(upward) * lower) < scene.samples.elevation
+    widest = scene.samples.elevation - VIEW_EDGE
+    in_view = np.abs(upward + np.sign(upward) * lower) < widest
     assert (seen == (matches.found & np.isfinite(over) & in_view)).all()
     assert 0.2 < seen.mean() < 1.0
 

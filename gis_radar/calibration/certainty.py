@@ -215,7 +215,9 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
             for side in (-1.0, 1.0)
         ]
         sigma_m = max(_deviation(fit, side) for side in sides)
-        lowest = min((other for side in sides for _, other in side), key=_cost, default=fit)
+        lowest = min(
+            (other for side in sides for _, other in side), key=lambda each: each.cost, default=fit
+        )
         if look == LOOKS or lowest.cost > fit.cost - LOOK_GAIN:
             break
         again = solve(scene, lowest.state, prior, schedule=FINE, model=model)
@@ -315,10 +317,6 @@ def _weakest(fit: Fit) -> tuple[Floats, Floats]:
     hold = np.zeros(SIZE)
     hold[PLANE] = lever_m * vectors[:, -1]
     return hold, covariance @ hold
-
-
-def _cost(fit: Fit | Rest) -> float:
-    return fit.cost
 
 
 def _profile(

@@ -10,7 +10,7 @@ import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.moving import RIGHT, time_span
+from gis_radar.calibration.moving import RIGHT, recorded_between
 from gis_radar.calibration.stays import Stays, compare_standing
 from gis_radar.calibration.traces import (
     CREEPING,
@@ -166,7 +166,7 @@ def read_excerpts(
     InputError
         If a recording is damaged.
     """
-    spans, count = [time_span(each) for each in recordings], PIECES
+    spans, count = [recorded_between(each) for each in recordings], PIECES
     length_s = sum(end - begin for begin, end in spans)
     while True:
         rows = _rows(recordings, _begins(spans, count), clock or RIGHT)

@@ -128,26 +128,25 @@ def track(
 
 def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detections, float | None]]:
     """Cut a recording where a cycle ends; yield its parts, and the time where one has ended."""
-    cycle_s = CYCLE_S
     begin = last = due = np.nan
     done = 0
     for batch in recording.read():
         rows, done = batch, done + len(batch)
         if np.isnan(due):
-            begin, due = float(rows.time[0]), float(rows.time[0]) + cycle_s
+            begin, due = float(rows.time[0]), float(rows.time[0]) + CYCLE_S
         last = float(rows.time[-1])
         while len(rows) and last >= due:
             early = rows.time < due
             yield rows.take(early), due
             rows = rows.take(~early)
             # no pose where there are no frames
-            count = np.floor((rows.time[0] - begin) / cycle_s) + 1.0
-            due = begin + cycle_s * count
+            count = np.floor((rows.time[0] - begin) / CYCLE_S) + 1.0
+            due = begin + CYCLE_S * count
             if due <= rows.time[0]:  # rounded down to the very frame that it is to come after
-                due = begin + cycle_s * (count + 1.0)
+                due = begin + CYCLE_S * (count + 1.0)
         yield rows, None
         reporter.progress(STAGE, done, recording.rows)
-    if due - last < (1.0 - LEAST_CYCLE) * cycle_s:
+    if due - last < (1.0 - LEAST_CYCLE) * CYCLE_S:
         yield rows.take(np.zeros(len(rows), dtype=bool)), due
 
 

@@ -42,7 +42,7 @@ def chi2_quantile(level: float) -> float:
 
 # Chi2 of six degrees of freedom: the largest that is chance; from where on a move is looked for and
 # the pose's sigma widened; the median.
-GATE = chi2_quantile(1.0 - FALSE_ALARMS * CYCLE_S / HOUR_S / len(LENGTHS_S))
+GATE = chi2_quantile(1.0 - FALSE_ALARMS / (HOUR_S / CYCLE_S * len(LENGTHS_S)))
 SUSPECT = chi2_quantile(0.95)
 USUAL = chi2_quantile(0.5)
 # So many of the last tests measure by how much chi2 is larger here than it should be, with so

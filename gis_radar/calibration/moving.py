@@ -89,11 +89,11 @@ def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
     InputError
         If it cannot be read.
     """
-    begin, end = clock.corrected(np.array(time_span(open_recording(path)))).tolist()
+    begin, end = clock.corrected(np.array(recorded_between(open_recording(path)))).tolist()
     return Span(path=path, begin=begin, end=end)
 
 
-def time_span(recording: Recording) -> tuple[float, float]:
+def recorded_between(recording: Recording) -> tuple[float, float]:
     """Return when a recording begins and ends, UNIX seconds of its own clock.
 
     Raises

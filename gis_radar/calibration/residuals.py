@@ -119,7 +119,8 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
     own_m = model.half_width / 2.0
     weight: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
     stiffness = np.full((samples.tracks, 1, 1), model.driver**-2)
-    return Residuals(*rows, jacobian, samples.track, stiffness, weight)
+    value, precision, curvature, loss = rows
+    return Residuals(value, precision, curvature, loss, jacobian, samples.track, stiffness, weight)
 
 
 @compiled
@@ -225,7 +226,9 @@ def height(compared: LaneComparison, effect: Floats) -> Residuals:
     if differ not in samples.kept:
         samples.kept[differ] = np.asarray(np.linalg.inv(height_covariance(samples, model)))
     stiffness = samples.kept[differ]
-    return Residuals(*rows, jacobian, samples.spells, stiffness, np.ones(len(samples)))
+    value, precision, curvature, loss = rows
+    ones = np.ones(len(samples))
+    return Residuals(value, precision, curvature, loss, jacobian, samples.spells, stiffness, ones)
 
 
 def height_covariance(samples: Samples, model: Model) -> Floats:
@@ -456,12 +459,5 @@ def _summed(  # pragma: no cover - compiled
 def sums(track: Integers, rows: Floats, tracks: int) -> Floats:
     """Return the sum of the rows of each track, (tracks, columns)."""
     total = np.zeros((tracks, rows.shape[1]))
-    _add(total, track, rows)
+    np.add.at(total, track, rows)
     return total
-
-
-@compiled
-def _add(total: Floats, track: Integers, rows: Floats) -> None:  # pragma: no cover - compiled
-    for i in range(len(rows)):
-        for j in range(rows.shape[1]):
-            total[track[i], j] += rows[i, j]

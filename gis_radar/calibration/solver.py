@@ -159,9 +159,8 @@ def solve(
     start: State,
     prior: Prior,
     *,
-    schedule: Schedule | None = None,
+    schedule: Schedule = FAR,
     model: Model = MODEL,
-    hold: Floats | None = None,
 ) -> Fit:
     """Find the pose near a start at which the traces lie on the lanes and on the road.
 
@@ -176,15 +175,12 @@ def solve(
         Where to begin.
     prior : Prior
         Of the state.
-    schedule : Schedule, optional
-        By how much all spreads are widened, stage by stage; without it from a lane off.
+    schedule : Schedule
+        By how much all spreads are widened, stage by stage; by default from a lane off.
     model : Model
         How vehicles drive and reflect.
-    hold : (7,) array, optional
-        A combination of the state's parts that stays as it is at the start.
     """
-    schedule = schedule or FAR
-    return _described(*_descended(scene, start, prior, schedule, model, hold))
+    return _described(*_descended(scene, start, prior, schedule, model, None))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,8 +206,10 @@ def settle(
 
     Parameters
     ----------
-    scene, start, prior, schedule, model, hold
+    scene, start, prior, schedule, model
         As of :func:`solve`.
+    hold : (7,) array
+        A combination of the state's parts that stays as it is at the start.
     """
     _, here, _ = _descended(scene, start, prior, schedule, model, hold)
     return Rest(state=here.point.state, cost=here.total)

@@ -89,8 +89,6 @@ class Verdict:
     found : Displacement
         The likeliest move, in the sensor's frame: how far it is from no move as score, over how
         long the newest places were taken.
-    targets : int
-        How many were compared.
     sees : bool
         Whether a move of `wanted_m` in the plane or of `wanted_rad` about any axis could not hide.
     rests : bool
@@ -99,7 +97,6 @@ class Verdict:
     """
 
     found: Displacement
-    targets: int
     sees: bool
     rests: bool
 
@@ -331,7 +328,6 @@ class StationaryTargets:
         )
         return Verdict(
             found=found,
-            targets=count,
             sees=bool((sigma < SURE * wanted).all()),
             rests=score < GATE and bool((sigma < SURE * KNOCK[PLANE_AND_ANGLES]).all()),
         )

@@ -433,12 +433,6 @@ def _link(  # pragma: no cover - compiled
                 parent[b] = parent[parent[b]]
                 b = parent[b]
             parent[max(a, b)] = min(a, b)
-    return parent_roots(parent)
-
-
-@compiled
-def parent_roots(parent: Integers) -> Integers:  # pragma: no cover - compiled
-    """Return the root of every node of a forest whose parents have lower numbers."""
-    for i in range(len(parent)):
+    for i in range(len(parent)):  # parents have lower numbers
         parent[i] = parent[parent[i]]
     return parent

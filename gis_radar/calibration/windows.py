@@ -17,7 +17,7 @@ from gis_radar.calibration.lane_method import LEAST_FITNESS, LEAST_TRACKS, lanes
 from gis_radar.calibration.lanes import Lanes, Scene
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.result import Problem
-from gis_radar.calibration.solver import Fit, Prior, Schedule, cost_at, solve
+from gis_radar.calibration.solver import FAR, Fit, Prior, Schedule, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
 
@@ -281,7 +281,7 @@ class WindowFitter:
         """
         part, here = rough(self.scene(found.samples)), found.fit.state
 
-        def at(state: State, schedule: Schedule | None = None) -> Fit:
+        def at(state: State, schedule: Schedule = FAR) -> Fit:
             prior = replace(prior_at(state), mean=state)
             return solve(part, state, prior, schedule=schedule)
 
