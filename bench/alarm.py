@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.calibration import MONITOR
+from gis_radar.calibration import MIN_SPEED_MPS, alarm
 from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
 from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
@@ -66,7 +66,6 @@ MINUTES = 10  # a batch of simulation; streets hold the same habits in all of th
 STREETS_SEED = 77
 WINDOW_S = 100.0
 FIRST_MOVED = 3  # batches before the first move
-ALARM, TRACES = MONITOR.alarm, MONITOR.localization.traces
 
 WITNESSES = {
     "whole": "both, as `track` asks them",
@@ -256,13 +255,13 @@ class Sensor:
         """Return where vehicles drove in a minute of a batch."""
         now = 60.0 * (minute + 1)
         window = batch.between(now - WINDOW_S, now)
-        drives = np.abs(window.rate) > TRACES.min_speed_mps
+        drives = np.abs(window.rate) > MIN_SPEED_MPS
         moving = Moving(
             time=window.time[drives], points=window.points[drives], range_rate=window.rate[drives],
             frames=2000, begin=now - WINDOW_S, end=now,
         )  # fmt: skip
-        since, until = now - 60.0 - ALARM.settle_s, now - ALARM.settle_s
-        return lane_places(moving, self.cells, self.state, since=since, until=until, traces=TRACES)
+        since, until = now - 60.0 - alarm.SETTLE_S, now - alarm.SETTLE_S
+        return lane_places(moving, self.cells, self.state, since=since, until=until)
 
     def detectors(self) -> tuple[ChangeDetector, ChangeDetector]:
         """Return how vehicles show moves."""
@@ -313,7 +312,7 @@ class Both:
             sees = any(each.sees for each in told)
             largest = max([largest, *(each.found.score / GATE for each in told)])
         driven = self.vehicles.push(places, now)
-        by_vehicles = 0.0 if driven is None else driven.score / ALARM.gate
+        by_vehicles = 0.0 if driven is None else driven.score / alarm.GATE
         return Scores(still=largest, vehicles=by_vehicles, sees=sees)
 
 

@@ -17,10 +17,10 @@ import numpy as np
 from scipy.stats import genpareto
 
 from gis_radar.base import Booleans, Floats
-from gis_radar.calibration import MONITOR
+from gis_radar.calibration import DRIFT
 from gis_radar.calibration.alarm import ChangeDetector
+from gis_radar.calibration.kalman_filter import HOUR_S
 from gis_radar.calibration.lane_places import WITHIN_M, LanePlaces
-from gis_radar.calibration.settings import HOUR_S
 from gis_radar.calibration.stationary_targets import GATE_M, GATE_RAD, WANDER_M, WANDER_RAD, by_move
 
 RUN = 3  # minutes that stay together
@@ -215,7 +215,7 @@ class _Slow:
         rng, day = self._rng, self._day
         for each in (self._habits, self._sway, self._still):
             each.step()
-        hourly = day.drift * np.array(MONITOR.drift)
+        hourly = day.drift * DRIFT
         self._drift = self._drift + hourly * rng.normal(size=6) * np.sqrt(60.0 / HOUR_S)
         self._obstacles = [(s, by, left - 1) for s, by, left in self._obstacles if left > 1]
         if rng.random() < day.obstacles / 60.0:

@@ -11,8 +11,10 @@ from sites import START
 from streets import Street
 
 from gis_radar.base import seconds_from_iso
-from gis_radar.calibration import MONITOR, MOVED, track
+from gis_radar.calibration import MOVED, track
 from gis_radar.calibration.alarm import (
+    BLOCKS,
+    GATE,
     STRETCH_HABIT_M,
     Alarm,
     Displacement,
@@ -20,11 +22,10 @@ from gis_radar.calibration.alarm import (
     detectors,
     habits_of,
 )
-from gis_radar.calibration.kalman_filter import Estimate, Innovation, Measurement
+from gis_radar.calibration.kalman_filter import KNOCK, Estimate, Innovation, Measurement
 from gis_radar.calibration.lane_places import LanePlaces, cells_along, lane_places
 from gis_radar.calibration.lanes import sample_lanes
 from gis_radar.calibration.moves import FAR_WINDOW, MoveTest, Scatter, score
-from gis_radar.calibration.settings import ALARM
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.watch import Watch
@@ -32,7 +33,18 @@ from gis_radar.calibration.windows import WindowTraffic
 
 STREET = Street()
 POSE = STREET.pose()
-TRACES = MONITOR.localization.traces
+
+
+@pytest.fixture
+def constants(monkeypatch):
+    """Set constants of modules of the room: `constants(alarm={"BLOCK_S": 2.0})`."""
+
+    def change(**modules):
+        for module, changes in modules.items():
+            for name, value in changes.items():
+                monkeypatch.setattr(f"gis_radar.calibration.{module}.{name}", value)
+
+    return change
 
 
 @pytest.fixture(scope="module")
@@ -100,10 +112,10 @@ def test_a_small_move_is_noticed_with_its_size(cells, taught, name):
     step = np.array(STEPS[name])
     alarm, rng = Alarm(cells, np.zeros(2)), np.random.default_rng(5)
     before = scores(alarm, taught)
-    assert max(each.score for each in before) < 0.6 * ALARM.gate
+    assert max(each.score for each in before) < 0.6 * GATE
     moved = state().moved(np.append(step, 0.0))
     after = scores(alarm, [minute(cells, rng, moved=moved) for _ in range(9)], len(taught))
-    assert max(each.score for each in after) > ALARM.gate
+    assert max(each.score for each in after) > GATE
     last = after[-1]
     known = np.diag(last.covariance) > 0.0
     error = (last.move - step)[known]
@@ -119,19 +131,19 @@ def test_obstacles_habits_and_few_vehicles_are_no_moves(cells, taught):
     other = [minute(cells, rng, habit=blocked) for _ in range(12)]
     other += [minute(cells, rng, habit=0.08) for _ in range(12)]
     other += [minute(cells, rng, vehicles=3) for _ in range(12)]
-    assert max(each.score for each in scores(alarm, other, len(taught))) < ALARM.gate
+    assert max(each.score for each in scores(alarm, other, len(taught))) < GATE
 
 
-def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taught):
-    few = replace(ALARM, reference_h=0.2, reference_vehicles=100)
-    memory = Memory(detectors(cells, np.zeros(2))[0], replace(MONITOR, alarm=few))
+def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taught, constants):
+    constants(alarm={"REFERENCE_H": 0.2, "REFERENCE_VEHICLES": 100})
+    memory = Memory(detectors(cells, np.zeros(2))[0])
     for k, block in enumerate(taught):
         memory.push(block, block.across_m, 60.0 * k)
-    assert len(taught) - memory.learnt <= ALARM.blocks[-1]
+    assert len(taught) - memory.learnt <= BLOCKS[-1]
     for k in range(200):
         seen = taught[k % 40]
         memory.push(seen, seen.across_m + 0.2, 60.0 * (40 + k))
-    assert len(taught) + 200 - memory.learnt == ALARM.blocks[-1]
+    assert len(taught) + 200 - memory.learnt == BLOCKS[-1]
     assert memory.reference.vehicles < 1.2 * 60 * 12  # 0.2 h
     mean = np.linalg.lstsq(memory.reference.weight, memory.reference.gradient, rcond=None)[0]
     seen = np.diag(memory.reference.weight) > 100.0
@@ -156,12 +168,12 @@ def test_habits_are_the_normal_equations_of_vehicles_with_a_place_of_their_own(c
     assert weight.sum() == pytest.approx(found.weight.sum())
 
 
-def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taught):
+def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taught, constants):
     """Reference, move and habits in one dense system; no tapering, no reweighting, no drift."""
-    alarm = replace(ALARM, dispersion=1.0, dispersion_blocks=1e12, outlier=1e9, blocks=(5, 9, 30))
-    settings = replace(MONITOR, alarm=alarm, drift=(1e-9,) * 6)
+    plain = {"DISPERSION": 1.0, "DISPERSION_BLOCKS": 1e12, "OUTLIER": 1e9}
+    constants(alarm=plain | {"DRIFT": np.full(6, 1e-9)})
     detector = replace(detectors(cells, np.zeros(2))[0], edge_m=(np.inf, np.inf))
-    memory = Memory(detector, settings)
+    memory = Memory(detector)
     for k, seen in enumerate(taught):
         memory.push(seen, seen.across_m, 60.0 * k)
     found = {each.seconds: each for each in memory.displacements(2400.0)}[540.0]
@@ -206,7 +218,6 @@ def window(detections, pose_state, begin, end):
 def driven(cells, detections, moved):
     return lane_places(
         window(detections, moved, 0.0, 200.0), cells, state(), since=START, until=START + 200.0,
-        traces=TRACES,
     )  # fmt: skip
 
 
@@ -228,7 +239,7 @@ def test_a_move_shifts_the_places_by_all_of_it(cells, detections):
 
 def test_nothing_seen_makes_no_places(cells, detections):
     empty = window(detections, state(), 500.0, 600.0)
-    found = lane_places(empty, cells, state(), since=START, until=START + 900.0, traces=TRACES)
+    found = lane_places(empty, cells, state(), since=START, until=START + 900.0)
     assert (found.vehicles, len(found)) == (0, 0)
     alarm = Alarm(cells, np.zeros(2))
     assert scores(alarm, [found] * 40) == []
@@ -256,12 +267,14 @@ class Lanes:
         self.lanes = lambda _: lanes
 
 
-def test_the_watch_cuts_a_recording_in_blocks(cells, detections):
-    alarm = replace(ALARM, block_s=10.0, blocks=(2, 3, 3), share=0.5, gate=20.0, settle_s=2.0)
+def test_the_watch_cuts_a_recording_in_blocks(cells, detections, constants):
+    constants(
+        alarm={"BLOCK_S": 10.0, "BLOCKS": (2, 3, 3), "SHARE": 0.5, "GATE": 20.0, "SETTLE_S": 2.0}
+    )
     moved = state().moved(np.array([-0.5, 0.2, 0, 0, 0, np.radians(0.8), 0.0]))
     seen = {}
     for name, after in (("still", state()), ("moved", moved)):
-        watch = Watch(Lanes(cells.lanes), replace(MONITOR, alarm=alarm))
+        watch = Watch(Lanes(cells.lanes))
         found = []
         for end in np.arange(20.0, 200.0, 10.0):
             begin = end - 25.0
@@ -273,7 +286,7 @@ def test_the_watch_cuts_a_recording_in_blocks(cells, detections):
             )
             both = replace(parts[0], time=time, points=points, range_rate=rate)
             number = np.zeros(len(both), dtype=np.int64)
-            traffic = WindowTraffic(moving=both, number=number, settings=TRACES)
+            traffic = WindowTraffic(moving=both, number=number)
             noticed = watch.look(traffic, state(), START + end)
             found += [(end, noticed)] if noticed is not None else []
         seen[name] = found
@@ -284,15 +297,11 @@ def test_the_watch_cuts_a_recording_in_blocks(cells, detections):
     assert np.degrees(last[5]) > 0.3
 
 
-def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
+def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch, constants):
     STREET.record(tmp_path / "R1.parquet", POSE, frames=700, vehicles=50)
     sigma = dict.fromkeys(("easting", "northing", "height"), 0.1)
     start = replace(POSE, evidence={"sigma": sigma | dict.fromkeys(("yaw", "pitch", "roll"), 0.1)})
-    traces = replace(TRACES, frames=300)
-    settings = replace(
-        MONITOR, alarm=replace(ALARM, block_s=2.0, settle_s=1.0),
-        localization=replace(MONITOR.localization, traces=traces),
-    )  # fmt: skip
+    constants(alarm={"BLOCK_S": 2.0}, monitor={"SETTLE_S": 1.0}, moving={"FRAMES": 300})
     step = np.array([0.25, -0.1, 0, 0, 0, np.radians(0.4)])
     spread = np.diag([0.05**2, 0.05**2, 0, 0, 0, np.radians(0.05) ** 2])
     asked, poses = [], []
@@ -315,7 +324,7 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     monkeypatch.setattr(Watch, "restart", restart)
     heard = Listener()
     found = track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start,
-                  settings=settings, reporter=heard)  # fmt: skip
+                  reporter=heard)  # fmt: skip
     moved = [event for event in found.events if event.kind == MOVED]
     assert [seconds_from_iso(event.time, what="event") for event in moved] == [
         pytest.approx(asked[2] - 5.0, abs=0.06)
@@ -330,24 +339,22 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     assert "R1 was moved by about 0.27 m and 0.40 deg around 2023-11-14T22:13:" in line
 
 
-def test_while_still_targets_rest_traffic_is_not_asked_for_blows(tmp_path, monkeypatch):
+def test_while_still_targets_rest_traffic_is_not_asked_for_blows(tmp_path, monkeypatch, constants):
     STREET.record(tmp_path / "R1.parquet", POSE, frames=500, vehicles=40)
     sigma = dict.fromkeys(("easting", "northing", "height"), 0.1)
     start = replace(POSE, evidence={"sigma": sigma | dict.fromkeys(("yaw", "pitch", "roll"), 0.1)})
-    traces = replace(TRACES, frames=300)
-    localization = replace(MONITOR.localization, traces=traces)
+    constants(moving={"FRAMES": 300})
     asked = []
     monkeypatch.setattr(MoveTest, "suspected", lambda *_: asked.append(1))
     for rests in (False, True):
         monkeypatch.setattr(Watch, "unmoved", rests)
         before = len(asked)
-        track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start,
-              settings=replace(MONITOR, localization=localization))  # fmt: skip
+        track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start)
         assert (len(asked) > before) is not rests
 
 
 def test_a_sensor_whose_windows_differ_much_needs_more_for_a_move():
-    scatter, rng = Scatter(MONITOR), np.random.default_rng(1)
+    scatter, rng = Scatter(), np.random.default_rng(1)
     assert scatter.ratio == 1.0
     for chi2 in rng.chisquare(6, 200):
         scatter.add(chi2)
@@ -370,7 +377,9 @@ def stub_fit(move, *, cost, vehicles=50, noise=1.0, alone=False):
     )  # fmt: skip
     costs = np.full(vehicles, 100.0 / vehicles)
     costs[: 1 if alone else vehicles] += (cost - 100.0) / (1 if alone else vehicles)
-    fit = SimpleNamespace(scores=scores, information=np.eye(7), cost=cost, costs=costs, state=None)
+    fit = SimpleNamespace(
+        scores=scores, information=np.eye(7), cost=cost, costs=costs, state=state()
+    )
     return SimpleNamespace(measurement=measured, fit=fit, trusted=True, on_lanes=True)
 
 
@@ -402,18 +411,17 @@ def test_a_move_is_likelier_by_all_vehicles(gain, alone, suspected, certain, mon
         time=0.0, position=np.zeros(3), quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
         covariance=0.01 * np.eye(6),
     )  # fmt: skip
-    far = MONITOR.knock
 
-    def fit(_part, _held, _like, *, near, schedule):
+    def fit(_part, _held, _reflection_m, *, near, schedule):
         assert schedule is FAR_WINDOW
-        return seen if tuple(near) == far else rest
+        return seen if near is KNOCK else rest
 
     part = SimpleNamespace(moving=SimpleNamespace(begin=70.0), vehicles=40)
     traffic = SimpleNamespace(moving=SimpleNamespace(begin=0.0), between=lambda *_: part)
     test = MoveTest(
-        fitter=SimpleNamespace(settings=MONITOR, fit=fit), traffic=traffic, now=100.0,
-        expected=lambda _: held, scatter=Scatter(MONITOR),
+        fitter=SimpleNamespace(fit=fit), traffic=traffic, now=100.0,
+        expected=lambda _: held, scatter=Scatter(),
     )  # fmt: skip
-    found = test.suspected(None)
+    found = test.suspected(0.6)
     assert (found is not None and found.certain) == certain
     assert (found is None) == (not suspected)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from gis_radar.calibration import MONITOR
+from gis_radar.calibration import CYCLE_S, DRIFT
 from gis_radar.calibration.kalman_filter import (
     LEVER,
     Estimate,
@@ -23,6 +23,7 @@ from gis_radar.calibration.kalman_filter import (
     same_sign,
     widened,
 )
+from gis_radar.calibration.moves import FALSE_ALARMS, GATE, LENGTHS_S, SUSPECT
 from gis_radar.poses import Pose
 
 HOUR_S = 3600.0
@@ -66,7 +67,7 @@ def test_without_a_common_error_it_is_the_textbook_filter():
         seen = measured(rng, now, covariance=positive(rng, sigma))
         z = np.array([*seen.position, *Rotation.from_quat(seen.quaternion).as_rotvec()])
         now = corrected(predicted(now, 5.0 * (k + 1)), seen)
-        p = p + np.diag(np.square(MONITOR.drift) * 5.0 / HOUR_S)
+        p = p + np.diag(np.square(DRIFT) * 5.0 / HOUR_S)
         information = np.linalg.inv(p) + np.linalg.inv(seen.covariance)
         x = np.linalg.solve(
             information, np.linalg.solve(p, x) + np.linalg.solve(seen.covariance, z)
@@ -145,7 +146,7 @@ def test_without_data_the_pose_stays_and_its_error_grows():
     later = predicted(now, 4 * HOUR_S)
     assert np.array_equal(later.position, now.position)
     assert np.array_equal(later.quaternion, now.quaternion)
-    assert np.allclose(np.diag(later.covariance - now.covariance), 4 * np.square(MONITOR.drift))
+    assert np.allclose(np.diag(later.covariance - now.covariance), 4 * np.square(DRIFT))
     stepped = now
     for k in range(48):
         stepped = predicted(stepped, (k + 1) * HOUR_S / 12)
@@ -217,7 +218,7 @@ def test_a_pose_that_may_have_moved_is_less_certain():
 def test_the_likeliest_move_leaves_out_what_is_not_seen():
     covariance = np.diag(np.square([0.1, 100.0, 0.1, 1e-3, 1e-3, 1e-3]))
     found = Innovation(gap=np.array([0.5, 50.0, 0.0, 0.0, 0.0, 0.0]), covariance=covariance)
-    move = likeliest_move(found, np.array([0.7, 0.7, 0.4, 0.05, 0.05, 0.05]))
+    move = likeliest_move(found)
     assert move[0] == pytest.approx(0.49, abs=0.01)
     assert abs(move[1]) < 0.01
 
@@ -228,13 +229,6 @@ def test_the_sign_is_that_of_the_quaternion_before():
 
 
 def test_gates_are_quantiles_of_chi2():
-    tests = 3600.0 / MONITOR.cycle_s * len(MONITOR.lengths_s)
-    assert MONITOR.gate == pytest.approx(chi2.ppf(1.0 - MONITOR.false_alarms / tests, 6))
-    assert MONITOR.suspect_chi2 == pytest.approx(12.59, abs=0.01)  # of any table
-
-
-def test_settings_that_are_not_the_defaults_are_named():
-    assert MONITOR.changes() == {}
-    traces = replace(MONITOR.localization.traces, frames=1000)
-    other = replace(MONITOR, cycle_s=2.0, localization=replace(MONITOR.localization, traces=traces))
-    assert other.changes() == {"cycle_s": 2.0, "localization.traces.frames": 1000}
+    tests = 3600.0 / CYCLE_S * len(LENGTHS_S)
+    assert pytest.approx(chi2.ppf(1.0 - FALSE_ALARMS / tests, 6)) == GATE
+    assert pytest.approx(12.59, abs=0.01) == SUSPECT  # of any table

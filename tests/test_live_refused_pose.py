@@ -10,7 +10,7 @@ from live_site import SAMPLE, Background, LiveSite, wait_for
 
 import gis_radar as gr
 from gis_radar.base import CrsError, NoAnswerError
-from gis_radar.calibration import LOCALIZATION
+from gis_radar.calibration import FRAMES
 from gis_radar.live import DiskBuffer, Edge, PoseContent, frames_of_recording, read_edge_file
 from gis_radar.live.own_pose import Followed
 from gis_radar.scans import SightTiles
@@ -98,7 +98,7 @@ def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run):
     number = 2000 + 100 + 2000 + 500 + 50
     edge, sent, said = run(number, found=(WRONG, None, RIGHT), pose=None, guess=guess)
     wrong, right = WRONG.easting, RIGHT.easting
-    assert edge.searched == [LOCALIZATION.traces.frames] * 3
+    assert edge.searched == [FRAMES] * 3
     assert [each for each, _ in groupby(sent)] == [wrong, right]
     assert edge.not_sent == number - len(sent) > 2400  # nothing is sent by a pose that is doubted
     assert edge.not_followed == len(edge.made)

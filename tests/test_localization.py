@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
 from gis_radar.base import InputError, NoAnswerError, UsageError
-from gis_radar.calibration import LOCALIZATION, draw_localization, lane_method, localize
+from gis_radar.calibration import draw_localization, lane_method, localize
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.calibration.icp import pose_information, voxels
 from gis_radar.calibration.moving import read_moving
@@ -91,12 +92,15 @@ def test_a_heading_may_be_given(scene):
     assert abs(errors(found.pose, pose)[5]) < 0.3
 
 
-def test_sigma_counts_the_place_of_the_map_and_what_drivers_of_a_lane_do_alike(scene):
+def test_sigma_counts_the_place_of_the_map_and_what_drivers_of_a_lane_do_alike(scene, monkeypatch):
     street, pose, path = scene
+    scene_of, certainty = lane_method.Scene, lane_method.certainty
 
-    def covariance(**changes):
-        settings = LOCALIZATION.changed({f"answer.{name}": v for name, v in changes.items()})
-        found = find(street, path, near(pose), heading=pose.yaw, settings=settings)
+    def covariance(*, map_sigma_m=0.15, lane_sigma_m=(0.18, 0.36)):
+        monkeypatch.setattr(lane_method, "Scene", partial(scene_of, lane_sigma_m=lane_sigma_m))
+        sure = partial(certainty, map_sigma_m=map_sigma_m)
+        monkeypatch.setattr(lane_method, "certainty", sure)
+        found = find(street, path, near(pose), heading=pose.yaw)
         return np.array(found.pose.evidence["covariance"])
 
     stated = covariance()
@@ -254,7 +258,7 @@ def test_a_junction_fixes_all_of_an_icp_pose(tmp_path):
     state = State(position=pose.position - origin, R_map_sensor=pose.R_map_sensor, reflection=0.0)
     information = pose_information(source, voxels(street.road_points() - origin, 0.5), state)
     assert eigenvalues(information)[0] > 1.0
-    assert is_fixed(pose_covariance(information, state), LOCALIZATION.answer)
+    assert is_fixed(pose_covariance(information, state))
 
 
 @pytest.mark.parametrize(

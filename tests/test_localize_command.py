@@ -1,8 +1,6 @@
 """The command `localize`: options reach their arguments, and a pose file comes out."""
 
 import json
-from dataclasses import replace
-from functools import partial
 
 import laspy
 import numpy as np
@@ -14,9 +12,7 @@ from streets import Street, errors
 
 import gis_radar as gr
 from gis_radar.base import yaw_from_compass
-from gis_radar.calibration import LOCALIZATION
 from gis_radar.calibration import localization as localizing
-from gis_radar.calibration.localization import METHODS
 from gis_radar.cli import group
 from gis_radar.poses import read_pose
 from gis_radar.scans import road_crs
@@ -162,18 +158,3 @@ def test_grid_north_is_not_true_north():
 def test_the_crs_of_a_scan_is_read(files):
     _, folder = files
     assert road_crs(folder / "road.laz") == UTM
-
-
-def test_settings_that_are_not_the_defaults_go_into_the_pose(files, monkeypatch):
-    street, folder = files
-    monkeypatch.setitem(
-        METHODS, "lane", lambda problem, *_: gr.Localization(
-            pose=replace(street.pose(), evidence=problem.evidence), fitness=1.0, observable=True
-        )
-    )  # fmt: skip
-    ask = partial(
-        gr.localize, folder / "R1.parquet", street.roads(), np.empty((0, 3)), guess=(6.9e5, 5.3e6)
-    )
-    assert "settings" not in ask().pose.evidence
-    other = replace(LOCALIZATION, answer=replace(LOCALIZATION.answer, clear=3.0))
-    assert ask(settings=other).pose.evidence["settings"] == {"answer.clear": 3.0}

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
 from gis_radar.base import NoAnswerError
-from gis_radar.calibration import LOCALIZATION
+from gis_radar.calibration import certainty as knowing
 from gis_radar.calibration.adaptation import adapted, heights
 from gis_radar.calibration.certainty import (
     CLEAR_RISE,
@@ -39,8 +39,7 @@ from gis_radar.calibration.residuals import (
     height_over_road,
     lateral,
 )
-from gis_radar.calibration.settings import Schedule
-from gis_radar.calibration.solver import at_least, solve
+from gis_radar.calibration.solver import Schedule, at_least, solve
 from gis_radar.calibration.state import POSE, SIZE, TURN, State, angles_from_turn
 from gis_radar.calibration.traces import SPELL_S, Moving, Samples, link_tracks, thin
 from gis_radar.poses import Pose
@@ -55,7 +54,7 @@ def scene():
         time=time, points=xyz, range_rate=rate, frames=600,
         begin=time[0], end=time[-1],
     )  # fmt: skip
-    samples = thin(moving, link_tracks(moving), replace(LOCALIZATION.traces, most=400))
+    samples = thin(moving, link_tracks(moving), most=400)
     place = np.array(street.middle)
     lanes = sample_lanes(street.roads().lanelets, street.road_points(), place=place, reach_m=150.0)
     state = State(
@@ -113,7 +112,7 @@ def test_heights_are_a_mixture_of_two_bells_and_strays(scene):
     own[:] = np.random.default_rng(1).normal(0.0, 0.3, own.shape)
     model, samples = compared.model, compared.placed.samples
     rows = height(compared, own)
-    over = height_over_road(compared.lanes, compared.placed, compared.matches, VIEW_EDGE)
+    over = height_over_road(compared.lanes, compared.placed, compared.matches)
     noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
     away = over - state.reflection - own.ravel()[samples.spells]
     tall = model.body_share
@@ -365,15 +364,6 @@ def test_turns_are_those_of_scipy(axis, angle):
     assert np.allclose(there.difference(state)[TURN], turn, atol=1e-7)
 
 
-def test_changed_settings_are_recorded():
-    settle = Schedule(scales_m=(0.1,), rounds=4)
-    other = LOCALIZATION.changed({"hypotheses.finalists": 1, "hypotheses.settle": settle})
-    assert other.changes() == {"hypotheses.settle.scales_m": (0.1,), "hypotheses.finalists": 1}
-    assert LOCALIZATION.changes() == {}
-    with pytest.raises(TypeError):
-        LOCALIZATION.changed({"hypotheses.unknown": 1})
-
-
 def test_vehicles_vote(scene):
     scene, state, _ = scene
     fit = solve(scene, state, prior_at(state))
@@ -412,19 +402,19 @@ def test_a_gain_within_the_habits_of_drivers_is_no_lead(scene):
 def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
     """A curvature of nearly nothing, and a cost that rises 60 nats within a metre: or once, 5."""
     scene, state, _ = scene
-    fit, settings = solve(scene, state, prior_at(state)), LOCALIZATION.answer
+    fit = solve(scene, state, prior_at(state))
     hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
     curved = 1.0 / np.linalg.inv(fit.information)[0, 0]
     flat = with_information_along(fit, hold, curved, 0.02 * curved)
     assert 1.0 / np.linalg.inv(flat.information)[0, 0] == pytest.approx(0.02 * curved)
-    assert sigma_along(flat, hold, settings) == pytest.approx(certainty(flat).sigma[0])
+    assert sigma_along(flat, hold) == pytest.approx(certainty(flat).sigma[0])
     assert certainty(flat).sigma[0] > 1.0
     costs = {0.5: 20.0, 1.0: 80.0, 2.0: 400.0, 4.0: 400.0}
     sides = [
         [(d, replace(flat, cost=flat.cost + more)) for d, more in changed.items()]
         for changed in (costs, costs | {4.0: rise})
     ]
-    walled = narrowed_by_exclusion(scene, flat, hold, sides)
+    walled = narrowed_by_exclusion(flat, hold, sides)
     if rise > CLEAR_RISE:
         assert certainty(walled).sigma[0] <= 1.0
         assert certainty(walled).sigma[1] <= certainty(flat).sigma[1]
@@ -443,23 +433,24 @@ def test_a_fit_on_a_bump_begins_again_from_the_lowest_place(scene):
     assert again.state.position[:2] == pytest.approx(fit.state.position[:2], abs=0.05)
 
 
-def test_without_a_scan_check_a_fit_is_only_measured(scene):
+def test_without_looks_a_fit_is_only_measured(scene, monkeypatch):
     scene, state, _ = scene
-    prior, calm = prior_at(state), scene.settings.hypotheses
+    prior = prior_at(state)
     fit = solve(scene, state, prior)
     bump = replace(fit, cost=fit.cost + 30.0)
-    once = replace(scene, settings=replace(scene.settings, hypotheses=replace(calm, looks=0)))
-    assert along_valley(once, bump, prior, MODEL).state == fit.state
+    monkeypatch.setattr(knowing, "LOOKS", 0)
+    assert along_valley(scene, bump, prior, MODEL).state == fit.state
 
 
-def test_a_fit_of_the_last_look_is_measured_where_it_came_to_rest(scene):
+def test_a_fit_of_the_last_look_is_measured_where_it_came_to_rest(scene, monkeypatch):
     scene, state, _ = scene
-    prior, calm = prior_at(state), scene.settings.hypotheses
+    prior = prior_at(state)
     fit = solve(scene, state, prior)
     off = fit.state.moved(np.array([0.3, 0.3, 0, 0, 0, 0, 0]))
     bump = replace(fit, state=off, cost=fit.cost + 30.0, information=1e-3 * fit.information)
-    one = replace(scene, settings=replace(scene.settings, hypotheses=replace(calm, looks=1)))
-    found, known = (along_valley(each, bump, prior, MODEL) for each in (one, scene))
+    known = along_valley(scene, bump, prior, MODEL)
+    monkeypatch.setattr(knowing, "LOOKS", 1)
+    found = along_valley(scene, bump, prior, MODEL)
     assert found.state.position == pytest.approx(known.state.position)
     assert found.information == pytest.approx(known.information)
 
@@ -536,12 +527,13 @@ def test_heights_over_the_road_follow_its_slope_and_end_with_the_view(scene):
     off = placed.points - lanes.points[matches.lane]
     ahead = np.einsum("ij,ij->i", off[:, :2], lanes.along[matches.lane])
     over = off[:, 2] - lanes.slope[matches.lane] * ahead
-    found = height_over_road(lanes, placed, matches, 0.0)
+    found = height_over_road(lanes, placed, matches)
     seen = ~np.isnan(found)
     assert np.allclose(found[seen], over[seen], atol=1e-9)
     up, flat, upward = placed.arms[:, 2], placed.flat, scene.samples.upward
     lower = np.abs(np.arctan2(up - off[:, 2], flat) - np.arctan2(up, flat))
-    in_view = np.abs(upward + np.sign(upward) * lower) < scene.samples.elevation
+    widest = scene.samples.elevation - VIEW_EDGE
+    in_view = np.abs(upward + np.sign(upward) * lower) < widest
     assert (seen == (matches.found & np.isfinite(over) & in_view)).all()
     assert 0.2 < seen.mean() < 1.0
 

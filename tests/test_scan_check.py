@@ -23,14 +23,13 @@ from gis_radar.base import CELL_M
 from gis_radar.calibration import (
     AmbiguousError,
     Localization,
-    ScanCheckSettings,
     Solved,
     joint,
     require_scans_near,
 )
 from gis_radar.calibration import localization as localizing
-from gis_radar.calibration.scan_check import Alignment, align
-from gis_radar.calibration.surroundings import SCAN_CHECK, LevelFrame, read_slow, read_structure
+from gis_radar.calibration.scan_check import CLOSE_M, Alignment, align
+from gis_radar.calibration.surroundings import LevelFrame, read_slow, read_structure
 from gis_radar.cli import group
 from gis_radar.scans import scan as scan_files
 from simulation.movement import Traffic
@@ -215,7 +214,7 @@ def test_closeness_is_that_of_the_next_structure(look):
     alignment = alignment_of(look)
     cells = np.argwhere(look.structure.visible) + 0.5 - len(look.structure.top) // 2
     away, _ = KDTree(cells * CELL_M).query(look.standing.points[:, :2])
-    expected = np.exp(-0.5 * (away / SCAN_CHECK.close_m) ** 2)
+    expected = np.exp(-0.5 * (away / CLOSE_M) ** 2)
     # the field is sampled at the centres of cells and distances count between centres
     assert np.abs(alignment.at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
     assert look.closeness.mean() == pytest.approx(look.score)
@@ -325,22 +324,19 @@ def test_batches_and_their_order_do_not_matter(tmp_path, monkeypatch):
         assert np.allclose(getattr(parts, name), getattr(whole, name), atol=1e-6, equal_nan=True)
 
 
-def test_the_last_frames_count():
+def test_the_last_frames_count(monkeypatch):
+    monkeypatch.setattr("gis_radar.calibration.surroundings.FRAMES", 200)
     table = pq.read_table(R2)
-    slow = read_slow(R2, settings=ScanCheckSettings(frames=200))
+    slow = read_slow(R2)
     late = table.filter(pc.field("time") >= np.unique(table["time"].to_numpy())[-200])
     assert slow.frames == 200
     assert len(slow.points) == int((np.abs(late["range_rate"].to_numpy()) <= 1.0).sum())
     assert np.bincount(slow.span).min() > 0.5 * np.bincount(slow.span).max()
-    assert read_slow(R2).frames <= SCAN_CHECK.frames
 
 
-def test_settings_reach_the_comparison(look):
-    """With no slack a detection fits only where the scan has its wall."""
-    strict = gr.check_against_scan(R2, POSE, [SCAN], settings=ScanCheckSettings(close_m=0.1))
-    assert strict.score < look.score
-    assert strict.figures()["settings"]["close_m"] == 0.1
-    few = gr.check_against_scan(R2, POSE, [SCAN], settings=ScanCheckSettings(least_cells=10**6))
+def test_few_cells_are_nothing_to_compare(monkeypatch):
+    monkeypatch.setattr("gis_radar.calibration.scan_check.LEAST_CELLS", 10**6)
+    few = gr.check_against_scan(R2, POSE, [SCAN])
     assert few.reason.startswith("little stands in view")
 
 
@@ -377,7 +373,6 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
     assert said["level"] == ("warning" if left else "info")
     evidence = gr.read_pose(tmp_path / "pose.json").evidence["scan_check"]
     assert evidence["verdict"] == verdict
-    assert evidence["settings"]["close_m"] == SCAN_CHECK.close_m
     assert {"score", "chance", "best_score", "best_east_m", "best_turn_deg"} <= set(evidence)
     view = gr.read_pose(tmp_path / "pose.json").view
     assert view == gr.View(max_range_m=reached_m(R2))

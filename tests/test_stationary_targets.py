@@ -181,7 +181,6 @@ def test_targets_that_are_told_later_begin_anew(taught):
     yard.feed(targets, BLOCKS[-1] + LEAST_AGE)
     assert len(targets) >= 30
     told = targets.verdict(6)
-    assert told.targets >= 30
     assert told.found.score < GATE
 
 
@@ -211,7 +210,7 @@ def test_what_stands_decides_where_it_sees_and_vehicles_elsewhere():
 
     driven = shift(40.0)
     still, moved = shift(3.0), shift(35.0)
-    sees = [Verdict(found=still, targets=40, sees=True, rests=True)]
+    sees = [Verdict(found=still, sees=True, rests=True)]
     assert decided(sees, driven) is None
     blind = [replace(sees[0], sees=False)]
     assert decided(blind, driven) is driven

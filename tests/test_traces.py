@@ -1,7 +1,5 @@
 """Traces: sources of ICP, windows and tracks against plain ways to make them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from sites import START, recording, table
 
-from gis_radar.calibration import LOCALIZATION
+from gis_radar.calibration import moving as reading
 from gis_radar.calibration.icp import source_voxels, voxels
 from gis_radar.calibration.moving import MovingWindow, read_moving
 from gis_radar.calibration.traces import Moving, link_tracks, thin, vehicles_of
@@ -66,8 +64,9 @@ def batch(time, rate):
     )
 
 
-def test_a_window_keeps_the_last_frames_across_batches():
-    window = MovingWindow(replace(LOCALIZATION.traces, frames=3))
+def test_a_window_keeps_the_last_frames_across_batches(monkeypatch):
+    monkeypatch.setattr(reading, "FRAMES", 3)
+    window = MovingWindow()
     window.push(batch([0, 0, 1, 1], [1, 0, 1, 1]))
     window.push(batch([1, 2, 3], [1, 0.1, -2]))
     window.push(batch([4], [5]))
@@ -78,19 +77,21 @@ def test_a_window_keeps_the_last_frames_across_batches():
     assert (found.begin, found.end) == (2.0, 4.0)
 
 
-def test_a_window_forgets_what_is_old():
-    window = MovingWindow(replace(LOCALIZATION.traces, frames=5))
+def test_a_window_forgets_what_is_old(monkeypatch):
+    monkeypatch.setattr(reading, "FRAMES", 5)
+    window = MovingWindow()
     for frame in range(1000):
         window.push(batch([frame] * 10, [3.0] * 10))
         assert window.detections_held <= 60
     assert len(window.moving()) == 50
 
 
-def test_moving_is_read_from_a_recording(tmp_path):
+def test_moving_is_read_from_a_recording(tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "FRAMES", 20)
     time = START + np.repeat(np.arange(30), 4) * 0.05
     rate = np.tile([0.0, 0.1, 0.2, -3.0], 30)
     path = recording(tmp_path / "R1.parquet", time, np.ones((120, 3)), range_rate=rate)
-    found = read_moving(path, replace(LOCALIZATION.traces, frames=20))
+    found = read_moving(path)
     assert (found.frames, len(found)) == (20, 40)
     assert (np.abs(found.range_rate) > 0.15).all()
 
@@ -178,10 +179,10 @@ def test_limbs_that_swing_make_no_vehicle_of_a_walker():
 def test_thinning_keeps_tracks_and_a_limit(passing):
     moving, _ = passing
     tracks = link_tracks(moving)
-    samples = thin(moving, tracks, replace(LOCALIZATION.traces, most=50))
+    samples = thin(moving, tracks, most=50)
     assert len(samples) == 50
     assert samples.tracks == tracks.max() + 1
-    again = thin(moving, tracks, replace(LOCALIZATION.traces, most=50))
+    again = thin(moving, tracks, most=50)
     assert np.array_equal(samples.points, again.points)
 
 

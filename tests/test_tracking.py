@@ -19,7 +19,6 @@ from streets import STRAIGHT, Street, errors
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError, NoAnswerError, seconds_from_iso
 from gis_radar.calibration import (
-    MONITOR,
     Follower,
     WindowFitter,
     draw_track,
@@ -27,8 +26,10 @@ from gis_radar.calibration import (
     start_estimate,
     track,
 )
+from gis_radar.calibration.kalman_filter import KNOCK as BLOW
 from gis_radar.calibration.kalman_filter import Measurement
-from gis_radar.calibration.moves import agreement
+from gis_radar.calibration.monitor import BY_HAND
+from gis_radar.calibration.moves import AGREEMENT, agreement
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.cli import group
@@ -136,8 +137,8 @@ def test_a_fit_that_came_to_no_rest_contradicts_nothing(seen, tmp_path, monkeypa
     path = record(tmp_path / "R1.parquet", seen, until=60.0)
     fit, count = WindowFitter.fit, []
 
-    def restless(self, traffic, centre, like, **options):
-        found = fit(self, traffic, centre, like, **options)
+    def restless(self, traffic, centre, reflection_m, **options):
+        found = fit(self, traffic, centre, reflection_m, **options)
         if found is not None and "near" in options:
             count.append(found)
             found = replace(found, fit=replace(found.fit, converged=False))
@@ -262,7 +263,7 @@ def test_a_vehicle_that_is_watched_for_long_counts_once():
         time=time[order], points=points[order], range_rate=rate[order], frames=600,
         begin=0.0, end=30.0,
     )  # fmt: skip
-    traffic = WindowTraffic.of(moving, MONITOR.localization.traces)
+    traffic = WindowTraffic.of(moving)
     assert traffic.samples().tracks > 4
     assert traffic.vehicles == 2
     assert traffic.between(0.0, 4.0).vehicles == 1
@@ -284,11 +285,11 @@ def test_one_vehicle_alone_moves_no_sensor(gains, most, which):
 
     alone = np.zeros(len(gains))
     alone[which % len(gains)] = most
-    assert agreed(alone) < 1.2 < MONITOR.agreement
+    assert agreed(alone) < 1.2 < AGREEMENT
     assert agreed(-np.array(gains)) < 0.0
     expected = ttest_1samp(gains, 0.0).statistic if np.ptp(gains) > 1e-3 else np.inf
     assert agreed(gains) == pytest.approx(expected) or expected > 1e5
-    assert agreed(np.full(8, 2.0)) > MONITOR.agreement
+    assert agreed(np.full(8, 2.0)) > AGREEMENT
 
 
 def test_a_shake_is_no_move(seen, tmp_path):
@@ -390,7 +391,7 @@ def test_what_a_pose_file_knows_is_where_the_filter_starts(seen):
     given = start_estimate(start(pose), START)
     assert np.degrees(np.sqrt(given.angle_covariance[5, 5])) == pytest.approx(0.15, rel=0.01)
     by_hand = start_estimate(replace(pose, evidence={}), START)
-    assert np.sqrt(by_hand.covariance[0, 0]) == pytest.approx(MONITOR.by_hand[0], rel=0.01)
+    assert np.sqrt(by_hand.covariance[0, 0]) == pytest.approx(BY_HAND[0], rel=0.01)
     covariance = np.diag([0.04, 0.01, 0.01, 1e-5, 1e-5, 1e-5])
     covariance[0, 1] = covariance[1, 0] = 0.01
     found = {"covariance": covariance.tolist(), "method": "lane", "time": "2023-11-14T22:13:00Z"}
@@ -498,8 +499,8 @@ def test_who_is_lost_for_long_says_so(seen):
     assert set(events[2:]) == {"rejected"}
     sigma = [np.sqrt(np.diag(row.estimate.covariance)) for row in follower.rows]
     assert (sigma[0] < 0.3).all()
-    assert (sigma[1] >= MONITOR.knock).all()
-    assert (sigma[-1] >= MONITOR.knock).all()
+    assert (sigma[1] >= BLOW).all()
+    assert (sigma[-1] >= BLOW).all()
     assert np.allclose(np.diff([row.estimate.time for row in follower.rows]), 5.0)
     for row in follower.rows:
         assert np.array_equal(row.estimate.position, begin.position)
@@ -522,7 +523,8 @@ def test_cycles_of_any_length_end(tmp_path, monkeypatch, cycle_s):
     monkeypatch.setattr(monitor, "WindowFitter", lambda *_, **__: None)
     monkeypatch.setattr(monitor, "Follower", lambda *_, **__: follower)
     monkeypatch.setattr(monitor, "track_of", lambda *_: None)
-    follow(path, start(STREET.pose()), settings=replace(MONITOR, cycle_s=cycle_s))
+    monkeypatch.setattr(monitor, "CYCLE_S", cycle_s)
+    follow(path, start(STREET.pose()))
     assert sum(pushed) == len(time)
     assert np.all(np.diff(ends) > 0.0)
     assert len(ends) in {int(60.0 / cycle_s), int(60.0 / cycle_s) + 1}

@@ -4,7 +4,6 @@
     python bench/localization --quick     a look, a few minutes
     python bench/localization --only table,sites
     python bench/localization --only random --conditions "radar as recorded, walkers"
-    python bench/localization --only sites --set hypotheses.finalists=1    settings changed
     python bench/localization --into docs/accuracy.md   its table, from what is kept
 
 Parts: table (sets DY and DO of a town, as in Table I), sites (the sample and what lies beside the
@@ -17,10 +16,8 @@ is not marked as such.
 from __future__ import annotations
 
 import argparse
-import ast
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,16 +47,13 @@ def main() -> None:
     if options.into:
         pages.put(options.into, {"accuracy": table.readme(_kept())})
         return
-    changes = dict(each.split("=", 1) for each in options.set)
-    changed = tuple((name, ast.literal_eval(value)) for name, value in changes.items())
     trials = [each for part in options.only for each in _plan(part, options)]
-    groups = table.by_group(run_all([replace(each, changes=changed) for each in trials]))
+    groups = table.by_group(run_all(trials))
     print(table.markdown(groups))
-    if not changed:
-        kept = _kept()
-        kept.setdefault(options.conditions, {}).update(groups)
-        KEPT.write_text(json.dumps(kept, indent=1) + "\n")
-        keep("localization", table.accepted(groups, options.conditions))
+    kept = _kept()
+    kept.setdefault(options.conditions, {}).update(groups)
+    KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+    keep("localization", table.accepted(groups, options.conditions))
     wrong = {name: f["wrong"] for name, f in groups.items() if name.endswith("lane") and f["wrong"]}
     if wrong:
         shares = ", ".join(f"{share:.0%} of {name}" for name, share in wrong.items())
@@ -76,7 +70,6 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK,
                         help="radar, drivers and people; not for sites")  # fmt: skip
     parser.add_argument("--methods", default=",".join(METHODS), help=f"of {','.join(METHODS)}")
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="settings")
     parser.add_argument("--into", type=Path, help="put the kept table into this page, run nothing")
     options = parser.parse_args()
     for name, known in (("only", PARTS), ("methods", METHODS)):

@@ -16,7 +16,6 @@ import numpy as np
 from places import Ground, disc, errors, read_ground
 
 import gis_radar as gr
-from gis_radar.calibration import LOCALIZATION
 
 METHODS = ("lane", "icp")
 COMPONENTS = ("easting", "northing", "height", "roll", "pitch", "yaw")
@@ -45,8 +44,6 @@ class Trial:
         Of the guess from the truth, metres to the east and to the north.
     heading_off : float or None
         Of the heading from the true yaw, degrees; None where none is given.
-    changes : tuple of (str, value)
-        Settings of the localization other than the defaults, by dotted name.
     """
 
     group: str
@@ -55,7 +52,6 @@ class Trial:
     method: str
     offset: tuple[float, float]
     heading_off: float | None = None
-    changes: tuple[tuple[str, Any], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +110,6 @@ def run(trial: Trial) -> Result:
         found = gr.localize(
             trial.folder / f"{trial.name}.parquet", ground.roads, ground.road, guess=guess,
             heading=heading, method=trial.method,
-            settings=LOCALIZATION.changed(dict(trial.changes)),
         )  # fmt: skip
     except gr.NoAnswerError:
         return Result(trial=trial, seconds=time.process_time() - begin)

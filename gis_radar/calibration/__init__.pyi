@@ -10,9 +10,10 @@ from .findings import (
     refuse_implausible,
 )
 from .joint import JointCalibration, adjust_poses, gain_line, localize_together
-from .lane_detections import ClockSettings, lanelets_of
+from .kalman_filter import CYCLE_S, DRIFT
+from .lane_detections import lanelets_of
 from .localization import localize, localize_files
-from .monitor import Follower, start_estimate, track
+from .monitor import LOST_S, Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
 from .plausibility import RecordedSensor, check_plausibility
 from .pose_track import MOVED, Track, draw_track, track_of
@@ -21,21 +22,22 @@ from .result import AmbiguousError, Localization, Problem, draw_localization
 from .rivals import LaneMap
 from .scan_check import ScanCheck, check_against_scan, require_scans_near
 from .scan_check_picture import draw_scan_check
-from .settings import LOCALIZATION, MONITOR
-from .surroundings import ScanCheckSettings
+from .traces import FRAMES, MIN_SPEED_MPS
 from .windows import WindowFitter
 
 __all__ = [
     "CLASH_HINT",
+    "CYCLE_S",
+    "DRIFT",
     "FITS",
+    "FRAMES",
     "HEADS",
-    "LOCALIZATION",
-    "MONITOR",
+    "LOST_S",
+    "MIN_SPEED_MPS",
     "MOVED",
     "UNKNOWN",
     "WRONG",
     "AmbiguousError",
-    "ClockSettings",
     "Clocks",
     "Finding",
     "Follower",
@@ -47,7 +49,6 @@ __all__ = [
     "RangeScale",
     "RecordedSensor",
     "ScanCheck",
-    "ScanCheckSettings",
     "SensorClock",
     "Solved",
     "Track",

@@ -13,7 +13,6 @@ from gis_radar.base import Floats, Integers
 from gis_radar.calibration.lanes import Placed, Scene, place
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.residuals import (
-    VIEW_EDGE,
     LaneComparison,
     assemble,
     height,
@@ -140,13 +139,7 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
 
 def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> LaneComparison:
     """Return what residuals of a model compare, near an answer."""
-    return LaneComparison(
-        lanes=scene.lanes,
-        placed=placed,
-        matches=fit.matches,
-        model=model,
-        scale_m=0.0,
-    )
+    return LaneComparison(lanes=scene.lanes, placed=placed, matches=fit.matches, model=model)
 
 
 def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
@@ -209,7 +202,7 @@ def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights |
         None where too few samples are near enough.
     """
     samples, reach = scene.samples, scene.samples.reach
-    over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches, VIEW_EDGE)
+    over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches)
     usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < NEAR_M))
     if len(usable) < LEAST_SAMPLES:
         return None

@@ -19,7 +19,6 @@ from gis_radar.calibration.correspondences import (
     mean_gaps,
     stretches,
 )
-from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.solver import at_most
 
 HALF_LENGTH_SIGMA_M = 0.25  # how well the mean of vehicles' half length is known
@@ -94,11 +93,11 @@ class Correspondences:
         return total, parts
 
 
-def sum_correspondences(rows: Rows, model: Model = MODEL) -> Correspondences:
+def sum_correspondences(rows: Rows) -> Correspondences:
     """Sum up the moments of each pair; what a vehicle adds to all of them is eliminated."""
     alike = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     slope = np.concatenate([rows.poses, rows.constants, rows.clocks, alike], axis=2)
-    by_effect, variances = effects(rows, model)
+    by_effect, variances = effects(rows)
     weight = SHARE / rows.variance
 
     def total(a: Floats, b: Floats) -> Floats:
@@ -109,7 +108,7 @@ def sum_correspondences(rows: Rows, model: Model = MODEL) -> Correspondences:
     inner = np.linalg.inv(np.diag(1.0 / variances) + total(by_effect, by_effect))
     coupled = total(slope, by_effect)
     gain = coupled @ inner
-    mean, covariance = mean_gaps(rows, np.zeros((OWN, OWN)), model)
+    mean, covariance = mean_gaps(rows, np.zeros((OWN, OWN)))
     return Correspondences(
         information=total(slope, slope) - gain @ np.swapaxes(coupled, 1, 2),
         gradient=(total(slope, gap) - gain @ total(by_effect, gap))[:, :, 0],

@@ -20,8 +20,30 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.calibration.kalman_filter import DRIFT, HOUR_S
 from gis_radar.calibration.lane_places import WITHIN_M, Cells, LanePlaces
-from gis_radar.calibration.settings import HOUR_S, MONITOR, MonitorSettings
+
+# *Measured* is on two hours of the sample junction, simulated as recorded (`bench/alarm.py`).
+BLOCK_S = 60.0  # traffic is summed by blocks, and tested at the end of each
+SETTLE_S = 7.0  # a vehicle counts in the block so long after its last detection: none may follow
+# Newest blocks that are tested: five for a strong move, nine for a small one (with SETTLE_S within
+# ten minutes), thirty for light traffic.
+BLOCKS = (5, 9, 30)
+# The tested blocks are at most that share of all there are: no alarm before 15 minutes, nine blocks
+# are tested from 27 on, thirty from 90 on.
+SHARE = 0.34
+# The reference is the first hour; then it forgets within an hour or so many vehicles, whichever
+# takes longer, to follow what changes slowly.
+REFERENCE_H, REFERENCE_VEHICLES = 1.0, 1000
+# Ratio of the scatter between blocks to what independent vehicles make (broken tracks, platoons;
+# measured 1.4 to 2.1) before it is measured at the sensor, and how many blocks that counts for.
+DISPERSION, DISPERSION_BLOCKS = 2.0, 20.0
+# Standard deviations of drivers' habit on a stretch from which on it is no habit but an obstacle,
+# which weighs less and less.
+OUTLIER = 2.0
+# Score beyond which a move is noticed: 0.2 false alarms a month, 95 % under 2.0, by the tail of 240
+# hours of changing traffic (`bench/alarm.py`).
+GATE = 24.0
 
 TAPER_M = 1.3  # farther from the middle of its lane a vehicle counts less and less
 # Standard deviations: between vehicles, from cell to cell, and of one detection (faces, bearing).
@@ -291,50 +313,43 @@ class Memory:
     ----------
     detector : ChangeDetector
         Of what.
-    settings : MonitorSettings
-        Of the alarm, and how a mast drifts.
     """
 
-    def __init__(self, detector: ChangeDetector, settings: MonitorSettings = MONITOR) -> None:
+    def __init__(self, detector: ChangeDetector) -> None:
         self.detector = detector
         self.reference = NOTHING
         self.learnt = 0
-        self._settings = settings
         self._recent: deque[Habits] = deque()
         self._scatter = np.zeros(2)  # squares, and how many blocks
         self._slope = np.zeros(2)  # of `ChangeDetector.counted`, summed, and how many places
         effects = np.eye(int(detector.stretch.max(initial=-1)) + 1)[detector.stretch]
         self._effects = np.hstack([detector.by_move, detector.by_habit, effects])
-        drift = np.square(settings.drift)[list(detector.moved)]
-        self._drift = np.diag(drift) / HOUR_S
+        self._drift = np.diag(np.square(DRIFT)[list(detector.moved)]) / HOUR_S
 
     @property
     def dispersion(self) -> float:
         """By how much blocks scatter more than independent vehicles would, a ratio of variances."""
-        alarm, (squares, blocks) = self._settings.alarm, self._scatter
-        assumed = alarm.dispersion_blocks
-        return float(max((assumed * alarm.dispersion + squares) / (assumed + blocks), 1.0))
+        squares, blocks = DISPERSION_BLOCKS * DISPERSION, DISPERSION_BLOCKS
+        return float(max((squares + self._scatter[0]) / (blocks + self._scatter[1]), 1.0))
 
     def push(self, seen: LanePlaces, value: Floats, time: float) -> None:
         """Take the newest block; one that is no longer new joins the reference."""
-        alarm = self._settings.alarm
         value, slope = self.detector.counted(value)
         self._slope += [np.nansum(slope), np.isfinite(slope).sum()]
         self._recent.append(habits_of(seen, value, sigma=self.detector.sigma, time=time))
-        held = alarm.share * (self.learnt + len(self._recent))
-        while len(self._recent) > min(max(held, alarm.blocks[-2]), alarm.blocks[-1]):
+        held = SHARE * (self.learnt + len(self._recent))
+        while len(self._recent) > min(max(held, BLOCKS[-2]), BLOCKS[-1]):
             self._learn(self._recent.popleft())
 
     def _learn(self, block: Habits) -> None:
-        alarm = self._settings.alarm
         if self.learnt >= WARM_UP and block.vehicles >= LEAST_VEHICLES:
             self._measure_scatter(block)
         self.learnt += 1
         share = 1.0
-        hours = self.learnt * alarm.block_s / HOUR_S
-        if hours > alarm.reference_h and self.reference.vehicles > alarm.reference_vehicles:
+        hours = self.learnt * BLOCK_S / HOUR_S
+        if hours > REFERENCE_H and self.reference.vehicles > REFERENCE_VEHICLES:
             forgotten = block.vehicles / self.reference.vehicles
-            share = 1.0 - min(alarm.block_s / HOUR_S / alarm.reference_h, forgotten)
+            share = 1.0 - min(BLOCK_S / HOUR_S / REFERENCE_H, forgotten)
         self.reference = self.reference.kept(share) + block
 
     def _measure_scatter(self, block: Habits) -> None:
@@ -360,12 +375,12 @@ class Memory:
 
     def displacements(self, now: float) -> list[Displacement]:
         """Return the likeliest move behind each number of newest blocks."""
-        alarm, found = self._settings.alarm, []
+        found = []
         newest, tested = NOTHING, {}
         every = self.learnt + len(self._recent)
         for number, block in enumerate(reversed(self._recent), start=1):
             newest = newest + block
-            if number in alarm.blocks and number <= alarm.share * every:
+            if number in BLOCKS and number <= SHARE * every:
                 tested[number] = newest
         whole = self.reference + newest
         for number, part in tested.items():
@@ -386,12 +401,12 @@ class Memory:
         move, every = np.zeros(MOVE), np.zeros((MOVE, MOVE))
         move[moved] = mean
         every[np.ix_(moved, moved)] = covariance
-        seconds = blocks * self._settings.alarm.block_s
+        seconds = blocks * BLOCK_S
         return Displacement(score=score, seconds=seconds, move=move, covariance=every)
 
     def _solved(self, whole: Habits, newest: Habits) -> tuple[Floats, Floats]:
         """Return the move and its covariance, cells and habits eliminated."""
-        detector, alarm = self.detector, self._settings.alarm
+        detector = self.detector
         there = np.flatnonzero(np.any(self._effects[newest.cell] != 0.0, axis=0))
         slope = self._slope[0] / self._slope[1]
         effects, size = slope * self._effects[np.ix_(whole.cell, there)], len(detector.moved)
@@ -407,7 +422,7 @@ class Memory:
             prior = np.diag(np.concatenate([first, spread**-2.0]))
             covariance = np.linalg.inv(information + prior)
             answer = covariance @ force
-            off = np.abs(answer[len(first) :]) / (alarm.outlier * usual_m)
+            off = np.abs(answer[len(first) :]) / (OUTLIER * usual_m)
             spread = usual_m * np.maximum(off, 1.0)
         return answer[:size], covariance[:size, :size]
 
@@ -425,12 +440,10 @@ class Alarm:
         The lanes around it.
     place : (2,) array
         Where it stands, local coordinates.
-    settings : MonitorSettings
-        Of the alarm, and how a mast drifts.
     """
 
-    def __init__(self, cells: Cells, place: Floats, settings: MonitorSettings = MONITOR) -> None:
-        self.memories = [Memory(w, settings) for w in detectors(cells, place)]
+    def __init__(self, cells: Cells, place: Floats) -> None:
+        self.memories = [Memory(each) for each in detectors(cells, place)]
 
     def push(self, seen: LanePlaces, time: float) -> Displacement | None:
         """Take the vehicles of a block that ended at a time; return the likeliest move, if any.

@@ -12,17 +12,26 @@ import numpy as np
 from gis_radar.base import Floats, NoAnswerError, Text
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.model import Model
-from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, AnswerSettings, Schedule
-from gis_radar.calibration.solver import Fit, Prior, Rest, limited, settle, solve
-from gis_radar.calibration.state import POSE, SIZE, State
+from gis_radar.calibration.solver import Fit, Prior, Rest, Schedule, limited, settle, solve
+from gis_radar.calibration.state import LEVER_M, POSE, SIZE, State
 from gis_radar.calibration.traces import Samples
 from gis_radar.poses import COMPONENTS, Pose
 
+# 1 sigma of the map's place, to the east and to the north: maps and tracks that were recorded apart
+# lay 0.3 to 0.5 m off each other.
+MAP_SIGMA_M = 0.15
+# Sigmas from which on a scene does not fix easting, northing, height; roll, pitch, yaw: one metre
+# is the paper's accuracy; with 2 degrees a far trace is a lane off.
+UNFIXED = (1.0, 1.0, 0.5, math.radians(2.0), math.radians(2.0), math.radians(1.0))
+# How far along the least-known direction the profile of the likelihood is taken.
+VALLEY_STEPS_M: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
 # Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
 LEAST_RISE = 0.5
 CLEAR_RISE = 50.0
 
+FINE = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)  # fit to all samples
+LOOKS = 4  # how often better optima are looked for, at most, each time around the last best one
 LOOK_GAIN = 1.0  # what a look around an optimum must gain: a sigma costs 0.5
 
 PLACE = [0, 1]  # of the state: easting, northing
@@ -58,7 +67,7 @@ class Certainty:
 
 
 def certainty(
-    fit: Fit, settings: AnswerSettings = LOCALIZATION.answer, *, rival: State | None = None
+    fit: Fit, *, map_sigma_m: float = MAP_SIGMA_M, rival: State | None = None
 ) -> Certainty:
     """Return how certain a fit is.
 
@@ -71,8 +80,8 @@ def certainty(
     ----------
     fit : Fit
         A local optimum.
-    settings : AnswerSettings
-        The sigma of the map's place, and when a component is fixed.
+    map_sigma_m : float
+        Of the map's place; none among windows of one recording.
     rival : State, optional
         Another optimum, so near that both are one answer; it is as likely as not the right one.
     """
@@ -80,7 +89,7 @@ def certainty(
     noise = _widened(inverse, fit)
     effects = np.vstack([fit.considered(), fit.biases]) @ inverse
     covariance = noise + effects.T @ effects
-    covariance[PLACE, PLACE] += settings.map_sigma_m**2
+    covariance[PLACE, PLACE] += map_sigma_m**2
     to_angles = fit.state.to_angles
     if rival is not None:
         gap = rival.difference(fit.state)
@@ -92,7 +101,7 @@ def certainty(
         noise=drawn,
         sigma=np.sqrt(np.diag(pose)),
         eigenvalues=eigenvalues(fit.data_information[POSE, POSE]),
-        observable=is_fixed(pose, settings),
+        observable=is_fixed(pose),
     )
 
 
@@ -108,12 +117,10 @@ def eigenvalues(information: Floats) -> Floats:
     return np.asarray(np.linalg.eigvalsh(lever @ information @ lever), dtype=np.float64)
 
 
-def is_fixed(covariance: Floats, settings: AnswerSettings) -> bool:
+def is_fixed(covariance: Floats) -> bool:
     """Return whether a covariance (easting to yaw, radians) fixes all six components."""
     sigma = np.sqrt(np.diag(covariance))
-    longest = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    unfixed = [*settings.unfixed_m, *settings.unfixed_rad]
-    return bool((sigma < unfixed).all() and longest < unfixed[0])
+    return bool((sigma < UNFIXED).all() and longest_m(covariance) < UNFIXED[0])
 
 
 def _widened(inverse: Floats, fit: Fit) -> Floats:
@@ -200,8 +207,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     prior, model : Prior, Model
         With which it was found.
     """
-    settings = scene.settings.hypotheses
-    for look in range(settings.looks + 1):  # the last one only measures
+    for look in range(LOOKS + 1):  # the last one only measures
         hold, way = _weakest(fit)
         curved_m = float(np.sqrt(hold @ way))
         sides = [
@@ -209,16 +215,18 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
             for side in (-1.0, 1.0)
         ]
         sigma_m = max(_deviation(fit, side) for side in sides)
-        lowest = min((other for side in sides for _, other in side), key=_cost, default=fit)
-        if look == settings.looks or lowest.cost > fit.cost - LOOK_GAIN:
+        lowest = min(
+            (other for side in sides for _, other in side), key=lambda each: each.cost, default=fit
+        )
+        if look == LOOKS or lowest.cost > fit.cost - LOOK_GAIN:
             break
-        again = solve(scene, lowest.state, prior, schedule=settings.fine, model=model)
+        again = solve(scene, lowest.state, prior, schedule=FINE, model=model)
         if not again.converged or again.cost > fit.cost - LOOK_GAIN:
             break
         fit = again
     if sigma_m > curved_m:
         fit = with_information_along(fit, hold, curved_m**-2, sigma_m**-2)
-    return narrowed_by_exclusion(scene, fit, hold, sides)
+    return narrowed_by_exclusion(fit, hold, sides)
 
 
 def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
@@ -246,9 +254,7 @@ def with_information_along(fit: Fit, hold: Floats, before: float, after: float) 
     )
 
 
-def narrowed_by_exclusion(
-    scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]
-) -> Fit:
+def narrowed_by_exclusion(fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]) -> Fit:
     """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
 
     Curvature holds near the optimum. Where what is not estimated would move the pose farther than
@@ -257,8 +263,6 @@ def narrowed_by_exclusion(
 
     Parameters
     ----------
-    scene : Scene
-        With the settings of answers.
     fit : Fit
         At the optimum.
     hold : (n,) array
@@ -272,21 +276,20 @@ def narrowed_by_exclusion(
     Fit
         The fit itself where nothing excludes.
     """
-    settings = scene.settings.answer
     curved = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
     for k, (step_m, _) in enumerate(sides[0]):
-        if sigma_along(fit, hold, settings) <= step_m:
+        if sigma_along(fit, hold) <= step_m:
             break
         rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
         if rise < CLEAR_RISE:
             continue
         walled = with_information_along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
-        if sigma_along(walled, hold, settings) <= step_m:
+        if sigma_along(walled, hold) <= step_m:
             return walled
     return fit
 
 
-def sigma_along(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
+def sigma_along(fit: Fit, hold: Floats) -> float:
     """Return one standard deviation along a combination of the pose's parts.
 
     Parameters
@@ -295,8 +298,6 @@ def sigma_along(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
         The fit.
     hold : (n,) array
         Weight of each part of the state in the combination.
-    settings : AnswerSettings
-        How a fit's information becomes a covariance.
 
     Returns
     -------
@@ -305,7 +306,7 @@ def sigma_along(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
     """
     to_angles = fit.state.to_angles
     way = np.linalg.solve(to_angles.T, hold[POSE])
-    return float(np.sqrt(way @ certainty(fit, settings).covariance @ way))
+    return float(np.sqrt(way @ certainty(fit).covariance @ way))
 
 
 def _weakest(fit: Fit) -> tuple[Floats, Floats]:
@@ -318,16 +319,12 @@ def _weakest(fit: Fit) -> tuple[Floats, Floats]:
     return hold, covariance @ hold
 
 
-def _cost(fit: Fit | Rest) -> float:
-    return fit.cost
-
-
 def _profile(
     scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
 ) -> list[tuple[float, Rest]]:
     """Return fits at some distances along a valley, metres, all else fitted anew."""
-    found, state, at_m, settings = list[tuple[float, Rest]](), fit.state, 0.0, scene.settings.answer
-    for step_m in settings.valley_steps_m:
+    found, state, at_m = list[tuple[float, Rest]](), fit.state, 0.0
+    for step_m in VALLEY_STEPS_M:
         start = state.moved((step_m - at_m) * way)
         here = settle(scene, start, prior, schedule=VALLEY, model=model, hold=hold)
         state, at_m = here.state, step_m
@@ -400,9 +397,7 @@ def moved(pose: Pose, step: Floats) -> Pose:
     )
 
 
-def with_gain(
-    pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int], settings: AnswerSettings
-) -> Pose:
+def with_gain(pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int]) -> Pose:
     """Return a pose with its new covariance, and what it gained by whom."""
     before = stated_covariance(pose)
     known = before[np.ix_(PLANE, PLANE)]
@@ -420,7 +415,7 @@ def with_gain(
     evidence = {
         **pose.evidence,
         **new,
-        "observable": is_fixed(after, settings),
+        "observable": is_fixed(after),
         "together": {"sensors": others, "pairs": sum(pairs.values()), "gained": gained},
     }
     return replace(pose, evidence=evidence)

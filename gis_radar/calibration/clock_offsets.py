@@ -19,9 +19,15 @@ import scipy
 from numpy.typing import NDArray
 
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError
-from gis_radar.calibration.lane_detections import CLOCKS, ClockSettings, LaneDetections
+from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.lanes import UNLIMITED_MPS
 
+# Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
+# search does not change the offset.
+# Largest offset looked for, beyond what the begins of the times differ by: over an hour, the usual
+# mistake of a time zone.
+MAX_OFFSET_S = 4000.0
+BIN_S = 0.25  # width of the bins of time in which agreement is counted
 # Cells in which agreement is counted: in a bin a vehicle moves by about a cell.
 CELL_M = 4.0
 CELL_MPS = 3.0
@@ -30,10 +36,15 @@ CELL_MPS = 3.0
 PEAK_BINS = 5
 AROUND_BINS = 161
 APART_BINS = 20
+# Least height of the best lag in robust standard deviations over the agreement at other lags, of
+# which there are tens of thousands; and least cells that both saw: fewer are chance.
+ROUGH_SCORE, ROUGH_PAIRS = 8.0, 20
 ROUGH_RATIO = 1.25  # least height of the best lag over that of the next best
 # Largest differences of time and speed of a pair: the rough offset's error, and a turn.
 PAIR_S = 0.35
 PAIR_MPS = 1.5
+# Fewer pairs or vehicles, or a larger sigma (five steps), are refused.
+LEAST_PAIRS, LEAST_VEHICLES, MAX_SIGMA_S = 50, 8, 0.25
 # Largest gap along the lane, metres, iteration by iteration; the last one stays. A car's length
 # and the error of both poses.
 PAIR_M: tuple[float, ...] = (12.0, 9.0, 7.0)
@@ -68,6 +79,7 @@ NEAR_S = 0.2
 NEAR_MPS = 1.0
 # Lags, seconds off the answer, at which far less may agree.
 DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
+LEAST_SHARE = 0.45  # least share of vehicles that both saw at the answer
 LEAST_RATIO = 1.3  # least share seen by both at the answer over that at any decoy
 LEAST_CHECKED = 50  # least detections of a sensor where and while the other one recorded
 
@@ -79,7 +91,7 @@ class NoCommonTrafficError(NoAnswerError):
 
 
 def measured_offset(
-    one: LaneDetections, other: LaneDetections, settings: ClockSettings = CLOCKS
+    one: LaneDetections, other: LaneDetections, *, max_offset_s: float = MAX_OFFSET_S
 ) -> ClockOffset:
     """Measure how far the clock of `other` is ahead of that of `one`.
 
@@ -87,21 +99,21 @@ def measured_offset(
     ----------
     one, other : LaneDetections
         Of two sensors.
-    settings : ClockSettings
-        What a trustworthy offset needs.
+    max_offset_s : float
+        Largest offset looked for, beyond what the begins of the times differ by.
 
     Raises
     ------
     NoAnswerError
         If there is no trustworthy one.
     """
-    found = fine_offset(one, other, rough_offset(one, other, settings), settings)
-    validate_offset(one, other, found.offset_s, settings)
+    found = fine_offset(one, other, rough_offset(one, other, max_offset_s=max_offset_s))
+    validate_offset(one, other, found.offset_s)
     return found
 
 
 def rough_offset(
-    one: LaneDetections, other: LaneDetections, settings: ClockSettings = CLOCKS
+    one: LaneDetections, other: LaneDetections, *, max_offset_s: float = MAX_OFFSET_S
 ) -> float:
     """Return by how much the clock of `other` is ahead of that of `one`, to about half a second.
 
@@ -112,8 +124,8 @@ def rough_offset(
     ----------
     one, other : LaneDetections
         Of two sensors.
-    settings : ClockSettings
-        Cells, and what a trustworthy lag needs.
+    max_offset_s : float
+        As for :func:`measured_offset`.
 
     Raises
     ------
@@ -122,35 +134,33 @@ def rough_offset(
     """
     key_one, key_other = _cells(one), _cells(other)
     common = np.intersect1d(key_one, key_other)
-    if len(common) < settings.rough_pairs:
+    if len(common) < ROUGH_PAIRS:
         raise NoCommonTrafficError("they see no common traffic")
     apart_s = float(other.time[0] - one.time[0])
     bins_one, bins_other = (
-        ((each.time - each.time[0]) / settings.bin_s).astype(np.int64) for each in (one, other)
+        ((each.time - each.time[0]) / BIN_S).astype(np.int64) for each in (one, other)
     )
     agreement = _agreement(key_one, bins_one, key_other, bins_other, common)
     lag = np.arange(len(agreement)) - bins_one.max()
-    shift_s = lag * settings.bin_s + apart_s
-    allowed = np.abs(shift_s) <= abs(apart_s) + settings.max_offset_s
-    return _best_lag(agreement, shift_s, allowed, settings)
+    shift_s = lag * BIN_S + apart_s
+    allowed = np.abs(shift_s) <= abs(apart_s) + max_offset_s
+    return _best_lag(agreement, shift_s, allowed)
 
 
-def _best_lag(
-    agreement: Floats, shift_s: Floats, allowed: Booleans, settings: ClockSettings
-) -> float:
+def _best_lag(agreement: Floats, shift_s: Floats, allowed: Booleans) -> float:
     width, apart = PEAK_BINS, APART_BINS
     smooth = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
     around = scipy.ndimage.uniform_filter1d(smooth, AROUND_BINS, mode="constant")
     score = (smooth - around) / np.sqrt(around + 1.0)
     filled = allowed & (around > 0.0)
-    if smooth[allowed].max(initial=0.0) < settings.rough_pairs or filled.sum() < apart:
+    if smooth[allowed].max(initial=0.0) < ROUGH_PAIRS or filled.sum() < apart:
         raise NoAnswerError("they see too little common traffic")
     spread = 1.4826 * np.median(np.abs(score[filled] - np.median(score[filled])))
     score = np.where(allowed, score / max(spread, 0.5), -np.inf)
     best = int(score.argmax())
     elsewhere = np.abs(np.arange(len(score)) - best) > apart
     second = float(score[elsewhere & allowed].max(initial=0.0))
-    if score[best] < max(settings.rough_score, ROUGH_RATIO * second):
+    if score[best] < max(ROUGH_SCORE, ROUGH_RATIO * second):
         raise NoAnswerError("no lag stands out in their common traffic")
     near = slice(max(best - width // 2, 0), best + width // 2 + 1)
     weight = np.maximum(agreement[near] - around[best] / width, 1e-9)
@@ -217,9 +227,7 @@ class ClockOffset:
     vehicles: int
 
 
-def fine_offset(
-    one: LaneDetections, other: LaneDetections, rough_s: float, settings: ClockSettings = CLOCKS
-) -> ClockOffset:
+def fine_offset(one: LaneDetections, other: LaneDetections, rough_s: float) -> ClockOffset:
     """Refine the offset of two clocks.
 
     Parameters
@@ -228,8 +236,6 @@ def fine_offset(
         Of two sensors.
     rough_s : float
         By how much the clock of `other` is ahead, within a second.
-    settings : ClockSettings
-        Pairing, priors, and what a trustworthy offset needs.
 
     Raises
     ------
@@ -237,17 +243,17 @@ def fine_offset(
         If there is no trustworthy one.
     """
     one, at = _common(one, other, rough_s, MOST_FITTED)
-    values, sigma, pairs = _fit(one, other, np.array([rough_s, 0.0]), at, DRIFT_SIGMA, settings)
+    values, sigma, pairs = _fit(one, other, np.array([rough_s, 0.0]), at, DRIFT_SIGMA)
     # A clock that runs slow by a percent is no quartz that keeps the prior.
     change, wide_sigma = _solve(pairs, values[1], ODD_DRIFT_SIGMA)
     drift = abs(values[1] + change[1])
     if drift > max(ODD_DRIFT, ODD_DRIFT_SIGMAS * wide_sigma[1]):
         start = values + change
-        values, sigma, pairs = _fit(one, other, start, at, ODD_DRIFT_SIGMA, settings)
+        values, sigma, pairs = _fit(one, other, start, at, ODD_DRIFT_SIGMA)
         if abs(values[1]) > MOST_DRIFT:
             raise NoAnswerError("their clocks run apart by {:.1%}", abs(values[1]))
     vehicles = pairs.vehicles
-    if not sigma[0] <= settings.max_sigma_s:
+    if not sigma[0] <= MAX_SIGMA_S:
         raise NoAnswerError("their common traffic gives the offset only to {:.2g} s", sigma[0])
     if abs(values[0] - rough_s) > MAX_CHANGE_S:
         raise NoAnswerError("their common traffic fits no single offset")
@@ -258,14 +264,13 @@ def fine_offset(
 
 
 def _fit(
-    one: LaneDetections, other: LaneDetections, values: Floats, at: float, drift_sigma: float,
-    settings: ClockSettings,
-) -> tuple[Floats, Floats, _Pairs]:  # fmt: skip
+    one: LaneDetections, other: LaneDetections, values: Floats, at: float, drift_sigma: float
+) -> tuple[Floats, Floats, _Pairs]:
     """Pair and solve in turn; return offset and drift, their sigmas, and the last pairs."""
     gaps_m = PAIR_M
     for turn in range(PAIRING_ROUNDS):
         pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)])
-        if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
+        if len(pairs.gap_m) < LEAST_PAIRS or pairs.vehicles < LEAST_VEHICLES:
             raise NoAnswerError("only {} vehicles are seen by both", pairs.vehicles)
         change, sigma = _solve(pairs, values[1], drift_sigma)
         values = values + change
@@ -378,9 +383,7 @@ def _normal(
     return matrix, right
 
 
-def validate_offset(
-    one: LaneDetections, other: LaneDetections, offset_s: float, settings: ClockSettings = CLOCKS
-) -> None:
+def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float) -> None:
     """Refuse an offset that is not trustworthy.
 
     Where both look at the same road, most of what one sees the other sees at the same time, and
@@ -393,8 +396,6 @@ def validate_offset(
         Of two sensors.
     offset_s : float
         By how much the clock of `other` is ahead.
-    settings : ClockSettings
-        What counts as seen by both, and how large its share must be.
 
     Raises
     ------
@@ -407,7 +408,7 @@ def validate_offset(
         for pair, sign in (((one, other), 1.0), ((other, one), -1.0))
     )
     share, *decoys = (there + back) / 2
-    if not share >= settings.least_share:
+    if not share >= LEAST_SHARE:
         raise NoAnswerError("at no lag do they see the same vehicles")
     if not share >= LEAST_RATIO * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")

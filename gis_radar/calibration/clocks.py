@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
@@ -32,8 +32,6 @@ from gis_radar.base import (
 )
 from gis_radar.calibration.clock_offsets import ClockOffset, NoCommonTrafficError, measured_offset
 from gis_radar.calibration.lane_detections import (
-    CLOCKS,
-    ClockSettings,
     LaneDetections,
     lanelets_of,
     read_lane_detections,
@@ -41,6 +39,7 @@ from gis_radar.calibration.lane_detections import (
 from gis_radar.poses import Pose, PoseTrack, as_track
 from gis_radar.recordings import Recording, as_recording
 
+CONTRADICTION_SIGMAS = 4.0  # pairs of sensors that differ by more are warned of
 # A drift below so many of its sigmas counts as none: over hours it would only carry noise.
 DRIFT_SIGMAS = 3.0
 
@@ -114,21 +113,14 @@ class Clocks:
         Of the others: why there is no answer.
     pairs : dict
         What was found by pairs of sensors.
-    settings : ClockSettings
-        Constants in effect.
     """
 
     reference: str
     clocks: dict[str, SensorClock]
     refused: dict[str, str]
     pairs: Edges
-    settings: ClockSettings = CLOCKS
 
-    def figures(self) -> dict[str, Any]:
-        """Return a line a sensor, and the settings in effect."""
-        return {**self.lines(), "settings": asdict(self.settings)}
-
-    def lines(self) -> dict[str, str]:
+    def figures(self) -> dict[str, str]:
         """Return a line a sensor."""
         lines = {"reference": self.reference}
         for sensor, clock in self.clocks.items():
@@ -159,7 +151,6 @@ class Clocks:
             "clocks": {sensor: clock.as_dict() for sensor, clock in self.clocks.items()},
             "refused": self.refused,
             "pairs": pairs,
-            "settings": asdict(self.settings),
         }
         with atomic_write(Path(path)) as part:
             text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
@@ -167,10 +158,10 @@ class Clocks:
         return Path(path)
 
     def _repr_html_(self) -> str:
-        return card("Clocks: ahead of the reference", self.lines())
+        return card("Clocks: ahead of the reference", self.figures())
 
     def __repr__(self) -> str:
-        return f"Clocks({'; '.join(f'{name}: {text}' for name, text in self.lines().items())})"
+        return f"Clocks({'; '.join(f'{name}: {text}' for name, text in self.figures().items())})"
 
 
 def read_clocks(path: str | Path) -> dict[str, SensorClock]:
@@ -213,7 +204,6 @@ def measure_clocks(
     tiles: gpd.GeoDataFrame,
     *,
     reference: str | None = None,
-    settings: ClockSettings = CLOCKS,
     reporter: Reporter = QUIET,
 ) -> Clocks:
     """Find how far the clocks of sensors are ahead of one of them, and how fast they drift.
@@ -236,8 +226,6 @@ def measure_clocks(
     reference : str, optional
         The sensor whose clock counts as right; by default the first by name of those that can be
         compared with the most others.
-    settings : ClockSettings
-        Constants of the comparison; written to the file of clocks.
     reporter : Reporter
         Receives progress and warnings.
 
@@ -268,8 +256,8 @@ def measure_clocks(
         what = Text("the pose of {}", track.sensor)
         require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
     opened = [as_recording(recording) for recording in recordings]
-    seen = _read_all(opened, tracks, lanelets_of(tiles), settings, reporter)
-    edges, reasons = _compare(seen, settings, reporter)
+    seen = _read_all(opened, tracks, lanelets_of(tiles), reporter)
+    edges, reasons = _compare(seen, reporter)
     reference = reference or best_linked(edges, sensors)
     clocks, misfit = adjust_network(edges, reference)
     refused = {
@@ -284,22 +272,19 @@ def measure_clocks(
             why,
             hint="sensors must see the same moving traffic; longer recordings help",
         )
-    if misfit > settings.contradiction_sigmas:
+    if misfit > CONTRADICTION_SIGMAS:
         reporter.warn(
             "the offsets of the pairs contradict each other by {:.1f} standard "
             "deviations: is a pose wrong?",
             misfit,
         )
-    return Clocks(
-        reference=reference, clocks=clocks, refused=refused, pairs=edges, settings=settings
-    )
+    return Clocks(reference=reference, clocks=clocks, refused=refused, pairs=edges)
 
 
 def _read_all(
     recordings: list[Recording],
     tracks: list[PoseTrack],
     lanelets: gpd.GeoDataFrame,
-    settings: ClockSettings,
     reporter: Reporter,
 ) -> dict[str, LaneDetections]:
     """Read what each sensor saw, around the begin of the last recording."""
@@ -310,17 +295,13 @@ def _read_all(
         mine = parts.setdefault(tracks[i].sensor, [])
         with suppress(NoAnswerError):  # no lane in reach: nothing in common with others
             mine.append(
-                read_lane_detections(
-                    recordings[i], tracks[i], lanelets, max(begins), reporter, settings
-                )
+                read_lane_detections(recordings[i], tracks[i], lanelets, max(begins), reporter)
             )
     sensors = sorted({track.sensor for track in tracks})
     return {sensor: LaneDetections.joined(parts[sensor]) for sensor in sensors}
 
 
-def _compare(
-    seen: dict[str, LaneDetections], settings: ClockSettings, reporter: Reporter
-) -> tuple[Edges, Reasons]:
+def _compare(seen: dict[str, LaneDetections], reporter: Reporter) -> tuple[Edges, Reasons]:
     """Compare all pairs of sensors; return the offsets, and the reasons where there is none."""
     edges: Edges = {}
     reasons: Reasons = {}
@@ -328,7 +309,7 @@ def _compare(
     for done, (one, other) in enumerate(pairs):
         reporter.progress("comparing clocks", done, len(pairs))
         try:
-            edges[one, other] = measured_offset(seen[one], seen[other], settings)
+            edges[one, other] = measured_offset(seen[one], seen[other])
         except NoAnswerError as error:
             reasons[one, other] = error
     reporter.progress("comparing clocks", len(pairs), len(pairs))

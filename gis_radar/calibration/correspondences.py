@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ import scipy
 
 from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.lanes import Lanes, match, place
-from gis_radar.calibration.model import MODEL, Model
+from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, Moving, Samples
 
@@ -89,12 +89,6 @@ class Moments:
         """What it sees, local coordinates."""
         return np.asarray(self.arm + self.place)
 
-    def first(self, number: int) -> Moments:
-        """Return the first so many of them."""
-        cut = {each.name: getattr(self, each.name) for each in fields(self)}
-        rows = {name: values[:number] for name, values in cut.items() if name != "place"}
-        return replace(self, **rows)
-
     def later(self, moments: int) -> Moments:
         """Return them as if they had been seen so many moments later."""
         return replace(self, moment=self.moment + moments)
@@ -153,30 +147,21 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Faces:
-    """Mean visible point of a vehicle, relative to its middle.
+def faces(seen: Moments) -> tuple[Floats, Floats, Floats]:
+    """Return the visible points of vehicles, relative to their middles.
 
-    Parameters
-    ----------
-    ahead, left : (m,) array
+    Returns
+    -------
+    (m,), (m,) array
         Sign of the direction of sight along and across the lane.
-    side : (m,) array
+    (m,) array
         Share of the side against front or rear.
     """
-
-    ahead: Floats
-    left: Floats
-    side: Floats
-
-
-def faces(seen: Moments, model: Model = MODEL) -> Faces:
-    """Return the visible points of vehicles."""
     sight = seen.arm[:, FLAT] / np.maximum(np.hypot(*seen.arm[:, FLAT].T), 1e-9)[:, None]
     cosine = np.sum(sight * seen.along, axis=1)
     sine = sight[:, 1] * seen.along[:, 0] - sight[:, 0] * seen.along[:, 1]
-    strong = model.side_strength * np.abs(sine)
-    return Faces(ahead=np.sign(cosine), left=np.sign(sine), side=strong / (strong + np.abs(cosine)))
+    strong = MODEL.side_strength * np.abs(sine)
+    return np.sign(cosine), np.sign(sine), strong / (strong + np.abs(cosine))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,19 +222,17 @@ class Rows:
         return Rows(pair=number, tracks=self.tracks[pairs], **cut)
 
 
-def compare_moments(one: Moments, other: Moments, model: Model = MODEL) -> Rows:
+def compare_moments(one: Moments, other: Moments) -> Rows:
     """Compare all vehicles that two sensors see at the same moments, in the same direction.
 
     Parameters
     ----------
     one, other : Moments
         Of two sensors.
-    model : Model
-        How vehicles reflect.
     """
-    if not _in_reach(one, other):  # sensors of a large site that never meet
-        one = one.first(0)
-    a, b = _same_moment(one.moment, other.moment)
+    a, b = np.empty((2, 0), np.int64)
+    if _in_reach(one, other):  # sensors of a large site may never meet
+        a, b = _same_moment(one.moment, other.moment)
     table = pd.DataFrame({"one": one.track[a], "other": other.track[b]})
     way = np.sum(one.along[a] * other.along[b], axis=1)
     over = np.abs(one.points[a, 2] - other.points[b, 2])
@@ -266,7 +249,7 @@ def compare_moments(one: Moments, other: Moments, model: Model = MODEL) -> Rows:
     order = np.flatnonzero(keep)[np.argsort(number[keep], kind="stable")]
     _, pair = np.unique(number[order], return_inverse=True)
     tracks = table.iloc[order].groupby(pair).first().to_numpy().reshape(-1, 2)
-    return _rows(one, other, a[order], b[order], pair, tracks, model)
+    return _rows(one, other, a[order], b[order], pair, tracks)
 
 
 def _in_reach(one: Moments, other: Moments) -> bool:
@@ -287,21 +270,20 @@ def _same_moment(one: Integers, other: Integers) -> tuple[Integers, Integers]:
 
 
 def _rows(
-    one: Moments, other: Moments, a: Integers, b: Integers, pair: Integers, tracks: Integers,
-    model: Model,
-) -> Rows:  # fmt: skip
+    one: Moments, other: Moments, a: Integers, b: Integers, pair: Integers, tracks: Integers
+) -> Rows:
     """Return gaps and derivatives of moments `a` of one sensor against `b` of the other."""
     along = one.along[a]
     axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
-    half = np.array([HALF_LENGTH_M, model.half_width])
+    half = np.array([HALF_LENGTH_M, MODEL.half_width])
     gap = np.einsum("rij,rj->ri", axes, (one.points[a] - other.points[b])[:, FLAT])
     poses, constants = np.zeros((len(a), 2, 2 * PLANE)), np.zeros((len(a), 2, FACES))
     clocks, bearings = np.zeros((len(a), 2, 2)), np.zeros((len(a), 2, 2))
     variance = np.full((len(a), 2), MOMENT_SIGMA_M**2)
     for k, (seen, at, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
-        shown, arm = faces(seen, model), seen.arm[at, :2]
-        ends, sides = (1.0 - shown.side[at]) * shown.ahead[at], shown.side[at] * shown.left[at]
-        both, mixed = np.column_stack([ends, sides]), shown.side[at] * (1.0 - shown.side[at])
+        ahead, left, side = (each[at] for each in faces(seen))
+        arm, ends, sides = seen.arm[at, :2], (1.0 - side) * ahead, side * left
+        both, mixed = np.column_stack([ends, sides]), side * (1.0 - side)
         gap += sign * both * half
         turn = np.einsum("rij,rj->ri", axes, np.column_stack([-arm[:, 1], arm[:, 0]]))
         poses[:, :, PLANE * k : PLANE * k + 2] = sign * axes
@@ -309,11 +291,11 @@ def _rows(
         bearings[:, :, k] = sign * turn
         constants[:, 0, 0] += sign * ends
         constants[:, 1, 1] += sign * sides
-        constants[:, 0, 2] -= sign * mixed * shown.ahead[at] * half[0]
-        constants[:, 1, 2] += sign * mixed * shown.left[at] * half[1]
+        constants[:, 0, 2] -= sign * mixed * ahead * half[0]
+        constants[:, 1, 2] += sign * mixed * left * half[1]
         clocks[:, 0, k] = sign * seen.speed[at]
         # a side is seen anywhere along it, an end anywhere across: evenly
-        share = np.column_stack([shown.side[at], 1.0 - shown.side[at]])
+        share = np.column_stack([side, 1.0 - side])
         variance += half**2 * (share / 3.0 + mixed[:, None]) / seen.count[at][:, None]
     return Rows(
         pair=pair, tracks=tracks, gap=gap, poses=poses, constants=constants, clocks=clocks,
@@ -330,18 +312,18 @@ def stretches(rows: Rows) -> Integers:
     return np.asarray(np.unique(labels, axis=0, return_inverse=True)[1].ravel())
 
 
-def effects(rows: Rows, model: Model = MODEL) -> tuple[Floats, Floats]:
+def effects(rows: Rows) -> tuple[Floats, Floats]:
     """Return the random effects of a pair: (r, 2, 5) derivatives and (5,) variances.
 
     Which part of it each radar sees best, along and across; its length; both bearings.
     """
     spots = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     derivatives = np.concatenate([spots, rows.constants[:, :, :1], rows.bearings], axis=2)
-    spread = [*SPOT_M, HALF_LENGTH_SPREAD_M, model.bearing, model.bearing]
+    spread = [*SPOT_M, HALF_LENGTH_SPREAD_M, MODEL.bearing, MODEL.bearing]
     return derivatives, np.square(spread)
 
 
-def mean_gaps(rows: Rows, covariance: Floats, model: Model = MODEL) -> tuple[Floats, Floats]:
+def mean_gaps(rows: Rows, covariance: Floats) -> tuple[Floats, Floats]:
     """Return each pair's mean gap, (pairs, 2), and its covariance, (pairs, 2, 2).
 
     Parameters
@@ -350,10 +332,8 @@ def mean_gaps(rows: Rows, covariance: Floats, model: Model = MODEL) -> tuple[Flo
         From :func:`compare_moments`.
     covariance : (6, 6) array
         Of both sensors' easting, northing, yaw.
-    model : Model
-        How vehicles differ.
     """
-    derivatives, variances = effects(rows, model)
+    derivatives, variances = effects(rows)
     by_effect, by_pose = rows.means(derivatives), rows.means(rows.poses)
     number = np.diff(np.append(rows.first, len(rows.pair)))
     each = rows.means(rows.variance) / np.maximum(number * SHARE, 1.0)[:, None]

@@ -10,10 +10,11 @@ import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.settings import LOCALIZATION
+from gis_radar.calibration.moving import RIGHT, recorded_between
 from gis_radar.calibration.stays import Stays, compare_standing
 from gis_radar.calibration.traces import (
     CREEPING,
+    MIN_SPEED_MPS,
     NONE,
     Moving,
     link_tracks,
@@ -33,7 +34,6 @@ CORRECTED_M = 1.0  # poses of a track that are farther apart are of two places
 PER_TRACK = 40  # detections of each that are compared: more are alike
 WILD_MPS, LEAST_WILD = 300.0, 30  # no unit that is m/s or km/h shows so many so fast
 LEAST_REPEATED = 2  # detections of a frame that cannot come again by chance
-RIGHT = SensorClock(offset_s=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,10 +112,7 @@ class Excerpt:
             elif pose != usual:
                 there = pose.to_map(points[mine]) - usual.position
                 points[mine] = there @ usual.R_map_sensor
-        moving = replace(
-            self.moving, time=self.moving.time[stays], points=points[stays],
-            range_rate=self.moving.range_rate[stays],
-        )  # fmt: skip
+        moving = replace(self.moving, points=points).where(stays)
         track, on = self.track[stays], self.track[stays] != NONE
         track[on] = np.unique(track[on], return_inverse=True)[1]
         return moving, track
@@ -129,10 +126,9 @@ class Excerpt:
 
     def _where(self, kept: Booleans, moving: Booleans) -> Excerpt:
         names = ("time", "points", "range_rate", "vehicle", "pose")
-        rows = ("time", "points", "range_rate")
         return replace(
             self, track=self.track[moving], held=self.held[moving],
-            moving=replace(self.moving, **{n: getattr(self.moving, n)[moving] for n in rows}),
+            moving=self.moving.where(moving),
             **{name: getattr(self, name)[kept] for name in names},
         )  # fmt: skip
 
@@ -170,7 +166,7 @@ def read_excerpts(
     InputError
         If a recording is damaged.
     """
-    spans, count = [_span(each) for each in recordings], PIECES
+    spans, count = [recorded_between(each) for each in recordings], PIECES
     length_s = sum(end - begin for begin, end in spans)
     while True:
         rows = _rows(recordings, _begins(spans, count), clock or RIGHT)
@@ -183,12 +179,6 @@ def read_excerpts(
         if last:
             return
         count = 2 * count - 1
-
-
-def _span(recording: Recording) -> tuple[float, float]:
-    parts = None if recording.time_spans is None else recording.time_spans()
-    parts = parts or [(float(rows.time[0]), float(rows.time[-1])) for rows in recording.read()]
-    return parts[0][0], parts[-1][1]
 
 
 def _begins(spans: Sequence[tuple[float, float]], count: int) -> list[Floats]:
@@ -233,7 +223,7 @@ def _pieces(recording: Recording, begins: Floats) -> Iterator[Detections]:
 
 
 def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
-    moves = np.abs(rows.range_rate) > LOCALIZATION.traces.min_speed_mps
+    moves = np.abs(rows.range_rate) > MIN_SPEED_MPS
     frames = np.unique(rows.time)
     moving = Moving(
         time=rows.time[moves], points=rows.points[moves], range_rate=rows.range_rate[moves],

@@ -14,14 +14,29 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.base import Booleans, Floats, compiled
 from gis_radar.calibration.adaptation import adapted
-from gis_radar.calibration.certainty import LOOK_GAIN, PLANE, advantage, along_valley
+from gis_radar.calibration.certainty import (
+    FINE,
+    LOOK_GAIN,
+    LOOKS,
+    PLANE,
+    advantage,
+    along_valley,
+)
 from gis_radar.calibration.lanes import LANE_CELL_M, Lanes, Scene, match, place
 from gis_radar.calibration.model import MODEL, Model
-from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, LocalizationSettings
-from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
-from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
+from gis_radar.calibration.solver import Fit, Prior, Schedule, cost_at, solve
+from gis_radar.calibration.state import LEVER_M, POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Samples
 
+GUESS_M = 15.0  # how far a guess may be off (contract)
+HEADING_TOLERANCE = math.radians(30.0)  # either way of a heading: 25 degrees (contract) and slack
+# First fit of every candidate, and fit of each finalist, to a part of the samples.
+ROUGH = Schedule(scales_m=(1.5, 0.75, 0.3), rounds=4)
+SETTLE = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=4)
+FINALISTS = 4  # hypotheses that are fitted to the end, at most
+# Standard deviations behind the first that earn a full look, which brings a hypothesis nearer by
+# about half of one; more than the z score of a clear answer.
+RIVAL = 3.5
 BEYOND_GUESS_M = 2.0  # searched beyond how far a guess may be off
 TILT = math.radians(6.0)  # 1 sigma of how far masts and roads lean, radians
 # 1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
@@ -144,18 +159,12 @@ def search(
     most : int
         Candidates to return, the best first.
     """
-    lanes, samples, settings = scene.lanes, scene.samples, scene.settings.search
+    lanes, samples = scene.lanes, scene.samples
     chosen = np.random.default_rng(0).permutation(len(samples))[:SCORED]
     points, away = levelled[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
-    cell_m = LANE_CELL_M
-
-    def score(close: NDArray[np.uint8], places: Floats, yaws: Floats) -> Floats:
-        return np.asarray(_score(close, lanes.corner, cell_m, points, away, places, yaws))
-
-    places = _places(settings.guess_m + BEYOND_GUESS_M, STEP_M)
-    yaws = _yaws(heading, YAW_STEP)
-    scores = score(closeness(lanes), places, yaws)
-    return _peaks(scores, places, yaws, most)
+    places, yaws = _places(GUESS_M + BEYOND_GUESS_M, STEP_M), _yaws(heading, YAW_STEP)
+    scores = _score(closeness(lanes), lanes.corner, LANE_CELL_M, points, away, places, yaws)
+    return _peaks(np.asarray(scores), places, yaws, most)
 
 
 def _yaws(heading: tuple[float, float] | None, step: float) -> Floats:
@@ -205,7 +214,8 @@ def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Cand
         i, j = divmod(int(flat), scores.shape[1])
         place, yaw = places[i], float(yaws[j])
         twin = any(
-            np.hypot(*(place - other.place)) < NEAR_M and abs(_wrapped(yaw - other.yaw)) < NEAR_RAD
+            np.hypot(*(place - other.place)) < NEAR_M
+            and abs(math.remainder(yaw - other.yaw, math.tau)) < NEAR_RAD
             for other in kept
         )
         if not twin:
@@ -213,10 +223,6 @@ def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Cand
             if len(kept) == most:
                 break
     return kept
-
-
-def _wrapped(angle: float) -> float:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 @compiled
@@ -324,9 +330,7 @@ def _part(scene: Scene, most: int) -> Scene:
 
 
 def _settled(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
-    schedule = scene.settings.hypotheses.settle
-    fit = solve(scene, start, hypothesis.prior, schedule=schedule)
-    return replace(hypothesis, fit=fit)
+    return replace(hypothesis, fit=solve(scene, start, hypothesis.prior, schedule=SETTLE))
 
 
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -334,10 +338,9 @@ def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 
     The best one is looked at in full, and so is each that could still overtake it.
     """
-    part, best, settings = rough(scene), hypotheses[0], scene.settings.hypotheses
+    part, best = rough(scene), hypotheses[0]
     near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < GONE]
-    finalists = near[: settings.finalists]
-    settled = _ranked([_settled(part, h, h.fit.state) for h in finalists])
+    settled = _ranked([_settled(part, h, h.fit.state) for h in near[:FINALISTS]])
     fine = _ranked([_fine(scene, h) for h in settled])
     looked = _with_rivals(fine, scene, partial(look_around, scene))
     return _with_rivals(looked, scene, partial(_adapted, scene))
@@ -347,8 +350,7 @@ def _with_rivals(
     ranked: Sequence[Hypothesis], scene: Scene, better: Callable[[Hypothesis], Hypothesis]
 ) -> list[Hypothesis]:
     """Improve the best hypothesis and its rivals, and return all, the best first."""
-    first, rival = ranked[0], scene.settings.hypotheses.rival
-    near = [advantage(first.fit, h.fit, scene.samples) < rival for h in ranked]
+    near = [advantage(ranked[0].fit, h.fit, scene.samples) < RIVAL for h in ranked]
     improved = [better(h) if close else h for h, close in zip(ranked, near, strict=True)]
     return _ranked(improved)
 
@@ -359,13 +361,12 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
     Which face of which vehicle a trace shows, and to which lane it belongs, make the cost bumpy in
     the small where drivers keep off the middle of their lanes.
     """
-    settings = scene.settings.hypotheses
     aside, turned = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
     few = _part(scene, LOOK_SAMPLES)
     grid = np.stack(np.meshgrid(aside, aside, turned / LEVER_M, indexing="ij"), axis=-1)
     steps = np.zeros((grid.size // 3, SIZE))
     steps[:, PLANE] = grid.reshape(-1, 3)
-    for _ in range(settings.looks):
+    for _ in range(LOOKS):
         starts = [best.fit.state.moved(step) for step in steps]
         costs = np.array([cost_at(few, start, scale_m=LOOK_SCALE_M) for start in starts])
         costs = costs.reshape(grid.shape[:3])
@@ -381,8 +382,8 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
 
 
 def _fine(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
-    h, schedule = hypothesis, scene.settings.hypotheses.fine
-    return replace(h, fit=solve(scene, h.fit.state, h.prior, schedule=schedule, model=h.model))
+    h = hypothesis
+    return replace(h, fit=solve(scene, h.fit.state, h.prior, schedule=FINE, model=h.model))
 
 
 def _adapted(scene: Scene, fine: Hypothesis) -> Hypothesis:
@@ -416,19 +417,16 @@ def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
     return replace(state, position=np.array([*candidate.place, float(height)]))
 
 
-def prior_at(state: State, settings: LocalizationSettings = LOCALIZATION) -> Prior:
+def prior_at(state: State) -> Prior:
     """Return what is known before looking: about where the guess is, a mast that hardly leans.
 
     Parameters
     ----------
     state : State
         A start; its tilt is the levelled one, the guess is the local (0, 0).
-    settings : LocalizationSettings
-        The standard deviations.
     """
-    guess_m, tilt = settings.search.guess_m, TILT
     information = np.zeros((SIZE, SIZE))
-    sigma = np.array([guess_m / 2, guess_m / 2, guess_m, tilt, tilt, np.pi])
+    sigma = np.array([GUESS_M / 2, GUESS_M / 2, GUESS_M, TILT, TILT, np.pi])
     information[POSE, POSE] = np.diag(sigma**-2)
     information[REFLECTION, REFLECTION] = REFLECTION_SIGMA_M**-2
     mean = replace(state, position=np.array([0.0, 0.0, state.position[2]]))
@@ -436,8 +434,8 @@ def prior_at(state: State, settings: LocalizationSettings = LOCALIZATION) -> Pri
 
 
 def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
-    prior = prior_at(start, scene.settings)
-    fit = solve(scene, start, prior, schedule=scene.settings.hypotheses.rough)
+    prior = prior_at(start)
+    fit = solve(scene, start, prior, schedule=ROUGH)
     return Hypothesis(fit=fit, prior=prior, score=score)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -12,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.base import INSTALL_LOCALIZE, Floats, InputError, Integers, NoAnswerError, Reporter
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.calibration.hypotheses import GUESS_M
 from gis_radar.calibration.result import STAGE, Localization, Problem, common
-from gis_radar.calibration.settings import LEVER_M, LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.solver import FLOOR, at_least
-from gis_radar.calibration.state import State
+from gis_radar.calibration.state import LEVER_M, State
 from gis_radar.calibration.traces import CROWD_M, Moving
 
 # How far the pose is moved to measure how well the road fixes it: farther than the slack between
@@ -29,25 +28,6 @@ EPS_M, MIN_POINTS = 2.0, 10
 DISTANCES_M = (10.0, 1.0, 0.5)  # of correspondences: large, then two voxels and one (the paper)
 ITERATIONS = 60  # most at each distance
 FARTHEST = 2.0  # an answer farther off than so many times the error of a guess is refused
-
-
-@dataclass(frozen=True, kw_only=True)
-class IcpFit:
-    """What ICP ends with.
-
-    Parameters
-    ----------
-    state : State
-        The pose.
-    fitness : float
-        Share of source voxels within a voxel of the road.
-    rmse_m : float
-        Of those.
-    """
-
-    state: State
-    fitness: float
-    rmse_m: float
 
 
 def voxels(points: Floats, size_m: float) -> Floats:
@@ -89,7 +69,7 @@ def source_voxels(moving: Moving) -> Floats:
     return np.asarray(centres[labels == np.argmax(np.bincount(labels[labels >= 0]))])
 
 
-def register_icp(source: Floats, road: Floats, starts: list[State]) -> IcpFit:
+def register_icp(source: Floats, road: Floats, starts: list[State]) -> tuple[State, float]:
     """Register traces to the road by point-to-point ICP at three distances, eq. (1) of the paper.
 
     Parameters
@@ -101,6 +81,13 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> IcpFit:
     starts : list of State
         Where to begin; the best end wins.
 
+    Returns
+    -------
+    State
+        The pose.
+    float
+        Share of source voxels within a voxel of the road.
+
     Raises
     ------
     InputError
@@ -109,7 +96,10 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> IcpFit:
     o3d = _open3d()
     traces, target = _cloud(o3d, source), _cloud(o3d, road)
     fits = [_register(o3d, traces, target, start) for start in starts]
-    return max(fits, key=lambda fit: (fit.fitness, -fit.rmse_m))
+    best = max(fits, key=lambda fit: (fit.fitness, -fit.inlier_rmse))
+    T_map_sensor = np.array(best.transformation)  # noqa: N806 - frames name a transform
+    state = State(position=T_map_sensor[:3, 3], R_map_sensor=T_map_sensor[:3, :3], reflection=0.0)
+    return state, float(best.fitness)
 
 
 def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
@@ -125,7 +115,7 @@ def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
     ]
 
 
-def _register(o3d: Any, source: Any, target: Any, start: State) -> IcpFit:
+def _register(o3d: Any, source: Any, target: Any, start: State) -> Any:
     T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
     T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
     pipeline = o3d.pipelines.registration
@@ -139,8 +129,7 @@ def _register(o3d: Any, source: Any, target: Any, start: State) -> IcpFit:
             pipeline.ICPConvergenceCriteria(max_iteration=ITERATIONS),
         )
         T_map_sensor = np.array(result.transformation)  # noqa: N806
-    state = State(position=T_map_sensor[:3, 3], R_map_sensor=T_map_sensor[:3, :3], reflection=0.0)
-    return IcpFit(state=state, fitness=float(result.fitness), rmse_m=float(result.inlier_rmse))
+    return result
 
 
 def pose_information(source: Floats, road: Floats, state: State) -> Floats:
@@ -199,27 +188,21 @@ def _open3d() -> Any:
     return open3d
 
 
-def by_icp(
-    problem: Problem,
-    moving: Moving,
-    reporter: Reporter,
-    settings: LocalizationSettings = LOCALIZATION,
-) -> Localization:
+def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
     """Lay the traces on the road's surface, as the paper does."""
     reporter.progress(STAGE, 1, 3)
-    guess_m = settings.search.guess_m
     source = source_voxels(moving)
     local = problem.road - [*problem.guess[:2], 0.0]
-    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + guess_m
+    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + GUESS_M
     local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
     if len(local) == 0:
         raise NoAnswerError("{}: no road within {:.0f} m of the guess", problem.name, reach_m)
     reporter.progress(STAGE, 2, 3)
     height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
     starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
-    fit = register_icp(source, voxels(local, VOXEL_M), starts)
-    away = float(np.hypot(*fit.state.position[:2]))
-    if away > FARTHEST * guess_m:
+    state, fitness = register_icp(source, voxels(local, VOXEL_M), starts)
+    away = float(np.hypot(*state.position[:2]))
+    if away > FARTHEST * GUESS_M:
         raise NoAnswerError(
             "{}: the registration went {:.0f} m from the guess",
             problem.name,
@@ -227,12 +210,12 @@ def by_icp(
             hint="guess closer",
         )
     reporter.progress(STAGE, 3, 3)
-    information = pose_information(source, local, fit.state)
-    observable = is_fixed(pose_covariance(information, fit.state), settings.answer)
-    evidence = {**common(moving, "icp"), "fitness": fit.fitness, "observable": observable}
+    information = pose_information(source, local, state)
+    observable = is_fixed(pose_covariance(information, state))
+    evidence = {**common(moving, "icp"), "fitness": fitness, "observable": observable}
     return Localization(
-        pose=problem.pose(fit.state, evidence),
-        fitness=fit.fitness,
+        pose=problem.pose(state, evidence),
+        fitness=fitness,
         observable=observable,
         eigenvalues=tuple(eigenvalues(information).tolist()),
         samples=len(source),

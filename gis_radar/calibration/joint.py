@@ -44,7 +44,6 @@ from gis_radar.calibration.scan_check import (
     check_against_scan,
     require_scans_near,
 )
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving
 from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import Pose, write_pose
@@ -125,7 +124,6 @@ def localize_together(
     origin: tuple[float, float] | None = None,
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
-    settings: LocalizationSettings = LOCALIZATION,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
     """Find the poses of several sensors that recorded at the same time, all files.
@@ -159,8 +157,6 @@ def localize_together(
     scans, scan_crs
         As for :func:`gis_radar.localize_files`: where the traffic in front of a sensor fits several
         poses, the scan check decides first.
-    settings : LocalizationSettings
-        Of the single answers.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -190,7 +186,7 @@ def localize_together(
             require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
     return locate_all(
         paths, roads, points, guesses=places, headings=yaws, scans=scans,
-        scan_crs=scan_crs, settings=settings, reporter=reporter,
+        scan_crs=scan_crs, reporter=reporter,
     )  # fmt: skip
 
 
@@ -203,14 +199,13 @@ def locate_all(
     headings: Sequence[float | None] | None = None,
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
-    settings: LocalizationSettings = LOCALIZATION,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
     """Find the poses of several sensors, with map and road in memory.
 
     Parameters
     ----------
-    recordings, guesses, headings, scans, scan_crs, settings, reporter
+    recordings, guesses, headings, scans, scan_crs, reporter
         As for :func:`localize_together`; guesses in the map's CRS.
     roads, road_points
         As for :func:`gis_radar.localize`.
@@ -221,7 +216,7 @@ def locate_all(
     asks = [
         partial(
             localize, roads=roads, road_points=road_points, guess=guess, heading=heading,
-            settings=settings, reporter=reporter,
+            reporter=reporter,
         )
         for guess, heading in zip(guesses, sure, strict=True)
     ]  # fmt: skip
@@ -234,7 +229,7 @@ def locate_all(
     used = {path.stem: path for path in recordings if path.stem in answers}
     solved = adjust_poses(
         used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
-        roads, road_points, end=end, settings=settings, reporter=reporter,
+        roads, road_points, end=end, reporter=reporter,
     )  # fmt: skip
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
     kept: dict[str, Localization] = {}
@@ -337,7 +332,6 @@ def adjust_poses(
     *,
     end: float | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
-    settings: LocalizationSettings = LOCALIZATION,
     reporter: Reporter = QUIET,
 ) -> Solved:
     """Adjust poses by the vehicles that the sensors see at the same time.
@@ -355,8 +349,6 @@ def adjust_poses(
         which most recorded, the latest of these.
     clocks : mapping of str to SensorClock, optional
         Of sensors whose clocks were measured: their times are corrected.
-    settings : LocalizationSettings
-        Of tracks.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -379,9 +371,9 @@ def adjust_poses(
     for done, (name, known) in enumerate(spans.items()):
         reporter.progress(READING, done, len(spans))
         there = [each for each in known if each.shared_s(until - COMMON_S, until)]
-        moving = read_until([], until, settings)
+        moving = read_until([], until)
         with _noted(why, name):
-            moving = read_until(there, until, settings, right[name])
+            moving = read_until(there, until, right[name])
         if not moving.frames:
             why.setdefault(name, AWAY)
         clock_s = _sigma_s(right[name])
@@ -389,7 +381,7 @@ def adjust_poses(
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
     lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points)
-    solved = solve_network(stations, lanes, settings)
+    solved = solve_network(stations, lanes)
     for remark in solved.remarks:
         reporter.warn(remark)
     unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}

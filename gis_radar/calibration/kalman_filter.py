@@ -8,16 +8,20 @@ not estimated (a Schmidt-Kalman filter). Without it the equations are the paper'
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.base import Floats
-from gis_radar.calibration.settings import HOUR_S, LEVER_M, MONITOR
-from gis_radar.calibration.state import State, angles_from_turn
+from gis_radar.calibration.state import LEVER_M, State, angles_from_turn
 
+HOUR_S = 3600.0
+CYCLE_S = 5.0  # between two corrected poses (the paper)
+# Of six: easting, northing, height and turns about the map's axes; metres, radians. How far a mast
+# bends within an hour, in sun and wind, and a blow moves a sensor that is still in use; 1 sigma.
+DRIFT = np.array([0.02, 0.02, 0.01, *np.radians([0.1, 0.1, 0.1])])
+KNOCK = np.array([0.7, 0.7, 0.4, *np.radians([3.0, 3.0, 4.0])])
 LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
 
 
@@ -51,10 +55,10 @@ class Estimate:
         """The covariance in the order easting, northing, height, roll, pitch, yaw."""
         return covariance_of_angles(self.quaternion, self.covariance)
 
-    def state(self, like: State) -> State:
-        """Return the pose as a registration's state, with how vehicles reflect from another."""
+    def state(self, reflection_m: float) -> State:
+        """Return the pose as a registration's state, with how high vehicles reflect."""
         turn = Rotation.from_quat(self.quaternion).as_matrix()
-        return replace(like, position=self.position, R_map_sensor=turn)
+        return State(position=self.position, R_map_sensor=turn, reflection=reflection_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,10 +83,7 @@ class Measurement:
     @property
     def common(self) -> Floats:
         """What one standard deviation of the common error does to the measurement, (6, 6)."""
-        scaled = LEVER[:, None] * (self.covariance - self.noise) * LEVER
-        values, vectors = np.linalg.eigh(scaled)
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        return np.asarray(root / LEVER[:, None])
+        return by_common_error(self.covariance - self.noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +107,13 @@ class Innovation:
         return float(self.gap @ np.linalg.solve(self.covariance, self.gap))
 
 
+def by_common_error(covariance: Floats) -> Floats:
+    """Return what one standard deviation of an error of a covariance does to a pose, (6, 6)."""
+    values, vectors = np.linalg.eigh(LEVER[:, None] * covariance * LEVER)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return np.asarray(root / LEVER[:, None])
+
+
 def covariance_from_angles(quaternion: Floats, covariance: Floats) -> Floats:
     """Return a covariance of roll, pitch and yaw as one of a turn about the map's axes."""
     to_turn = np.linalg.inv(_to_angles(quaternion))
@@ -118,7 +126,7 @@ def covariance_of_angles(quaternion: Floats, covariance: Floats) -> Floats:
     return np.asarray(to_angles @ covariance @ to_angles.T)
 
 
-def predicted(estimate: Estimate, time: float, drift: Sequence[float] = MONITOR.drift) -> Estimate:
+def predicted(estimate: Estimate, time: float) -> Estimate:
     """Predict an estimate to a later time: the pose stays, its covariance grows (Eqs. 3, 4).
 
     Parameters
@@ -127,13 +135,10 @@ def predicted(estimate: Estimate, time: float, drift: Sequence[float] = MONITOR.
         The last one.
     time : float
         UNIX seconds.
-    drift : (6,) sequence
-        1 sigma after an hour, metres and radians.
     """
     hours = max(time - estimate.time, 0.0) / HOUR_S
-    return replace(
-        estimate, time=time, covariance=estimate.covariance + np.diag(np.square(drift) * hours)
-    )
+    covariance = estimate.covariance + np.diag(np.square(DRIFT) * hours)
+    return replace(estimate, time=time, covariance=covariance)
 
 
 def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
@@ -148,17 +153,9 @@ def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
     )
 
 
-def likeliest_move(found: Innovation, spread: Sequence[float]) -> Floats:
-    """Return the likeliest difference of pose behind a gap, (6,).
-
-    Parameters
-    ----------
-    found : Innovation
-        The gap.
-    spread : (6,) sequence
-        How far a pose may have moved, one standard deviation.
-    """
-    may = np.diag(np.square(spread))
+def likeliest_move(found: Innovation) -> Floats:
+    """Return the likeliest difference of pose behind a gap, (6,)."""
+    may = np.diag(np.square(KNOCK))
     return np.asarray(may @ np.linalg.solve(may + found.covariance, found.gap))
 
 

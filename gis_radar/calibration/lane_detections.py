@@ -15,63 +15,16 @@ from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
 STAGE = "reading traffic"
+# What moves along a lane is at least so fast there: over walkers and leaves.
+LEAST_MPS = 1.5
+# Cosine between lane and line of sight: across it (60 deg) the range rate implies no speed. Twice
+# of it leaves no traffic.
+LEAST_COSINE = 0.5
+# What is read, seconds about the begin of the last recording: an hour of traffic, and twice an hour
+# by which a clock may be off.
+WINDOW_S = (-4000.0, 7600.0)
 PLACE_M = 10.0  # length of lane that shares a bias of a pose, metres
 REACH_M = 300.0  # lanes around a sensor are looked at that far: the longest range of the sensors
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClockSettings:
-    """What may be set where clocks are compared; written to the file of clocks.
-
-    Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
-    search does not change the offset; half or twice the least speed changes it by under 10 ms;
-    twice `min_cosine` leaves no traffic.
-
-    Parameters
-    ----------
-    min_speed_mps : float
-        Least speed along a lane that counts, m/s: over walkers and leaves.
-    min_cosine : float
-        Between lane and line of sight; across it (60 deg) the range rate implies no speed.
-    window_s : (float, float)
-        What is read, seconds about the begin of the last recording: an hour of traffic, and twice
-        an hour by which a clock may be off.
-    max_offset_s : float
-        Largest offset looked for, beyond what the begins of the times differ by: over an hour,
-        the usual mistake of a time zone.
-    bin_s : float
-        Width of the bins of time in which agreement is counted: in one a vehicle moves by about a
-        cell (4 m).
-    rough_score : float
-        Least height of the best lag in robust standard deviations over the agreement at other
-        lags, of which there are tens of thousands.
-    rough_pairs : int
-        Least cells that both saw: fewer are chance.
-    least_pairs, least_vehicles : int
-        Fewer are refused: a sigma from fewer vehicles is not one.
-    max_sigma_s : float
-        A larger sigma is refused, seconds: five steps.
-    least_share : float
-        Least share of vehicles that both saw at the answer.
-    contradiction_sigmas : float
-        Pairs of sensors that differ by more are warned of.
-    """
-
-    min_speed_mps: float = 1.5
-    min_cosine: float = 0.5
-    window_s: tuple[float, float] = (-4000.0, 7600.0)
-    max_offset_s: float = 4000.0
-    bin_s: float = 0.25
-    rough_score: float = 8.0
-    rough_pairs: int = 20
-    least_pairs: int = 50
-    least_vehicles: int = 8
-    max_sigma_s: float = 0.25
-    least_share: float = 0.45
-    contradiction_sigmas: float = 4.0
-
-
-CLOCKS = ClockSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +93,7 @@ class LaneDetections:
 
 
 def lane_detections(
-    lanes: Lanes, time: Floats, points: Floats, rate: Floats, eye: Floats, least: ClockSettings
+    lanes: Lanes, time: Floats, points: Floats, rate: Floats, eye: Floats
 ) -> LaneDetections:
     """Match detections to lanes; return those that move along one.
 
@@ -156,20 +109,18 @@ def lane_detections(
         Range rates, m/s.
     eye : (3,) array
         Where the sensor is.
-    least : ClockSettings
-        Which of them count.
     """
     arm = np.nan_to_num(points - eye)
     reach = np.linalg.norm(arm, axis=1)
     way = arm[:, :2] / np.maximum(reach, 1.0)[:, None]
-    matches = match_along(lanes, points, way, rate, reach, least_cosine=least.min_cosine)
+    matches = match_along(lanes, points, way, rate, reach, least_cosine=LEAST_COSINE)
     rows = np.flatnonzero(matches.found)
     sample = matches.lane[rows]
     ahead_m, left_m, _ = lanes.beside(sample, points[rows])
     cosine = np.sum(lanes.along[sample] * way[rows], axis=1)
     speed = rate[rows] / cosine
     on = (np.abs(left_m) <= lanes.width_m[sample] / 2.0) & (np.abs(ahead_m) <= LANE_STEP_M)
-    on &= speed >= least.min_speed_mps
+    on &= speed >= LEAST_MPS
     return LaneDetections(
         time=time[rows[on]],
         lanelet=lanes.lane[sample[on]],
@@ -217,7 +168,6 @@ def read_lane_detections(
     lanelets: gpd.GeoDataFrame,
     latest_s: float,
     reporter: Reporter,
-    settings: ClockSettings = CLOCKS,
 ) -> LaneDetections:
     """Read what moved along lanes in a few hours, by the sensor's own clock.
 
@@ -232,14 +182,12 @@ def read_lane_detections(
         meet. Where this one is over by then, its own first hours.
     reporter : Reporter
         Receives the progress.
-    settings : ClockSettings
-        Which detections count.
     """
     middle, none = track.poses[0].position[:2], np.empty((0, 3))
     lanes = sample_lanes(lanelets, none, place=middle, reach_m=REACH_M)
     parts: list[LaneDetections] = []
     around: list[LaneDetections] = []
-    before_s, after_s = settings.window_s
+    before_s, after_s = WINDOW_S
     done, begin_s = 0, np.nan
     for batch in recording.read():
         begin_s = float(batch.time[0]) if done == 0 else begin_s
@@ -249,36 +197,30 @@ def read_lane_detections(
             break
         keep = np.abs(batch.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
         if keep.any():
-            around += _matched(batch.take(keep), track, lanes, settings)
+            around += _matched(batch.take(keep), track, lanes)
         elif not around and batch.time[0] <= begin_s + after_s - before_s:
-            parts += _matched(batch, track, lanes, settings)
+            parts += _matched(batch, track, lanes)
     return LaneDetections.joined(around or parts)
 
 
-def _matched(
-    rows: Detections, track: PoseTrack, lanes: Lanes, settings: ClockSettings
-) -> list[LaneDetections]:
+def _matched(rows: Detections, track: PoseTrack, lanes: Lanes) -> list[LaneDetections]:
     """Return the detections that move along a lane, pose by pose."""
-    least_mps = settings.min_speed_mps * settings.min_cosine
-    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= least_mps))
+    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= LEAST_MPS * LEAST_COSINE))
     held = track.at(rows.time)
     found = []
     for index in np.unique(held).tolist():
         pose, now = track.poses[index], held == index
         found.append(
-            placed_on_lanes(
-                lanes, rows.time[now], rows.points[now], rows.range_rate[now], pose, settings
-            )
+            placed_on_lanes(lanes, rows.time[now], rows.points[now], rows.range_rate[now], pose)
         )
     return found
 
 
 def placed_on_lanes(
-    lanes: Lanes, time: Floats, points: Floats, range_rate: Floats, pose: Pose,
-    settings: ClockSettings,
-) -> LaneDetections:  # fmt: skip
+    lanes: Lanes, time: Floats, points: Floats, range_rate: Floats, pose: Pose
+) -> LaneDetections:
     """Return the detections of a sensor, in its own frame, that move along a lane from a pose."""
     origin = np.array([*lanes.origin, 0.0])
     placed = pose.to_map(points) - origin
     placed[np.isnan(points[:, 2]), 2] = np.nan
-    return lane_detections(lanes, time, placed, range_rate, pose.position - origin, settings)
+    return lane_detections(lanes, time, placed, range_rate, pose.position - origin)

@@ -10,6 +10,8 @@ import numpy as np
 from gis_radar.base import InputError, NoAnswerError, Reporter, Text
 from gis_radar.calibration.certainty import advantage, certainty, stated
 from gis_radar.calibration.hypotheses import (
+    GUESS_M,
+    HEADING_TOLERANCE,
     Hypothesis,
     find_hypotheses,
     mirrored,
@@ -20,9 +22,14 @@ from gis_radar.calibration.hypotheses import (
 )
 from gis_radar.calibration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
 from gis_radar.calibration.result import STAGE, AmbiguousError, Localization, Problem, common
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
 
+LEAST_TRACKS = 5  # vehicles; fewer leave the seven components of the state unfixed
+# Share of traces on lanes. Right answers show 0.8 to 0.99, those a lane off 0.6 to 0.8.
+LEAST_FITNESS = 0.6
+# Standard deviations by which the vehicles must prefer an answer to every other (99.4 %,
+# one-sided).
+CLEAR = 2.5
 # Squared standard deviations within which two answers are one (99.9 %, 3 components).
 SAME_CHI2 = 16.0
 # Optima that near to each other are one answer with a larger sigma: nearer than lanes are, and
@@ -33,46 +40,38 @@ LEAST_SCANNED = 0.3  # share of lanes in reach that the scanned road must cover
 ANSWER_SLACK_M = 5.0  # an answer may lie that much farther off than a guess may
 
 
-def by_lanes(
-    problem: Problem,
-    moving: Moving,
-    reporter: Reporter,
-    settings: LocalizationSettings = LOCALIZATION,
-) -> Localization:
+def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
     """Lay the tracks of vehicles on lanes that their Doppler allows, and on the scanned road."""
-    samples = thin(moving, link_tracks(moving, settings.traces), settings.traces)
-    least = settings.answer.least_tracks
-    if samples.tracks < least:
+    samples = thin(moving, link_tracks(moving))
+    if samples.tracks < LEAST_TRACKS:
         raise NoAnswerError(
             "{}: {} moving vehicles in {} frames, at least {} are needed",
             problem.name,
             samples.tracks,
             moving.frames,
-            least,
+            LEAST_TRACKS,
             hint="record while traffic flows",
         )
     reporter.progress(STAGE, 1, 5)
-    lanes = lanes_around(problem, samples, reporter, settings=settings)
-    scene = Scene(lanes=lanes, samples=samples, settings=settings)
-    tolerance = settings.search.heading_tolerance
-    heading = None if problem.heading is None else (problem.heading, tolerance)
+    scene = Scene(lanes=lanes_around(problem, samples, reporter), samples=samples)
+    heading = None if problem.heading is None else (problem.heading, HEADING_TOLERANCE)
     tried = find_hypotheses(scene, heading=heading)
     reporter.progress(STAGE, 3, 5)
     _refuse_mirrored(scene, tried, heading)
     reporter.progress(STAGE, 4, 5)
     answers = _within_reach(problem, refine(scene, tried), scene)
-    _refuse_unfit(problem, answers[0], settings)
+    _refuse_unfit(problem, answers[0])
     best = widen_by_profile(scene, answers[0])
-    others, clear = answers[1:], settings.answer.clear
+    others = answers[1:]
     beside = [h for h in others if _one_answer(best, h)]
     z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
     reporter.progress(STAGE, 5, 5)
-    if rival is not None and z_score < clear:
+    if rival is not None and z_score < CLEAR:
         open_ones = [best, *_others(best, others, scene)]
         each = [_answer(problem, moving, scene, h, tried, z_score) for h in open_ones]
         raise _ambiguous(problem, best, rival, tuple(each))
     beside_z_score, same = _z_score(best, beside, scene)
-    if same is not None and beside_z_score < clear:
+    if same is not None and beside_z_score < CLEAR:
         best = replace(best, rival=same.fit.state)
     return _answer(problem, moving, scene, best, tried, z_score)
 
@@ -83,7 +82,6 @@ def lanes_around(
     reporter: Reporter,
     *,
     grow: float = 1.0,
-    settings: LocalizationSettings = LOCALIZATION,
 ) -> Lanes:
     """Return the lanes around the guess, as far as the samples reach.
 
@@ -97,8 +95,6 @@ def lanes_around(
         Receives a warning where the lanes have no direction.
     grow : float
         How many times as far.
-    settings : LocalizationSettings
-        How finely, and which share must be scanned.
 
     Raises
     ------
@@ -113,7 +109,7 @@ def lanes_around(
         problem.roads.lanelets,
         problem.road,
         place=problem.guess[:2],
-        reach_m=reach_m + settings.search.guess_m + MARGIN_M,
+        reach_m=reach_m + GUESS_M + MARGIN_M,
     )
     if lanes.scanned < LEAST_SCANNED:
         raise InputError(
@@ -130,13 +126,12 @@ def _refuse_mirrored(
     scene: Scene, tried: list[Hypothesis], heading: tuple[float, float] | None
 ) -> None:
     """Refuse a recording that fits far better with its y axis turned round."""
-    turned, settings = scene.of(mirrored(scene.samples)), scene.settings.answer
-    best, least = tried[0], settings.mirror_share * max(h.score for h in tried)
-    if search_score(turned, heading=heading) < least:
+    turned, best = scene.of(mirrored(scene.samples)), tried[0]
+    if search_score(turned, heading=heading) < max(h.score for h in tried):
         return
     other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples
     z_score = advantage(other.fit, best.fit, part)
-    if z_score > settings.clear and other.fit.fitness > settings.least_fitness:
+    if z_score > CLEAR and other.fit.fitness > LEAST_FITNESS:
         raise NoAnswerError(
             "the recording fits the lanes only when mirrored ({:.0%} of the traces, "
             "{:.0%} as it is)",
@@ -150,12 +145,11 @@ def _z_score(
     answer: Hypothesis, others: list[Hypothesis], scene: Scene
 ) -> tuple[float, Hypothesis | None]:
     """Return how clearly the vehicles prefer an answer to its closest rival, and that."""
-    settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
-    best, known = answer.fit, certainty(answer.fit, settings)
+    best, known = answer.fit, certainty(answer.fit)
     z_score, closest = math.inf, None
     for other in others:
         away_m = float(np.hypot(*other.fit.state.position[:2]))
-        if away_m > guess_m or other.fit.fitness < settings.least_fitness:
+        if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
             continue  # no rival: farther off than a guess may be, or no answer itself
         gap = other.fit.state.difference(best.state)[:6]
         # along what the scene does not fix, two answers are one
@@ -169,31 +163,29 @@ def _z_score(
 
 def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
     """Return the answers that lie near the guess; refuse where one beyond is clearly better."""
-    settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
     away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
-    farthest_m = guess_m + ANSWER_SLACK_M
+    farthest_m = GUESS_M + ANSWER_SLACK_M
     inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < farthest_m]
     if not inside or (
         inside[0] is not answers[0]
-        and advantage(answers[0].fit, inside[0].fit, scene.samples) > settings.clear
+        and advantage(answers[0].fit, inside[0].fit, scene.samples) > CLEAR
     ):
         raise NoAnswerError(
             "{}: the fit went {:.0f} m from the guess, which is too far off",
             problem.name,
             away[0],
-            hint=Text("guess within {:.0f} m", guess_m),
+            hint=Text("guess within {:.0f} m", GUESS_M),
         )
     return inside
 
 
-def _refuse_unfit(problem: Problem, answer: Hypothesis, settings: LocalizationSettings) -> None:
-    guess_m = settings.search.guess_m
-    if answer.fit.fitness < settings.answer.least_fitness:
+def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
+    if answer.fit.fitness < LEAST_FITNESS:
         raise NoAnswerError(
             "{}: no pose within {:.0f} m of the guess puts the traffic on the lanes; the "
             "best one {:.0%} of it",
             problem.name,
-            guess_m,
+            GUESS_M,
             answer.fit.fitness,
             hint="check the guess, the map, and that the recording's y axis points to the left",
         )
@@ -209,12 +201,10 @@ def _one_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
 
 def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
     """Return what the vehicles do not clearly rule out beside an answer, as uncertain as it is."""
-    settings = scene.settings.answer
     return [
         widen_by_profile(scene, h)
         for h in others
-        if h.fit.fitness >= settings.least_fitness
-        and advantage(answer.fit, h.fit, scene.samples) < settings.clear
+        if h.fit.fitness >= LEAST_FITNESS and advantage(answer.fit, h.fit, scene.samples) < CLEAR
     ]
 
 
@@ -245,7 +235,7 @@ def _answer(
     tried: list[Hypothesis],
     z_score: float,
 ) -> Localization:
-    known = certainty(best.fit, scene.settings.answer, rival=best.rival)
+    known = certainty(best.fit, rival=best.rival)
     samples = scene.samples
     evidence = {
         **stated(known.covariance),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.calibration.lanes import Lanes, match_along
-from gis_radar.calibration.settings import TraceSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, straight_line
 
@@ -144,7 +143,6 @@ def lane_places(
     *,
     since: float,
     until: float,
-    traces: TraceSettings,
 ) -> LanePlaces:
     """Return where those vehicles drove whose last detection falls into some time.
 
@@ -158,10 +156,8 @@ def lane_places(
         With which pose detections are placed.
     since, until : float
         UNIX seconds: the time, its end not included.
-    traces : TraceSettings
-        How detections are linked.
     """
-    number = link_tracks(moving, replace(traces, segment_s=WHOLE_S))
+    number = link_tracks(moving, segment_s=WHOLE_S)
     last = np.full(int(number.max(initial=NONE)) + 1, -np.inf)
     np.maximum.at(last, number[number != NONE], moving.time[number != NONE])
     ended = (last >= since) & (last < until)

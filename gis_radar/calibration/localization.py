@@ -30,15 +30,16 @@ from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.range_scale import NOT_FITTED, measure_range_scale
 from gis_radar.calibration.result import AmbiguousError, Localization, Problem, draw_localization
 from gis_radar.calibration.scan_check import (
+    CLEAR_SIGMAS,
     CONFIRMS,
     DOUBTS,
+    LEAST_COVERED,
     ScanCheck,
     align,
     check_against_scan,
     require_scans_near,
 )
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
-from gis_radar.calibration.traces import Moving
+from gis_radar.calibration.traces import LEAST_FRAMES, Moving
 from gis_radar.hdmap import LaneletMap, make_tiles, read_map, with_road_heights
 from gis_radar.poses import Pose, View
 from gis_radar.recordings import open_recording
@@ -46,7 +47,7 @@ from gis_radar.scans import Sight, SightScan, SightTiles, find_sight, read_road,
 
 FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
 MOST_TRIES = 5  # recordings tried for a pose, in turn: a quiet day or two in between
-METHODS: dict[str, Callable[[Problem, Moving, Reporter, LocalizationSettings], Localization]] = {
+METHODS: dict[str, Callable[[Problem, Moving, Reporter], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
 }
@@ -60,7 +61,6 @@ def localize(
     guess: tuple[float, ...],
     heading: float | None = None,
     method: str = "lane",
-    settings: LocalizationSettings = LOCALIZATION,
     reporter: Reporter = QUIET,
 ) -> Localization:
     """Find the pose of the sensor that made a recording.
@@ -80,8 +80,6 @@ def localize(
         it the heading is searched.
     method : str
         `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
-    settings : LocalizationSettings
-        All constants of both methods; those that are not the defaults go into the evidence.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -113,32 +111,27 @@ def localize(
             ),
         )
     open_recording(recording).require_elevation("its height, pitch and roll cannot be found")
-    traces = settings.traces
-    moving = read_moving(recording, traces, reporter=reporter)
-    if moving.frames < traces.least_frames:
+    moving = read_moving(recording, reporter=reporter)
+    if moving.frames < LEAST_FRAMES:
         raise NoAnswerError(
             "{}: {} frames, at least {} are needed",
             recording,
             moving.frames,
-            traces.least_frames,
+            LEAST_FRAMES,
             hint="record longer: 100 s are a good length",
         )
     scale = measure_range_scale(moving)
     if scale is not None:
         scale.require_one(Path(recording).stem)
-    stated = {
-        "range_scale": NOT_FITTED if scale is None else scale.evidence(),
-        "settings": settings.changes(),
-    }
     problem = Problem(
         name=Path(recording).stem,
         roads=roads,
         road=np.asarray(road_points, dtype=np.float64),
         guess=np.asarray(guess, dtype=np.float64),
         heading=None if heading is None else math.radians(heading),
-        evidence={name: value for name, value in stated.items() if value},
+        evidence={"range_scale": NOT_FITTED if scale is None else scale.evidence()},
     )
-    return METHODS[method](problem, moving, reporter, settings)
+    return METHODS[method](problem, moving, reporter)
 
 
 def localize_files(
@@ -158,7 +151,6 @@ def localize_files(
     sensor: str | None = None,
     view: View | None = None,
     figure: str | Path | None = None,
-    settings: LocalizationSettings = LOCALIZATION,
     reporter: Reporter = QUIET,
 ) -> Localization:
     """Find the pose of a sensor from its recordings, a map and a scanned road, all files.
@@ -202,8 +194,6 @@ def localize_files(
         What the sensor sees; goes into the pose.
     figure : str or Path, optional
         Draw the traces over lanes and scan into this PNG, as :func:`gis_radar.draw_localization`.
-    settings : LocalizationSettings
-        All constants of both methods.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -223,7 +213,7 @@ def localize_files(
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
     ask = partial(
         localize, roads=roads, road_points=points,
-        guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
+        guess=place, heading=heading, method=method, reporter=reporter,
     )  # fmt: skip
     look_at = None
     if scans:
@@ -356,14 +346,13 @@ def decided_by_scan(
 
 def _preferred(look: ScanCheck, looks: Sequence[ScanCheck]) -> bool:
     """Return whether a scan that is there does not doubt a pose, and prefers it to all others."""
-    settings = look.settings
-    if look.verdict == DOUBTS or not look.covered >= settings.least_covered:
+    if look.verdict == DOUBTS or not look.covered >= LEAST_COVERED:
         return False
-    alignment = align(look.standing, look.structure, settings)
+    alignment = align(look.standing, look.structure)
     for other in looks:
         ahead, left, _ = look.level.from_map(other.pose.position[None])[0].tolist()
         there = alignment.offset((ahead, left, other.pose.yaw - look.pose.yaw))
-        if other is not look and alignment.z_score(alignment.here, there) < settings.clear_sigmas:
+        if other is not look and alignment.z_score(alignment.here, there) < CLEAR_SIGMAS:
             return False
     return True
 

@@ -24,11 +24,13 @@ from gis_radar.base import (
     seconds_from_iso,
     step_of,
 )
-from gis_radar.calibration.alarm import Displacement
+from gis_radar.calibration.alarm import SETTLE_S, Displacement
 from gis_radar.calibration.hypotheses import REFLECTION_M
 from gis_radar.calibration.kalman_filter import (
+    CYCLE_S,
+    KNOCK,
     Estimate,
-    Measurement,
+    by_common_error,
     corrected,
     covariance_from_angles,
     displaced,
@@ -37,18 +39,22 @@ from gis_radar.calibration.kalman_filter import (
     predicted,
     widened,
 )
-from gis_radar.calibration.moves import Change, MoveTest, Scatter, SuspectedMove
+from gis_radar.calibration.lane_method import LEAST_TRACKS
+from gis_radar.calibration.moves import GATE, Change, MoveTest, Scatter, SuspectedMove
 from gis_radar.calibration.moving import MovingWindow
 from gis_radar.calibration.pose_track import MOVED, NOTHING, REJECTED, Row, Track, track_of
 from gis_radar.calibration.result import Problem
-from gis_radar.calibration.settings import MONITOR, MonitorSettings
-from gis_radar.calibration.state import State
+from gis_radar.calibration.traces import FRAMES, LEAST_FRAMES
 from gis_radar.calibration.watch import Watch
 from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
 from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import COMPONENTS, Evidence, Pose, PoseTrack, as_track
 from gis_radar.recordings import Detections, Recording, as_recording
 
+# `moved` with unknown pose after so many seconds of rejected fits: a whole window.
+LOST_S = 100.0
+# 1 sigma of a start pose that states none: measured with tape, compass and spirit level.
+BY_HAND = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))
 LEAST_CYCLE = 0.5  # a last cycle shorter than that share of one gives no pose
 # Least sigma of a start pose; keeps the covariance regular.
 LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.radians(1e-3))
@@ -67,7 +73,6 @@ def track(
     road_points: Floats,
     pose: Pose | PoseTrack,
     *,
-    settings: MonitorSettings = MONITOR,
     reporter: Reporter = QUIET,
 ) -> Track:
     """Follow the pose of a sensor through a recording, one corrected pose each cycle.
@@ -86,8 +91,6 @@ def track(
     pose : Pose or PoseTrack
         Where the sensor stands when the recording begins, as :func:`gis_radar.localize` finds it;
         of a track the pose that holds then.
-    settings : MonitorSettings
-        All constants of the tracking.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -103,7 +106,7 @@ def track(
     opened, known = as_recording(recording), as_track(pose)
     opened.require_elevation("its pose cannot be followed")
     require_same(known.poses[0].crs, roads.crs, what="the pose", other_what="the map")
-    cycles = _cycles(opened, settings, reporter)
+    cycles = _cycles(opened, reporter)
     first, ends = next(cycles)
     begin = float(first.time[0])
     start = known.poses[int(known.at(np.array([begin]))[0])]
@@ -112,47 +115,42 @@ def track(
         roads=roads,
         road=np.asarray(road_points, dtype=np.float64),
         guess=start.position[:2],
-        heading=None,
     )
-    fitter = WindowFitter(problem, settings, reporter=reporter)
-    estimate = start_estimate(start, begin, settings)
-    follower = Follower(fitter, estimate, settings, name=start.sensor, reporter=reporter)
+    fitter = WindowFitter(problem, reporter=reporter)
+    follower = Follower(fitter, start_estimate(start, begin), name=start.sensor, reporter=reporter)
     for rows, end in chain([(first, ends)], cycles):
         follower.push(rows)
         if end is not None:
             follower.cycle(end)
     follower.finish(str(opened.path))
-    return track_of(problem, start, follower.rows, settings)
+    return track_of(problem, start, follower.rows)
 
 
-def _cycles(
-    recording: Recording, settings: MonitorSettings, reporter: Reporter
-) -> Iterator[tuple[Detections, float | None]]:
+def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detections, float | None]]:
     """Cut a recording where a cycle ends; yield its parts, and the time where one has ended."""
-    cycle_s = settings.cycle_s
     begin = last = due = np.nan
     done = 0
     for batch in recording.read():
         rows, done = batch, done + len(batch)
         if np.isnan(due):
-            begin, due = float(rows.time[0]), float(rows.time[0]) + cycle_s
+            begin, due = float(rows.time[0]), float(rows.time[0]) + CYCLE_S
         last = float(rows.time[-1])
         while len(rows) and last >= due:
             early = rows.time < due
             yield rows.take(early), due
             rows = rows.take(~early)
             # no pose where there are no frames
-            count = np.floor((rows.time[0] - begin) / cycle_s) + 1.0
-            due = begin + cycle_s * count
+            count = np.floor((rows.time[0] - begin) / CYCLE_S) + 1.0
+            due = begin + CYCLE_S * count
             if due <= rows.time[0]:  # rounded down to the very frame that it is to come after
-                due = begin + cycle_s * (count + 1.0)
+                due = begin + CYCLE_S * (count + 1.0)
         yield rows, None
         reporter.progress(STAGE, done, recording.rows)
-    if due - last < (1.0 - LEAST_CYCLE) * cycle_s:
+    if due - last < (1.0 - LEAST_CYCLE) * CYCLE_S:
         yield rows.take(np.zeros(len(rows), dtype=bool)), due
 
 
-def start_estimate(pose: Pose, time: float, settings: MonitorSettings = MONITOR) -> Estimate:
+def start_estimate(pose: Pose, time: float) -> Estimate:
     """Return a pose as an estimate; its easting and northing are the local (0, 0).
 
     A pose that was found from the very data that follow holds no further information: it is where
@@ -164,8 +162,6 @@ def start_estimate(pose: Pose, time: float, settings: MonitorSettings = MONITOR)
         With `covariance` or `sigma` in its evidence, or neither.
     time : float
         UNIX seconds of the first frame.
-    settings : MonitorSettings
-        Of a pose without sigma.
 
     Raises
     ------
@@ -174,22 +170,15 @@ def start_estimate(pose: Pose, time: float, settings: MonitorSettings = MONITOR)
     """
     evidence = pose.parsed_evidence()
     found_here = evidence.method in SAME_MAP
-    by_hand = np.array(settings.by_hand)
-    covariance = _stated_covariance(evidence, by_hand)
+    covariance = _stated_covariance(evidence)
     if covariance is None or (found_here and _sees(evidence, time, pose.sensor)):
         found_here = False
-        covariance = np.diag(by_hand**2)
+        covariance = np.diag(np.square(BY_HAND))
     turned = covariance_from_angles(pose.quaternion, covariance) + np.diag(np.square(LEAST_SIGMA))
     position = np.array([0.0, 0.0, pose.height])
     common = np.zeros((6, 6))
     if found_here:
-        measured = Measurement(
-            position=position,
-            quaternion=pose.quaternion,
-            covariance=turned,
-            noise=NOISE_SHARE * turned,
-        )
-        common = -measured.common
+        common = -by_common_error(turned - NOISE_SHARE * turned)
     return Estimate(
         time=time,
         position=position,
@@ -207,11 +196,11 @@ def _sees(evidence: Evidence, time: float, sensor: str) -> bool:
     return found > time + STEP_S
 
 
-def _stated_covariance(evidence: Evidence, by_hand: Floats) -> Floats | None:
+def _stated_covariance(evidence: Evidence) -> Floats | None:
     """Return the (6, 6) covariance of a pose, where sigma lacks a component by hand's; or None."""
     if evidence.covariance is not None or not evidence.sigma:
         return evidence.covariance
-    sigma = by_hand.copy()
+    sigma = np.array(BY_HAND)
     for i, name in enumerate(COMPONENTS):
         if name in evidence.sigma:
             stated = evidence.sigma[name]
@@ -231,8 +220,6 @@ class Follower:
         The lanes.
     start : Estimate
         The pose to begin with.
-    settings : MonitorSettings
-        Of window, prediction and moves.
     name : str
         Of the sensor, for warnings.
     reporter : Reporter
@@ -243,7 +230,6 @@ class Follower:
         self,
         fitter: WindowFitter,
         start: Estimate,
-        settings: MonitorSettings = MONITOR,
         *,
         name: str = "the sensor",
         reporter: Reporter = QUIET,
@@ -251,18 +237,11 @@ class Follower:
         self.rows = [Row(estimate=start)]
         self.confirmed = False
         self._fitter = fitter
-        self._settings = settings
         self._name, self._reporter = name, reporter
-        self.watch, self.scatter = Watch(fitter, settings), Scatter(settings)
-        self._window = MovingWindow(settings.localization.traces)
+        self.watch, self.scatter = Watch(fitter), Scatter()
+        self._window = MovingWindow()
         self._past: deque[Estimate] = deque([start])
-        self._like = start.state(
-            State(
-                position=start.position,
-                R_map_sensor=np.eye(3),
-                reflection=REFLECTION_M,
-            )
-        )
+        self._reflection_m = REFLECTION_M
         self._seen: WindowFit | None = None
         self._vehicles = 0
         self._rejected_since: Estimate | None = None
@@ -291,7 +270,7 @@ class Follower:
         NoAnswerError
             If a whole window of traffic does not confirm the start pose.
         """
-        traffic = WindowTraffic.of(self._window.moving(), self._settings.localization.traces)
+        traffic = WindowTraffic.of(self._window.moving())
         suspected = self._suspected_move(traffic, time)
         if suspected is not None and suspected.change is not None:
             self._restart(suspected.change, time)
@@ -301,31 +280,30 @@ class Follower:
             )
             self._keep(row if suspected is None else _allowing(row, suspected.move))
         self._give_up_if_lost(time)
-        whole = traffic if self.confirmed and self._full and traffic.vehicles else None
-        noticed = self.watch.look(whole, self.now.state(self._like), time)
+        whole = traffic if self.confirmed and self._window.full and traffic.vehicles else None
+        noticed = self.watch.look(whole, self.now.state(self._reflection_m), time)
         if noticed is not None and self.confirmed:
             self._move(noticed, time)
         self._vehicles = max(self._vehicles, traffic.vehicles)
-        if not self.confirmed and self._full and self._seen:
+        if not self.confirmed and self._window.full and self._seen:
             self._refuse_start(self._seen)
 
     def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
         """Return the move that the newest data suggest, or none."""
-        least = self._settings.localization.answer.least_tracks
-        if not self.confirmed or traffic.vehicles < least or self.watch.unmoved:
+        if not self.confirmed or traffic.vehicles < LEAST_TRACKS or self.watch.unmoved:
             return None
         expected = partial(self._expected, time=time)
         test = MoveTest(
             fitter=self._fitter, traffic=traffic, now=time, expected=expected, scatter=self.scatter
         )
-        return test.suspected(self._like)
+        return test.suspected(self._reflection_m)
 
     def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
-        held = Row(estimate=self._later(self.now, time), vehicles=traffic.vehicles)
+        held = Row(estimate=predicted(self.now, time), vehicles=traffic.vehicles)
         if suspected:
             return replace(held, event=REJECTED)
         prior = self._expected(traffic.moving.begin, time)
-        seen = self._fitter.fit(traffic, prior, self._like)
+        seen = self._fitter.fit(traffic, prior, self._reflection_m)
         if seen is None:
             return held
         self._seen = seen
@@ -333,35 +311,20 @@ class Follower:
         held = replace(held, fitness=seen.fit.fitness, chi2=found.chi2)
         if not seen.on_lanes:
             return replace(held, event=REJECTED)
-        if seen.trusted and found.chi2 > self._settings.gate:
-            return _allowing(
-                replace(held, event=REJECTED), likeliest_move(found, self._settings.knock)
-            )
+        if seen.trusted and found.chi2 > GATE:
+            return _allowing(replace(held, event=REJECTED), likeliest_move(found))
         if not seen.trusted:
             return held  # not converged: no measurement
-        if not self._full:
+        if not self._window.full:
             self._fitter.refuse_other_lane(seen)
         self.confirmed = True
-        self._like = seen.fit.state
+        self._reflection_m = seen.fit.state.reflection
         self._fitter.adapt(seen)
         return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
 
-    @property
-    def _full(self) -> bool:
-        """Whether the window has its whole length."""
-        return len(self._window) == self._settings.localization.traces.frames
-
-    def _later(self, estimate: Estimate, time: float) -> Estimate:
-        return predicted(estimate, time, self._settings.drift)
-
     def _expected(self, seen: float, time: float) -> Estimate:
         """Return the pose at a time, predicted from the data before another."""
-        return self._later(self._before(seen), time)
-
-    def _knocked(self, estimate: Estimate) -> Estimate:
-        """Return an estimate whose sensor may have moved."""
-        spread = np.diag(np.square(self._settings.knock))
-        return replace(estimate, covariance=estimate.covariance + spread)
+        return predicted(self._before(seen), time)
 
     def _before(self, time: float) -> Estimate:
         """Return the latest estimate that has seen no data after a time, or else the first."""
@@ -376,15 +339,19 @@ class Follower:
 
     def _move(self, noticed: Displacement, time: float) -> None:
         """Move the pose as the alarm states, since when it states, and watch from there."""
-        since = time - self._settings.alarm.settle_s - noticed.seconds
+        since = time - SETTLE_S - noticed.seconds
         earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
-        before = self._later((earlier or [self.rows[0].estimate])[-1], since)
+        before = predicted((earlier or [self.rows[0].estimate])[-1], since)
         new = displaced(before, noticed.move, noticed.covariance)
-        self._replace_since(Row(estimate=new, vehicles=self.rows[-1].vehicles, event=MOVED))
-        self._window.forget(since)
-        self._past, self._rejected_since = deque([new]), None
-        self.watch.restart()
+        self._begin_anew(Row(estimate=new, vehicles=self.rows[-1].vehicles))
         self._warn(new, noticed.move)
+
+    def _begin_anew(self, row: Row, later: str = NOTHING) -> None:
+        """Go on from a pose that the sensor was moved to, with what was seen since."""
+        self._window.forget(row.estimate.time)
+        self._replace_since(replace(row, event=MOVED), later)
+        self._past, self._rejected_since = deque([row.estimate]), None
+        self.watch.restart()
 
     def _warn(self, new: Estimate, move: Floats) -> None:
         when = iso_from_step(int(step_of(np.array(new.time))))
@@ -398,21 +365,19 @@ class Follower:
 
     def _restart(self, change: Change, time: float) -> None:
         """Restart at a change, and replace the poses since then."""
-        self.watch.restart()
-        before = self._expected(change.time, change.time)
-        start = self._knocked(before)
+        before, fit = self._expected(change.time, change.time), change.found.fit
+        start = _knocked(before)
         new = corrected(start, change.found.measurement)
-        self._window.forget(change.time)
-        self._like = change.found.fit.state
-        vehicles, fitness = change.found.samples.tracks, change.found.fit.fitness
+        self._reflection_m = fit.state.reflection
         row = Row(
-            estimate=new, vehicles=vehicles, fitness=fitness, chi2=change.chi2, corrected=True
-        )
-        self.rows.append(replace(row, estimate=self._later(new, time)))
-        self._replace_since(replace(row, event=MOVED))
+            estimate=new, vehicles=change.found.samples.tracks, fitness=fit.fitness,
+            chi2=change.chi2, corrected=True,
+        )  # fmt: skip
+        self.rows.append(replace(row, estimate=predicted(new, time)))
+        self._begin_anew(row)
         self._past = deque([start, self.now])
         gap = innovation(before, change.found.measurement)
-        self._warn(new, likeliest_move(gap, self._settings.knock))
+        self._warn(new, likeliest_move(gap))
 
     def _give_up_if_lost(self, time: float) -> None:
         """Declare `moved` with unknown pose after a whole window of rejected fits (`lost_s`)."""
@@ -422,13 +387,9 @@ class Follower:
             return
         if self._rejected_since is None:
             self._rejected_since = row.estimate
-        if not self.confirmed or time - self._rejected_since.time < self._settings.lost_s:
+        if not self.confirmed or time - self._rejected_since.time < LOST_S:
             return
-        lost = self._knocked(self._rejected_since)
-        self._window.forget(lost.time)
-        self._replace_since(Row(estimate=lost, event=MOVED), REJECTED)
-        self._past, self._rejected_since = deque([lost]), None
-        self.watch.restart()
+        self._begin_anew(Row(estimate=_knocked(self._rejected_since)), REJECTED)
 
     def _replace_since(self, row: Row, event: str = NOTHING) -> None:
         """Put a row in, and what follows from it in the place of all later ones."""
@@ -436,7 +397,7 @@ class Follower:
         late = [r.estimate.time for r in self.rows if r.estimate.time > begin]
         self.rows = [r for r in self.rows if r.estimate.time < begin] + [row]
         self.rows += [
-            replace(row, estimate=self._later(row.estimate, time), event=event) for time in late
+            replace(row, estimate=predicted(row.estimate, time), event=event) for time in late
         ]
 
     def finish(self, name: str) -> None:
@@ -454,25 +415,22 @@ class Follower:
         """
         if self.confirmed:
             return
-        traces = self._settings.localization.traces
-        least = traces.least_frames
-        if len(self._window) < least:
+        if len(self._window) < LEAST_FRAMES:
             raise NoAnswerError(
                 "{}: {} frames, at least {} are needed",
                 name,
                 len(self._window),
-                least,
-                hint=Text("record longer: {} frames are a good length", traces.frames),
+                LEAST_FRAMES,
+                hint=Text("record longer: {} frames are a good length", FRAMES),
             )
         if self._seen:
             self._refuse_start(self._seen)
-        least = self._settings.localization.answer.least_tracks
         raise NoAnswerError(
             "{}: {} moving vehicles in the window, at least {} are needed to confirm the "
             "start pose",
             name,
             self._vehicles,
-            least,
+            LEAST_TRACKS,
             hint="record while traffic flows",
         )
 
@@ -491,6 +449,11 @@ class Follower:
             np.degrees(np.linalg.norm(gap[3:])),
             hint=HINT,
         )
+
+
+def _knocked(estimate: Estimate) -> Estimate:
+    """Return an estimate whose sensor may have moved."""
+    return replace(estimate, covariance=estimate.covariance + np.diag(np.square(KNOCK)))
 
 
 def _allowing(row: Row, move: Floats) -> Row:

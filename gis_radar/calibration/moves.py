@@ -7,15 +7,44 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from gis_radar.base import Floats
 from gis_radar.calibration.certainty import z_score
-from gis_radar.calibration.kalman_filter import Estimate, Innovation, innovation, likeliest_move
-from gis_radar.calibration.settings import MonitorSettings
+from gis_radar.calibration.kalman_filter import (
+    CYCLE_S,
+    HOUR_S,
+    KNOCK,
+    Estimate,
+    Innovation,
+    innovation,
+    likeliest_move,
+)
 from gis_radar.calibration.solver import FAR, Fit
 from gis_radar.calibration.state import POSE, State
 from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
 
+# Newest parts of the window that are tested for a move, seconds: a short one soon shows a blow, but
+# holds few vehicles; a long one shows a shift of some decimetres.
+LENGTHS_S: tuple[float, ...] = (20.0, 60.0)
+# Moves reported an hour where none was; at most, as if all tests were independent.
+FALSE_ALARMS = 0.01
+# Standard errors by which its vehicles must prefer the move, each counting as one. Measured where
+# both other figures are beyond chance: at rest in light traffic 0.1 to 1.5, within 25 s of a turn
+# by a degree 1.9 to 2.2, after a shift of half a metre 2.6 to 3.3.
+AGREEMENT = 1.65
+
+
+def chi2_quantile(level: float) -> float:
+    """Return the quantile of chi2 of six degrees of freedom, without loading scipy.stats."""
+    return float(2.0 * scipy.special.gammaincinv(3.0, level))
+
+
+# Chi2 of six degrees of freedom: the largest that is chance; from where on a move is looked for and
+# the pose's sigma widened; the median.
+GATE = chi2_quantile(1.0 - FALSE_ALARMS / (HOUR_S / CYCLE_S * len(LENGTHS_S)))
+SUSPECT = chi2_quantile(0.95)
+USUAL = chi2_quantile(0.5)
 # So many of the last tests measure by how much chi2 is larger here than it should be, with so
 # many assumed as it should be. Simulated drivers as recorded: 2 to 3 times, and one false move in
 # some minutes without it.
@@ -115,16 +144,9 @@ class Scatter:
 
     Tracks are cut in pieces that count as independent, and drivers keep aside for some hundred
     metres: chi2 is larger than it should be where nothing moves. Its median shows by how much.
-
-    Parameters
-    ----------
-    settings : MonitorSettings
-        Over how many tests.
     """
 
-    def __init__(self, settings: MonitorSettings) -> None:
-        self._usual = settings.median_chi2
-        self._assumed = [self._usual] * ASSUMED_TESTS
+    def __init__(self) -> None:
         self._last: deque[float] = deque(maxlen=SCATTER_TESTS)
 
     def add(self, chi2: float) -> None:
@@ -134,7 +156,7 @@ class Scatter:
     @property
     def ratio(self) -> float:
         """Of variances, at least one."""
-        return max(float(np.median([*self._assumed, *self._last])) / self._usual, 1.0)
+        return max(float(np.median([USUAL] * ASSUMED_TESTS + [*self._last])) / USUAL, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,25 +190,25 @@ class MoveTest:
     expected: Callable[[float], Estimate]
     scatter: Scatter
 
-    def suspected(self, like: State) -> SuspectedMove | None:
+    def suspected(self, reflection_m: float) -> SuspectedMove | None:
         """Test whether the newest data contradict the pose, and estimate the change behind it.
 
         Parameters
         ----------
-        like : State
-            How vehicles reflected so far.
+        reflection_m : float
+            How high vehicles reflected so far.
         """
-        suspected, settings, ratio = None, self.fitter.settings, self.scatter.ratio
-        for length_s in settings.lengths_s:
+        suspected, ratio = None, self.scatter.ratio
+        for length_s in LENGTHS_S:
             part = self.newest(length_s)
             if part.moving.begin - self.traffic.moving.begin < MATURE_S:
                 break  # what is known from so little data is corrected by the next windows anyway
             held = self.expected(part.moving.begin)
-            seen = self.fitter.fit(part, held, like, near=settings.knock, schedule=FAR_WINDOW)
+            seen = self.fitter.fit(part, held, reflection_m, near=KNOCK, schedule=FAR_WINDOW)
             if seen is None:
                 continue
             if not seen.trusted:
-                found = self.fitter.find(part, held, like, near=settings.knock)
+                found = self.fitter.find(part, held, reflection_m, near=KNOCK)
                 if found is None and seen.on_lanes:
                     continue  # a fit of few vehicles that came to no rest contradicts nothing
                 if found is None:
@@ -195,15 +217,15 @@ class MoveTest:
             gap = innovation(held, seen.measurement)
             beyond = score(gap, seen)
             self.scatter.add(beyond)
-            if beyond < ratio * settings.suspect_chi2:
+            if beyond < ratio * SUSPECT:
                 continue
             likelier, agreed = self._likelier(part, held, seen)
             beyond = min(beyond, likelier)
-            if beyond < ratio * settings.suspect_chi2:
+            if beyond < ratio * SUSPECT:
                 continue
             suspected = SuspectedMove(
-                certain=beyond >= ratio * settings.gate and agreed >= settings.agreement,
-                move=likeliest_move(gap, settings.knock),
+                certain=beyond >= ratio * GATE and agreed >= AGREEMENT,
+                move=likeliest_move(gap),
                 change=self.lasting_change(held, seen),
             )
             if suspected.change is not None or suspected.certain:
@@ -235,14 +257,14 @@ class MoveTest:
         seen : WindowFit
             Of the newest data alone.
         """
-        fitter, traffic, settings = self.fitter, self.traffic, self.fitter.settings
-        since, old = self.now, held.state(seen.fit.state)
+        fitter, traffic = self.fitter, self.traffic
         for _ in range(CHANGE_ROUNDS):
-            new, old = seen.fit.state, held.state(seen.fit.state)
-            since = self.change_time(replace(old, reflection=new.reflection), new)
+            new = seen.fit.state
+            old = held.state(new.reflection)
+            since = self.change_time(old, new)
             part = traffic.between(since, np.inf)
             held = self.expected(since)  # all data since then are of the new pose
-            again = fitter.fit(part, held, new, near=settings.knock, start=new)
+            again = fitter.fit(part, held, new.reflection, near=KNOCK, start=new)
             if self.now - since < SETTLED_S or again is None or not again.trusted:
                 return None
             seen = again
@@ -252,7 +274,7 @@ class MoveTest:
         gap = innovation(held, seen.measurement)
         likelier, agreed = self._likelier(part, held, seen)
         contradiction = min(score(gap, seen), likelier)
-        if contradiction < self.scatter.ratio * settings.gate or agreed < settings.agreement:
+        if contradiction < self.scatter.ratio * GATE or agreed < AGREEMENT:
             return None
         return Change(time=since, found=seen, chi2=contradiction)
 
@@ -263,9 +285,9 @@ class MoveTest:
 
         And by how far the vehicles agree: a bus or a lorry gives as many detections as ten cars.
         """
-        near = np.sqrt(np.diag(held.covariance)).tolist()
-        schedule, like = FAR_WINDOW, seen.fit.state
-        rest = self.fitter.fit(part, held, like, near=near, schedule=schedule)
+        near = np.sqrt(np.diag(held.covariance))
+        reflection_m = seen.fit.state.reflection
+        rest = self.fitter.fit(part, held, reflection_m, near=near, schedule=FAR_WINDOW)
         if rest is None:
             return np.inf, np.inf
         return 2.0 * (rest.fit.cost - seen.fit.cost), agreement(rest.fit, seen.fit)

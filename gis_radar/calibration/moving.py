@@ -10,28 +10,18 @@ import numpy as np
 
 from gis_radar.base import QUIET, InputError, Reporter
 from gis_radar.calibration.clocks import SensorClock
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings, TraceSettings
-from gis_radar.calibration.traces import Moving
-from gis_radar.recordings import RollingWindow, open_recording
+from gis_radar.calibration.traces import FRAMES, MIN_SPEED_MPS, Moving
+from gis_radar.recordings import Recording, RollingWindow, open_recording
 
 STAGE = "reading traces"
 RIGHT = SensorClock(offset_s=0.0)
 
 
 class MovingWindow(RollingWindow):
-    """The last frames of a stream of detections, of which the moving ones are kept.
+    """The last frames of a stream of detections, of which the moving ones are kept."""
 
-    Parameters
-    ----------
-    traces : TraceSettings
-        Length of the window, and what moves.
-    """
-
-    def __init__(self, traces: TraceSettings = LOCALIZATION.traces) -> None:
-        least_mps = traces.min_speed_mps
-        super().__init__(
-            frames=traces.frames, keep=lambda batch: np.abs(batch.range_rate) > least_mps
-        )
+    def __init__(self) -> None:
+        super().__init__(frames=FRAMES, keep=lambda batch: np.abs(batch.range_rate) > MIN_SPEED_MPS)
 
     def moving(self) -> Moving:
         """Return what moved in the window."""
@@ -46,17 +36,13 @@ class MovingWindow(RollingWindow):
         )
 
 
-def read_moving(
-    path: str | Path, traces: TraceSettings = LOCALIZATION.traces, *, reporter: Reporter = QUIET
-) -> Moving:
+def read_moving(path: str | Path, *, reporter: Reporter = QUIET) -> Moving:
     """Read what moved in the last frames of a recording, in bounded memory.
 
     Parameters
     ----------
     path : str or Path
         A recording.
-    traces : TraceSettings
-        Length of the window, and what moves.
     reporter : Reporter
         Receives progress.
 
@@ -66,7 +52,7 @@ def read_moving(
         If the recording cannot be read.
     """
     recording, done = open_recording(path), 0
-    window = MovingWindow(traces)
+    window = MovingWindow()
     for batch in recording.read():
         window.push(batch)
         done += len(batch)
@@ -103,11 +89,21 @@ def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
     InputError
         If it cannot be read.
     """
-    recording = open_recording(path)
+    begin, end = clock.corrected(np.array(recorded_between(open_recording(path)))).tolist()
+    return Span(path=path, begin=begin, end=end)
+
+
+def recorded_between(recording: Recording) -> tuple[float, float]:
+    """Return when a recording begins and ends, UNIX seconds of its own clock.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
     parts = None if recording.time_spans is None else recording.time_spans()
     parts = parts or [(float(rows.time[0]), float(rows.time[-1])) for rows in recording.read()]
-    begin, end = clock.corrected(np.array([parts[0][0], parts[-1][1]])).tolist()
-    return Span(path=path, begin=begin, end=end)
+    return parts[0][0], parts[-1][1]
 
 
 def common_time(recordings: Sequence[Path]) -> float:
@@ -154,9 +150,7 @@ def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
     return max(ends, key=lambda end: round(recorded(end)), default=0.0)
 
 
-def read_until(
-    spans: Sequence[Span], end: float, settings: LocalizationSettings, clock: SensorClock = RIGHT
-) -> Moving:
+def read_until(spans: Sequence[Span], end: float, clock: SensorClock = RIGHT) -> Moving:
     """Return what moved before a sensor in the last frames until a time.
 
     Raises
@@ -164,7 +158,7 @@ def read_until(
     InputError
         If a recording cannot be read.
     """
-    window = MovingWindow(settings.traces)
+    window = MovingWindow()
     last = -np.inf
     for span in sorted(spans, key=lambda each: each.begin):
         for batch in open_recording(span.path).read():

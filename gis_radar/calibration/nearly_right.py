@@ -113,7 +113,7 @@ def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     )  # fmt: skip
     prior = prior_at(centre)
     information = prior.information.copy()
-    information[POSE, POSE] = np.diag(np.array(NEAR) ** -2.0)
+    information[POSE, POSE] = np.diag(NEAR**-2.0)
     prior = Prior(mean=centre, information=information)
     fit = _fitted(Scene(lanes=near, samples=samples), prior)
     if not fit.converged or fit.fitness < FITTING:
@@ -191,7 +191,7 @@ def _measured(fit: Fit, prior: Prior) -> Measurement:
     Along other directions, as down a street, the fit went as far as the prior let it: the data's
     pose would be extrapolated from there.
     """
-    seen, unit = data_alone(fit, prior), np.array(NEAR)
+    seen, unit = data_alone(fit, prior), NEAR
     turn = Rotation.from_quat(seen.quaternion).as_matrix()
     there = replace(prior.mean, position=seen.position, R_map_sensor=turn)
     away = there.difference(prior.mean)

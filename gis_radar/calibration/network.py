@@ -31,7 +31,7 @@ from gis_radar.calibration.correspondences import (
     mean_gaps,
     read_moments,
 )
-from gis_radar.calibration.lane_detections import CLOCKS, lane_detections
+from gis_radar.calibration.lane_detections import lane_detections
 from gis_radar.calibration.lanes import Lanes
 from gis_radar.calibration.moving import RIGHT
 from gis_radar.calibration.placing import (
@@ -48,14 +48,13 @@ from gis_radar.calibration.placing import (
     find_place,
     preference,
 )
-from gis_radar.calibration.settings import LOCALIZATION, LocalizationSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, link_tracks
 from gis_radar.poses import Pose
 
 # Offsets of clocks that are looked for: beyond, radars have no common time at all; smaller ones
 # are left to the adjustment of the poses.
-CLOCKS_NEAR = replace(CLOCKS, max_offset_s=10.0)
+MOST_LAG_S = 10.0
 LEAST_LAG_S = 0.25
 # Standard deviations by which vehicles must prefer a lag to another place of the sensor.
 LAG_CLEAR = 2.0
@@ -98,11 +97,7 @@ class Solved:
     remarks: tuple[str, ...] = ()
 
 
-def solve_network(
-    stations: Sequence[Station],
-    lanes: Lanes,
-    settings: LocalizationSettings = LOCALIZATION,
-) -> Solved:
+def solve_network(stations: Sequence[Station], lanes: Lanes) -> Solved:
     """Adjust the poses of several sensors by the vehicles that they see at the same time.
 
     Parameters
@@ -111,10 +106,8 @@ def solve_network(
         The sensors; those with one pose fix those with several.
     lanes : Lanes
         The map around all of them.
-    settings : LocalizationSettings
-        Of tracks.
     """
-    network = _Network(stations, lanes, settings)
+    network = _Network(stations, lanes)
     network.place_all()
     while True:
         network.refuse_clashes()
@@ -149,13 +142,9 @@ class _Member:
 class _Network:
     """The sensors with their places, what agrees and what contradicts."""
 
-    def __init__(
-        self, stations: Sequence[Station], lanes: Lanes, settings: LocalizationSettings
-    ) -> None:
-        self.lanes, self.answer = lanes, settings.answer
-        self.all = {
-            each.name: _Member(each, link_tracks(each.moving, settings.traces)) for each in stations
-        }
+    def __init__(self, stations: Sequence[Station], lanes: Lanes) -> None:
+        self.lanes = lanes
+        self.all = {each.name: _Member(each, link_tracks(each.moving)) for each in stations}
         self.placed: dict[str, Choice] = {}
         self.clashes: dict[Names, str] = {}
         self.agreeing: set[Names] = set()
@@ -183,7 +172,7 @@ class _Network:
         moving = member.station.moving
         driven = lane_detections(
             self.lanes, member.clock.corrected(moving.time[on]), state.to_map(moving.points[on]),
-            moving.range_rate[on], state.position, CLOCKS_NEAR,
+            moving.range_rate[on], state.position,
         )  # fmt: skip
         return Choice(
             seen=self.seen(member, number, away), driven=driven, covariance=covariance,
@@ -200,7 +189,7 @@ class _Network:
     def place_all(self) -> None:
         """Fix the sensors with a certain pose, compare them with each other, and place the rest."""
         longest = {
-            name: float(longest_m(plane_covariance(member.pose)))
+            name: longest_m(plane_covariance(member.pose))
             for name, member in self.all.items()
             if len(member.station.poses) == 1
         }
@@ -240,7 +229,7 @@ class _Network:
         """Return a sensor's clock where it is clearly off those of the sensors that are placed."""
         for name, other in self.placed.items():
             try:
-                offset = measured_offset(other.driven, choice.driven, CLOCKS_NEAR)
+                offset = measured_offset(other.driven, choice.driven, max_offset_s=MOST_LAG_S)
             except NoAnswerError:
                 continue
             clock = adjust_network({(name, ""): offset}, name)[0][""]
@@ -475,7 +464,6 @@ class _Network:
                 member = self.all[name]
                 poses[name] = with_gain(
                     moved(member.pose, member.away), adjusted.covariance[own, own], name, mine,
-                    self.answer,
                 )  # fmt: skip
         poses = {name: pose for name, pose in poses.items() if name not in self.refused}
         return Solved(

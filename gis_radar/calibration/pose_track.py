@@ -25,8 +25,6 @@ from gis_radar.base import (
 from gis_radar.calibration.certainty import stated
 from gis_radar.calibration.kalman_filter import Estimate
 from gis_radar.calibration.result import Problem
-from gis_radar.calibration.settings import MONITOR, MonitorSettings
-from gis_radar.calibration.state import State
 from gis_radar.poses import COMPONENTS, Pose, PoseTrack
 
 LINE, NEAR, FAR, MOVE, REJECT, QUIET = (
@@ -132,19 +130,15 @@ class Track:
         `fitness` in its evidence.
     events : tuple of Event
         In the order of time.
-    settings : MonitorSettings
-        With which it was made; the summary names those that are not the defaults.
     """
 
     poses: PoseTrack
     events: tuple[Event, ...] = field(default=())
-    settings: MonitorSettings = field(default=MONITOR, repr=False)
 
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
         first, last = self.poses.poses[0], self.poses.poses[-1]
         sigma = last.evidence["sigma"]
-        changes = self.settings.changes()
         measured = sum(pose.evidence["corrected"] for pose in self.poses.poses)
         return {
             "poses": len(self.poses.poses),
@@ -154,7 +148,6 @@ class Track:
             **{name: round(getattr(last, name), 3) for name in COMPONENTS},
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
             "shift_m": round(float(np.linalg.norm(last.position - first.position)), 3),
-            **({"settings": changes} if changes else {}),
         }
 
     def plot(self, component: str = "easting", ax: Any = None) -> Any:
@@ -222,9 +215,7 @@ class Track:
         return card(f"Track of {self.poses.sensor}", self.figures())
 
 
-def track_of(
-    problem: Problem, start: Pose, rows: list[Row], settings: MonitorSettings = MONITOR
-) -> Track:
+def track_of(problem: Problem, start: Pose, rows: list[Row]) -> Track:
     """Return the rows of a follower as poses in the map.
 
     Parameters
@@ -235,8 +226,6 @@ def track_of(
         Its view goes into every pose.
     rows : list of Row
         In the order of time.
-    settings : MonitorSettings
-        With which they were made.
     """
     steps = step_of(np.array([row.estimate.time for row in rows]))
     later = np.append(True, np.diff(steps) > 0)
@@ -245,14 +234,11 @@ def track_of(
     since = np.array([step * STEP_US / 1e6 for step, _ in kept])
     events = [Event(time=iso_from_step(step), kind=row.event) for step, row in kept if row.event]
     track = PoseTrack(poses=tuple(poses), since=since)
-    return Track(poses=track, events=tuple(events), settings=settings)
+    return Track(poses=track, events=tuple(events))
 
 
 def _pose(problem: Problem, row: Row, step: int) -> Pose:
     estimate = row.estimate
-    state = estimate.state(
-        State(position=estimate.position, R_map_sensor=np.eye(3), reflection=0.0)
-    )
     evidence = {
         **stated(estimate.angle_covariance),
         "time": iso_from_step(step),
@@ -262,7 +248,7 @@ def _pose(problem: Problem, row: Row, step: int) -> Pose:
         "fitness": row.fitness,
         "corrected": row.corrected,
     }
-    return problem.pose(state, evidence)
+    return problem.pose(estimate.state(0.0), evidence)
 
 
 DPI = 150

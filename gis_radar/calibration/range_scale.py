@@ -263,7 +263,7 @@ def _search(moving: Moving) -> tuple[float, bool] | None:
     if len(rate) == 0:
         return None
     fast = np.abs(rate) >= LEAST_SHARE * np.percentile(np.abs(rate), 99.0)
-    ratios = _pair_ratios(moving.time[fast], _points(moving, fast), rate[fast])
+    ratios = _pair_ratios(moving.time[fast], np.nan_to_num(moving.points[fast]), rate[fast])
     peaks = []
     for sign in (1.0, -1.0):
         logs = np.sort(np.log(sign * ratios[sign * ratios > 0.0]))
@@ -276,11 +276,6 @@ def _search(moving: Moving) -> tuple[float, bool] | None:
         return None
     one_sign = bool((rate > 0.0).all() or (rate < 0.0).all())
     return factor, one_sign and rarer > BOTH_SIGNS * peak
-
-
-def _points(moving: Moving, rows: Booleans | Integers) -> Floats:
-    """Return positions; of a radar without elevation x and y hold the slant range."""
-    return np.nan_to_num(moving.points[rows])
 
 
 def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
@@ -308,12 +303,9 @@ def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
 def _tracks(moving: Moving, factor: float) -> _Tracks:
     """Link detections whose ranges change by a factor times their range rates."""
     fast = np.abs(factor * moving.range_rate) >= STILL_MPS
-    moving = replace(
-        moving,
-        time=moving.time[fast],
-        points=_points(moving, fast),
-        range_rate=factor * moving.range_rate[fast],
-    )
+    # of a radar without elevation x and y hold the slant range
+    points, rate = np.nan_to_num(moving.points), factor * moving.range_rate
+    moving = replace(moving, points=points, range_rate=rate).where(fast)
     track = link_tracks(moving)
     vehicle = vehicles_of(moving, track)
     on = np.flatnonzero(track != NONE)

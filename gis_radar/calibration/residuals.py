@@ -33,40 +33,37 @@ VIEW_EDGE = math.radians(1.0)
 SPELL_M = 0.02  # of each spell by itself, which keeps covariances regular
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Residuals:
     """One family of residuals.
 
     Parameters
     ----------
-    name : str
-        What it compares.
     value : (n,) array
         Metres.
-    jacobian : (n, 7) array
-        By the state, in the order of `gis_radar.calibration.state.NAMES`.
-    group : (n,) array
-        Number of the random effect that each row takes, vehicle by vehicle.
-    stiffness : (tracks, k, k) array
-        Inverse covariance of the k random effects of each vehicle, 1/m^2.
     precision : (n,) array
         Inverse variances, as if the faces were known.
     curvature : (n,) array
         Second derivatives of the loss, which not knowing the faces makes smaller (Louis 1982).
     loss : (n,) array
         Cost of each row, a negative logarithm of likelihood.
+    jacobian : (n, 7) array
+        By the state, in the order of `gis_radar.calibration.state.NAMES`.
+    group : (n,) array
+        Number of the random effect that each row takes, vehicle by vehicle.
+    stiffness : (tracks, k, k) array
+        Inverse covariance of the k random effects of each vehicle, 1/m^2.
     weight : (n,) array
         Of each row, below one where rows share more than `b_k`.
     """
 
-    name: str
     value: Floats
-    jacobian: Floats
-    group: Integers
-    stiffness: Floats
     precision: Floats
     curvature: Floats
     loss: Floats
+    jacobian: Floats
+    group: Integers
+    stiffness: Floats
     weight: Floats
 
 
@@ -88,7 +85,7 @@ class LaneComparison:
     placed: Placed
     matches: Matches
     model: Model
-    scale_m: float
+    scale_m: float = 0.0
 
 
 def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
@@ -114,41 +111,16 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
         STRAY_SHARE, NO_VEHICLE,
     )  # fmt: skip
     rows, jacobian = _lateral(
-        np.array(constants),
-        np.array(FRONT),
-        matches.lane,
-        matches.found,
-        lanes.points,
-        lanes.along,
-        placed.points,
-        placed.arms,
-        placed.flat,
-        placed.sight,
-        samples.track,
-        effect[:, 0],
-    )
+        np.array(constants), np.array(FRONT), matches.lane, matches.found,
+        lanes.points, lanes.along, placed.points, placed.arms, placed.flat, placed.sight,
+        samples.track, effect[:, 0],
+    )  # fmt: skip
     # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
     own_m = model.half_width / 2.0
     weight: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
     stiffness = np.full((samples.tracks, 1, 1), model.driver**-2)
-    return _residuals("lateral", rows, jacobian, samples.track, stiffness, weight)
-
-
-def _residuals(
-    name: str, rows: Floats, jacobian: Floats, group: Integers, stiffness: Floats, weight: Floats
-) -> Residuals:
     value, precision, curvature, loss = rows
-    return Residuals(
-        name=name,
-        value=value,
-        jacobian=jacobian,
-        group=group,
-        stiffness=stiffness,
-        precision=precision,
-        curvature=curvature,
-        loss=loss,
-        weight=weight,
-    )
+    return Residuals(value, precision, curvature, loss, jacobian, samples.track, stiffness, weight)
 
 
 @compiled
@@ -244,7 +216,7 @@ def height(compared: LaneComparison, effect: Floats) -> Residuals:
     )  # fmt: skip
     rows, jacobian = _height(
         np.array(constants),
-        height_over_road(lanes, placed, matches, VIEW_EDGE),
+        height_over_road(lanes, placed, matches),
         placed.state.reflection + effect.ravel()[samples.spells],
         lanes.slope[matches.lane, None] * lanes.along[matches.lane],
         placed.arms,
@@ -254,7 +226,9 @@ def height(compared: LaneComparison, effect: Floats) -> Residuals:
     if differ not in samples.kept:
         samples.kept[differ] = np.asarray(np.linalg.inv(height_covariance(samples, model)))
     stiffness = samples.kept[differ]
-    return _residuals("height", rows, jacobian, samples.spells, stiffness, np.ones(len(samples)))
+    value, precision, curvature, loss = rows
+    ones = np.ones(len(samples))
+    return Residuals(value, precision, curvature, loss, jacobian, samples.spells, stiffness, ones)
 
 
 def height_covariance(samples: Samples, model: Model) -> Floats:
@@ -320,7 +294,7 @@ def _height(
     return rows, jacobian
 
 
-def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: float) -> Floats:
+def height_over_road(lanes: Lanes, placed: Placed, matches: Matches) -> Floats:
     """Return the height of samples over the scanned road below them, metres.
 
     NaN where there is no lane below, where its height is unknown, and where the road itself is
@@ -328,7 +302,7 @@ def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: 
     """
     samples = placed.samples
     return _over_road(
-        samples.elevation - view_edge, samples.upward, placed.points, placed.arms, placed.flat,
+        samples.elevation - VIEW_EDGE, samples.upward, placed.points, placed.arms, placed.flat,
         matches.lane, matches.found, lanes.points, lanes.along, lanes.slope,
     )  # fmt: skip
 
@@ -485,12 +459,5 @@ def _summed(  # pragma: no cover - compiled
 def sums(track: Integers, rows: Floats, tracks: int) -> Floats:
     """Return the sum of the rows of each track, (tracks, columns)."""
     total = np.zeros((tracks, rows.shape[1]))
-    _add(total, track, rows)
+    np.add.at(total, track, rows)
     return total
-
-
-@compiled
-def _add(total: Floats, track: Integers, rows: Floats) -> None:  # pragma: no cover - compiled
-    for i in range(len(rows)):
-        for j in range(rows.shape[1]):
-            total[track[i], j] += rows[i, j]

@@ -174,18 +174,8 @@ class Localization:
         parts[0] = f"{self.pose.sensor}: {parts[0]}"
         return ";\n".join(fill(each, LINE) for each in parts)
 
-    def _summary(self) -> str:
-        sigma = self.pose.evidence.get("sigma")
-        parts = [f"{self.pose.sensor}: {self.fitness:.0%} of the traces fit"]
-        if sigma:
-            across = float(np.hypot(sigma["easting"], sigma["northing"]))
-            parts.append(f"position \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg")
-        if not self.observable:
-            parts.append("the scene does not fix all of the pose")
-        return "; ".join(parts)
-
     def __repr__(self) -> str:
-        return f"Localization({self.pose!r}; {self._summary()})"
+        return f"Localization({self.pose!r}; {self.fitness:.0%} of the traces fit)"
 
     def _repr_html_(self) -> str:
         picture = small_picture(self._small) if len(self.traces) else b""
@@ -354,7 +344,7 @@ class Problem:
     roads: LaneletMap
     road: Floats
     guess: Floats
-    heading: float | None
+    heading: float | None = None
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
     def pose(self, state: State, evidence: Mapping[str, Any]) -> Pose:

@@ -14,7 +14,7 @@ from gis_radar.base import Booleans, Floats, NoAnswerError, Text, yaw_from_compa
 from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.hypotheses import find_hypotheses, mirrored
-from gis_radar.calibration.lane_detections import CLOCKS, LaneDetections, placed_on_lanes
+from gis_radar.calibration.lane_detections import LaneDetections, placed_on_lanes
 from gis_radar.calibration.lanes import (
     LANE_STEP_M,
     MARGIN_M,
@@ -442,7 +442,7 @@ def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
             continue
         found.append(
             placed_on_lanes(
-                near, moving.time[mine], moving.points[mine], moving.range_rate[mine], pose, CLOCKS
+                near, moving.time[mine], moving.points[mine], moving.range_rate[mine], pose
             )
         )
     seen = LaneDetections.joined(found)

@@ -7,7 +7,7 @@ turned.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,7 @@ from pyproj import CRS
 
 from gis_radar.base import CELL_M, QUIET, Floats, InputError, Reporter, Text
 from gis_radar.calibration.surroundings import (
-    SCAN_CHECK,
     LevelFrame,
-    ScanCheckSettings,
     Slow,
     Standing,
     Structure,
@@ -32,6 +30,15 @@ from gis_radar.poses import Pose
 from gis_radar.recordings import Recording
 from gis_radar.scans import box_with_margin, open_scan
 
+# Standard deviation of a detection's distance from its structure: a radar sees a wall, the scan the
+# edge of its roof.
+CLOSE_M = 0.75
+LANE_M, ASKEW_DEG = 3.0, 3.0  # from here on a pose is another one: a lane's width
+# By so much another pose must be better for `doubts` (chance is one in 700), and the pose better
+# than all others for `confirms` (one in 40).
+BETTER_SIGMAS, CLEAR_SIGMAS = 3.0, 2.0
+LEAST_CELLS = 60  # with fewer cells there is nothing to compare
+LEAST_COVERED = 0.5  # share of the cells that the scan must cover
 COARSE_CELLS = 2  # the search over all headings has cells so many times wider
 # Its step of heading, degrees, and its reach ahead and aside, metres.
 TURN_DEG = 1.0
@@ -106,13 +113,10 @@ class Alignment:
         The cells, in the level frame of the answer.
     closeness : (n, n) array
         That value for each cell of the frame.
-    settings : ScanCheckSettings
-        Reach and steps of the search.
     """
 
     standing: Standing = field(repr=False)
     closeness: Floats = field(repr=False)
-    settings: ScanCheckSettings = field(default=SCAN_CHECK, repr=False)
 
     def at(self, offset: Sequence[float]) -> Floats:
         """Return the closeness of each standing cell at (ahead, left, turn in degrees)."""
@@ -159,7 +163,7 @@ class Alignment:
 
     def climbed(self, place: Sequence[float], *, apart: bool = False) -> PoseOffset:
         """Climb from an offset to the top nearby; with `apart`, stay away from the answer."""
-        best, limits = self.offset(place), self.settings
+        best = self.offset(place)
         farthest_m = SHIFT_M * np.sqrt(2.0)
         for shift_m, turn_deg in CLIMBING_STEPS:
             step = np.array([shift_m, shift_m, turn_deg])
@@ -167,7 +171,7 @@ class Alignment:
                 around = [self.offset(best.place + move * step) for move in _MOVES]
                 around = [o for o in around if o.shift_m <= farthest_m]
                 if apart:
-                    around = [o for o in around if o.beyond(limits.lane_m, limits.askew_deg)]
+                    around = [o for o in around if o.beyond(LANE_M, ASKEW_DEG)]
                 top = max(around, key=lambda o: o.score, default=best)
                 if top.score <= best.score + 1e-9:
                     break
@@ -194,22 +198,18 @@ class Alignment:
 _MOVES = np.array([move for move in product((-1, 0, 1), repeat=3) if any(move)], float)
 
 
-def align(
-    standing: Standing, structure: Structure, settings: ScanCheckSettings = SCAN_CHECK
-) -> Alignment:
+def align(standing: Standing, structure: Structure) -> Alignment:
     """Compare what stands with a scan that shows something."""
     away = scipy.ndimage.distance_transform_edt(~structure.visible) * CELL_M
-    closeness = np.asarray(np.exp(-0.5 * (away / settings.close_m) ** 2))
-    return Alignment(standing=standing, closeness=closeness, settings=settings)
+    closeness = np.asarray(np.exp(-0.5 * (away / CLOSE_M) ** 2))
+    return Alignment(standing=standing, closeness=closeness)
 
 
 def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -> Floats:
     """Return the scores of all shifts at once, by convolution: (headings, ahead, left)."""
     field, points = alignment.closeness, alignment.standing.points[:, :2]
     if coarse > 1:
-        field = scipy.ndimage.gaussian_filter(
-            field, coarse * alignment.settings.close_m / CELL_M / 2.0
-        )
+        field = scipy.ndimage.gaussian_filter(field, coarse * CLOSE_M / CELL_M / 2.0)
     size, cell_m = len(field) // coarse, CELL_M * coarse
     field = field[: size * coarse, : size * coarse]
     field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
@@ -267,8 +267,6 @@ class ScanCheck:
         Scores at the pose's heading, (ahead, left) every 0.5 m from -10 to 10 m.
     range_m : float
         Slant range of 99.9 % of the recording's detections, metres; 0 without any.
-    settings : ScanCheckSettings
-        What was in effect.
     """
 
     pose: Pose
@@ -284,7 +282,6 @@ class ScanCheck:
     covered: float = float("nan")
     structure: Structure
     surface: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    settings: ScanCheckSettings
     range_m: float
 
     @property
@@ -296,7 +293,7 @@ class ScanCheck:
         return f"ScanCheck({self.pose.sensor}: {self.verdict}: {self.reason})"
 
     def figures(self) -> Mapping[str, Any]:
-        """Return the figures and the settings in effect, ready for JSON.
+        """Return the figures, ready for JSON.
 
         `best_east_m`, `best_north_m` and `best_turn_deg` lead from the pose to where the score is
         highest.
@@ -321,7 +318,7 @@ class ScanCheck:
             }
         if self.rival is not None:
             found |= {"rival_score": round(self.rival.score, 3), "z_score": round(self.z_score, 2)}
-        return found | {"settings": asdict(self.settings)}
+        return found
 
 
 def require_scans_near(
@@ -383,7 +380,6 @@ def check_against_scan(
     scans: Sequence[str | Path],
     *,
     scan_crs: Any = None,
-    settings: ScanCheckSettings = SCAN_CHECK,
     reporter: Reporter = QUIET,
 ) -> ScanCheck:
     """Check whether what stands around a sensor agrees with a pose (the paper's Fig. 2).
@@ -402,8 +398,6 @@ def check_against_scan(
         Airborne scans (LAS, LAZ, COPC), whole and not masked; classified or not.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
-    settings : ScanCheckSettings
-        Choices of the algorithm.
     reporter : Reporter
         Where progress and the verdict go.
 
@@ -417,50 +411,44 @@ def check_against_scan(
         If a file cannot be read, or no scan has a point near the pose; CrsError if a scan has no
         projected, metric coordinate system.
     """
-    slow = read_slow(recording, settings=settings, reporter=reporter)
+    slow = read_slow(recording, reporter=reporter)
     level = LevelFrame(pose=pose)
     reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
     structure = read_structure(
-        scans, level, reach_m=reach_m + MARGIN_M, scan_crs=scan_crs, settings=settings,
-        reporter=reporter,
-    )  # fmt: skip
+        scans, level, reach_m=reach_m + MARGIN_M, scan_crs=scan_crs, reporter=reporter
+    )
     if structure is None:
         raise _elsewhere(scans, reach_m, pose.sensor, pose.position.tolist(), pose.crs)
-    found = standing(slow, level, structure.ground, reach_m=reach_m, settings=settings)
-    reason = _too_little(slow, found, structure, settings)
-    compared = (
-        {"verdict": UNCLEAR, "reason": reason} if reason else _compared(found, structure, settings)
-    )
+    found = standing(slow, level, structure.ground, reach_m=reach_m)
+    reason = _too_little(slow, found, structure)
+    compared = {"verdict": UNCLEAR, "reason": reason} if reason else _compared(found, structure)
     look = ScanCheck(
-        pose=pose, standing=found, structure=structure, range_m=slow.range_m, settings=settings,
-        **compared,
-    )  # fmt: skip
+        pose=pose, standing=found, structure=structure, range_m=slow.range_m, **compared
+    )
     text = Text("scan check: {}: {}", look.verdict, look.reason)
     reporter.log(text, "warning" if look.verdict == DOUBTS else "info")
     return look
 
 
-def _too_little(
-    slow: Slow, found: Standing, structure: Structure, settings: ScanCheckSettings
-) -> str:
+def _too_little(slow: Slow, found: Standing, structure: Structure) -> str:
     """Return why there is nothing to compare, or nothing."""
     if len(slow.points) == 0:
         return "the recording has no still detections with an elevation"
-    if len(found) < settings.least_cells or found.patches < LEAST_PATCHES:
+    if len(found) < LEAST_CELLS or found.patches < LEAST_PATCHES:
         return Text("little stands in view: {} cells in {} places", len(found), found.patches)
     if not structure.visible.any():
         return "the scan shows neither canopy nor walls here"
     return ""
 
 
-def _compared(found: Standing, structure: Structure, settings: ScanCheckSettings) -> dict[str, Any]:
+def _compared(found: Standing, structure: Structure) -> dict[str, Any]:
     """Return the fields of a scan check that come from comparing, verdict and reason included."""
-    alignment = align(found, structure, settings)
+    alignment = align(found, structure)
     here = alignment.here
     peaks, chance = alignment.explored()
     tops = [alignment.climbed(peak.place) for peak in (here, *peaks)]
     best = max(tops, key=lambda top: top.score)
-    others = [o for o in (*peaks, *tops) if o.beyond(settings.lane_m, settings.askew_deg)]
+    others = [o for o in (*peaks, *tops) if o.beyond(LANE_M, ASKEW_DEG)]
     rivals = [alignment.climbed(other.place, apart=True) for other in others]
     rival = max(rivals, key=lambda top: top.score, default=None)
     rows, columns = LevelFrame.cells(found.points, len(structure.top))
@@ -476,17 +464,17 @@ def _compared(found: Standing, structure: Structure, settings: ScanCheckSettings
 def _verdict(
     alignment: Alignment, best: PoseOffset, rival: PoseOffset | None, chance: float, covered: float
 ) -> tuple[str, str]:
-    here, limits = alignment.here, alignment.settings
+    here = alignment.here
     fits = Text("{:.0%} of what stands lies on the scan's canopy and walls", here.score)
     elsewhere = best.beyond(SAME_M, SAME_DEG)
     other = best if elsewhere else rival
-    if elsewhere and alignment.z_score(best, here) >= limits.better_sigmas:
+    if elsewhere and alignment.z_score(best, here) >= BETTER_SIGMAS:
         return DOUBTS, Text("{}, but {:.0%} {}", fits, best.score, best.words())
-    if covered < limits.least_covered:
+    if covered < LEAST_COVERED:
         return UNCLEAR, Text("the scan covers {:.0%} of what stands in view", covered)
-    if alignment.over(chance) < limits.better_sigmas:
+    if alignment.over(chance) < BETTER_SIGMAS:
         return DOUBTS, Text("{}, hardly more than by chance ({:.0%})", fits, chance)
-    if other is not None and (elsewhere or alignment.z_score(best, other) < limits.clear_sigmas):
+    if other is not None and (elsewhere or alignment.z_score(best, other) < CLEAR_SIGMAS):
         return UNCLEAR, Text(
             "{}, and {:.0%} {}: both may be right", fits, other.score, other.words()
         )

@@ -14,7 +14,7 @@ from matplotlib.transforms import Affine2D
 
 from gis_radar.base import CELL_M, Booleans, Floats, label_map, legend_below, picture_file, tr
 from gis_radar.calibration.scan_check import SHIFT_M, ScanCheck
-from gis_radar.calibration.surroundings import Structure
+from gis_radar.calibration.surroundings import TALL_M, Structure
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
@@ -49,7 +49,7 @@ def draw_surroundings(ax: Axes, look: ScanCheck) -> None:
     place = look.pose.position[:2]
     into_map = Affine2D().rotate_deg(look.pose.yaw).translate(*place)
     ax.imshow(
-        _colours(look.structure, look.settings.tall_m).transpose(1, 0, 2), origin="lower",
+        _colours(look.structure).transpose(1, 0, 2), origin="lower",
         extent=(-half, half, -half, half), interpolation="nearest",
         transform=into_map + ax.transData,
     )  # fmt: skip
@@ -79,9 +79,9 @@ def _title(look: ScanCheck) -> str:
     return f"{verdict}\n{reason}"
 
 
-def _colours(structure: Structure, tall_m: float) -> Floats:
+def _colours(structure: Structure) -> Floats:
     """Return the colour of each cell, (n, n, 3)."""
-    over = np.nan_to_num((structure.top - structure.ground - tall_m) / TALLEST_M, nan=-1.0)
+    over = np.nan_to_num((structure.top - structure.ground - TALL_M) / TALLEST_M, nan=-1.0)
     shade = np.clip(over, 0.0, 1.0)[..., None]
     image = np.where(np.isnan(structure.top)[..., None], to_rgb(UNSEEN), to_rgb(BARE))
     kinds: tuple[tuple[Booleans, tuple[str, str]], ...] = ((over > 0.0, TALL),)

@@ -11,6 +11,7 @@ import numpy as np
 from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.lanes import (
     LANE_BINS,
+    STREET_SIGMA_M,
     Lanes,
     Matches,
     Placed,
@@ -30,11 +31,28 @@ from gis_radar.calibration.residuals import (
     lateral,
     sums,
 )
-from gis_radar.calibration.settings import LEVER_M, Schedule
-from gis_radar.calibration.state import SIZE, State
+from gis_radar.calibration.state import LEVER_M, SIZE, State
 from gis_radar.calibration.traces import Samples
 
 STREET_M = 60.0  # length of a street section with a bias of its own
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """Under which widths, and with how many steps, one call of the solver runs.
+
+    Parameters
+    ----------
+    scales_m : tuple of float
+        Widening of all spreads (root of squares), stage by stage. A fit comes back from about
+        twice the first scale; only with 0 last is it an optimum of the model itself.
+    rounds : int
+        Most Gauss-Newton steps a stage.
+    """
+
+    scales_m: tuple[float, ...]
+    rounds: int
+
 
 FAR = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)  # from a lane off
 # A step shorter than either ends a stage: far below the noise.
@@ -141,9 +159,8 @@ def solve(
     start: State,
     prior: Prior,
     *,
-    schedule: Schedule | None = None,
+    schedule: Schedule = FAR,
     model: Model = MODEL,
-    hold: Floats | None = None,
 ) -> Fit:
     """Find the pose near a start at which the traces lie on the lanes and on the road.
 
@@ -158,15 +175,12 @@ def solve(
         Where to begin.
     prior : Prior
         Of the state.
-    schedule : Schedule, optional
-        By how much all spreads are widened, stage by stage; without it from a lane off.
+    schedule : Schedule
+        By how much all spreads are widened, stage by stage; by default from a lane off.
     model : Model
         How vehicles drive and reflect.
-    hold : (7,) array, optional
-        A combination of the state's parts that stays as it is at the start.
     """
-    schedule = schedule or FAR
-    return _described(*_descended(scene, start, prior, schedule, model, hold))
+    return _described(*_descended(scene, start, prior, schedule, model, None))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,8 +206,10 @@ def settle(
 
     Parameters
     ----------
-    scene, start, prior, schedule, model, hold
+    scene, start, prior, schedule, model
         As of :func:`solve`.
+    hold : (7,) array
+        A combination of the state's parts that stays as it is at the start.
     """
     _, here, _ = _descended(scene, start, prior, schedule, model, hold)
     return Rest(state=here.point.state, cost=here.total)
@@ -343,7 +359,7 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         information=information,
         data_information=information - cost.prior.information,
         scores=sums(cost.scene.samples.vehicles, normal.scores, cost.scene.samples.tracks),
-        habits=_habits(cost, here, normal, street),
+        habits=_habits(here, normal, street),
         biases=biases,
         cost=here.total,
         loss=across.weight * across.loss,
@@ -367,14 +383,14 @@ def _costs(samples: Samples, here: _Here) -> Floats:
     return np.asarray(joined, dtype=np.float64)
 
 
-def _habits(cost: _Cost, here: _Here, normal: Normal, street: Integers) -> float:
+def _habits(here: _Here, normal: Normal, street: Integers) -> float:
     """Return the variance of the loss by an offset that the drivers of a street share.
 
     With the vehicles' own effects at their optimum the loss changes with the offset c of a street
     as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
     """
     own, stiff = here.point.effects[0][:, 0], here.families[0].stiffness[:, 0, 0]
-    variance, sigma_m = normal.shared[0][2][:, 0, 0], cost.scene.settings.answer.street_sigma_m[0]
+    variance, sigma_m = normal.shared[0][2][:, 0, 0], STREET_SIGMA_M[0]
     linear = np.bincount(street, weights=own * stiff)
     square = np.bincount(street, weights=(1.0 - variance * stiff) * stiff)
     return float(np.sum((sigma_m * linear) ** 2 + 0.5 * (sigma_m**2 * square) ** 2))
@@ -411,14 +427,14 @@ def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[
     offsets : (tracks, 7) arrays
         As of :class:`gis_radar.calibration.residuals.Normal`.
     """
-    lanes, settings, (across, up) = scene.lanes, scene.settings.answer, offsets
+    lanes, (across, up) = scene.lanes, offsets
     sample = matches.lane[matches.found]
-    drawn_m, scanned_m = settings.street_sigma_m
+    drawn_m, scanned_m = STREET_SIGMA_M
     street, count = _most_driven(scene.samples, matches, _sections(lanes, sample))
     biases = [drawn_m * sums(street, across, count), scanned_m * sums(street, up, count)]
     lane, count = _most_driven(scene.samples, matches, lanes.lane[sample])
     _, first = np.unique(lanes.lane[sample], return_index=True)
-    straight_m, bend_m = settings.lane_sigma_m
+    straight_m, bend_m = scene.lane_sigma_m
     driven_m = np.append(np.where(lanes.bends[sample[first]], bend_m, straight_m), 0.0)
     biases.append(driven_m[:, None] * sums(lane, across, count))
     return street, np.vstack(biases)

@@ -17,6 +17,7 @@ POSE = slice(0, 6)
 TURN = slice(3, 6)
 REFLECTION = 6
 SMALL = 1e-12
+LEVER_M = 50.0  # a turn counts as the metres by which it moves what is so far off: usual traces
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,8 @@ from scipy.ndimage import maximum_filter, uniform_filter
 
 from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.alarm import Displacement
-from gis_radar.calibration.settings import HOUR_S, MONITOR, MonitorSettings
+from gis_radar.calibration.kalman_filter import DRIFT, HOUR_S, KNOCK
+from gis_radar.calibration.traces import MIN_SPEED_MPS
 
 # Hits are mapped by range and azimuth up to there, in such cells: finer than a target's wander.
 REACH_M = 300.0
@@ -88,17 +89,14 @@ class Verdict:
     found : Displacement
         The likeliest move, in the sensor's frame: how far it is from no move as score, over how
         long the newest places were taken.
-    targets : int
-        How many were compared.
     sees : bool
         Whether a move of `wanted_m` in the plane or of `wanted_rad` about any axis could not hide.
     rests : bool
-        Whether there was no blow: a move as large as `MonitorSettings.knock` could not hide, and
+        Whether there was no blow: a move as large as `KNOCK` could not hide, and
         none was found.
     """
 
     found: Displacement
-    targets: int
     sees: bool
     rests: bool
 
@@ -142,17 +140,12 @@ class StationaryTargets:
 
     Parameters
     ----------
-    settings : MonitorSettings
-        How a mast drifts; the drift, nearly the same in all directions, is taken in the sensor's
-        axes.
     search_blocks : int
         New targets are looked for every so many blocks.
     """
 
-    def __init__(
-        self, settings: MonitorSettings = MONITOR, *, search_blocks: int = SEARCH_BLOCKS
-    ) -> None:
-        self._settings, self._search_blocks = settings, search_blocks
+    def __init__(self, *, search_blocks: int = SEARCH_BLOCKS) -> None:
+        self._search_blocks = search_blocks
         self._batches: list[Floats] = []  # stationary detections since the last block: polar
         self._frames = self._searched = self._blocks = 0  # of this block, of the map, ended
         cells = (round(REACH_M / CELL_M), round(2 * np.pi / CELL_RAD))
@@ -201,7 +194,7 @@ class StationaryTargets:
         range_rate : (n,) array
             m/s.
         """
-        still = np.abs(range_rate) <= self._settings.localization.traces.min_speed_mps
+        still = np.abs(range_rate) <= MIN_SPEED_MPS
         polar = polar_of(points[still & np.isfinite(points).all(axis=1)])
         self._batches.append(polar[(polar[:, 0] > 0.0) & (polar[:, 0] < REACH_M)])
         self._frames += len(np.unique(time))
@@ -320,13 +313,12 @@ class StationaryTargets:
         # from the middle of the newest blocks to that of the mean, which is no older than its age
         waiting = len(self._recent) - blocks
         lag = 0.5 * blocks + waiting + float(np.median(self._age[good]))
-        drift = np.square(self._settings.drift) / HOUR_S
-        covariance = covariance + lag * BLOCK_S * np.diag(drift)
+        # a drift is nearly the same in all directions: the sensor's axes do
+        covariance = covariance + lag * BLOCK_S * np.diag(np.square(DRIFT) / HOUR_S)
         chi2 = float(move @ np.linalg.solve(covariance, move))
         count = int(good.sum())
         sigma = np.sqrt(np.diag(covariance))[PLANE_AND_ANGLES]
         wanted = np.repeat([WANTED_M, WANTED_RAD], [2, 3])
-        blow = np.array(self._settings.knock)[PLANE_AND_ANGLES]
         score = count * float(np.log1p(chi2 / count))
         found = Displacement(
             score=score,
@@ -336,16 +328,15 @@ class StationaryTargets:
         )
         return Verdict(
             found=found,
-            targets=count,
             sees=bool((sigma < SURE * wanted).all()),
-            rests=score < GATE and bool((sigma < SURE * blow).all()),
+            rests=score < GATE and bool((sigma < SURE * KNOCK[PLANE_AND_ANGLES]).all()),
         )
 
     def _move(self, place: Floats, gap: Floats) -> tuple[Floats, Floats]:
         """Return the common move and its covariance; targets that go elsewhere weigh little."""
         sigma = np.array([WANDER_M, *WANDER_RAD])
         least = np.array(LEAST_SCATTER)
-        prior = np.diag(np.square(self._settings.knock) ** -1.0)
+        prior = np.diag(np.square(KNOCK) ** -1.0)
         design = by_move(place).reshape(-1, len(prior))
         weight = np.ones(gap.shape)
         for _ in range(ROUNDS):

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from gis_radar.base import CELL_M, QUIET, Booleans, Floats, Grid, Integers, Reporter
+from gis_radar.calibration.traces import FRAMES, MIN_SPEED_MPS
 from gis_radar.poses import Pose
 from gis_radar.recordings import RangeCounts, Recording, RollingWindow, as_recording
 from gis_radar.scans import (
@@ -26,6 +27,16 @@ from gis_radar.scans import (
     read_columns,
 )
 
+# Sensitivity (a sensor of a simulated town, at its true pose and 3.5 m beside it): with TALL_M,
+# OVERHEAD_M or LEAST_SPANS halved or doubled, as CLOSE_M of the scan check, the verdicts stay
+# `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and beside it by up to
+# 0.10, with CLOSE_M doubled by 0.24.
+SLOW_MPS = 1.0  # largest absolute range rate of what stands: leaves rustle up to here
+# In so many of the 20 equal parts of the window a cell that stands is hit at least: what waits or
+# passes is not.
+LEAST_SPANS = 8
+OVERHEAD_M = 2.0  # height from which on a detection counts: over parked cars, people, shrubs
+TALL_M = 2.5  # height from which on a step in the scan is a wall or a crown: over vans and hedges
 SPANS = 20  # equal parts of the window, in which hits of a cell are looked for
 PATCH_M = 8.0  # side of the squares that vote as one: a tree, or a piece of wall
 JUMP_CELLS = 3  # window in which the step is looked for, cells of 0.5 m
@@ -33,63 +44,6 @@ GAP_CELLS = 3  # holes of the scan up to so many cells are filled
 GROUND_CELLS = 4  # side of a cell of the ground, cells of 0.5 m
 WIDEST_ROOF_M = 40.0  # in scans without classes: opening that removes roofs from the ground
 LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScanCheckSettings:
-    """How still detections are compared with an airborne scan.
-
-    Sensitivity (`bench/mask.py --sensitivity`, a sensor of a simulated town, at its true pose and
-    3.5 m beside it): with `close_m`, `tall_m`, `overhead_m` or `least_spans` halved or doubled the
-    verdicts stay `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and
-    beside it by up to 0.10, with `close_m` doubled by 0.24.
-
-    Parameters
-    ----------
-    frames : int
-        Window at the end of the recording, 100 s at 20 Hz (the paper's n_f).
-    slow_mps : float
-        Largest absolute range rate: leaves rustle up to here.
-    still_mps : float
-        Up to here nothing moves (the paper's Doppler threshold); leaves do.
-    least_spans : int
-        In so many of the 20 equal parts of the window a cell that stands is hit at least: what
-        waits or passes is not.
-    overhead_m : float
-        Height over the ground from which on a detection counts: over parked cars, people, shrubs.
-    tall_m : float
-        Height from which on a step in the scan is a wall or a crown: over vans and hedges.
-    close_m : float
-        Standard deviation of a detection's distance from its structure: a radar sees a wall, the
-        scan the edge of its roof.
-    lane_m, askew_deg : float
-        From here on a pose is another one: a lane's width.
-    better_sigmas : float
-        By so much another pose must be better for `doubts`; chance is one in 700.
-    clear_sigmas : float
-        By so much the pose must be better than all others for `confirms`; chance is one in 40.
-    least_cells : int
-        With fewer cells there is nothing to compare.
-    least_covered : float
-        Share of the cells that the scan must cover.
-    """
-
-    frames: int = 2000
-    slow_mps: float = 1.0
-    still_mps: float = 0.15
-    least_spans: int = 8
-    overhead_m: float = 2.0
-    tall_m: float = 2.5
-    close_m: float = 0.75
-    lane_m: float = 3.0
-    askew_deg: float = 3.0
-    better_sigmas: float = 3.0
-    clear_sigmas: float = 2.0
-    least_cells: int = 60
-    least_covered: float = 0.5
-
-
-SCAN_CHECK = ScanCheckSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,12 +151,7 @@ class Standing:
         return len(np.unique(self.patch))
 
 
-def read_slow(
-    recording: str | Path | Recording,
-    *,
-    settings: ScanCheckSettings = SCAN_CHECK,
-    reporter: Reporter = QUIET,
-) -> Slow:
+def read_slow(recording: str | Path | Recording, *, reporter: Reporter = QUIET) -> Slow:
     """Read what hardly moves in the last frames of a recording, in bounded memory.
 
     Raises
@@ -212,10 +161,8 @@ def read_slow(
     """
     source = as_recording(recording)
     window = RollingWindow(
-        frames=settings.frames,
-        keep=lambda batch: (
-            (np.abs(batch.range_rate) <= settings.slow_mps) & np.isfinite(batch.points[:, 2])
-        ),
+        frames=FRAMES,
+        keep=lambda batch: (np.abs(batch.range_rate) <= SLOW_MPS) & np.isfinite(batch.points[:, 2]),
     )
     ranges, done = RangeCounts(), 0
     for batch in source.read():
@@ -228,7 +175,7 @@ def read_slow(
     as_recorded: Any = slow.points.astype(np.float32)  # there are many
     return Slow(
         points=as_recorded,
-        rustles=np.abs(slow.range_rate.astype(np.float32)) > settings.still_mps,
+        rustles=np.abs(slow.range_rate.astype(np.float32)) > MIN_SPEED_MPS,
         span=frame * SPANS // len(window),
         frames=len(window),
         range_m=ranges.reached_m(),
@@ -241,7 +188,6 @@ def standing(
     ground: Floats,
     *,
     reach_m: float,
-    settings: ScanCheckSettings = SCAN_CHECK,
 ) -> Standing:
     """Find the cells over which something stands through most of the window.
 
@@ -255,20 +201,18 @@ def standing(
         Height of the ground under the cells of that frame, NaN where unknown.
     reach_m : float
         Farther away nothing counts.
-    settings : ScanCheckSettings
-        How high over the ground, and how often.
     """
     points = level.from_sensor(slow.points)
     near = np.hypot(points[:, 0], points[:, 1]) < reach_m
     rows, columns = level.cells(points[near], len(ground))
     over = points[near, 2] - ground[rows, columns]
     # far under the ground: in a house whose roof was taken for the ground
-    tall = ~(np.abs(over) < settings.overhead_m)
+    tall = ~(np.abs(over) < OVERHEAD_M)
     points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
     cells, place = np.unique(rows[tall] * len(ground) + columns[tall], return_inverse=True)
     hit = np.zeros((len(cells), SPANS), bool)
     hit[place, span] = True
-    kept = hit.sum(axis=1) >= settings.least_spans
+    kept = hit.sum(axis=1) >= LEAST_SPANS
     counts = np.bincount(place, minlength=len(cells))[kept]
     means = [
         np.bincount(place, values, minlength=len(cells))[kept] / counts
@@ -288,9 +232,9 @@ class Structure:
     ground : (n, n) array
         Height of the ground, also under roofs and crowns; NaN far from any point.
     canopy, roof : (n, n) bool array
-        Plants of more than `tall_m` and buildings, by their classes; nowhere without these.
+        Plants of more than `TALL_M` and buildings, by their classes; nowhere without these.
     edge : (n, n) bool array
-        Where something rises by more than `tall_m`: walls, rims of crowns.
+        Where something rises by more than `TALL_M`: walls, rims of crowns.
     classified : bool
         Whether the classes distinguish plants or buildings.
     """
@@ -314,7 +258,6 @@ def read_structure(
     *,
     reach_m: float,
     scan_crs: Any = None,
-    settings: ScanCheckSettings = SCAN_CHECK,
     reporter: Reporter = QUIET,
 ) -> Structure | None:
     """Read what stands around a sensor from airborne scans, in batches.
@@ -329,8 +272,6 @@ def read_structure(
         Up to how far from the sensor.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
-    settings : ScanCheckSettings
-        What is tall, and how gaps are filled.
     reporter : Reporter
         Where progress goes.
 
@@ -352,11 +293,10 @@ def read_structure(
     grounds = read_columns(opened, [window], box, level.pose.crs, reporter=reporter)
     if window.points == 0:
         return None
-    return _structure(window, settings, classified=grounds >= LEAST_GROUND)
+    return _structure(window, classified=grounds >= LEAST_GROUND)
 
 
-def _structure(tops: ScanColumns, settings: ScanCheckSettings, *, classified: bool) -> Structure:
-    tall_m, jump = settings.tall_m, JUMP_CELLS
+def _structure(tops: ScanColumns, *, classified: bool) -> Structure:
     away, index = nearest_known(np.isfinite(tops.top))
     top, plants, building = (
         np.where(away <= GAP_CELLS, grid[index], np.nan)
@@ -369,14 +309,14 @@ def _structure(tops: ScanColumns, settings: ScanCheckSettings, *, classified: bo
         widest_roof_m=WIDEST_ROOF_M,
         classified=classified,
     )
-    below = scipy.ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
-    low = scipy.ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
-    high = _solid(np.nan_to_num(top - low, nan=0.0) > tall_m)
+    below = scipy.ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), JUMP_CELLS)
+    low = scipy.ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), JUMP_CELLS)
+    high = _solid(np.nan_to_num(top - low, nan=0.0) > TALL_M)
     # the wall itself runs between the last high cell and the first low one
     edge = high | (
-        scipy.ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > tall_m)
+        scipy.ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > TALL_M)
     )
-    canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > tall_m)
+    canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > TALL_M)
     roof = _solid(np.isfinite(building))
     # a tree over a roof's edge is seen, one over the middle of a roof is taken for a roof
     return Structure(

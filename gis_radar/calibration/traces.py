@@ -9,8 +9,13 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.base import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.settings import LOCALIZATION, TraceSettings
 
+FRAMES = 2000  # of the window, 100 s at 20 Hz (the paper's n_f)
+LEAST_FRAMES = 100  # fewer are refused: 5 s show no traffic
+MIN_SPEED_MPS = 0.15  # least absolute range rate of what moves (the paper)
+SEGMENT_S = 8.0  # a stream of vehicles that never breaks counts as several tracks of this length
+WALK_MPS = 2.7  # tracks that are slower by range rates and way may be of walkers, with their limbs
+MOST_SAMPLES = 6000  # in all; cost grows in proportion
 LINK_S = 0.35  # longest gap in a track: a far vehicle is hit in every fourth frame or so
 RANGE_M = 1.5  # largest disagreement of range and Doppler: between the faces of one vehicle
 # Largest step across the sight: a vehicle's size, and a crossing speed the Doppler misses.
@@ -74,6 +79,11 @@ class Moving:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def where(self, keep: Booleans | Integers | slice) -> Moving:
+        """Return some of the detections, of the same window."""
+        rows = ("time", "points", "range_rate")
+        return replace(self, **{name: getattr(self, name)[keep] for name in rows})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +174,7 @@ class Samples:
         )
 
 
-def link_tracks(moving: Moving, settings: TraceSettings = LOCALIZATION.traces) -> Integers:
+def link_tracks(moving: Moving, *, segment_s: float = SEGMENT_S) -> Integers:
     """Link moving detections to tracks.
 
     Two detections belong together where the range changed as the Doppler states and bearing and
@@ -175,8 +185,8 @@ def link_tracks(moving: Moving, settings: TraceSettings = LOCALIZATION.traces) -
     ----------
     moving : Moving
         Of one window.
-    settings : TraceSettings
-        How detections of one track may differ, and what a vehicle is.
+    segment_s : float
+        Longer tracks are cut.
 
     Returns
     -------
@@ -189,34 +199,25 @@ def link_tracks(moving: Moving, settings: TraceSettings = LOCALIZATION.traces) -
     x, y = moving.points[:, 0], moving.points[:, 1]
     reach = np.linalg.norm(moving.points, axis=1)
     root = _link(time, reach, np.arctan2(y, x), moving.range_rate)
-    table = pd.DataFrame({"root": root, "segment": (time / settings.segment_s).astype(np.int64)})
+    table = pd.DataFrame({"root": root, "segment": (time / segment_s).astype(np.int64)})
     number = np.asarray(table.groupby(["root", "segment"], sort=True).ngroup(), dtype=np.int64)
-    good = _goes_somewhere(number, time, moving, settings)
+    good = _goes_somewhere(number, time, moving)
     renumbered = np.where(good, np.cumsum(good) - 1, NONE)
     return np.asarray(renumbered[number])
 
 
-def _goes_somewhere(
-    number: Integers, time: Floats, moving: Moving, settings: TraceSettings
-) -> Booleans:
+def _goes_somewhere(number: Integers, time: Floats, moving: Moving) -> Booleans:
     """Return which tracks are long and fast enough for something that drives."""
-    rows = pd.DataFrame(
-        {
-            "n": number,
-            "t": time,
-            "x": moving.points[:, 0],
-            "y": moving.points[:, 1],
-            "rate": np.abs(moving.range_rate),
-        }
-    ).groupby("n")
+    x, y, _ = moving.points.T
+    columns = {"n": number, "x": x, "y": y, "rate": np.abs(moving.range_rate)}
+    rows = pd.DataFrame(columns).groupby("n")
     early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
     path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
     extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
-    least_m = MIN_PATH_M
-    goes = (path >= least_m) & (path >= 0.5 * extent)
-    streams = (rows["rate"].median() >= SURE_MPS) & (extent >= least_m)
+    goes = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
+    streams = (rows["rate"].median() >= SURE_MPS) & (extent >= MIN_PATH_M)
     good = (rows.size() >= MIN_POINTS) & (goes | streams)
-    drives = good & (_fastest(number, time, moving) > settings.walk_mps)
+    drives = good & (_fastest(number, time, moving) > WALK_MPS)
     # walkers keep to kerbs, not to lanes; but in a queue vehicles creep
     walkers = 1.0 - drives.sum() / max(good.sum(), 1)
     return np.asarray(drives if walkers > CREEPING else good)
@@ -266,15 +267,11 @@ def top_speeds(moving: Moving, tracks: Integers) -> Floats:
         As from :func:`link_tracks`.
     """
     on = tracks != NONE
-    followed = replace(
-        moving, time=moving.time[on], points=moving.points[on], range_rate=moving.range_rate[on]
-    )
+    followed = moving.where(on)
     return _fastest(tracks[on], followed.time - moving.begin, followed)
 
 
-def thin(
-    moving: Moving, tracks: Integers, settings: TraceSettings = LOCALIZATION.traces
-) -> Samples:
+def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Samples:
     """Keep a few detections of each track in each voxel, evenly thinned to a limit.
 
     Parameters
@@ -283,15 +280,15 @@ def thin(
         Of one window.
     tracks : (n,) array
         As from :func:`link_tracks`.
-    settings : TraceSettings
-        Of voxels and limits.
+    most : int
+        Samples in all.
     """
     rng = np.random.default_rng(0)
     on = np.flatnonzero(tracks != NONE)
     on = on[rng.permutation(len(on))]
     cells = np.floor(moving.points[on, :2] / VOXEL_M).astype(np.int64)
     frame = pd.DataFrame({"k": tracks[on], "i": cells[:, 0], "j": cells[:, 1]})
-    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][: settings.most]
+    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
     keep.sort()
     return Samples(
         points=moving.points[keep],
@@ -436,12 +433,6 @@ def _link(  # pragma: no cover - compiled
                 parent[b] = parent[parent[b]]
                 b = parent[b]
             parent[max(a, b)] = min(a, b)
-    return parent_roots(parent)
-
-
-@compiled
-def parent_roots(parent: Integers) -> Integers:  # pragma: no cover - compiled
-    """Return the root of every node of a forest whose parents have lower numbers."""
-    for i in range(len(parent)):
+    for i in range(len(parent)):  # parents have lower numbers
         parent[i] = parent[parent[i]]
     return parent

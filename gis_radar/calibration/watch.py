@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from gis_radar.calibration import alarm
 from gis_radar.calibration.alarm import Alarm, Displacement
 from gis_radar.calibration.lane_places import Cells, cells_along, lane_places
-from gis_radar.calibration.settings import MONITOR, MonitorSettings
 from gis_radar.calibration.state import State
 from gis_radar.calibration.stationary_targets import BLOCK_S, GATE, StationaryTargets, Verdict
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
@@ -20,11 +20,7 @@ BLOW_BLOCKS = 1
 LATEST_BLOCKS = 3
 
 
-def decided(
-    verdicts: Sequence[Verdict],
-    driven: Displacement | None,
-    settings: MonitorSettings = MONITOR,
-) -> Displacement | None:
+def decided(verdicts: Sequence[Verdict], driven: Displacement | None) -> Displacement | None:
     """Return the move that is beyond chance, or none.
 
     Where there are enough stationary targets to show a move of the wanted size, they alone decide:
@@ -37,15 +33,13 @@ def decided(
         Of stationary targets.
     driven : Displacement or None
         Of vehicles.
-    settings : MonitorSettings
-        Both gates.
     """
     found = max((each.found for each in verdicts), key=lambda f: f.score, default=None)
     if found is not None and found.score > GATE:
         return found
     if driven is None or any(each.sees for each in verdicts):
         return None
-    return driven if driven.score > settings.alarm.gate else None
+    return driven if driven.score > alarm.GATE else None
 
 
 class Watch:
@@ -55,19 +49,17 @@ class Watch:
     ----------
     fitter : WindowFitter
         The lanes.
-    settings : MonitorSettings
-        Of the alarm.
     """
 
-    def __init__(self, fitter: WindowFitter, settings: MonitorSettings = MONITOR) -> None:
-        self._fitter, self._settings = fitter, settings
+    def __init__(self, fitter: WindowFitter) -> None:
+        self._fitter = fitter
         self.restart()
 
     def restart(self) -> None:
         """Reset what was learnt: the sensor was moved."""
         self._cells: Cells | None = None
         self._since = np.nan
-        self._still = StationaryTargets(self._settings)
+        self._still = StationaryTargets()
         self._block_since = np.nan
         self._newest: Verdict | None = None
 
@@ -96,7 +88,7 @@ class Watch:
         driven = self._by_vehicles(traffic, state, time) if traffic is not None else None
         if not ended and driven is None:
             return None
-        found = decided(self._still.tested, driven, self._settings)
+        found = decided(self._still.tested, driven)
         if found is None or found is driven:
             return found
         # blocks from before the move make it too small where it has just begun
@@ -119,20 +111,18 @@ class Watch:
     def _by_vehicles(
         self, traffic: WindowTraffic, state: State, time: float
     ) -> Displacement | None:
-        alarm = self._settings.alarm
         if self._cells is None:
             self._cells = cells_along(self._fitter.lanes(traffic.samples()))
             self._state, self._since = state, time
-            self._alarm = Alarm(self._cells, state.position[:2], self._settings)
-        if time - self._since < alarm.block_s:
+            self._alarm = Alarm(self._cells, state.position[:2])
+        if time - self._since < alarm.BLOCK_S:
             return None
         seen = lane_places(
             traffic.moving,
             self._cells,
             self._state,
-            since=self._since - alarm.settle_s,
-            until=time - alarm.settle_s,
-            traces=self._settings.localization.traces,
+            since=self._since - alarm.SETTLE_S,
+            until=time - alarm.SETTLE_S,
         )
         self._since = time
         return self._alarm.push(seen, time)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,22 +11,20 @@ from scipy.spatial.transform import Rotation
 from gis_radar.base import QUIET, Floats, Integers, NoAnswerError, Reporter
 from gis_radar.calibration.adaptation import adapted
 from gis_radar.calibration.certainty import advantage, certainty
-from gis_radar.calibration.hypotheses import find_hypotheses, prior_at, rough
+from gis_radar.calibration.hypotheses import HEADING_TOLERANCE, find_hypotheses, prior_at, rough
 from gis_radar.calibration.kalman_filter import Estimate, Measurement, covariance_from_angles
-from gis_radar.calibration.lane_method import lanes_around
+from gis_radar.calibration.lane_method import LEAST_FITNESS, LEAST_TRACKS, lanes_around
 from gis_radar.calibration.lanes import Lanes, Scene
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.result import Problem
-from gis_radar.calibration.settings import MONITOR, MonitorSettings, Schedule, TraceSettings
-from gis_radar.calibration.solver import Fit, Prior, cost_at, solve
+from gis_radar.calibration.solver import FAR, Fit, Prior, Schedule, cost_at, solve
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
 
 # 1 sigma of the prior under which a window is fitted: around the expected pose, wide.
-NEAR = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))
-WINDOW = Schedule(
-    scales_m=(0.3, 0.1, 0.0), rounds=12
-)  # fit of a window: it starts within decimetres
+NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])
+# Fit of a window: it starts within decimetres.
+WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
 # Information of the data below that share of the prior's is none, and counts as UNKNOWN.
 LEAST_KNOWN = 0.05
 UNKNOWN = 1e-4
@@ -45,7 +41,7 @@ LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
 FARTHEST = 4.0
 
 
-def data_alone(fit: Fit, prior: Prior, settings: MonitorSettings = MONITOR) -> Measurement:
+def data_alone(fit: Fit, prior: Prior) -> Measurement:
     """Remove the prior from a fit, or every window would confirm the pose before it.
 
     In coordinates where the prior has variance one along each axis, `1 + m` is the information of
@@ -57,10 +53,8 @@ def data_alone(fit: Fit, prior: Prior, settings: MonitorSettings = MONITOR) -> M
         A registration.
     prior : Prior
         Of the fit.
-    settings : MonitorSettings
-        From when on information of the data counts.
     """
-    known = certainty(fit, settings.localization.answer)
+    known = certainty(fit, map_sigma_m=0.0)
     quaternion = _quaternion(fit.state)
     unit = np.diag(prior.information[POSE, POSE]) ** -0.5
     whole, noise = (
@@ -109,33 +103,24 @@ class WindowTraffic:
         The detections.
     number : (n,) array
         The track of each.
-    settings : TraceSettings
-        Of linking and thinning.
     """
 
     moving: Moving
     number: Integers
-    settings: TraceSettings
 
     @classmethod
-    def of(cls, moving: Moving, settings: TraceSettings) -> WindowTraffic:
+    def of(cls, moving: Moving) -> WindowTraffic:
         """Link the detections of a window to tracks."""
-        return cls(moving=moving, number=link_tracks(moving, settings), settings=settings)
+        return cls(moving=moving, number=link_tracks(moving))
 
     def between(self, begin: float, end: float) -> WindowTraffic:
         """Return the part of the traffic within a time, its end not included."""
         low, high = np.searchsorted(self.moving.time, [begin, end])
         part = slice(int(low), int(high))
         _, number = np.unique(np.append(self.number[part], -1), return_inverse=True)
-        moving = replace(
-            self.moving,
-            time=self.moving.time[part],
-            points=self.moving.points[part],
-            range_rate=self.moving.range_rate[part],
-            begin=max(begin, self.moving.begin),
-            end=min(end, self.moving.end),
-        )
-        return replace(self, moving=moving, number=number[:-1] - 1)
+        begin, end = max(begin, self.moving.begin), min(end, self.moving.end)
+        moving = replace(self.moving.where(part), begin=begin, end=end)
+        return WindowTraffic(moving=moving, number=number[:-1] - 1)
 
     @cached_property
     def vehicles(self) -> int:
@@ -144,7 +129,7 @@ class WindowTraffic:
 
     def samples(self) -> Samples:
         """Return the detections that a registration works on."""
-        return thin(self.moving, self.number, self.settings)
+        return thin(self.moving, self.number)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,20 +166,11 @@ class WindowFitter:
     ----------
     problem : Problem
         Map, road and where the sensor stands.
-    settings : MonitorSettings
-        How windows are fitted.
     reporter : Reporter
         Receives remarks.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        settings: MonitorSettings = MONITOR,
-        *,
-        reporter: Reporter = QUIET,
-    ) -> None:
-        self.settings = settings
+    def __init__(self, problem: Problem, *, reporter: Reporter = QUIET) -> None:
         self._problem = problem
         self._reporter = reporter
         self._reach_m = 0.0
@@ -208,25 +184,22 @@ class WindowFitter:
         if self._lanes is None or reach_m > self._reach_m:
             grow, reporter = REACH_GROWS, self._reporter
             self._reach_m, self._reporter = grow * reach_m, QUIET  # remarks only once
-            self._lanes = lanes_around(
-                self._problem, samples, reporter, grow=grow, settings=self.settings.localization
-            )
+            self._lanes = lanes_around(self._problem, samples, reporter, grow=grow)
         return self._lanes
 
     def scene(self, samples: Samples) -> Scene:
         """Return samples with the lanes within their reach."""
-        lanes = self.lanes(samples)
-        return Scene(lanes=lanes, samples=samples, settings=self.settings.localization)
+        return Scene(lanes=self.lanes(samples), samples=samples, lane_sigma_m=(0.0, 0.0))
 
     def fit(
         self,
         traffic: WindowTraffic,
         centre: Estimate,
-        like: State,
+        reflection_m: float,
         *,
-        near: Sequence[float] | None = None,
+        near: Floats = NEAR,
         start: State | None = None,
-        schedule: Schedule | None = None,
+        schedule: Schedule = WINDOW,
     ) -> WindowFit | None:
         """Fit a window of traffic to the lanes near a pose; None where it holds too few vehicles.
 
@@ -236,47 +209,44 @@ class WindowFitter:
             What moved.
         centre : Estimate
             Where to look.
-        like : State
-            How vehicles reflected so far.
-        near : (6,) sequence, optional
-            How far around, 1 sigma: metres, radians; without it as the settings state.
+        reflection_m : float
+            How high vehicles reflected so far.
+        near : (6,) array
+            How far around, 1 sigma: metres, radians.
         start : State, optional
             Where to begin, if not there.
-        schedule : Schedule, optional
-            As for :func:`gis_radar.calibration.solver.solve`; without it that of a window.
+        schedule : Schedule
+            As for :func:`gis_radar.calibration.solver.solve`.
         """
-        settings = self.settings
-        if traffic.vehicles < settings.localization.answer.least_tracks:
+        if traffic.vehicles < LEAST_TRACKS:
             return None
         samples = traffic.samples()
-        prior = self._prior(centre.state(like), np.array(near or NEAR))
+        prior = self._prior(centre.state(reflection_m), near)
         begin = prior.mean if start is None else start
-        schedule = schedule or WINDOW
         fit = solve(self.scene(samples), begin, prior, schedule=schedule, model=self._model)
         return WindowFit(
-            measurement=data_alone(fit, prior, settings),
+            measurement=data_alone(fit, prior),
             fit=fit,
             samples=samples,
-            on_lanes=fit.fitness >= settings.localization.answer.least_fitness,
+            on_lanes=fit.fitness >= LEAST_FITNESS,
         )
 
     def find(
-        self, traffic: WindowTraffic, centre: Estimate, like: State, *, near: Sequence[float]
+        self, traffic: WindowTraffic, centre: Estimate, reflection_m: float, *, near: Floats
     ) -> WindowFit | None:
         """Search farther around a pose at which the traffic is on no lanes; None if in vain.
 
         Parameters
         ----------
-        traffic, centre, like, near
+        traffic, centre, reflection_m, near
             As for :meth:`fit`.
         """
-        samples, state = traffic.samples(), centre.state(like)
-        tolerance = self.settings.localization.search.heading_tolerance
-        heading = float(state.yaw_pitch_roll[0]), tolerance
+        samples, state = traffic.samples(), centre.state(reflection_m)
+        heading = float(state.yaw_pitch_roll[0]), HEADING_TOLERANCE
         for tried in find_hypotheses(self.scene(samples), heading=heading):
-            away = tried.fit.state.difference(state)[POSE] / np.array(near)
+            away = tried.fit.state.difference(state)[POSE] / near
             if np.abs(away).max() < FARTHEST:
-                found = self.fit(traffic, centre, like, near=near, start=tried.fit.state)
+                found = self.fit(traffic, centre, reflection_m, near=near, start=tried.fit.state)
                 return found if found is not None and found.trusted else None
         return None
 
@@ -294,7 +264,7 @@ class WindowFitter:
             self._reflections = after.mean.reflection, known
 
     def _prior(self, centre: State, near: Floats) -> Prior:
-        information = prior_at(centre, self.settings.localization).information.copy()
+        information = prior_at(centre).information.copy()
         information[POSE, POSE] = np.diag(near**-2.0)
         if self._reflections is not None:
             mean_m, information[REFLECTION, REFLECTION] = self._reflections
@@ -310,10 +280,9 @@ class WindowFitter:
             If the vehicles prefer a pose that is a lane off.
         """
         part, here = rough(self.scene(found.samples)), found.fit.state
-        settings = self.settings
 
-        def at(state: State, schedule: Schedule | None = None) -> Fit:
-            prior = replace(prior_at(state, settings.localization), mean=state)
+        def at(state: State, schedule: Schedule = FAR) -> Fit:
+            prior = replace(prior_at(state), mean=state)
             return solve(part, state, prior, schedule=schedule)
 
         def apart_m(one: Fit, other: Fit) -> float:

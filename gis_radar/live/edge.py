@@ -14,7 +14,7 @@ import geopandas as gpd
 import numpy as np
 
 from gis_radar.base import QUIET, STEP_US, NoAnswerError, Reporter, Text, require_same
-from gis_radar.calibration import LOCALIZATION
+from gis_radar.calibration import FRAMES
 from gis_radar.hdmap import read_tiles
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
@@ -72,8 +72,8 @@ class Edge:
         self._follower: PoseFollower | None = None
         self._waiting: list[FrameDetections] = []
         self._selector = DetectionSelector(self._road)
-        self._gathered: deque[Detections] = deque(maxlen=LOCALIZATION.traces.frames)
-        self._try_at = LOCALIZATION.traces.frames
+        self._gathered: deque[Detections] = deque(maxlen=FRAMES)
+        self._try_at = FRAMES
 
     def _read_pose(self, tiles: gpd.GeoDataFrame) -> Pose | None:
         if self._file.pose is None:
@@ -241,7 +241,7 @@ class Edge:
         self._follower, self._doubted = None, True
         self._gathered.clear()
         searched = self._given is None
-        self._try_at = LOCALIZATION.traces.frames if searched else AGAIN_FRAMES
+        self._try_at = FRAMES if searched else AGAIN_FRAMES
 
     def _try_again(self, frame: Detections) -> None:
         """Search a pose that traffic refused anew; follow again one that was given."""

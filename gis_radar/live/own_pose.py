@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import QUIET, Floats, NoAnswerError, Reporter, scratch_folder
 from gis_radar.calibration import (
-    MONITOR,
+    CYCLE_S,
+    LOST_S,
     MOVED,
     Follower,
     Problem,
@@ -133,7 +134,7 @@ class PoseFollower:
         self._frames: Queue[Detections | None] = Queue(WAITING_FRAMES)
         self._found: SimpleQueue[Followed | Exception] = SimpleQueue()
         self._ended = Event()
-        self._start, self._due = start, begin + MONITOR.cycle_s
+        self._start, self._due = start, begin + CYCLE_S
         self._moved_at = -np.inf
         self._thread = Thread(target=self._work, daemon=True, name="pose")
         self._thread.start()
@@ -149,8 +150,8 @@ class PoseFollower:
             name=start.sensor, roads=roads, road=road, guess=start.position[:2], heading=None
         )
         follower = Follower(
-            WindowFitter(problem, MONITOR, reporter=reporter),
-            start_estimate(start, begin, MONITOR), name=start.sensor, reporter=reporter,
+            WindowFitter(problem, reporter=reporter),
+            start_estimate(start, begin), name=start.sensor, reporter=reporter,
         )  # fmt: skip
         return cls(follower, problem, start, begin, doubted=doubted)
 
@@ -197,8 +198,8 @@ class PoseFollower:
             now = float(frame.time[0])
             if now >= self._due:
                 self._cycle(self._due)
-                gone = np.floor((now - self._due) / MONITOR.cycle_s) + 1.0
-                self._due += float(gone) * MONITOR.cycle_s
+                gone = np.floor((now - self._due) / CYCLE_S) + 1.0
+                self._due += float(gone) * CYCLE_S
             self._follower.push(frame)
 
     def _cycle(self, time: float) -> None:
@@ -207,7 +208,7 @@ class PoseFollower:
         rows = self._follower.rows
         if any(row.event == MOVED and id(row) not in known for row in rows):
             self._moved_at = time
-        window_s = MONITOR.lost_s
+        window_s = LOST_S
         confirmed = self._follower.confirmed or not self._doubted
         trusted = confirmed and self._moved_at == -np.inf
         if confirmed and not trusted and rows[-1].corrected and time - self._moved_at >= window_s:

@@ -67,6 +67,11 @@ class RollingWindow:
             self._times.popleft()
 
     @property
+    def full(self) -> bool:
+        """Whether it has its whole length."""
+        return len(self._times) == self._times.maxlen
+
+    @property
     def begin(self) -> float:
         """UNIX seconds of the first frame; NaN where there is none."""
         return self._times[0] if self._times else float("nan")

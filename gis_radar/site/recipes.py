@@ -291,7 +291,7 @@ def _clocks(
 
     if source == AUTO:
         found = measure_clocks(recordings, tracks, tiles, reporter=reporter)
-        for sensor, text in found.lines().items():
+        for sensor, text in found.figures().items():
             told = Text("clock of {}: {}", sensor, text)
             if sensor == "reference":
                 told = Text("clocks are corrected to that of {}", text)
