@@ -57,7 +57,7 @@ TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 # roll): a third of a lane's width beside or 60 m ahead, and what would be refused of a tilt.
 SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
 LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
-# The prior as NEAR where the map has no heights: height, roll and pitch are as given.
+# In place of NEAR where map or radar has no heights: height, roll and pitch are as given.
 LEVEL = (*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5])
 FARTHEST_DEG = 20.0  # what is farther off would show by the lanes that are driven
 TURNS = ("yaw", "pitch", "roll")
@@ -104,22 +104,38 @@ def _is_off(found: Finding) -> bool:
 def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     pose = excerpt.usual
     near = lanes.around(pose, lanes.reach_m(excerpt))
-    if near is None or not np.isfinite(excerpt.moving.points).all():
-        unseen = Text("{}, 1 m or 1 deg off would not show without elevations", found.evidence)
-        return replace(found, evidence=unseen)
-    samples, sigmas = thin(*excerpt.as_usual), NEAR
-    if not np.isfinite(near.points[:, 2]).any():
-        untold = Text("{}, height and tilt not compared with a map without heights", found.evidence)
-        found, sigmas = replace(found, evidence=untold), LEVEL
+    if near is None:
+        return _unfitted(found)
+    moving, track = excerpt.as_usual
+    heights = near.points[:, 2][np.isfinite(near.points[:, 2])]
+    if len(heights) and np.isfinite(moving.points).all():
+        samples = thin(moving, track)
+        return _compared(excerpt, lanes, Scene(lanes=near, samples=samples), found, NEAR)
+    road_m = float(np.median(heights)) + REFLECTION_M if len(heights) else np.nan
+    points = (pose.to_map(moving.points, road_m=road_m) - pose.position) @ pose.R_map_sensor
+    level = replace(near, points=near.points * [1.0, 1.0, np.nan])
+    samples = thin(replace(moving, points=points), track)
+    found = _compared(excerpt, lanes, Scene(lanes=level, samples=samples), found, LEVEL)
+    evidence = Text(
+        "{}; without heights of map and radar, height and tilt are not compared", found.evidence
+    )
+    return replace(found, evidence=evidence)
+
+
+def _compared(
+    excerpt: Excerpt, lanes: LaneMap, scene: Scene, found: Finding, sigmas: tuple[float, ...]
+) -> Finding:
+    """Return what a fit, with a prior as wide as `sigmas` around it, says of the usual pose."""
+    pose = excerpt.usual
     centre = State(
-        position=pose.position - [*near.origin, 0.0], R_map_sensor=pose.R_map_sensor,
+        position=pose.position - [*scene.lanes.origin, 0.0], R_map_sensor=pose.R_map_sensor,
         reflection=REFLECTION_M,
     )  # fmt: skip
     prior = prior_at(centre)
     information = prior.information.copy()
     information[POSE, POSE] = np.diag(np.array(sigmas) ** -2.0)
     prior = Prior(mean=centre, information=information)
-    fit = _fitted(Scene(lanes=near, samples=samples), prior)
+    fit = _fitted(scene, prior)
     if not fit.converged or fit.fitness < FITTING:
         return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
     seen = _measured(fit, prior)
