@@ -56,11 +56,13 @@ def drive(vehicle, first_step, fronts, *, speed=10.0, lanelet_id=7, length=4.5, 
 
 
 def driven(
-    folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continued=None, **options
+    folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continued=None, seen_from=None,
+    **options,
 ):  # fmt: skip
     """Write a dataset of tracks, states of which are every step; give it.
 
-    What else `write_dataset` takes it may be given, too.
+    It is seen from a pose, the usual one where none is given; what else `write_dataset` takes it
+    may be given, too.
     Vehicles that drive on in another hour have another number in it, as `continued` says.
     """
     tracks = tracks.sort_values(["vehicle", "step"], ignore_index=True)
@@ -84,8 +86,8 @@ def driven(
             "tracks": _rows(kept),
             "vehicles": _vehicles(tracks, ends, length, width, p_heavy),
         },
-        tiles=tiles, recordings=recordings_of({"R1"}), poses=[pose()], continued=continued,
-        sights={"pose": np.full(len(ids), "R1"), "tile_id": ids}, **options,
+        tiles=tiles, recordings=recordings_of({"R1"}), poses=[seen_from or pose()],
+        continued=continued, sights={"pose": np.full(len(ids), "R1"), "tile_id": ids}, **options,
     )  # fmt: skip
     assert hours_of(tracks) == len(dataset.records())
     return dataset

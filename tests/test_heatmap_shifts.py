@@ -1,7 +1,6 @@
 """By how much poses may shift what is on tiles, and what that adds to the error of occupancy."""
 
 import json
-from types import SimpleNamespace
 
 import geopandas as gpd
 import numpy as np
@@ -9,8 +8,9 @@ import pandas as pd
 import pytest
 import shapely
 
+from gis_radar.dataset import Shifts, lanes_beside, shifts_of
+from gis_radar.dataset.shifts import MAP_M, POSE_M
 from gis_radar.products.heatmap.occupancy import occupancy_of
-from gis_radar.products.heatmap.shifts import MAP_M, POSE_M, Shifts, lanes_beside, shifts_of
 
 UTM = "EPSG:25832"
 ORIGIN = np.array([690_000.0, 5_336_000.0])
@@ -33,20 +33,18 @@ def tiles_ahead(count=6, *, at_m=100.0, width_m=3.0):
 
 
 def seen_from(poses, tiles):
-    """Give a dataset of which each pose sees all tiles."""
+    """Give poses and sights of which each pose sees all tiles."""
     names = [f"{pose['sensor']}-{number}" for number, pose in enumerate(poses)]
     rows = [(name, p["sensor"], json.dumps(p)) for name, p in zip(names, poses, strict=True)]
     sights = [(name, tile) for name in names for tile in tiles["tile_id"]]
-    return SimpleNamespace(
-        poses=lambda: pd.DataFrame(rows, columns=["pose", "sensor", "document"]),
-        sights=lambda: pd.DataFrame(sights, columns=["pose", "tile_id"]),
-    )
+    poses = pd.DataFrame(rows, columns=["pose", "sensor", "document"])
+    return poses, pd.DataFrame(sights, columns=["pose", "tile_id"])
 
 
 def own_m(poses, **at):
     """Give the shifts along and across that poses alone leave open, of the first tile."""
     tiles = tiles_ahead(**at)
-    along, across = shifts_of(seen_from(poses, tiles), tiles)
+    along, across = shifts_of(*seen_from(poses, tiles), tiles)
     return float(np.sqrt(along[0] ** 2 - MAP_M**2)), float(across[0])
 
 

@@ -57,6 +57,8 @@ TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 # roll): a third of a lane's width beside or 60 m ahead, and what would be refused of a tilt.
 SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
 LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
+# In place of NEAR where map or radar has no heights: height, roll and pitch are as given.
+LEVEL = np.array([*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5]])
 FARTHEST_DEG = 20.0  # what is farther off would show by the lanes that are driven
 TURNS = ("yaw", "pitch", "roll")
 STARTS_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)  # east, north
@@ -101,30 +103,43 @@ def _is_off(found: Finding) -> bool:
 
 def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
     pose = excerpt.usual
-    if not np.isfinite(excerpt.moving.points).all():
-        return _without_heights(found)
-    samples = thin(*excerpt.as_usual)
     near = lanes.around(pose, lanes.reach_m(excerpt))
-    if near is None or not np.isfinite(near.points[:, 2]).any():
-        return _without_heights(found)
+    if near is None:
+        return _unfitted(found)
+    moving, track = excerpt.as_usual
+    heights = near.points[:, 2][np.isfinite(near.points[:, 2])]
+    if len(heights) and np.isfinite(moving.points).all():
+        samples = thin(moving, track)
+        return _compared(excerpt, lanes, Scene(lanes=near, samples=samples), found, NEAR)
+    road_m = float(np.median(heights)) + REFLECTION_M if len(heights) else np.nan
+    points = (pose.to_map(moving.points, road_m=road_m) - pose.position) @ pose.R_map_sensor
+    level = replace(near, points=near.points * [1.0, 1.0, np.nan])
+    samples = thin(replace(moving, points=points), track)
+    found = _compared(excerpt, lanes, Scene(lanes=level, samples=samples), found, LEVEL)
+    evidence = Text(
+        "{}; without heights of map and radar, height and tilt are not compared", found.evidence
+    )
+    return replace(found, evidence=evidence)
+
+
+def _compared(
+    excerpt: Excerpt, lanes: LaneMap, scene: Scene, found: Finding, sigmas: Floats
+) -> Finding:
+    """Return what a fit, with a prior as wide as `sigmas` around it, says of the usual pose."""
+    pose = excerpt.usual
     centre = State(
-        position=pose.position - [*near.origin, 0.0], R_map_sensor=pose.R_map_sensor,
+        position=pose.position - [*scene.lanes.origin, 0.0], R_map_sensor=pose.R_map_sensor,
         reflection=REFLECTION_M,
     )  # fmt: skip
     prior = prior_at(centre)
     information = prior.information.copy()
-    information[POSE, POSE] = np.diag(NEAR**-2.0)
+    information[POSE, POSE] = np.diag(sigmas**-2.0)
     prior = Prior(mean=centre, information=information)
-    fit = _fitted(Scene(lanes=near, samples=samples), prior)
+    fit = _fitted(scene, prior)
     if not fit.converged or fit.fitness < FITTING:
         return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
     seen = _measured(fit, prior)
     return _beyond(excerpt, seen, centre, found.evidence) or _shown(excerpt, seen, centre, found)
-
-
-def _without_heights(found: Finding) -> Finding:
-    """Return a finding that says that a metre and a degree are not looked for."""
-    return replace(found, evidence=Text("{}, pose not fitted without heights", found.evidence))
 
 
 def _unfitted(found: Finding) -> Finding:
@@ -164,7 +179,8 @@ def _shown(excerpt: Excerpt, seen: Measurement, centre: State, found: Finding) -
         found.evidence, min(most_m, FARTHEST_M),
         min(max(hidden_deg, default=most_deg[0]), FARTHEST_DEG),
     )  # fmt: skip
-    return replace(found, verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
+    crossing = Text("record more traffic, on crossing lanes, too")
+    return replace(found, verdict=UNKNOWN, evidence=evidence, advice=crossing)
 
 
 def _aside(seen: Measurement, centre: State) -> tuple[float, float]:
@@ -191,7 +207,7 @@ def _measured(fit: Fit, prior: Prior) -> Measurement:
     Along other directions, as down a street, the fit went as far as the prior let it: the data's
     pose would be extrapolated from there.
     """
-    seen, unit = data_alone(fit, prior), NEAR
+    seen, unit = data_alone(fit, prior), np.diag(prior.information[POSE, POSE]) ** -0.5
     turn = Rotation.from_quat(seen.quaternion).as_matrix()
     there = replace(prior.mean, position=seen.position, R_map_sensor=turn)
     away = there.difference(prior.mean)

@@ -156,7 +156,9 @@ def _judged(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fin
         cause, advice = either([(found.cause, found.advice), (other.looks, other.advice)])
         found = replace(found, cause=cause, advice=advice)
     if found.verdict == FITS and not is_sure(pace):
-        evidence = Text("{}, scale of range not fitted", found.evidence)
+        evidence = Text(
+            "{}, too few approach or recede to compare ranges with range rates", found.evidence
+        )
         found = replace(found, evidence=evidence)
         if not found.cause:
             found = replace(found, verdict=UNKNOWN, advice=RECORD_MORE)
@@ -197,8 +199,9 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
         if bad.verdict == WRONG and bad.cause != UNKNOWN_CAUSE:
             return replace(bad, cause=Text(template, when, bad.cause))
     evidence = Text(
-        "{:.0%} of what stands around it stays where it was, else {:.0%}", seen.share, seen.usual
-    )
+        "{:.0%} of what stands around it stays where it was over that moment, {:.0%} at others",
+        seen.share, seen.usual,
+    )  # fmt: skip
     return wrong(
         evidence,
         Text("from {} on it is another sensor's recording, or the sensor was moved", when),

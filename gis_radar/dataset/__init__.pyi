@@ -19,6 +19,7 @@ from .parts import (
 from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .sections import count_sections
+from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .states import no_states, states_of
 from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
@@ -38,14 +39,17 @@ __all__ = [
     "Manifest",
     "MeasureSettings",
     "Origin",
+    "Shifts",
     "Span",
     "TableSchema",
+    "chance_of_others",
     "clear_unfinished",
     "count_sections",
     "count_spans",
     "create_dataset",
     "hour_of_step",
     "hour_text",
+    "lanes_beside",
     "manifest_of",
     "measure",
     "no_states",
@@ -59,6 +63,7 @@ __all__ = [
     "require_same_settings",
     "require_same_site",
     "run_variance",
+    "shifts_of",
     "states_of",
     "sync_folder",
     "unfinished",

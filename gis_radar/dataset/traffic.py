@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 from zoneinfo import ZoneInfo
@@ -32,8 +33,9 @@ from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_text
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.shifts import OtherLanes, shifts_of
 from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS, TableSchema
-from gis_radar.hdmap import LANES_LAYER
+from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
 
 LEAST_STEPS = 60 * STEPS_PER_SECOND  # of an interval: in less a lane has no volume to speak of
@@ -72,6 +74,12 @@ class Source(Protocol):
 
     def layer(self, name: str) -> gpd.GeoDataFrame:
         """Read a layer of its tiles."""
+
+    def poses(self) -> gpd.GeoDataFrame:
+        """Read where sensors stand and look."""
+
+    def sights(self) -> pd.DataFrame:
+        """Read which tiles are in sight of which pose."""
 
 
 class TrafficTables:
@@ -196,6 +204,9 @@ class TrafficReader:
     def lanes(self) -> gpd.GeoDataFrame:
         """Return a row a lane and interval, as of :meth:`gis_radar.Dataset.traffic`."""
         table, network = self._rows(LANE_MEASURES), self.traffic.network
+        for name in ("volume", "occupancy"):
+            left_open = self._left_open(table, "lane", name)
+            table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self._layer(LANES_LAYER)
         with self._speaking():
             names = lane_names(layer, network)
@@ -234,12 +245,34 @@ class TrafficReader:
             np.searchsorted(network.lane, table[name].to_numpy(np.int64)) for name in _WITH_TURN
         )
         hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
+        approach = table.groupby(["from_lane", "begin"])["volume"].transform("sum")
+        part = (table["volume"] / approach.where(approach > 0.0)).fillna(1.0)
+        left_open = part * np.sqrt(self._left_open(table, "from_lane", "volume"))
+        table["volume_se"] = np.hypot(table["volume_se"], left_open)
         shown = table[_WITH_TURN].assign(from_name=names[start], to_name=names[end])
         shown["turn"] = np.array(words, object)[at]
         shown = shown.join(table[["begin", "end", "visible_share", "volume", "volume_se"]])
         shown["volume_veh_h"] = table["volume"] / hours
         lines_at = gpd.GeoSeries(lines, crs=self.dataset.manifest.crs).array[at]
         return gpd.GeoDataFrame(shown, geometry=lines_at, crs=self.dataset.manifest.crs)
+
+    @cached_property
+    def _others(self) -> OtherLanes:
+        tiles = self._layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
+        shifts = shifts_of(self.dataset.poses(), self.dataset.sights(), tiles)
+        return OtherLanes.of(shifts, tiles, self.traffic.network)
+
+    def _left_open(self, table: pd.DataFrame, lane: str, name: str) -> Floats:
+        """Return the variance that poses add to a measure, in all intervals alike; by row.
+
+        It is added after quarters are summed, as no time averages it out.
+        """
+        network = self.traffic.network
+        sums = table.groupby([lane, "begin"], as_index=False)[name].sum(min_count=1)
+        wide = sums.pivot_table(name, lane, "begin", dropna=False).reindex(network.lane)
+        variance = self._others.variance(wide.to_numpy(np.float64))
+        row = np.searchsorted(network.lane, table[lane].to_numpy(np.int64))
+        return np.asarray(variance[row, wide.columns.get_indexer(table["begin"])])
 
     def _speaking(self) -> AbstractContextManager[None]:
         return speaking(self.language) if self.language else nullcontext()

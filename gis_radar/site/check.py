@@ -39,7 +39,7 @@ from gis_radar.calibration import (
 from gis_radar.hdmap import LaneletMap, lanes, read_map
 from gis_radar.poses import read_track
 from gis_radar.recordings import RangeCounts, Recording, open_recording, time_warnings
-from gis_radar.scans import open_scan, road_crs
+from gis_radar.scans import open_scan, read_road, road_crs
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
 
@@ -245,7 +245,9 @@ def _check_poses(site: Site, roads: LaneletMap, reporter: Reporter) -> tuple[Fin
                 tracks=[track] * len(ours),
                 clock=clocks.get(each.name),
             )
-    lanes = LaneMap(lanelets=roads.lanelets, road=np.empty((0, 3)))
+    masked = site.scan and site.scan.road
+    road = read_road(masked, roads.crs) if masked else np.empty((0, 3))
+    lanes = LaneMap(lanelets=roads.lanelets, road=road)
     return check_plausibility(given, lanes, reporter=reporter)
 
 

@@ -10,7 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 from datasets import write_dataset
 from driven import drive, driven, straight_tiles
+from forks import LEFT, STRAIGHT, fork_dataset, through
 from shapely import LineString
+from sites import pose
 
 from gis_radar.base import InputError, UsageError
 from gis_radar.dataset import (
@@ -311,3 +313,49 @@ def test_an_hour_of_which_little_is_visible_has_no_volume(tmp_path):
     assert np.isnan(hour["volume"])
     assert np.isnan(hour["volume_se"])
     assert hour["counted"] == quarter["counted"] > 0
+
+
+def two_lanes(folder, **sigma):
+    """Drive six cars in the first half hour on one lane, three on the lane on its left."""
+    left = straight_tiles(120, lanelet_id=8).assign(tile_id=np.arange(120, 240))
+    left.geometry = left.translate(0.0, 3.0)
+    tiles = pd.concat([TILES, left], ignore_index=True)
+    both = pd.concat([LANES, LANES.assign(lane=8, lanelets=[[8]])], ignore_index=True)
+    first = EDGE - STEPS_PER_HOUR
+    tracks = [car(n, first + n * STEPS_PER_QUARTER // 3 + 99) for n in range(6)]
+    tracks += [
+        car(10 + n, first + n * STEPS_PER_QUARTER // 2 + 99).assign(lanelet_id=8) for n in range(4)
+    ]
+    stands = replace(pose(), evidence={"sigma": sigma})
+    return driven(folder, tiles, pd.concat(tracks), lanes=both, seen_from=stands)
+
+
+def test_a_pose_that_may_be_a_lane_off_widens_errors_in_all_intervals_alike(tmp_path):
+    """With a sigma of half a lane a third of all poses are on another one."""
+    sure = two_lanes(tmp_path / "sure", easting=0.1, northing=0.1)
+    off = two_lanes(tmp_path / "off", easting=0.1, northing=1.5)
+    for interval, (mine, other) in {"5min": (1, 1), "15min": (3, 2), "1h": (6, 4)}.items():
+        before, after = (
+            each.traffic(interval).groupby("lane").nth(0).set_index("lane") for each in (sure, off)
+        )
+        assert before["counted"].to_dict() == {7: mine, 8: other}
+        for name in ("volume", "occupancy"):
+            here, beside = (float(before[name][lane]) for lane in (7, 8))
+            more = 0.3173 * ((beside - here) ** 2 + here**2) / 2.0  # there is none on its right
+            added = after[f"{name}_se"] ** 2 - before[f"{name}_se"] ** 2
+            assert added[7] == pytest.approx(more, rel=1e-3)
+    assert off.lane_measures().equals(sure.lane_measures())  # as they are stored
+
+
+def test_turns_share_what_a_pose_leaves_open_of_their_approach(tmp_path):
+    first = EDGE - STEPS_PER_HOUR
+    cars = [through(n, first + 4_000 * n, LEFT if n == 0 else STRAIGHT) for n in range(4)]
+    errors = []
+    for northing in (0.1, 1.5):
+        stands = replace(pose(), evidence={"sigma": {"easting": 0.1, "northing": northing}})
+        made = fork_dataset(tmp_path / str(northing), cars, seen_from=stands)
+        turns = made.turns("15min")
+        assert turns["volume"].notna().all()
+        errors.append(turns["volume_se"] ** 2)
+    # nothing is beside the approach
+    np.testing.assert_allclose(errors[1] - errors[0], 0.3173 * turns["volume"] ** 2, rtol=1e-3)

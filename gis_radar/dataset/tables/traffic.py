@@ -8,7 +8,7 @@ _COUNT, _NUMBER = pa.int32(), pa.float32()
 _INTERVAL = TableColumn("interval", _COUNT, "quarter of an hour of the UTC day, 0 to 95")
 _VOLUME = (
     TableColumn("volume", _NUMBER, "vehicles in the whole interval, estimated", True),
-    TableColumn("volume_se", _NUMBER, "standard error of volume", True),
+    TableColumn("volume_se", _NUMBER, "standard error of volume, poses as given", True),
 )
 
 LANE_MEASURES = TableSchema(
@@ -27,7 +27,7 @@ LANE_MEASURES = TableSchema(
             "speed_counts", pa.list_(_COUNT), "of `counted`, by 5 km/h; the last from 195", True
         ),
         TableColumn("occupancy", _NUMBER, "mean of its tiles, by visible steps", True),
-        TableColumn("occupancy_se", _NUMBER, "standard error of occupancy", True),
+        TableColumn("occupancy_se", _NUMBER, "standard error of occupancy, poses as given", True),
         TableColumn("density", _NUMBER, "vehicles a km", True),
         TableColumn("flow", _NUMBER, "vehicles an hour, mean along the lane", True),
         TableColumn("travel_time_s", _NUMBER, "over the whole lane, mean", True),

@@ -39,6 +39,7 @@ from gis_radar.dataset import (
     Dataset,
     HourSpans,
     count_spans,
+    shifts_of,
 )
 from gis_radar.hdmap import own_columns
 from gis_radar.measures import Runs
@@ -50,7 +51,6 @@ from gis_radar.products.heatmap.occupancy import (
     mean_occupancy,
     occupancy_of,
 )
-from gis_radar.products.heatmap.shifts import shifts_of
 
 DEFINITIONS = {
     "hit_s": (
@@ -195,7 +195,9 @@ class Tally:
             cut = whole.cut_at(STEPS_PER_QUARTER)
             exact = not _of_quarters(cut, steps)
             over = _sums(dataset, ids[seen], cut, reporter, of_quarters=not exact)
-        shifts = shifts_of(dataset, tiles) if dataset.has_vehicles else None
+        shifts = None
+        if dataset.has_vehicles:
+            shifts = shifts_of(dataset.poses(), dataset.sights(), tiles)
         if not sums["hit_steps"].any():
             reporter.warn("no tile was hit while it was observed: the map shows zeros")
         return cls(

@@ -9,8 +9,8 @@ finite number of runs of steps, each of which may be too long, too short, or not
   `inferred_share` of one that was inferred while nothing was measured, of its whole length;
 - while other vehicles hide a tile nothing is measured there, on empty road as under vehicles: of
   `hidden_share` of that time only the occupancy at large is known;
-- all vehicles may be shifted along the lane, as poses and maps are (:mod:`.shifts`): occupancy is
-  then that of the place so far ahead or behind;
+- all vehicles may be shifted along the lane, as poses and maps are
+  (:mod:`gis_radar.dataset.shifts`): occupancy is then that of the place so far ahead or behind;
 - across it, a pose that is off by more than half of a tile's width puts them on the next lane, as
   often to the left as to the right.
 
@@ -32,12 +32,11 @@ from typing import Any, NamedTuple
 
 import geopandas as gpd
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers
+from gis_radar.dataset import Shifts, chance_of_others, lanes_beside
 from gis_radar.hdmap import lanes_of
-from gis_radar.products.heatmap.shifts import Shifts, lanes_beside
 from gis_radar.products.heatmap.style import UNCERTAIN_FROM, UNCERTAIN_SEEN
 
 OCCUPANCY_DEFINITIONS = {
@@ -227,11 +226,9 @@ class _Shifted:
             np.clip(at_m + step, first[lanelet], last[lanelet])[seen]
             for step in (-shifts.along, shifts.along)
         )
-        half_m = tiles["width_m"].to_numpy(float) / 2
-        chance = 2.0 * scipy.special.ndtr(-half_m / np.maximum(shifts.across, 1e-6))
         return cls(
             seen=seen, at_m=at_m, ends=tuple(ends), beside=lanes_beside(tiles)[:, seen],
-            other_lane=chance[seen],
+            other_lane=chance_of_others(shifts, tiles)[seen],
         )  # fmt: skip
 
     def error(self, visible: Any, occupied: Any, squares: Floats, hidden: Floats) -> Floats:

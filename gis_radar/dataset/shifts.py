@@ -6,6 +6,8 @@ it out. A turned one shifts them across the line of sight, ranges that are too l
 Measured as `bench/pose_errors.py` does, on a simulated motorway, by poses drawn from their sigmas
 (0.5 m; 1 m): 93; 85 % of the tiles lie within two standard errors of the truth where all poses are
 given the usual shift, 96; 96 % where each is given its own. Shifts end with the lanelet.
+
+What a pose puts on another lane is counted there, too: :class:`OtherLanes`.
 """
 
 from __future__ import annotations
@@ -15,10 +17,12 @@ from typing import NamedTuple
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
+import scipy
 
 from gis_radar.base import Floats, Integers
-from gis_radar.dataset import Dataset
 from gis_radar.hdmap import TileGrid, quads
+from gis_radar.measures import LaneNetwork
 from gis_radar.poses import Pose, pose_from_dict
 
 # 1 sigma along and across of a pose that states none, and along of the map: 0.3 m together.
@@ -42,22 +46,68 @@ class Shifts(NamedTuple):
     across: Floats
 
 
-def shifts_of(dataset: Dataset, tiles: gpd.GeoDataFrame) -> Shifts:
-    """Return the shifts that the poses of a dataset leave open.
+class OtherLanes(NamedTuple):
+    """Where vehicles are counted if a pose puts them on another lane than theirs.
+
+    Parameters
+    ----------
+    chance : (n,) array
+        Of that, by position of the lane, at its counting line.
+    beside : (2, n) int64 array
+        Positions of the lanes on its left and right there; -1 where there is none.
+    """
+
+    chance: Floats
+    beside: Integers
+
+    @classmethod
+    def of(cls, shifts: Shifts, tiles: gpd.GeoDataFrame, network: LaneNetwork) -> OtherLanes:
+        """Return the other lanes of a network.
+
+        Parameters
+        ----------
+        shifts : Shifts
+            Of the tiles.
+        tiles : GeoDataFrame
+            All tiles of the network, by ascending `tile_id`.
+        network : LaneNetwork
+            The lanes.
+        """
+        lane, ids = np.full(len(tiles) + 1, -1), tiles["tile_id"].to_numpy(np.int64)
+        row = np.searchsorted(ids, network.tile_id)
+        lane[row] = network.tile_lane
+        line = row[network.tile_at(np.arange(len(network.lane)), network.line_m)]
+        return cls(chance_of_others(shifts, tiles)[line], lane[lanes_beside(tiles)[:, line]])
+
+    def variance(self, values: Floats) -> Floats:
+        """Return what these lanes leave open of a measure, squared.
+
+        Parameters
+        ----------
+        values : (n, ...) array
+            The measure, by position of the lane; NaN counts as 0 beside another.
+        """
+        away = np.concatenate([np.nan_to_num(values), np.zeros_like(values[:1])])[self.beside]
+        spread = ((away - values) ** 2).mean(axis=0)
+        return np.asarray((self.chance * spread.T).T)
+
+
+def shifts_of(poses: pd.DataFrame, sights: pd.DataFrame, tiles: gpd.GeoDataFrame) -> Shifts:
+    """Return the shifts that poses leave open.
 
     Sensors that see a tile count alike, and err independently; the poses of a track err as one.
 
     Parameters
     ----------
-    dataset : Dataset
-        With poses and sights.
+    poses, sights : DataFrame
+        Of a dataset.
     tiles : GeoDataFrame
         All its tiles, by ascending `tile_id`.
     """
     ids = tiles["tile_id"].to_numpy(np.int64)
     centre, way = _ways(quads(tiles))
-    poses, total, sensors = dataset.poses(), np.zeros((len(ids), 2)), np.zeros(len(ids))
-    seen = dict(iter(dataset.sights().groupby("pose")["tile_id"]))
+    total, sensors = np.zeros((len(ids), 2)), np.zeros(len(ids))
+    seen = dict(iter(sights.groupby("pose")["tile_id"]))
     for _, track in poses[poses["pose"].isin(seen.keys())].groupby("sensor"):
         own, times = np.zeros_like(total), np.zeros(len(ids))
         for name, document in zip(track["pose"], track["document"], strict=True):
@@ -70,6 +120,12 @@ def shifts_of(dataset: Dataset, tiles: gpd.GeoDataFrame) -> Shifts:
     counts = np.maximum(sensors, 1.0)[:, None]
     along, across = np.where(sensors[:, None] > 0.0, total / counts**2, POSE_M**2).T
     return Shifts(along=np.sqrt(along + MAP_M**2), across=np.sqrt(across))
+
+
+def chance_of_others(shifts: Shifts, tiles: gpd.GeoDataFrame) -> Floats:
+    """Return by tile the chance that a pose is off by more than half of its width."""
+    half_m = tiles["width_m"].to_numpy(float) / 2
+    return np.asarray(2.0 * scipy.special.ndtr(-half_m / np.maximum(shifts.across, 1e-6)))
 
 
 def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
