@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gis_radar.base import Text
+from gis_radar.base import Floats, Text
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.explanations import (
     CLEAR,
