@@ -48,7 +48,7 @@ class _Begun:
     stage: Stage
     key: str
     since: float
-    worker: int | None = None  # its process, once it does it
+    at_work: bool = False
     percent: int = 0
     phases: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -158,15 +158,10 @@ class Execution:
     def _crash(self) -> GisRadarError:
         """Return the error of a worker that ended in the midst of its work."""
         self._relay_events()
-        crashes = self.pool.crashes()
-        at_work = [each for each in self._begun.values() if each.worker is not None]
-        crashed = [each for each in at_work if each.worker in crashes]
-        suspects = crashed or at_work or self._begun.values()
-        how = Text(" with {}", ", ".join(sorted(set(crashes.values())))) if crashes else ""
+        at_work = [each for each in self._begun.values() if each.at_work]
         return GisRadarError(
-            "{}: a worker process ended{}",
-            Text(", ").join(each.stage.name for each in suspects),
-            how,
+            "{}: a worker process ended",
+            Text(", ").join(each.stage.name for each in at_work or self._begun.values()),
             hint="if memory ran out, use fewer at once: --jobs 1",
         )
 
@@ -181,7 +176,7 @@ class Execution:
     def _relay(self, event: Event, begun: _Begun) -> None:
         """Pass on progress and remarks of a stage."""
         if "worker" in event:
-            begun.worker = event["worker"]
+            begun.at_work = True
         elif "message" in event:
             message = in_site_words(event["message"], self.timezone, self.folder)
             if event["level"] == "warning":

@@ -115,14 +115,11 @@ class Pool:
         Puts an event into `events`; the executor takes it to the workers.
     events : queue
         Events of all stages, read by the run.
-    crashes : callable
-        Returns how workers ended that nobody had asked to, by process id.
     """
 
     executor: Executor
     send: Send
     events: SimpleQueue[Event] | queue.SimpleQueue[Event]
-    crashes: Callable[[], Mapping[int, str]] = dict
 
 
 @contextmanager
@@ -144,7 +141,7 @@ def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Poo
         jobs, mp_context=context, initializer=_begin, initargs=(events, str(scratch), language)
     )
     try:
-        yield Pool(executor=executor, send=_send, events=events, crashes=context.crashes)
+        yield Pool(executor=executor, send=_send, events=events)
     finally:
         stop_workers(worker for worker in context.started if worker.pid is not None)
         executor.shutdown(cancel_futures=True)
@@ -180,21 +177,6 @@ class _WorkerContext(SpawnContext):
         """Make a worker."""
         self.started.append(_Worker(*args, **options))
         return self.started[-1]
-
-    def crashes(self) -> dict[int, str]:
-        """Return the signal or the exit code of each worker that ended before it was asked to."""
-        asked = {None, 0, -signal.SIGTERM, _ENDED}
-        found: dict[int, str] = {}
-        end = time.monotonic() + 1.0  # the pool may know of an end before the system does
-        while not found and time.monotonic() < end:
-            time.sleep(0.01)
-            ended = {each.pid: each.exitcode or 0 for each in self.started}
-            found = {
-                pid: f"signal {-code}" if code < 0 else f"exit code {code}"
-                for pid, code in ended.items()
-                if pid is not None and code not in asked
-            }
-        return found
 
 
 _events: SimpleQueue[Event] | None = None  # of this worker

@@ -72,8 +72,8 @@ class ExportReport(Algorithm):
     HELP = (
         "Prints a heat map as sheets: map, legend, scale bar, north arrow, title, source and time, "
         "one page for each junction and each interval.\n"
-        "Junctions are found where lanes cross; the first pages show the whole map, and the frames "
-        "of the others. In their place a layer of points or polygons with a name will do, such as "
+        "Junctions are found where lanes cross; the first pages show the whole map, and where the "
+        "others lie. In their place a layer of points or polygons with a name will do, such as "
         "places drawn by hand.\n"
         "The folder gets one PDF, a PNG a page, and a project with the print layout, to change it "
         "by hand. It needs no window, so that qgis_process can run it every night."
