@@ -164,7 +164,7 @@ def test_a_name_before_a_text_is_taken_off():
         (Text(" or ").join([Text("x and y are swapped"), Text("its yaw counts clockwise")]),
          "x und y sind vertauscht oder yaw zählt im Uhrzeigersinn"),
         (Text("{}: {}: {}", "R1", Text("fits"), Text("its pose may be off")),
-         "R1: passt: der Standort ist vielleicht ungenau"),
+         "R1: passt: der Standort ist vielleicht falsch"),
         # names of sensors and files are no words of the catalogue
         (Text("no tile lies in the view of {}", "Map"), "keine Kachel liegt im Sichtfeld von Map"),
     ],

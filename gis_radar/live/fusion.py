@@ -107,12 +107,7 @@ class Fusion:
             folder.mkdir(parents=True, exist_ok=True)
         self._held = ExitStack()
         self._held.enter_context(only_writer(folder / SPOOL, reporter=reporter))
-        measured = MeasuredSite(
-            folder=folder, map=site.map.file, tiles=site.live.tiles, sensors=sorted(names),
-            scans=scans, scan_crs=scan_crs, filters=filters, cycles=site.cycles(),
-            timezone=site.timezone, vehicles=site.live.vehicles, keep_s=site.live.keep,
-            most_bytes=1e9 * site.live.gigabytes,
-        )  # fmt: skip
+        measured = _measured(site)
         refuse_other_settings(measured, self.tiles, scan)
         self._dataset = measured.dataset
         self.vehicles = _vehicles(site, self.tiles, names, reporter)
@@ -409,6 +404,18 @@ class Fusion:
 def _state(word: str) -> bytes:
     """Return a message with the state of fusion."""
     return json.dumps({"version": VERSION, "state": word}).encode()
+
+
+def _measured(site: LiveSite) -> MeasuredSite:
+    """Return what the hours of a site are made from."""
+    scan = site.scan
+    return MeasuredSite(
+        folder=site.folder, map=site.map.file, tiles=site.live.tiles,
+        sensors=sorted(each.name for each in site.sensor),
+        scans=scan.files if scan else (), scan_crs=scan.crs if scan else None,
+        filters=site.filters(), cycles=site.cycles(), timezone=site.timezone,
+        vehicles=site.live.vehicles, keep_s=site.live.keep, most_bytes=1e9 * site.live.gigabytes,
+    )  # fmt: skip
 
 
 def _vehicles(
