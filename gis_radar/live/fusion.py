@@ -91,14 +91,8 @@ class Fusion:
         self._site, self._settings, self._reporter = site, settings, reporter
         self._said: dict[str, float] = {}  # errors, and when they were logged
         self.tiles = read_tiles(site.live.tiles)
-        road = SightTiles.of(self.tiles)
-        filters = site.filters()
-        if filters.clearance is not None and np.isnan(road.height).all():
-            raise InputError(
-                "{}: the tiles have no road heights, which clearance needs",
-                site.live.tiles,
-                hint=Text("make them with {}, or from a map with ele", "--road"),
-            )
+        road, filters = SightTiles.of(self.tiles), site.filters()
+        _require_heights(site, road)
         scans = site.scan.files if site.scan is not None else ()
         scan_crs = site.scan.crs if site.scan is not None else None
         scan = open_sight(road, scans=scans, scan_crs=scan_crs, sight=None, reporter=reporter)
@@ -404,6 +398,15 @@ class Fusion:
 def _state(word: str) -> bytes:
     """Return a message with the state of fusion."""
     return json.dumps({"version": VERSION, "state": word}).encode()
+
+
+def _require_heights(site: LiveSite, road: SightTiles) -> None:
+    if site.filters().clearance is not None and np.isnan(road.height).all():
+        raise InputError(
+            "{}: the tiles have no road heights, which clearance needs",
+            site.live.tiles,
+            hint=Text("make them with {}, or from a map with ele", "--road"),
+        )
 
 
 def _measured(site: LiveSite) -> MeasuredSite:
