@@ -11,6 +11,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+import shapely.ops
 
 from gis_radar.base import Floats, InputError, current_language, metric_crs, read_vector, speaking
 from gis_radar.dataset.dataset import Dataset
@@ -21,6 +22,7 @@ from gis_radar.measures import LaneNetwork, bound_name, place_on
 
 NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
 ALONG = math.sin(math.radians(30.0))  # a section that crosses a lane more flatly runs along it
+HALF_LANE_M = 1.75
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
 
@@ -38,12 +40,15 @@ class _Crossing:
         Direction of the lane there.
     is_left : bool
         Whether traffic comes from the left of the section, seen from its first point.
+    at_m : float
+        Where along the section.
     """
 
     lane: int
     along_m: float
     way: Floats
     is_left: bool
+    at_m: float
 
 
 def count_sections(
@@ -67,8 +72,8 @@ def count_sections(
     GeoDataFrame
         A row a section, direction and interval: `section`, `direction` (`northbound`), `begin`,
         `end`, `visible_share` (of the lane that is seen least), `counted`, `volume`, `volume_se`,
-        `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the section's line. Null where a lane of
-        the direction is not visible.
+        `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the part of the section's line on the lanes
+        of the direction. Null where one of them is not visible.
 
     Raises
     ------
@@ -97,7 +102,7 @@ def count_sections(
             sums = _of_direction(rows, mine)
             with speaking(language or current_language()):
                 sums["direction"] = bound_name(np.sum([each.way for each in mine], axis=0))
-            sums["geometry"] = gpd.GeoSeries([line] * len(sums))
+            sums["geometry"] = gpd.GeoSeries([_part_of(line, mine)] * len(sums))
             found.append(sums.assign(section=name))
     whole = pd.concat(found, ignore_index=True)
     first = ["section", "direction", "begin", "end"]
@@ -141,14 +146,23 @@ def _crossings(
             raise InputError("{} crosses lane {} more than once", what, number)
         along = float(lane.project(shapely.Point(points[0])))
         way = place_on(lane, along)[1]
-        across = place_on(line, float(line.project(shapely.Point(points[0]))))[1]
+        at_m = float(line.project(shapely.Point(points[0])))
+        across = place_on(line, at_m)[1]
         turned = float(across[0] * way[1] - across[1] * way[0])  # sine of the angle
         if abs(turned) < ALONG:
             raise InputError("{} runs along lane {}", what, number, hint="draw it across the road")
-        found.append(_Crossing(number, along / lane.length * length_m, way, turned < 0.0))
+        along_m = along / lane.length * length_m
+        found.append(_Crossing(number, along_m, way, is_left=turned < 0.0, at_m=at_m))
     if not found:
         raise InputError("{} crosses no lane", what, hint="draw it across a road of the map")
     return found
+
+
+def _part_of(line: shapely.LineString, crossed: list[_Crossing]) -> shapely.LineString:
+    """Return the part of a section on the lanes of one direction, half a lane farther at its ends."""
+    at_m = [each.at_m for each in crossed]
+    first, last = max(min(at_m) - HALF_LANE_M, 0.0), min(max(at_m) + HALF_LANE_M, line.length)
+    return shapely.ops.substring(line, first, last)
 
 
 def _of_direction(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFrame:
