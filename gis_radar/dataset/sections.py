@@ -159,10 +159,10 @@ def _crossings(
 
 
 def _part_of(line: shapely.LineString, crossed: list[_Crossing]) -> shapely.LineString:
-    """Return the part of a section on the lanes of one direction, half a lane farther at its ends."""
+    """Return the part of a section on the lanes of one direction, half a lane beyond them."""
     at_m = [each.at_m for each in crossed]
     first, last = max(min(at_m) - HALF_LANE_M, 0.0), min(max(at_m) + HALF_LANE_M, line.length)
-    return shapely.ops.substring(line, first, last)
+    return shapely.LineString(shapely.ops.substring(line, first, last).coords)
 
 
 def _of_direction(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFrame:
