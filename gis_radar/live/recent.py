@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gis_radar.base import QUIET, Booleans, Integers, Reporter, atomic_write
+from gis_radar.base import QUIET, Booleans, Integers, Reporter, atomic_write, output_errors
 
 MINUTE = 1_200  # steps
 MINUTES = 15  # of a moving sum
@@ -148,5 +148,5 @@ def keep_counts(path: Path, arrays: dict[str, Any], fingerprint: str) -> None:
     OutputError
         If it cannot be written.
     """
-    with atomic_write(path) as part, part.open("wb") as file:
+    with output_errors(path), atomic_write(path) as part, part.open("wb") as file:
         np.savez(file, tiles=np.array(fingerprint), **arrays)
