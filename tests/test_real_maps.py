@@ -100,7 +100,7 @@ class Drawn:
 
 
 @needs_shared_maps
-@pytest.mark.parametrize("length_m", [0.5, 2.0, 20.0, 1000.0])
+@pytest.mark.parametrize("length_m", [0.5, 20.0])
 @pytest.mark.parametrize("path", SHARED_MAPS, ids=map_name)
 def test_tiles_of_any_length_are_sound(path, length_m):
     road, listener = map_at(path), Listener()

@@ -134,10 +134,10 @@ def test_several_processes_write_the_same_bytes(halves, both, tmp_path):
 
 def test_blocks_of_an_hour_side_by_side_write_the_same_bytes(tmp_path):
     # a block ends at 300 s of the hour, amid it
-    recording = cut(tmp_path / "R2.parquet", "R2", 10.0, 30.0, edge_s=-280.0)
+    recording = cut(tmp_path / "R2.parquet", "R2", 14.0, 26.0, edge_s=-280.0)
     for processes in (1, 3):
         measured(tmp_path / str(processes), ("R2", recording), processes=processes)
-    assert len(gr.open_dataset(tmp_path / "1").tracks()) > 100
+    assert len(gr.open_dataset(tmp_path / "1").tracks()) > 50
     assert contents(tmp_path / "3") == contents(tmp_path / "1")
 
 
@@ -192,15 +192,6 @@ def test_an_hour_without_frames_has_all_its_parts(tmp_path):
     assert hours["frames"].tolist()[1:3] == [0, 0]  # the last frame before is valid for a moment
     assert hours.iloc[2].drop(["begin", "method"]).sum() == 0
     assert ds.tile_counts()["observed_steps"].sum() > 0
-
-
-def test_the_parts_of_vehicles_are_absent_where_only_hits_are_asked_for(tmp_path):
-    path = cut(tmp_path / "R1.parquet", "R1", 14.0, 16.0, edge_s=0.0)
-    ds = measured(tmp_path / "site", ("R1", path), hits_only=True)
-    with pytest.raises(gr.InputError, match="without vehicles"):
-        ds.tracks()
-    assert len(ds.hits())
-    assert ds.manifest.settings["vehicles"] is False
 
 
 def test_a_recording_without_range_rates_gives_hits_only(tmp_path):
