@@ -94,10 +94,11 @@ def traffic(draw):
     for _ in range(draw(st.integers(0, 5))):
         exit_lane = draw(st.sampled_from([STRAIGHT, LEFT]))
         first = BEGIN + 4 * draw(st.integers(0, 600))
-        speed, metres = draw(st.floats(0.0, 15.0)), [draw(st.floats(0.0, 55.0))]
+        # in whole centimetres, as tables have them
+        speed, metres = draw(st.floats(0.0, 15.0)), [0.01 * draw(st.integers(0, 5500))]
         for change in draw(st.lists(st.floats(-0.4, 0.4), min_size=1, max_size=40)):
             speed = min(max(speed + change, 0.0), 15.0)
-            metres.append(min(metres[-1] + 0.2 * speed, 99.0))
+            metres.append(round(min(metres[-1] + 0.2 * speed, 99.0), 2))
         cars.append((exit_lane, first, np.array(metres)))
     return cars
 

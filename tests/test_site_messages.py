@@ -17,9 +17,10 @@ KEYS_OF = PACKAGE / "site" / "messages.py"
 # Of `gis-radar run` itself, and of commands that no run calls.
 IMAGE = {"--build-arg", "--no-install-recommends", "--no-cache-dir"}  # of a Dockerfile
 ASKING = {"--timeout", "--memory", "--relink", "--withdraw"}  # of gis-radar query and dataset
+TRAFFIC = {"--interval", "--counts", "--sections"}  # of gis-radar traffic
 WITHOUT_MAP = {"--map", "--hits-only"}  # each site file has a map
 OWN = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
-OTHERS = IMAGE | ASKING | WITHOUT_MAP | OWN
+OTHERS = IMAGE | ASKING | TRAFFIC | WITHOUT_MAP | OWN
 
 
 def options_named():
