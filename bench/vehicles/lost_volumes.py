@@ -72,12 +72,12 @@ class Lost:
         lines = network.line_m.copy()
         for k in np.flatnonzero(~network.has_stop_line):
             mine = network.tile_m[seen & (network.tile_lane == k)]
-            ahead = any(network.connector[each] for each in network.after[k])
+            ahead = any(network.connector[each] for each in network.after[int(k)])
             lines[k] = np.quantile(mine, 1.0 if ahead else 0.5) if len(mine) else lines[k]
         return lines
 
     @cached_property
-    def states(self) -> pd.DataFrame:
+    def states(self) -> Any:
         """States of the tracks, `COLUMNS` and the lane."""
         tracks = pd.concat([each.tracks for each in self.found], ignore_index=True)
         length = pd.concat([each.vehicles for each in self.found]).set_index("vehicle")
@@ -124,7 +124,7 @@ class Lost:
         near = [k for k in near_lines(self.site, network) if not network.connector[k]]
         true = true_crossings(self.site, network)
         since = true["time"] - pd.Timestamp(0, tz="UTC")
-        step = step_of((since / pd.Timedelta(seconds=1)).to_numpy() + 1e-6)
+        step = step_of(np.asarray(since / pd.Timedelta(seconds=1), np.float64) + 1e-6)
         lane = np.searchsorted(network.lane, true["lane"].to_numpy())
         true = pd.DataFrame({"lane": lane, "vehicle": true["vehicle"], "step": step})
         t = self.states.sort_values(["vehicle", "step"], ignore_index=True)
@@ -149,8 +149,9 @@ class Lost:
             )
             sides.append(table[mine].reset_index(drop=True).assign(pair=-1, cause=""))
         same = sides[0]["lane"].to_numpy()[:, None] == sides[1]["lane"].to_numpy()
-        _pair(*sides, same, WITHIN_STEPS)
-        return sides[0], sides[1]
+        one, other = sides
+        _pair(one, other, same, WITHIN_STEPS)
+        return one, other
 
     def beside(self) -> Any:
         """Return which lines are of lanes side by side."""
@@ -210,10 +211,10 @@ class Lost:
     def _by_given(self) -> Any:
         return dict(list(self.scored.given.groupby("vehicle")))
 
-    def _of_true(self, vehicle: int) -> pd.DataFrame:
+    def _of_true(self, vehicle: int) -> Any:
         return self._by_true.get(vehicle, self.scored.true.iloc[:0])
 
-    def _of_given(self, vehicle: int) -> pd.DataFrame:
+    def _of_given(self, vehicle: int) -> Any:
         return self._by_given.get(vehicle, self.scored.given.iloc[:0])
 
     def detections(self, vehicle: int, step: int) -> int:
