@@ -119,7 +119,10 @@ def near_lines(site: SceneFiles, network: LaneNetwork) -> list[int]:
 
 
 def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
-    """Return the fronts over the lines of lanes: `lane to_lane time speed`, -1 without an exit."""
+    """Return the fronts over the lines of lanes: `lane to_lane time speed vehicle`.
+
+    -1 without an exit.
+    """
     lanes, rows = lanes_of(site.tiles(), gr.read_map(site.map)), []
     tree, truth = cKDTree(lanes.middle), site.truth()
     exits: dict[int, set[int]] = {}
@@ -128,7 +131,7 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
     traffic = site.traffic().within(
         truth.first_step, truth.first_step + truth.occupied.shape[1] - 1
     )
-    for _, states in traffic.states.groupby("vehicle"):
+    for vehicle, states in traffic.states.groupby("vehicle"):
         way = lane_way(lanes, tree, states, network)
         seen = set[int]()
         for (row, lane, at), (later, other, reached) in pairwise(way):
@@ -147,8 +150,9 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
                     rows.append((
                         int(network.lane[passed]), -1 if to is None else int(network.lane[to]),
                         step_begin(int(states["step"].iloc[k])), float(states["speed"].iloc[k]),
+                        vehicle,
                     ))  # fmt: skip
-    found = pd.DataFrame(rows, columns=["lane", "to_lane", "time", "speed"])
+    found = pd.DataFrame(rows, columns=["lane", "to_lane", "time", "speed", "vehicle"])
     return found.assign(time=pd.to_datetime(found["time"], utc=True))
 
 
