@@ -124,35 +124,58 @@ def test_a_track_goes_on_along_the_lane_as_far_as_it_is_detected(graph):
     assert len(longer.rows) > 400
 
 
-@pytest.mark.parametrize(("each", "least_s", "most_s"), [(2.0, 0.0, 0.1), (0.1, 0.6, 1.4)])
-def test_a_vehicle_is_there_undetected_for_as_long_as_little_is_due(each, least_s, most_s):
-    """In plain view not at all; where a detection comes every half second, for about a second."""
+@pytest.mark.parametrize(("each", "least_s", "most_s"), [(2.0, 0.0, 0.2), (0.1, 0.6, 1.4)])
+def test_a_vehicle_is_there_undetected_for_as_long_as_little_is_due(each, least_s, most_s, graph):
+    """In plain view for a frame or two; where one comes every half second, for about a second."""
     rng = np.random.default_rng(14)
     found = detected(returns(rng, 4, 16, 50.0, 10.0, each=each), clutter(rng, 20, 0.2))
     known = track(found, 4, 16, 50.0, 10.0)
-    (longer,) = with_undetected_ends(Posterior(found, [known]), [known])
+    (longer,) = with_undetected_ends(Posterior(found, [known]), [known], graph)
     begin, end = span_s(longer)
     assert least_s <= 4.0 - begin <= most_s
     assert least_s <= end - span_s(known)[1] <= most_s
-    assert longer.s_m[0] == pytest.approx(known.s_m[0] - 10.0 * (4.0 - begin))
+    moved = longer.places[0][0, 0] - known.places[0][0, 0]
+    assert moved == pytest.approx(-10.0 * (4.0 - begin), abs=0.01)
 
 
-def test_time_undetected_counts_from_the_last_detection():
+@pytest.mark.parametrize(("through", "least_s", "most_s"), [(0, 3.0, 10.1), (4, 0.0, 0.6)])
+def test_vehicles_drive_on_where_the_radar_is_blind(through, least_s, most_s, graph):
+    """None of eight is detected beyond 100 m: they drive on. Where four others are, they end."""
+    rng = np.random.default_rng(18)
+    spans = [(4.0 * k, 4.0 * k + (8 if k < 8 else 18)) for k in range(8 + through)]
+    parts = [returns(rng, *each, 20.0, 10.0) for each in spans]
+    found = detected(*parts, clutter(rng, 80, 0.2))
+    known = [track(found, *each, 20.0, 10.0) for each in spans]
+    longer = with_undetected_ends(Posterior(found, known), known, graph)
+    for one, other in list(zip(known, longer, strict=True))[:8]:
+        assert least_s <= span_s(other)[1] - span_s(one)[1] <= most_s
+
+
+def test_an_undetected_vehicle_drives_into_no_other(graph):
+    """It ends before the one that stands 20 m ahead of where it was detected last."""
+    rng = np.random.default_rng(19)
+    found = detected(returns(rng, 0, 20, 130.0, 0.0), returns(rng, 4, 10, 50.0, 10.0, each=0.05))
+    known = [track(found, 0, 20, 130.0, 0.0), track(found, 4, 10, 50.0, 10.0)]
+    _, longer = with_undetected_ends(Posterior(found, known), known, graph)
+    assert longer.places[0][-1, 0] < 128.0
+
+
+def test_time_undetected_counts_from_the_last_detection(graph):
     """A track that runs on for half a second, where six detections are due, goes on no further."""
     rng = np.random.default_rng(17)
     ahead, seen = (returns(rng, 4, 12, start, 10.0, each=0.6) for start in (100.0, 50.0))
     found = detected(ahead, seen, clutter(rng, 20, 0.2))
     known, other = track(found, 4, 12.5, 50.0, 10.0), track(found, 4, 12, 100.0, 10.0)
     known.rows = known.rows[found.time[known.rows] <= seen[:, 0].max()]
-    same, _ = with_undetected_ends(Posterior(found, [known, other]), [known, other])
+    same, _ = with_undetected_ends(Posterior(found, [known, other]), [known, other], graph)
     assert same.last_step == known.last_step
 
 
-def test_nobody_is_there_before_the_first_frame_or_after_the_last():
+def test_nobody_is_there_before_the_first_frame_or_after_the_last(graph):
     rng = np.random.default_rng(15)
     found = detected(returns(rng, 0, 12, 50.0, 10.0, each=0.1))
     known = track(found, 0, 12, 50.0, 10.0)
-    (same,) = with_undetected_ends(Posterior(found, [known]), [known])
+    (same,) = with_undetected_ends(Posterior(found, [known]), [known], graph)
     assert span_s(same) == pytest.approx(span_s(known), abs=0.2)
 
 

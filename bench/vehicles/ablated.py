@@ -82,7 +82,7 @@ def _once(motions: Any, detections: Any, graph: Any) -> Any:
     posterior.place(moves.lengthen(posterior, graph))
     posterior.motions = moves.reassign(posterior)
     posterior.place(moves.refit(posterior))
-    return moves.with_undetected_ends(posterior, moves._sized_and_cut(posterior))  # noqa: SLF001
+    return moves.with_undetected_ends(posterior, moves._sized_and_cut(posterior), graph)  # noqa: SLF001
 
 
 def _without_heights(motions: Any, detections: Any, *rest: Any) -> Any:
@@ -141,7 +141,7 @@ PARTS: dict[str, Part] = {
     "no-lengthen": _off((moves, "lengthen", _same)),
     "no-reassign": _off((moves, "reassign", _same)),
     "no-refit": _off((moves, "refit", _same)),
-    "no-undetected-ends": _off((moves, "with_undetected_ends", lambda _, m: list(m))),
+    "no-undetected-ends": _off((moves, "with_undetected_ends", lambda _, m, __: list(m))),
     "no-driven-as-one": _off((neighbours, "_driven_as_one", lambda *_: -np.inf)),
     "no-alone": _off((neighbours, "_alone", lambda *_: [])),
     # terms

@@ -59,7 +59,7 @@ from gis_radar.tracking import (
     vehicles_of_hour,
 )
 
-METHOD = 9
+METHOD = 10
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never

@@ -50,7 +50,7 @@ def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGra
     posterior.learn(_sized_and_cut(posterior))
     posterior.place(lengthen(posterior, graph))
     posterior.motions = reassign(posterior)
-    found = with_undetected_ends(posterior, _sized_and_cut(posterior))
+    found = with_undetected_ends(posterior, _sized_and_cut(posterior), graph)
     return with_existence(posterior, found)
 
 

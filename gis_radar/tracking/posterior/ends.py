@@ -12,7 +12,7 @@ from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
-from gis_radar.tracking.posterior.cuts import END_SHARE, END_WINDOWS
+from gis_radar.tracking.posterior.cuts import END_MOST, END_SHARE, END_WINDOWS
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import BEND_M, WINDOW_S
 from gis_radar.tracking.posterior.likelihood import (
@@ -34,10 +34,12 @@ GIVE_UP, LEAST_GAIN = 12.0, 3.0  # of the log-probability
 UNSEEN = 8  # half seconds without a gain, after which nobody is looked for any longer
 SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses nearer to each other are one
 SPREAD_M2, MOST_SPREAD_M2 = 0.05, 1.0  # variance of the place, a second
-# After 2 s undetected its speed may have changed; an end costs END_SHARE for each detection due, so
-# that a vehicle which is there is undetected for 1 / END_SHARE of them on average.
+# An end costs END_SHARE for each detection due, so that a vehicle which is there is undetected for
+# 1 / END_SHARE of them on average; after 2 s its speed may have changed, and after 10 s a place is
+# not visible any longer.
+MOST_DUE, UNDETECTED_WINDOWS = 1.0 / END_SHARE, 20
 MOST_UNDETECTED_STEPS = round(END_WINDOWS * WINDOW_S * STEPS_PER_SECOND)
-MOST_DUE = 1.0 / END_SHARE
+TURN_POINTS = 40  # metres ahead, in which a fork shows
 
 
 def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
@@ -64,11 +66,14 @@ def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
     return found
 
 
-def with_undetected_ends(posterior: Posterior, motions: Sequence[Motion]) -> list[Motion]:
+def with_undetected_ends(
+    posterior: Posterior, motions: Sequence[Motion], graph: LaneGraph
+) -> list[Motion]:
     """Return the vehicles extended at both ends for as long as hardly a detection is due there.
 
-    Far away or behind another one, a vehicle is not detected as soon as it comes into view. It is
-    taken to be there for as long as one goes undetected on average.
+    Vehicles do not vanish: far away, behind another one, or where the radar is blind, one is there
+    undetected. How many detections are due in a place is learned from all others that drive over
+    it or would, if they drove on along their lanes at the speed they had.
 
     Parameters
     ----------
@@ -76,42 +81,75 @@ def with_undetected_ends(posterior: Posterior, motions: Sequence[Motion]) -> lis
         What is expected; the longer vehicles are placed in it.
     motions : sequence of Motion
         The vehicles.
+    graph : LaneGraph
+        The lanes.
 
     Returns
     -------
     list of Motion
         In the same order; their detections are as before.
     """
-    most = MOST_UNDETECTED_STEPS
-    posterior.place([_extended(each, most, most) for each in motions])
-    found = []
+    graphs = {1: graph, -1: graph.reversed()}
+    longest = [_driven_on(_driven_on(each, graphs[1], 1), graphs[-1], -1) for each in motions]
+    posterior.place(longest)
+    covered = posterior.covered([(each.first_step, each.last_step) for each in motions])
+    time, due = posterior.due_by_others()
+    step, due, found = time * STEPS_PER_SECOND, np.where(covered, math.inf, due), []
     for k, motion in enumerate(motions):
-        time, due = posterior.due(k)
-        step, mine = (each * STEPS_PER_SECOND for each in (time, posterior.given.time[motion.rows]))
-        first = float(mine.min()) - _undetected_steps(mine.min() - step, due)
-        last = float(mine.max()) + _undetected_steps(step - mine.max(), due)
-        before = max(motion.first_step - math.floor(first), 0)
-        found.append(_extended(motion, before, max(math.ceil(last) - motion.last_step, 0)))
+        rows, mine = posterior.states.rows(k), posterior.given.time[motion.rows] * STEPS_PER_SECOND
+        drives = motion.speed[[0, -1]] > STANDS_MPS
+        before = _undetected_steps(mine.min() - step[rows], due[rows], drives=bool(drives[0]))
+        after = _undetected_steps(step[rows] - mine.max(), due[rows], drives=bool(drives[1]))
+        first, last = float(mine.min()) - before, float(mine.max()) + after
+        whole = longest[k].between(
+            min(motion.first_step, math.floor(first)), max(motion.last_step, math.ceil(last)),
+            posterior.given.time,
+        )  # fmt: skip
+        found.append(whole or motion)
+    posterior.place(found)
     return found
 
 
-def _undetected_steps(past: Floats, due: Floats) -> float:
-    """Return for how many steps past a detection no more than `MOST_DUE` is due in all."""
+def _undetected_steps(past: Floats, due: Floats, *, drives: bool) -> float:
+    """Return how many steps past a detection a vehicle is there.
+
+    One that drives goes all the way on where that costs less than an end in plain view; else it is
+    there while no more than `MOST_DUE` detections are due in all, and for 2 s at most.
+    """
     order = np.argsort(past, kind="stable")
     order = order[past[order] > 0.0]
-    undetected = past[order][np.cumsum(due[order]) <= MOST_DUE]
-    return min(float(undetected[-1]), MOST_UNDETECTED_STEPS) if len(undetected) else 0.0
+    total = np.cumsum(due[order])
+    undetected = past[order][(total <= MOST_DUE) & (past[order] <= MOST_UNDETECTED_STEPS)]
+    if drives and len(total) and total[-1] <= END_MOST:
+        undetected = past[order]
+    return float(undetected[-1]) if len(undetected) else 0.0
 
 
-def _extended(motion: Motion, before: int, after: int) -> Motion:
-    """Return a motion with so many more steps at its ends, on its path at its speed there."""
-    if not before and not after:
+def _driven_on(motion: Motion, graph: LaneGraph, way: int) -> Motion:
+    """Return a motion that goes on at its end (way 1) or its begin (-1), along the lanes there.
+
+    At the speed it has, up to where lanes end; of lanes that fork the straightest is taken.
+    """
+    middle, heading = motion.places
+    at = -1 if way > 0 else 0
+    speed = float(motion.speed[at])
+    lines = _ways(graph, middle[at], float(heading[at]) + (0.0 if way > 0 else math.pi))
+    lines = [line for line in lines if len(line) > 2]
+    if not lines:
         return motion
-    first = motion.first_step - before
-    step = np.arange(first, motion.last_step + after + 1)
-    s_m, speed = motion.at(np.asarray(step * STEP_S, np.float64))
-    var_s = np.pad(motion.var_s, (before, after), "edge")
-    return replace(motion, first_step=first, s_m=s_m, speed=speed, var_s=var_s)
+    line = min(lines, key=_turned)
+    far = speed * WINDOW_S * np.arange(UNDETECTED_WINDOWS + 1)
+    far = far[far <= Path(line).s_m[-1]]
+    if len(far) < 2:
+        return motion
+    return _longer(motion, line, np.column_stack([far, np.full(len(far), speed)]), way)
+
+
+def _turned(line: Floats) -> float:
+    """Return by how much a line turns within the way of a few seconds."""
+    ahead = np.diff(line[:TURN_POINTS], axis=0)
+    heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return float(np.abs(heading[-1] - heading[0]))
 
 
 def _go_on(posterior: Posterior, motion: Motion, graph: LaneGraph, way: int) -> Motion:

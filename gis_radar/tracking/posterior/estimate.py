@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.base import Floats, Integers, give_back_memory
+from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, give_back_memory
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.background import Background
@@ -31,14 +31,17 @@ from gis_radar.tracking.posterior.likelihood import (
     find_pairs,
     hide,
     kinds_and_cells,
+    overlap,
 )
 
 ROUNDS = 4  # of expectation and maximization
 FIRST_GUESS = 0.5  # detections a frame
 KIND_FEW, CELL_FEW = 40.0, 5.0  # expected detections that what is usual counts as
+ONE = 1.0  # the same, of a place of which little is known: one detection
 DULLEST, BRIGHTEST = 0.02, 4.0  # factor of a cell
 ALPHAS = (0.3, 8.0)  # shape of the distribution of brightness: at least, at most
 LEAST_GROUPS = 50
+LEAST_SHARE = 0.25  # of a vehicle on another one
 
 Placed: TypeAlias = tuple[Integers, Floats, Integers, Integers, Floats, Integers]
 # frame, shape, kind and cell of each state; where its detections begin, their densities and rows
@@ -246,10 +249,38 @@ class Posterior:
             self.open[rows], self.rates, self.seen, self.alpha, add,
         )  # fmt: skip
 
-    def due(self, vehicle: int) -> tuple[Floats, Floats]:
-        """Return the time of each state of a vehicle, UNIX seconds, and what is due."""
-        rows = self.states.rows(vehicle)
-        return self.frames.time[self.states.frame[rows]], self._due[rows]
+    def due_by_others(self) -> tuple[Floats, Floats]:
+        """Return the time of each state, UNIX seconds, and what is due by its cell's others.
+
+        That is: by how often all other vehicles that are placed over it are detected there.
+        """
+        usual = self._table[self._kind] * self.open
+        part = self._rate / self.total[self._pair_row]
+        explained = np.bincount(self._pair_state, part, len(usual))
+        vehicle = np.repeat(np.arange(len(self.motions)), np.diff(self.states.first))
+        count = len(self._factor)
+        own, at = np.unique(vehicle * count + self._cell, return_inverse=True)
+        got, want = (
+            np.bincount(self._cell, each, count)[self._cell] - np.bincount(at, each, len(own))[at]
+            for each in (explained, usual)
+        )
+        factor = np.minimum((got + ONE) / (want + ONE), BRIGHTEST)
+        return self.frames.time[self.states.frame], np.asarray(usual * factor)
+
+    def covered(self, spans: Sequence[tuple[int, int]]) -> Booleans:
+        """Return which states lie on another vehicle while that is in its span of steps."""
+        states = self.states
+        step = self.frames.time[states.frame] * STEPS_PER_SECOND
+        inside, share = np.zeros(len(step), np.bool_), np.zeros(len(step))
+        for k, (first, last) in enumerate(spans):
+            rows = states.rows(k)
+            inside[rows] = (step[rows] > first - 0.5) & (step[rows] < last + 0.5)
+        for k in range(len(spans)):
+            part = states.rows(k)
+            rows = np.arange(part.start, part.stop)
+            if len(rows):
+                share[rows] = overlap(rows, states.frame, states.shape, inside, *self.by_frame)
+        return share > LEAST_SHARE
 
     def own_gains(self, vehicle: int) -> Floats:
         """Return (groups, 2) the gain of a vehicle as it is over all else, and what is due."""
