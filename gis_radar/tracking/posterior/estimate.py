@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -275,11 +276,10 @@ class Posterior:
         for k, (first, last) in enumerate(spans):
             rows = states.rows(k)
             inside[rows] = (step[rows] > first - 0.5) & (step[rows] < last + 0.5)
-        for k in range(len(spans)):
-            part = states.rows(k)
-            rows = np.arange(part.start, part.stop)
-            if len(rows):
-                share[rows] = overlap(rows, states.frame, states.shape, inside, *self.by_frame)
+        for begin, end in pairwise(states.first.tolist()):
+            mine = np.arange(begin, end)
+            if len(mine):
+                share[mine] = overlap(mine, states.frame, states.shape, inside, *self.by_frame)
         return share > LEAST_SHARE
 
     def own_gains(self, vehicle: int) -> Floats:
