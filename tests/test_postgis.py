@@ -3,6 +3,8 @@
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from datasets import write_dataset
 from driven import drive, driven, straight_tiles
@@ -147,8 +149,12 @@ def test_a_schema_of_something_else_is_refused(database, asked, two_days, tmp_pa
     tiles = straight_tiles(40)
     tracks = drive(HOUR * 1_000_000, HOUR * STEPS_PER_HOUR, np.arange(0.0, 19.0, 0.5))
     other = driven(tmp_path / "other", tiles, tracks, lanes=LANES)
-    with pytest.raises(gr.OutputError, match="schema gis_radar holds something else"):
+    with pytest.raises(gr.OutputError, match="schema gis_radar holds something else") as ours:
         gr.publish(other, database)
+    assert "or drop gis_radar" in str(ours.value.hint)
+    with pytest.raises(gr.OutputError, match="schema public holds something else") as theirs:
+        gr.publish(other, database, schema="public")
+    assert theirs.value.hint == "name another --schema"
     assert gr.publish(other, database, schema="a").sent == 1
 
 
@@ -176,6 +182,19 @@ def test_a_reader_reads_and_writes_nothing_and_listeners_hear_of_it(database, as
         for statement in ("DELETE FROM gis_radar.tiles", "CREATE TABLE gis_radar.mine (x int)"):
             with pytest.raises(psycopg.errors.InsufficientPrivilege):
                 planner.execute(statement)
+
+
+def test_a_sensor_stands_where_its_last_recording_was_made(database, asked, tmp_path):
+    dataset = days(tmp_path / "data", [HOUR])
+    for name, changes in (
+        ("poses", {"pose": "R1-new", "track": "R1-new", "height": 9.5}),
+        ("recordings", {"pose": "R1-new", "path": "later.parquet", "last_time": 1.8e9}),
+    ):
+        old = pq.read_table(dataset.folder / f"{name}.parquet")
+        row = pa.Table.from_pylist([old.to_pylist()[0] | changes], old.schema)
+        pq.write_table(pa.concat_tables([row, old]), dataset.folder / f"{name}.parquet")
+    gr.publish(gr.open_dataset(dataset.folder), database)
+    assert asked("SELECT pose, height FROM gis_radar.sensors") == [("R1-new", 9.5)]
 
 
 def test_hits_without_vehicles_are_published_too(database, asked, tmp_path):

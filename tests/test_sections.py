@@ -139,6 +139,36 @@ def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
     assert sheets.tolist() == ["Lanes", "Turns", "Count sections", "Counts by hand"]
 
 
+def test_counts_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):
+    sections = ACROSS.replace("late", "Münchner Straße")
+    text = (
+        "section; begin;end;volume;\r\n"
+        "Münchner Straße;14.11.2023 22:00;14.11.2023 22:05;9,5;\r\n;;;;\r\n\r\n"
+        "early;14.11.2023 22:00:00;2023-11-14 22:05;3;\r\n"
+    )
+    (tmp_path / "counts.csv").write_bytes(text.encode("cp1252"))
+    made = gr.make_traffic(
+        dataset, interval="5min", sections=sections, hand_counts=tmp_path / "counts.csv"
+    )
+    assert made.hand_counts["place"].tolist() == ["Münchner Straße", "early"]
+    assert made.hand_counts["volume_by_hand"].tolist() == [9.5, 3.0]
+    assert made.hand_counts["begin"].nunique() == made.hand_counts["end"].nunique() == 1
+
+
+def test_sections_without_a_name_get_their_number(dataset):
+    first, *_ = ACROSS.geometry
+    for column, names in (("name", ["A", None, ""]), ("id", [7.0, np.nan, np.nan])):
+        layer = gpd.GeoDataFrame({column: names}, geometry=[first] * 3, crs=UTM)
+        found = gr.count_sections(dataset, layer)["section"].unique().tolist()
+        assert found == [f"{names[0]:.0f}" if column == "id" else "A", "2", "3"]
+
+
+def test_a_section_without_a_line_is_refused(dataset):
+    layer = gpd.GeoDataFrame(geometry=[*ACROSS.geometry, None], crs=UTM)
+    with pytest.raises(gr.InputError, match="a section has no line"):
+        gr.count_sections(dataset, layer)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -164,7 +194,15 @@ def test_counts_by_hand_stand_beside_ours(run, dataset, given, tmp_path):
             "line 2: direction is 'upward', expected one of eastbound",
         ),
         ("section,begin,end,volume\n", "holds no counts"),
-        ("", "not a table of counts"),
+        ("", "lacks the columns begin, end and volume"),
+        (
+            "section;begin;end;volume\n\n;;;\nlate;2023-11-14 22:00;2023-11-14 22:05;1.234\n",
+            "line 4: volume is '1.234'",
+        ),
+        (
+            "section,begin,end,volume\nlate,2023-11-14 22:00,2023-11-14 22:05,1,234\n",
+            "line 2: has more values than the header",
+        ),
     ],
 )
 def test_counts_that_are_none_are_one_line(run, dataset, given, tmp_path, text, said):

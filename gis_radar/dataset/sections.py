@@ -121,12 +121,16 @@ def _lines(
         what = str(sections)
         table = read_vector(sections, what="layer of count sections", columns=None)
     metric_crs(table.crs, what=what)
+    if table.geometry.isna().any():
+        raise InputError("{}: a section has no line", what)
     table = table.to_crs(crs).explode(ignore_index=True)
     if table.empty or set(table.geom_type) != {"LineString"}:
         raise InputError("{}: sections are lines across a road", what)
     column = next((name for name in NAME_FIELDS if name in table), None)
-    names = range(1, len(table) + 1) if column is None else table[column]
-    found = dict(zip(map(str, names), table.geometry, strict=True))
+    names = pd.Series(range(1, len(table) + 1)).astype("string")
+    if column is not None:  # ids beside an empty one are read as reals
+        names = table[column].convert_dtypes().astype("string").replace("", pd.NA).fillna(names)
+    found = dict(zip(names, table.geometry, strict=True))
     if len(found) < len(table):
         raise InputError("{}: two sections have one name", what)
     return found, what

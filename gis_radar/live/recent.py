@@ -103,11 +103,8 @@ class RecentCounts:
         """Return a copy of all counts, by name, to be kept by :func:`keep_counts`."""
         with self._lock:
             rows = {name: each.rows.copy() for name, each in self._kinds.items()}
-        return rows | {"state": self._state(self.step)}
-
-    def _state(self, step: int) -> Integers:
-        numbers = [(each.steps, each.number) for each in self._kinds.values()]
-        return np.array([step, *np.ravel(numbers)], np.int64)
+            numbers = [(each.steps, each.number) for each in self._kinds.values()]
+            return rows | {"state": np.array([self.step, *np.ravel(numbers)], np.int64)}
 
     def restore(self, path: Path, fingerprint: str, reporter: Reporter = QUIET) -> None:
         """Take up the counts in a file, those over intervals of the same length.

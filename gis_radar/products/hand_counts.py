@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,9 @@ from gis_radar.base import InputError, Text, UsageError, listed, moment_in
 AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
 _PLACES = ("section", "lane")
 _NEEDED = ("begin", "end", "volume")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d{3})+")  # once commas are points
+_GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}) +(\d{1,2})(:.*)")
+"""What Excel in Germany makes of times: 12.06.2025 07:30."""
 
 
 def beside_hand_counts(
@@ -27,7 +33,8 @@ def beside_hand_counts(
     path : str or Path
         CSV with a header: `section` (and `direction`, where a section has two) or `lane` (its
         number or name); `begin`, `end`, without a zone by the clocks of the site; `volume`; and,
-        where known, `volume_se`, the standard error of the count by hand: 0 without it.
+        where known, `volume_se`, the standard error of the count by hand: 0 without it. As Excel
+        writes it in Germany, too: semicolons, Windows-1252, times such as 12.06.2025 07:30.
     lanes, sections : DataFrame
         Ours by interval, as of :meth:`gis_radar.Dataset.traffic` and
         :func:`gis_radar.count_sections`.
@@ -47,12 +54,13 @@ def beside_hand_counts(
         If the file is no such table, names no lane or section of ours, or a time of it is within
         one of our intervals.
     """
-    table = _read(path)
     found = []
-    for number, row in enumerate(table.to_dict("records"), start=2):
+    for number, row in _read(path):
         what = f"{path}, line {number}"
         place, ours = _ours_at(row, lanes, sections, what)
-        begin, end = (_moment(row[name], zone, f"{what}: {name}") for name in ("begin", "end"))
+        begin, end = (
+            _moment(_text(row, name), zone, f"{what}: {name}") for name in ("begin", "end")
+        )
         mine = _within(ours, begin, end, what)
         hours = (end - begin).total_seconds() / 3600.0
         by_hand, its_se = _number(row, "volume", what), _number(row, "volume_se", what, 0.0)
@@ -71,22 +79,41 @@ def beside_hand_counts(
     return pd.DataFrame(found)
 
 
-def _read(path: str | Path) -> pd.DataFrame:
+def _read(path: str | Path) -> list[tuple[int, dict[str, str]]]:
+    """Return the rows that hold anything, with their line in the file."""
     try:
-        header = Path(path).read_text(encoding="utf-8-sig").partition("\n")[0]
-        separator = ";" if ";" in header else ","  # as Excel writes it in Germany
-        table = pd.read_csv(path, sep=separator, dtype=str, encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
+        text = _decoded(Path(path).read_bytes())
+        separator = ";" if ";" in text.partition("\n")[0] else ","  # as Excel writes it in Germany
+        reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator)
+        header = [name.strip() for name in reader.fieldnames or ()]
+        reader.fieldnames = header
+        rows = [(reader.line_num, row) for row in reader]
+    except (OSError, ValueError, csv.Error) as error:
         reason = str(error).splitlines()[0]
         raise InputError("{}: not a table of counts: {}", path, reason) from error
-    missing = [name for name in _NEEDED if name not in table]
-    if missing or not any(name in table for name in _PLACES):
+    missing = [name for name in _NEEDED if name not in header]
+    if missing or not any(name in header for name in _PLACES):
         lacks = listed(missing) or Text("section or lane")
         hint = "columns are section or lane, direction, begin, end, volume"
         raise InputError("{}: lacks the columns {}", path, lacks, hint=Text(hint))
-    if table.empty:
+    for number, row in rows:
+        if any(map(str.strip, row.pop(None, []))):
+            hint = "numbers are without a separator of thousands, texts with commas in quotes"
+            raise InputError(
+                "{}: has more values than the header", f"{path}, line {number}", hint=hint
+            )
+    # as Excel leaves them below a table: separators alone
+    filled = [(number, row) for number, row in rows if any(_text(row, name) for name in row)]
+    if not filled:
         raise InputError("{}: holds no counts", path)
-    return table.rename(columns=str.strip)
+    return filled
+
+
+def _decoded(content: bytes) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252")  # Excel's CSV, unless UTF-8 is asked for
 
 
 def _text(row: Mapping[Any, Any], name: str) -> str:
@@ -102,14 +129,21 @@ def _number(row: Mapping[Any, Any], name: str, what: str, missing: float | None 
         value = float(text)
     except ValueError:
         value = np.nan
-    if not 0.0 <= value < np.inf:
-        raise InputError("{}: {} is {}, expected a number of vehicles", what, name, repr(text))
+    in_thousands = name == "volume" and _THOUSANDS.fullmatch(text)  # or three decimals: who knows
+    if in_thousands or not 0.0 <= value < np.inf:
+        raise InputError(
+            "{}: {} is {}, expected a number of vehicles", what, name, repr(_text(row, name)),
+            hint="write it without a separator of thousands" if in_thousands else "",
+        )  # fmt: skip
     return value
 
 
-def _moment(value: Any, zone: ZoneInfo, what: str) -> pd.Timestamp:
+def _moment(text: str, zone: ZoneInfo, what: str) -> pd.Timestamp:
+    if german := _GERMAN.fullmatch(text):
+        day, month, year, hour, rest = german.groups()
+        text = f"{year}-{month:0>2}-{day:0>2} {hour:0>2}{rest}"
     try:
-        return pd.Timestamp(moment_in(str(value), zone, what=what)).tz_convert(zone)
+        return pd.Timestamp(moment_in(text, zone, what=what)).tz_convert(zone)
     except UsageError as error:
         raise InputError("{}", error.message, hint=error.hint) from error
 

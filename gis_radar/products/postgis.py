@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from psycopg import Connection, Cursor
 
 VERSION = 1  # of the tables; raised when they change
+_MARK = "gis_radar,"  # with which the comment on a schema of ours begins
 CHANNEL = "qgis"  # on which QGIS listens for "Refresh layer on notification"
 CONNECT_S = 10  # after which a server that does not answer is given up, seconds
 _STEPS_PER_DAY = 24 * STEPS_PER_HOUR
@@ -245,13 +246,15 @@ class _Session:
         there = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
         self.run("CREATE SCHEMA IF NOT EXISTS {schema}")
         told = self.ask("SELECT obj_description(to_regnamespace(%s), 'pg_namespace')", self.schema)
-        mine = f"gis_radar, tables of version {VERSION}, tiles {tiles}"
+        mine = f"{_MARK} tables of version {VERSION}, tiles {tiles}"
         self.is_new = not told
         if told != mine and (told or (there and self._holds_anything())):
+            hint = Text("name another --schema")
+            if told and told.startswith(_MARK):  # what others keep is not ours to have dropped
+                hint = Text("name another --schema, or drop {} and publish again", self.schema)
             raise OutputError(
                 "{}: schema {} holds something else ({})", self.place, self.schema,
-                told or "tables of others",
-                hint=Text("name another --schema, or drop {} and publish again", self.schema),
+                told or "tables of others", hint=hint,
             )  # fmt: skip
         if self.is_new:
             self.run("COMMENT ON SCHEMA {schema} IS {text}", text=mine)
@@ -291,8 +294,7 @@ class _Session:
             network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
         lanes.insert(1, "name", lanes["lane"].map(names).astype("str"))
-        poses = dataset.poses().drop(columns="document").sort_values(["sensor", "since"])
-        layers = {"lanes": lanes, "sensors": poses.drop_duplicates("sensor", keep="last")}
+        layers = {"lanes": lanes, "sensors": _last_poses(dataset)}
         if self.is_new:
             layers["tiles"] = dataset.tiles()
         for name, table in layers.items():
@@ -374,6 +376,16 @@ class _Session:
         with self.cursor.copy(copy) as target:
             target.write(text.getbuffer())
         self.rows[name] = self.rows.get(name, 0) + len(shown)
+
+
+def _last_poses(dataset: Dataset) -> gpd.GeoDataFrame:
+    """Return the pose of each sensor that its last recording was measured by."""
+    used = dataset.recordings().groupby("pose")["end"].max()
+    poses = dataset.poses().drop(columns="document")
+    order = poses.assign(used=used.reindex(poses["track"]).array).sort_values(
+        ["sensor", "used", "since"], na_position="first"
+    )
+    return poses.loc[order.drop_duplicates("sensor", keep="last").index]
 
 
 def _meaning(table: str, column: str) -> str:
