@@ -179,6 +179,9 @@ def test_a_reader_reads_and_writes_nothing_and_listeners_hear_of_it(database, as
         assert heard.payload == "gis_radar gis_radar"
     with psycopg.connect(database.replace("postgres@", "planner@"), autocommit=True) as planner:
         assert planner.execute("SELECT count(*) FROM gis_radar.occupancy").fetchone() == (120,)
+        with psycopg.connect(database, autocommit=True) as publisher:
+            publisher.execute("CREATE TABLE gis_radar.later (x int)")
+        assert planner.execute("SELECT count(*) FROM gis_radar.later").fetchone() == (0,)
         for statement in ("DELETE FROM gis_radar.tiles", "CREATE TABLE gis_radar.mine (x int)"):
             with pytest.raises(psycopg.errors.InsufficientPrivilege):
                 planner.execute(statement)

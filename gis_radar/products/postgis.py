@@ -171,13 +171,17 @@ def publish(
 
 
 def _digests(dataset: Dataset) -> dict[date, str]:
-    """Return what the tables of each date follow from: the parts of its hours and of one before."""
-    records = dataset.records()
+    """Return what the tables of each date follow from: the parts of its hours and of one before.
+
+    And the poses, which standard errors rest on.
+    """
+    records, poses = dataset.records(), pd.DataFrame(dataset.poses()).drop(columns="geometry")
     found = {}
     for day in sorted({hour // 24 for hour in records}):
         hours = [hour for hour in range(24 * day - 1, 24 * day + 24) if hour in records]
         made = [(hour, sorted(records[hour].parts.items()), records[hour].origin) for hour in hours]
-        found[_EPOCH + timedelta(days=day)] = hashlib.sha256(repr(made).encode()).hexdigest()
+        follows = repr((made, poses.to_json()))
+        found[_EPOCH + timedelta(days=day)] = hashlib.sha256(follows.encode()).hexdigest()
     return found
 
 
@@ -328,6 +332,8 @@ class _Session:
         if reader is not None:
             self.run("GRANT USAGE ON SCHEMA {schema} TO {role}", role=reader)
             self.run("GRANT SELECT ON ALL TABLES IN SCHEMA {schema} TO {role}", role=reader)
+            later = "ALTER DEFAULT PRIVILEGES IN SCHEMA {schema} GRANT SELECT ON TABLES TO {role}"
+            self.run(later, role=reader)
         self.run("SELECT pg_notify(%s, %s)", CHANNEL, f"gis_radar {self.schema}")
 
     def _create(self, name: str, table: pd.DataFrame) -> None:
