@@ -9,7 +9,7 @@ from datasets import HOUR
 from driven import drive
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
 from maps import EAST, NORTH, UTM
-from shapely import LineString
+from shapely import LineString, MultiLineString
 
 import gis_radar as gr
 from gis_radar.dataset import STEPS_PER_HOUR
@@ -80,6 +80,16 @@ def test_directions_are_told_apart_by_the_side_they_come_from(dataset):
 def test_a_section_off_the_road_or_along_it_is_refused(dataset, places, said):
     with pytest.raises(gr.InputError, match=said):
         gr.count_sections(dataset, lines(**places))
+
+
+def test_a_section_is_of_one_part(dataset):
+    """QGIS writes a line as a collection of one; parts that meet are one line."""
+    halves = [MultiLineString([each.coords[:]]) for each in ACROSS.geometry]
+    counted = gr.count_sections(dataset, ACROSS.set_geometry(halves), "15min")
+    assert counted["counted"].sum() == 26
+    apart = MultiLineString([[(EAST + 20, NORTH + y), (EAST + 20, NORTH + y + 1)] for y in (-1, 1)])
+    with pytest.raises(gr.InputError, match="sections are lines across a road"):
+        gr.count_sections(dataset, gpd.GeoDataFrame(geometry=[apart], crs=UTM))
 
 
 def test_sections_of_other_systems_are_moved_or_refused(dataset):

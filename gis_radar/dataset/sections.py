@@ -123,14 +123,17 @@ def _lines(
     metric_crs(table.crs, what=what)
     if table.geometry.isna().any():
         raise InputError("{}: a section has no line", what)
-    table = table.to_crs(crs).explode(ignore_index=True)
-    if table.empty or set(table.geom_type) != {"LineString"}:
-        raise InputError("{}: sections are lines across a road", what)
+    table = table.to_crs(crs).reset_index(drop=True)
+    lines = shapely.line_merge(np.asarray(table.geometry))  # QGIS keeps a line as one of one part
+    if table.empty or {line.geom_type for line in lines} != {"LineString"}:
+        raise InputError(
+            "{}: sections are lines across a road", what, hint="each of one part, a row each"
+        )
     column = next((name for name in NAME_FIELDS if name in table), None)
     names = pd.Series(range(1, len(table) + 1)).astype("string")
     if column is not None:  # ids beside an empty one are read as reals
         names = table[column].convert_dtypes().astype("string").replace("", pd.NA).fillna(names)
-    found = dict(zip(names, table.geometry, strict=True))
+    found = dict(zip(names, lines, strict=True))
     if len(found) < len(table):
         raise InputError("{}: two sections have one name", what)
     return found, what
