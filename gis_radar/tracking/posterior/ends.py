@@ -93,13 +93,18 @@ def with_undetected_ends(
     longest = [_driven_on(_driven_on(each, graphs[1], 1), graphs[-1], -1) for each in motions]
     posterior.place(longest)
     covered = posterior.covered([(each.first_step, each.last_step) for each in motions])
-    time, due = posterior.due_by_others()
-    step, due, found = time * STEPS_PER_SECOND, np.where(covered, math.inf, due), []
+    time, *silence = posterior.due_by_others()
+    step, found = time * STEPS_PER_SECOND, []
+    due, cost = (np.where(covered, math.inf, each) for each in silence)
     for k, motion in enumerate(motions):
         rows, mine = posterior.states.rows(k), posterior.given.time[motion.rows] * STEPS_PER_SECOND
         drives = motion.speed[[0, -1]] > STANDS_MPS
-        before = _undetected_steps(mine.min() - step[rows], due[rows], drives=bool(drives[0]))
-        after = _undetected_steps(step[rows] - mine.max(), due[rows], drives=bool(drives[1]))
+        before, after = (
+            _undetected_steps(past, due[rows], cost[rows], drives=bool(fast))
+            for past, fast in zip(
+                (mine.min() - step[rows], step[rows] - mine.max()), drives, strict=True
+            )
+        )
         first, last = float(mine.min()) - before, float(mine.max()) + after
         whole = longest[k].between(
             min(motion.first_step, math.floor(first)), max(motion.last_step, math.ceil(last)),
@@ -110,7 +115,7 @@ def with_undetected_ends(
     return found
 
 
-def _undetected_steps(past: Floats, due: Floats, *, drives: bool) -> float:
+def _undetected_steps(past: Floats, due: Floats, cost: Floats, *, drives: bool) -> float:
     """Return how many steps past a detection a vehicle is there.
 
     One that drives goes all the way on where that costs less than an end in plain view; else it is
@@ -120,7 +125,7 @@ def _undetected_steps(past: Floats, due: Floats, *, drives: bool) -> float:
     order = order[past[order] > 0.0]
     total = np.cumsum(due[order])
     undetected = past[order][(total <= MOST_DUE) & (past[order] <= MOST_UNDETECTED_STEPS)]
-    if drives and len(total) and total[-1] <= END_MOST:
+    if drives and len(order) and cost[order].sum() <= END_MOST:
         undetected = past[order]
     return float(undetected[-1]) if len(undetected) else 0.0
 

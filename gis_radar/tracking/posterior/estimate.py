@@ -250,10 +250,12 @@ class Posterior:
             self.open[rows], self.rates, self.seen, self.alpha, add,
         )  # fmt: skip
 
-    def due_by_others(self) -> tuple[Floats, Floats]:
-        """Return the time of each state, UNIX seconds, and what is due by its cell's others.
+    def due_by_others(self) -> tuple[Floats, Floats, Floats]:
+        """Return of each state its time, UNIX seconds, what is due, and what its silence costs.
 
-        That is: by how often all other vehicles that are placed over it are detected there.
+        What is due follows from how often all other vehicles that are placed over its cell are
+        detected there; no detection at all costs a vehicle, whose brightness is gamma-distributed,
+        so many nats in a half second (see :func:`gain_of`), of which each state has its part.
         """
         usual = self._table[self._kind] * self.open
         part = self._rate / self.total[self._pair_row]
@@ -265,8 +267,11 @@ class Posterior:
             np.bincount(self._cell, each, count)[self._cell] - np.bincount(at, each, len(own))[at]
             for each in (explained, usual)
         )
-        factor = np.minimum((got + ONE) / (want + ONE), BRIGHTEST)
-        return self.frames.time[self.states.frame], np.asarray(usual * factor)
+        due = usual * np.minimum((got + ONE) / (want + ONE), BRIGHTEST)
+        group, slow = self.states.group, self.states.shape[:, SPEED] < STANDS_MPS
+        whole, alpha = np.bincount(group, due)[group], self.alpha[slow.astype(np.int64)]
+        cost = alpha * np.log1p(whole / alpha) * due / np.maximum(whole, 1e-12)
+        return self.frames.time[self.states.frame], due, np.asarray(cost)
 
     def covered(self, spans: Sequence[tuple[int, int]]) -> Booleans:
         """Return which states lie on another vehicle while that is in its span of steps."""
