@@ -118,6 +118,7 @@ def test_what_cards_say(made):
     assert "no answer: no common traffic" in text("clocks")
     assert "observable no" in text("localization")
     assert "R1" in text("dataset")
+    assert "does not fix" in repr(made["localization"])
     assert "moved 0" not in repr(made["track"])
 
 

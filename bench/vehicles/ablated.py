@@ -37,6 +37,22 @@ FRESH = {
     ),
     "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
     "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
+    "town-901": Recipe(
+        plan="town", seed=901, per_hour=2500, radars=("R1", "R3", "R5"), minutes=3.0
+    ),
+    "tee-902": Recipe(plan="tee", seed=902, per_hour=1600, radars=1, minutes=3.0),
+    "arterial-903": Recipe(plan="arterial", seed=903, per_hour=2400, radars=2, minutes=3.0),
+    "gridlock-904": Recipe(
+        plan="junction", seed=904, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
+    ),
+    "town-911": Recipe(
+        plan="town", seed=911, per_hour=2500, radars=("R2", "R4", "R6"), minutes=3.0
+    ),
+    "tee-912": Recipe(plan="tee", seed=912, per_hour=1600, radars=1, minutes=3.0),
+    "arterial-913": Recipe(plan="arterial", seed=913, per_hour=2400, radars=2, minutes=3.0),
+    "gridlock-914": Recipe(
+        plan="junction", seed=914, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
+    ),
 }  # fmt: skip
 RECIPES.update(FRESH)  # type: ignore[attr-defined]
 # what they import counts as theirs here
@@ -142,6 +158,7 @@ PARTS: dict[str, Part] = {
     "no-reassign": _off((moves, "reassign", _same)),
     "no-refit": _off((moves, "refit", _same)),
     "no-undetected-ends": _off((moves, "with_undetected_ends", lambda _, m, __: list(m))),
+    "no-driving-on": _off((ends, "END_MOST", -1.0)),
     "no-driven-as-one": _off((neighbours, "_driven_as_one", lambda *_: -np.inf)),
     "no-alone": _off((neighbours, "_alone", lambda *_: [])),
     # terms

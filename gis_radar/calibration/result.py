@@ -175,7 +175,8 @@ class Localization:
         return ";\n".join(fill(each, LINE) for each in parts)
 
     def __repr__(self) -> str:
-        return f"Localization({self.pose!r}; {self.fitness:.0%} of the traces fit)"
+        doubt = "" if self.observable else "; the scene does not fix all of the pose"
+        return f"Localization({self.pose!r}; {self.fitness:.0%} of the traces fit{doubt})"
 
     def _repr_html_(self) -> str:
         picture = small_picture(self._small) if len(self.traces) else b""

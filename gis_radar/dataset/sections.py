@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,23 +89,23 @@ def count_sections(
         raise InputError("{}: holds no vehicles, of which traffic is counted", dataset.folder)
     layer, tiles = dataset.layer(LANES_LAYER), dataset.manifest.fingerprint
     network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
-    found = []
-    for name, line in lines.items():
-        crossed = _crossings(line, layer, network, f"{what}: section {name}")
-        along = {each.lane: each.along_m for each in crossed}
+    crossed = {
+        name: _crossings(line, layer, network, f"{what}: section {name}")
+        for name, line in lines.items()
+    }
+    found = dict[str, list[pd.DataFrame]]()
+    for counted in _at_once(crossed):
+        along = {each.lane: each.along_m for name in counted for each in crossed[name]}
         traffic = LaneTraffic(folder=dataset.folder, fingerprint=tiles, line_m=along)
         rows = TrafficReader(
             dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),
             language=language, exact=True,
         ).lanes()  # fmt: skip
-        for side in sorted({each.is_left for each in crossed}):
-            mine = [each for each in crossed if each.is_left is side]
-            sums = _of_direction(rows, mine)
-            with speaking(language or current_language()):
-                sums["direction"] = bound_name(np.sum([each.way for each in mine], axis=0))
-            sums["geometry"] = gpd.GeoSeries([_part_of(line, mine)] * len(sums))
-            found.append(sums.assign(section=name))
-    whole = pd.concat(found, ignore_index=True)
+        with speaking(language or current_language()):
+            found |= {name: _by_direction(rows, lines[name], crossed[name]) for name in counted}
+    whole = pd.concat(
+        [part.assign(section=name) for name in lines for part in found[name]], ignore_index=True
+    )
     first = ["section", "direction", "begin", "end"]
     return gpd.GeoDataFrame(
         whole[[*first, *(name for name in whole if name not in first)]], crs=dataset.crs
@@ -162,6 +163,33 @@ def _crossings(
         found.append(_Crossing(number, along_m, way, is_left=turned < 0.0, at_m=at_m))
     if not found:
         raise InputError("{} crosses no lane", what, hint="draw it across a road of the map")
+    return found
+
+
+def _at_once(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:
+    """Return the sections in groups that share no lane: each is counted at one place at once."""
+    groups: list[tuple[list[str], set[int]]] = []
+    for name, mine in crossed.items():
+        lanes = {each.lane for each in mine}
+        free = next((group for group in groups if not group[1] & lanes), None)
+        if free is None:
+            groups.append(free := ([], set()))
+        free[0].append(name)
+        free[1].update(lanes)
+    return [names for names, _ in groups]
+
+
+def _by_direction(
+    rows: gpd.GeoDataFrame, line: shapely.LineString, crossed: Sequence[_Crossing]
+) -> list[pd.DataFrame]:
+    """Return a table a direction of a section."""
+    found = []
+    for side in sorted({each.is_left for each in crossed}):
+        mine = [each for each in crossed if each.is_left is side]
+        sums = _of_direction(rows, mine)
+        sums["direction"] = bound_name(np.sum([each.way for each in mine], axis=0))
+        sums["geometry"] = gpd.GeoSeries([_part_of(line, mine)] * len(sums))
+        found.append(sums)
     return found
 
 

@@ -54,7 +54,7 @@ _BY_DAY = ("tile_counts", "lane_measures", "turns")
 _ROWS = {
     "tiles": "Slices of lanes, on which occupancy is counted",
     "lanes": "Lanes between junctions, from their begin to their stop line",
-    "sensors": "Where radars stand and look, by the last pose of each",
+    "sensors": "Where radars stand and look: the pose of each one's last recording",
     "tile_counts": "Steps of 50 ms of a tile in a quarter of an hour",
     "lane_measures": "Traffic of a lane in a quarter of an hour; null where it was not visible",
     "turns": "Traffic from lane to lane in a quarter of an hour",
@@ -248,7 +248,8 @@ class _Session:
         """Make the schema where it is not there; refuse one of another version or other tiles."""
         self.run("CREATE EXTENSION IF NOT EXISTS postgis")
         there = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
-        self.run("CREATE SCHEMA IF NOT EXISTS {schema}")
+        if not there:  # else no right to make one is needed
+            self.run("CREATE SCHEMA {schema}")
         told = self.ask("SELECT obj_description(to_regnamespace(%s), 'pg_namespace')", self.schema)
         mine = f"{_MARK} tables of version {VERSION}, tiles {tiles}"
         self.is_new = not told
@@ -297,7 +298,7 @@ class _Session:
         if dataset.has_vehicles:
             network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
-        lanes.insert(1, "name", lanes["lane"].map(names).astype("str"))
+        lanes.insert(1, "name", lanes["lane"].map(names).astype("string"))
         layers = {"lanes": lanes, "sensors": _last_poses(dataset)}
         if self.is_new:
             layers["tiles"] = dataset.tiles()

@@ -38,7 +38,7 @@ from gis_radar.tracking.posterior.likelihood import (
 ROUNDS = 4  # of expectation and maximization
 FIRST_GUESS = 0.5  # detections a frame
 KIND_FEW, CELL_FEW = 40.0, 5.0  # expected detections that what is usual counts as
-ONE = 1.0  # the same, of a place of which little is known: one detection
+OTHERS_FEW = 1.0  # the same, of what all other vehicles show of a cell
 DULLEST, BRIGHTEST = 0.02, 4.0  # factor of a cell
 ALPHAS = (0.3, 8.0)  # shape of the distribution of brightness: at least, at most
 LEAST_GROUPS = 50
@@ -267,7 +267,7 @@ class Posterior:
             np.bincount(self._cell, each, count)[self._cell] - np.bincount(at, each, len(own))[at]
             for each in (explained, usual)
         )
-        due = usual * np.minimum((got + ONE) / (want + ONE), BRIGHTEST)
+        due = usual * np.minimum((got + OTHERS_FEW) / (want + OTHERS_FEW), BRIGHTEST)
         group, slow = self.states.group, self.states.shape[:, SPEED] < STANDS_MPS
         whole, alpha = np.bincount(group, due)[group], self.alpha[slow.astype(np.int64)]
         cost = alpha * np.log1p(whole / alpha) * due / np.maximum(whole, 1e-12)
