@@ -246,8 +246,14 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
     InputError
         If there are such.
     """
-    for one, other in combinations(sensors, 2):
-        same = np.intersect1d(_told(one.frames), _told(other.frames))
+    told = [np.unique(_told(each.frames)) for each in sensors]
+    found, counts = np.unique(np.concatenate([np.empty(0, np.uint64), *told]), return_counts=True)
+    shared = found[counts > 1]  # of few, where all is well: pairs of many sensors cost nothing
+    if len(shared) <= MOST_EQUAL_FRAMES:
+        return
+    told = [np.intersect1d(each, shared, assume_unique=True) for each in told]
+    for (one, mine), (other, theirs) in combinations(zip(sensors, told, strict=True), 2):
+        same = np.intersect1d(mine, theirs, assume_unique=True)
         if len(same) > MOST_EQUAL_FRAMES:
             first, second = (
                 each.sources[int(each.source[np.flatnonzero(each.frames.hash == same[0])[0]])]
