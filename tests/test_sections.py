@@ -60,6 +60,20 @@ def test_a_section_at_the_stop_line_counts_what_its_lane_does(dataset):
         )
 
 
+def test_a_direction_that_nobody_sees_has_rows_without_figures(tmp_path):
+    tracks = [through(n, BEGIN + 1200 * n, STRAIGHT) for n in range(3)]
+    unseen = fork_dataset(tmp_path / "dataset", tracks, unseen=[LEFT])
+    places = lines(early=[(20, -5), (20, 5)], left=[(81, 7), (79, 11)], exits=[(80, 20), (80, -5)])
+    found = gr.count_sections(unseen, places, "5min").set_index("section")
+    assert found.loc["early", "counted"].sum() == 3
+    for name in ("left", "exits"):
+        rows = found.loc[[name]]
+        assert rows["begin"].tolist() == found.loc[["early"], "begin"].tolist()
+        assert (rows["visible_share"] == 0.0).all()
+        assert rows["volume"].isna().all()
+    assert found.loc[["left"], "counted"].isna().all()
+
+
 def test_directions_are_told_apart_by_the_side_they_come_from(dataset):
     """A line that is drawn the other way round names the same direction."""
     turned = lines(late=[(40, 5), (40, -5)])

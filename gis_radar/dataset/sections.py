@@ -208,13 +208,15 @@ def _of_direction(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFr
         counted=mine["counted"].astype("Float64"), variance=mine["volume_se"].astype(float) ** 2
     )
     mine["by_speed"] = mine["speed_time_mean_kmh"] * mine["counted"].astype(float)
+    times = pd.MultiIndex.from_frame(rows[["begin", "end"]].drop_duplicates()).sort_values()
     groups = mine.groupby(["begin", "end"])
-    all_seen = groups.size() == len(numbers)  # a lane without a row is not observed
-    sums = groups[["volume", "variance"]].sum(min_count=len(numbers))
-    some = groups[["counted", "heavy", "by_speed"]].sum(min_count=1)
+    # a lane without a row is not observed
+    all_seen = (groups.size() == len(numbers)).reindex(times, fill_value=False)
+    sums = groups[["volume", "variance"]].sum(min_count=len(numbers)).reindex(times)
+    some = groups[["counted", "heavy", "by_speed"]].sum(min_count=1).reindex(times)
     table = pd.DataFrame(
         {
-            "visible_share": groups["visible_share"].min().where(all_seen, 0.0),
+            "visible_share": groups["visible_share"].min().reindex(times).where(all_seen, 0.0),
             "counted": some["counted"].astype("Int64"), "volume": sums["volume"],
             "volume_se": np.sqrt(sums["variance"]), "heavy": some["heavy"],
             "speed_time_mean_kmh": some["by_speed"] / some["counted"].astype(float),
