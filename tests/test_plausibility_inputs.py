@@ -21,6 +21,7 @@ from gis_radar.calibration import LaneMap
 from gis_radar.calibration.excerpt import read_excerpts
 from gis_radar.calibration.explanations import by_lanes
 from gis_radar.calibration.plausibility import judge
+from gis_radar.calibration.range_scale import FEET, YARDS
 from gis_radar.calibration.traces import NONE
 from gis_radar.poses import PoseTrack, as_track, write_pose
 
@@ -206,6 +207,20 @@ def test_signs_that_are_lost_show_where_few_approach(rows, tmp_path, lost):
     lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
     found = by_lanes(excerpt, lanes, {})
     assert found.cause == ("range rates look like absolute values" if lost else "")
+
+
+@pytest.mark.parametrize(("factor", "verdict"), [(1.0, FITS), (FEET.factor, WRONG)])
+def test_feet_are_named_by_lanes_where_range_rates_do_not_tell(rows, tmp_path, factor, verdict):
+    table = rows["R1"].assign(**{name: factor * rows["R1"][name] for name in "xyz"})
+    table.to_parquet(tmp_path / "R1.parquet", index=False)
+    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")],
+                                 [as_track(POSES["R1"])]))  # fmt: skip
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    found = by_lanes(excerpt, lanes, {}, (FEET, YARDS))
+    assert found.verdict == verdict
+    assert ("positions look like feet" in found.cause) is (verdict == WRONG)
+    if verdict == WRONG:
+        assert "feet" not in by_lanes(excerpt, lanes, {}).cause
 
 
 def test_where_all_approach_lost_signs_and_turned_ones_are_the_same(checked, rows):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from gis_radar.base import Text
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.findings import FITS, UNKNOWN_CAUSE, Finding, either, wrong
+from gis_radar.calibration.range_scale import UnitMistake
 from gis_radar.calibration.rivals import (
+    AGAINST,
     NEAR_DEG,
     REFLECTION_M,
     LaneMap,
@@ -48,7 +50,10 @@ BESIDE_LANES = Text("many vehicles drive beside the lanes")
 ONE_PLACE = Text("are map, pose and recording of one place?")
 
 
-def by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
+def by_lanes(
+    excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose],
+    units: Sequence[UnitMistake] = (),
+) -> Finding:  # fmt: skip
     """Compare rival explanations of where vehicles drive.
 
     Parameters
@@ -59,6 +64,8 @@ def by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
         The map.
     others : mapping of str to Pose
         The poses of the site's other sensors.
+    units : sequence of UnitMistake
+        Units of the positions that the range rates do not rule out.
     """
     given, flat = score(excerpt, lanes), score(excerpt, lanes, Rival(heights=False))
     known = flat.over[np.isfinite(flat.over)]
@@ -69,7 +76,8 @@ def by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
         if lost and _backwards(excerpt, lanes, given):
             return wrong(evidence, lost.cause, lost.advice)
         return Finding(sensor="", verdict=FITS, evidence=evidence)
-    rivals = ways_to_be_wrong(excerpt, others) + (lower_or_tilted(excerpt, flat) if high else [])
+    rivals = ways_to_be_wrong(excerpt, others, units)
+    rivals += lower_or_tilted(excerpt, flat) if high else []
     least = given.share + (0.0 if high else MORE)
     best = likeliest(excerpt, given, scored(excerpt, lanes, rivals), least)
     yaws: Tried = []
@@ -78,6 +86,8 @@ def by_lanes(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
         found = likeliest(excerpt, given, searched, max(least, FOUND_SHARE))
         if found and (not best or _clearly_better(found[0][1], best[0][1])):
             best = found
+        elif found and best[0][0] is AGAINST and best[0][1].ahead_of(found[0][1]) < BESIDE:
+            best = [found[0], best[0]]  # a map with swapped bounds is no likelier than a pose
         yaws = scored(excerpt, lanes, other_yaws(excerpt.usual))
     if best:
         if_so = Text("{}, {:.0%} if so", evidence, best[0][1].share)

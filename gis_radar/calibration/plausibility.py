@@ -31,7 +31,7 @@ from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.nearly_right import lengths_off, pose_off
 from gis_radar.calibration.odd_clocks import odd_clocks
 from gis_radar.calibration.pace import is_sure, odd_pace
-from gis_radar.calibration.range_scale import ABSOLUTE, SIGN, measure_range_scale
+from gis_radar.calibration.range_scale import ABSOLUTE, FEET, SIGN, YARDS, measure_range_scale
 from gis_radar.calibration.rivals import AGAINST, LaneMap, best_split, on_lanes, score, signs_lost
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Recording
@@ -144,7 +144,8 @@ def _judged(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fin
     pace = None if excerpt.wild else measure_range_scale(excerpt.moving)
     found = _odd_recording(excerpt) or odd_pace(pace) or _replaced(excerpt, lanes, others)
     found = found or _too_little(excerpt) or _changed(excerpt, lanes, others)
-    found = found or by_lanes(excerpt, lanes, others)
+    units = () if is_sure(pace) else (FEET, YARDS)
+    found = found or by_lanes(excerpt, lanes, others, units)
     if found.verdict == FITS:
         found = lengths_off(excerpt, lanes, pace) or pose_off(excerpt, lanes, found, pace)
     other = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
@@ -23,7 +23,7 @@ from gis_radar.calibration.lanes import (
     match_along,
     sample_lanes,
 )
-from gis_radar.calibration.range_scale import ABSOLUTE
+from gis_radar.calibration.range_scale import ABSOLUTE, UnitMistake
 from gis_radar.calibration.traces import thin
 from gis_radar.poses import Pose
 
@@ -116,7 +116,7 @@ class Rival:
             abs((getattr(here, name) - getattr(there, name) + 180.0) % 360.0 - 180.0) < least
             for name, least in zip(TURNS, SAME_DEG, strict=True)
         ]
-        alike = (self.axes, self.against) == (other.axes, other.against)
+        alike = (self.axes, self.against, self.scale) == (other.axes, other.against, other.scale)
         apart_m = float(np.linalg.norm(here.position - there.position))
         aside = all(r.searched and abs(r.off(pose)[1]) < ONE_MISTAKE_DEG for r in (self, other))
         return alike and ((apart_m < SAME_PLACE_M and all(turns)) or aside)
@@ -279,7 +279,9 @@ def _compared(
     return np.log(mine + other), mine > other, np.where(mine > other, over, np.nan)
 
 
-def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival]:
+def ways_to_be_wrong(
+    excerpt: Excerpt, others: Mapping[str, Pose], units: Sequence[UnitMistake] = ()
+) -> list[Rival]:
     """Return the explanations that a site knows beside the given one.
 
     Parameters
@@ -288,6 +290,8 @@ def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival
         Of the sensor.
     others : mapping of str to Pose
         The poses of other sensors of the site.
+    units : sequence of UnitMistake
+        Units of the positions that the range rates do not rule out.
     """
     pose = excerpt.usual
     compass = yaw_from_compass(pose.yaw, pose.crs, pose.easting, pose.northing)
@@ -325,6 +329,7 @@ def ways_to_be_wrong(excerpt: Excerpt, others: Mapping[str, Pose]) -> list[Rival
     return (
         found
         + ([lost] if lost else [])
+        + [Rival(cause=each.looks, advice=each.advice, scale=each.factor) for each in units]
         + [_of_another(name, other) for name, other in others.items()]
     )
 
