@@ -12,6 +12,7 @@ import pandas as pd
 
 from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
+WAYS = "queues"  # the chapter whose figures show ways of single vehicles
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 LOOKS = {
     "confirms": "the airborne scan confirms it",
@@ -261,7 +262,7 @@ class MapSeries:
 
 
 class Chapter(NamedTuple):
-    """A chapter after the map.
+    """A chapter before or after the map.
 
     Parameters
     ----------
@@ -296,6 +297,8 @@ class Content:
         What to know before reading on, in sentences.
     basis : Table
         What the figures rest on.
+    questions : sequence of Chapter
+        What comes before the map: traffic, a question each.
     map : MapSeries
         The map.
     chapters : sequence of Chapter
@@ -317,6 +320,14 @@ class Content:
     map: MapSeries
     chapters: Sequence[Chapter]
     made_by: str
+    questions: Sequence[Chapter] = ()
+
+    @property
+    def shows_ways(self) -> bool:
+        """Whether a picture shows the ways of single vehicles."""
+        parts = (part for each in self.questions if each.name == WAYS for part in each.parts)
+        return any(isinstance(part, Figure) for part in parts)
+
     measure: str = "hit_share"
 
 

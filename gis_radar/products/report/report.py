@@ -83,6 +83,12 @@ from gis_radar.products.report.results import (
     write_sensor_table,
 )
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
+from gis_radar.products.report.traffic import (
+    traffic_chapters,
+    traffic_of,
+    write_lane_traffic,
+    write_turn_traffic,
+)
 from gis_radar.products.report.trust import trust_table
 
 SUMMARY_LANES = 10
@@ -196,6 +202,7 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
         quality=_quality(results, zone, reporter),
         lanes=sums,
         table=table,
+        traffic=traffic_of(results.dataset, heat),
     )
 
 
@@ -272,6 +279,9 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
     }
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
+    if (traffic := found.traffic) is not None:
+        writers[names.TRAFFIC] = lambda path: write_lane_traffic(path, traffic)
+        writers[names.TURNS] = lambda path: write_turn_traffic(path, traffic)
     return writers
 
 
@@ -324,6 +334,7 @@ def _content(found: Findings, drawn: _Pictures) -> Content:
         facts=facts_of(found),
         remarks=remarks_of(found),
         basis=basis_of(found),
+        questions=traffic_chapters(found.traffic, clock) if found.traffic else (),
         map=drawn.maps,
         chapters=_chapters(found, drawn),
         made_by=made_by(),
