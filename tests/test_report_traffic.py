@@ -190,8 +190,7 @@ def test_in_german(folder):
     assert "Wege von Fahrzeugen" in text  # what the report shows of single vehicles
 
 
-def test_of_one_interval_there_is_no_profile(tmp_path, monkeypatch):
-    monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+def test_of_one_interval_there_is_no_profile(tmp_path, without_pdf):
     reported(tmp_path, [through(1, BEGIN + 40, STRAIGHT)])
     text = (tmp_path / "en" / "report.html").read_text(encoding="utf-8")
     assert volumes(Page(text))[APPROACH]["Counted vehicles"] == "1"
@@ -200,8 +199,7 @@ def test_of_one_interval_there_is_no_profile(tmp_path, monkeypatch):
     assert "it shows no single vehicle" in text
 
 
-def test_without_exact_tables_there_are_no_ways(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+def test_without_exact_tables_there_are_no_ways(folder, tmp_path, without_pdf):
     shutil.copytree(folder / "dataset", tmp_path / "dataset")
     shutil.copytree(folder / "heatmap", tmp_path / "heatmap")
     place = tmp_path / "dataset"
@@ -222,3 +220,15 @@ def test_of_hits_alone_it_says_so(once):
     assert not re.search('<section id="(volumes|turns|queues)"', text)
     assert "Vehicles were not looked for: this report has no volumes" in text
     assert not {"traffic.csv", "turns.csv"} & {path.name for path in report.outputs}
+
+
+def test_ways_of_vehicles_can_be_left_out(folder, tmp_path, without_pdf):
+    gr.write_report(folder, output=tmp_path, title="Fork", ways=False)
+    without, with_ways = pictures(tmp_path, "queues", "."), pictures(folder, "queues")
+    for one, other in zip(without, with_ways, strict=True):
+        assert redness(one) > 0.01
+        dark = [(np.asarray(each).sum(axis=-1) < 250).sum() for each in (one, other)]
+        assert dark[0] < dark[1]
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "it shows no single vehicle" in text
+    assert "way of one vehicle" not in text

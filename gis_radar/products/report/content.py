@@ -12,7 +12,7 @@ import pandas as pd
 
 from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
-WAYS = "queues"  # the chapter whose figures show ways of single vehicles
+QUEUES = "queues"  # the chapter whose figures may show ways of single vehicles
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 LOOKS = {
     "confirms": "the airborne scan confirms it",
@@ -307,6 +307,8 @@ class Content:
         The software.
     measure : str
         What the map shows: `occupancy` or `hit_share`.
+    shows_ways : bool
+        Whether a picture shows the ways of single vehicles.
     """
 
     title: str
@@ -321,12 +323,7 @@ class Content:
     chapters: Sequence[Chapter]
     made_by: str
     questions: Sequence[Chapter] = ()
-
-    @property
-    def shows_ways(self) -> bool:
-        """Whether a picture shows the ways of single vehicles."""
-        parts = (part for each in self.questions if each.name == WAYS for part in each.parts)
-        return any(isinstance(part, Figure) for part in parts)
+    shows_ways: bool = False
 
     measure: str = "hit_share"
 

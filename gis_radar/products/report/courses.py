@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure as MplFigure
 from PIL import Image
 
-from gis_radar.base import FONTS, STEPS_PER_SECOND, Clock, Floats, Integers, figure_text, tr
+from gis_radar.base import FONTS, STEPS_PER_SECOND, Clock, Floats, Integers, Text, figure_text, tr
 from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, LaneTraffic
 from gis_radar.measures import QueueCourse
 from gis_radar.products.heatmap.picture import (
@@ -33,6 +33,7 @@ WINDOW_S = 900.0  # of a diagram: in more, ways of vehicles are a grey field
 COURSE_IN, COURSE_DPI = (7.2, 1.9), 150  # of one lane
 NARROW_COURSE_IN = 1.7  # its height on a phone
 BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; before it
+LEAST_ABOVE_M = 2.0  # shown beyond a line with which its lane ends
 AROUND = 1.5  # shown before the line, of the longest queue
 BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
 QUEUE, UNSEEN = "#ba1c4d", "#d5dade"
@@ -50,8 +51,9 @@ class LongQueue(NamedTuple):
 
 
 def draw_courses(
-    dataset: Dataset, queues: Sequence[LongQueue], span: tuple[datetime, datetime], clock: Clock
-) -> list[Figure]:
+    dataset: Dataset, queues: Sequence[LongQueue], span: tuple[datetime, datetime], clock: Clock,
+    *, ways: bool,
+) -> list[Figure]:  # fmt: skip
     """Draw the ways of vehicles to the stop lines of lanes, and the backs of their queues.
 
     Parameters
@@ -64,6 +66,8 @@ def draw_courses(
         What the report shows; of more than 15 minutes those around each queue.
     clock : Clock
         For the times below.
+    ways : bool
+        Whether the ways of vehicles are drawn, or the queues alone.
 
     Returns
     -------
@@ -75,7 +79,7 @@ def draw_courses(
     if not all(each for *_, each in drawn):
         return []
     wide, narrow = (
-        _drawn(drawn, (width_in, height_in), letters_pt, clock)
+        _drawn(drawn, (width_in, height_in), letters_pt, clock, ways=ways)
         for width_in, height_in, letters_pt in (
             (*COURSE_IN, LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, NARROW_PT),
         )
@@ -86,14 +90,20 @@ def draw_courses(
     return [
         Figure(
             png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
-            caption=tr(
-                "The lanes with the longest queues. Each thin line is the way of one vehicle to "
-                "the stop line, level where it stands; red is the queue back to its end. Grey: not "
-                "seen. A line that begins or ends on the way was found or lost there."
-            ),
+            caption=" ".join(map(tr, (_QUEUES, *([_WAYS] if ways else [])))),
             alt=tr("Time-space diagrams of the longest queues. {lanes}.", lanes=named),
         )
     ]  # fmt: skip
+
+
+_QUEUES = Text(
+    "The lanes with the longest queues. Red is the queue, from the stop line back to its end. "
+    "Grey: not seen."
+)
+_WAYS = Text(
+    "Each thin line is the way of one vehicle to the stop line, level where it stands; a line that "
+    "begins or ends on the way was found or lost there."
+)
 
 
 def _window(moment: datetime, begin: datetime, end: datetime) -> tuple[datetime, datetime]:
@@ -112,7 +122,7 @@ def _course(dataset: Dataset, lane: int, begin: datetime, end: datetime) -> list
 
 def _drawn(
     drawn: Sequence[tuple[LongQueue, datetime, datetime, list[QueueCourse]]],
-    size_in: tuple[float, float], letters_pt: float, clock: Clock,
+    size_in: tuple[float, float], letters_pt: float, clock: Clock, *, ways: bool,
 ) -> Image.Image:  # fmt: skip
     """Return the diagrams of lanes below each other."""
     width_in, height_in = size_in
@@ -124,15 +134,17 @@ def _drawn(
         axes = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
         for ax, (queue, begin, end, parts) in zip(axes, drawn, strict=True):
             for part in parts:
-                _draw(ax, part, begin)
+                _draw(ax, part, begin, ways=ways)
+            near, far = np.concatenate([each.seen[:, 2:] for each in parts]).T
+            shown_m = (min(far.max(initial=0.0), MOST_M), max(near.min(initial=0.0), -BEYOND_M))
             letters = round(TITLE_LETTERS * width_in / letters_pt)
             named = queue._replace(name=fill(queue.name, letters))
-            _lay_out(ax, named, begin, end, clock)
+            _lay_out(ax, named, begin, end, shown_m, clock)
         figure.supylabel(tr("metres before the stop line"), fontsize=letters_pt, color=SOFT)
         return image_of_figure(figure).convert("RGB").quantize(128, dither=Image.Dither.NONE)
 
 
-def _draw(ax: Axes, course: QueueCourse, begin: datetime) -> None:
+def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, ways: bool) -> None:
     """Draw what was seen, ways and the queue of one hour; seconds from `begin` to the right."""
 
     def at(steps: Floats | Integers) -> Floats:
@@ -148,18 +160,24 @@ def _draw(ax: Axes, course: QueueCourse, begin: datetime) -> None:
     )
     shown = np.where(course.back_m > 0.0, course.back_m, np.nan)
     ax.step(at(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
+    if not ways:
+        return
     new = np.diff(course.vehicle, prepend=-1) != 0
     new |= np.diff(course.step, prepend=0) > BROKEN_STEPS
     points = np.column_stack([at(course.step), course.to_line_m])
-    ways = np.split(points, np.flatnonzero(new)[1:])
-    ax.add_collection(LineCollection(ways, colors=INK, linewidths=0.45, alpha=0.75, zorder=5))
+    lines = np.split(points, np.flatnonzero(new)[1:])
+    ax.add_collection(LineCollection(lines, colors=INK, linewidths=0.45, alpha=0.75, zorder=5))
 
 
-def _lay_out(ax: Axes, queue: LongQueue, begin: datetime, end: datetime, clock: Clock) -> None:
+def _lay_out(
+    ax: Axes, queue: LongQueue, begin: datetime, end: datetime, shown_m: tuple[float, float],
+    clock: Clock,
+) -> None:  # fmt: skip
     """Give axes their scale, times and title: vehicles drive upwards, to the line."""
     seconds = (end - begin).total_seconds()
-    reach = float(np.clip(queue.longest_m * AROUND, LEAST_M, MOST_M))
-    ax.set(xlim=(0.0, seconds), ylim=(reach, -BEYOND_M), facecolor=UNSEEN)
+    reach = min(max(queue.longest_m * AROUND, LEAST_M), shown_m[0])
+    above = min(shown_m[1], -LEAST_ABOVE_M)
+    ax.set(xlim=(0.0, seconds), ylim=(reach, above), facecolor=UNSEEN)
     ax.axhline(0.0, color=INK, lw=1.2, zorder=6)
     step_s = 10.0 if seconds <= WINDOW_S / 3.0 else 60.0
     first = begin - timedelta(seconds=begin.timestamp() % step_s)

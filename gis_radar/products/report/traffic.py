@@ -13,7 +13,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as MplFigure
-from PIL import Image
+from PIL import Image, ImageChops
 
 from gis_radar.base import (
     FONTS,
@@ -38,7 +38,7 @@ from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_
 from gis_radar.products.report import names
 from gis_radar.products.report.chart import strip_of, times_below
 from gis_radar.products.report.content import (
-    WAYS,
+    QUEUES,
     WORDS,
     Chapter,
     Chart,
@@ -47,7 +47,7 @@ from gis_radar.products.report.content import (
     Table,
     text_rows,
 )
-from gis_radar.products.report.courses import MOST_COURSES, LongQueue, draw_courses
+from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
 from gis_radar.products.traffic import write_table
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
@@ -56,10 +56,9 @@ INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
 STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; as many charts
 LEAST_INTERVALS = 3  # of a profile: two values are no course, and the table has their mean
 MOST_LANES = 60  # rows of the table as read; the CSV file holds all
-MOST_QUEUES = 8  # lanes of the table of queues
+MOST_QUEUES = 6  # lanes of the table of queues
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it: less is no queue to speak of
 TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
-TOPS = (60, 120, 300, 600, 900, 1200, 1800, 2400)  # of the scale of volumes, vehicles an hour
 NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
@@ -164,7 +163,7 @@ def _english(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
     return lanes.map(dict(zip(traffic.network.lane.tolist(), named, strict=True)))
 
 
-def traffic_chapters(traffic: ReportedTraffic, clock: Clock) -> list[Chapter]:
+def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Chapter]:
     """Return the chapters on traffic, each with the question that it answers.
 
     Parameters
@@ -173,6 +172,8 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock) -> list[Chapter]:
         What is known.
     clock : Clock
         Of the site.
+    ways : bool
+        Whether diagrams of queues show the ways of vehicles.
     """
     clock = traffic.clock(clock)
     chapters = [
@@ -182,8 +183,8 @@ def traffic_chapters(traffic: ReportedTraffic, clock: Clock) -> list[Chapter]:
     if traffic.by_turn["volume"].notna().any():
         turns = (_turning_diagram(traffic), _turn_table(traffic))
         chapters.append(Chapter("turns", tr("Where do they turn?"), turns))
-    if queues := _queues(traffic, clock):
-        chapters.append(Chapter(WAYS, tr("Where is it slow or full, and when?"), queues))
+    if queues := _queues(traffic, clock, ways=ways):
+        chapters.append(Chapter(QUEUES, tr("Where is it slow or full, and when?"), queues))
     return chapters
 
 
@@ -275,57 +276,77 @@ def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> 
 
 
 def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
-    """Draw the volume of lanes before stop lines by interval; nothing of too few."""
-    table = traffic.lanes
-    if table["begin"].nunique() < LEAST_INTERVALS or not table["volume"].notna().any():
-        return []
+    """Draw the volume of lanes before stop lines by interval, of others where there are none."""
     rows = _roads(traffic)
+    rows = rows[rows["volume"].notna()]
     before = rows["lane"].isin(_before_lines(traffic))
-    chosen = rows[(before if before.any() else True) & rows["volume"].notna()]
-    lanes = chosen.head(STRIPS * MOST_CHARTS)
-    hours = traffic.length_s / 3600.0
-    by_time = table.set_index(["begin", "lane"])[["volume", "volume_se"]].astype(float) / hours
-    values, errors = (by_time[name].unstack() for name in by_time)  # noqa: PD010 - a value each
-    high = float((values + errors)[lanes["lane"]].max(axis=None))
-    top = next((each for each in TOPS if each >= high), float(np.ceil(high / 600.0) * 600.0))
-    strips = [(str(row["name"]), values[row["lane"]], errors[row["lane"]])
-              for _, row in lanes.iterrows()]  # fmt: skip
+    return _charts(traffic, rows[before] if before.any() else rows, _VOLUMES, clock)
+
+
+class _Profile(NamedTuple):
+    """What strips over time show: columns of a value and its error, by how much to divide them."""
+
+    columns: Sequence[str]
+    tops: Sequence[float]
+    an_hour: bool
+    heading: str
+    caption: str
+
+
+_VOLUMES = _Profile(
+    ("volume", "volume_se"), (60, 120, 300, 600, 900, 1200, 1800, 2400), True,
+    Text("Lane; vehicles an hour; band: standard error"),
+    Text("Volume of each lane in intervals of {length}, all on one scale; the band is its "
+         "standard error. Hatched grey: not seen."),
+)  # fmt: skip
+_BACKS = _Profile(
+    ("queue_max_m", "unknown"), (20, 50, 100, 200, 300, 500), False,
+    Text("Lane; longest queue, metres"),
+    Text("Longest queue of each lane in intervals of {length}, all on one scale. Hatched grey: the "
+         "stop line was not seen."),
+)  # fmt: skip
+
+
+def _charts(
+    traffic: ReportedTraffic, lanes: pd.DataFrame, profile: _Profile, clock: Clock
+) -> list[Chart]:
+    """Draw a strip a lane, as far as they fill some pages; nothing of too few intervals."""
+    if len(set(traffic.lanes["begin"])) < LEAST_INTERVALS or lanes.empty:
+        return []
+    lanes = lanes.head(STRIPS * MOST_CHARTS)
+    table = traffic.lanes.assign(unknown=np.nan).set_index(["lane", "begin"])
+    table = table[[*profile.columns]].astype(float)
+    table = table / (traffic.length_s / 3600.0) if profile.an_hour else table
+    high = float(table.loc[lanes["lane"].tolist()].sum(axis=1).max())
+    step = profile.tops[-1] / 4.0
+    top = next((each for each in profile.tops if each >= high), float(np.ceil(high / step) * step))
+    strips = [(str(row["name"]), table.loc[row["lane"]] / top) for _, row in lanes.iterrows()]
     return [
-        _chart(strips[first : first + STRIPS], top, traffic, clock)
+        _chart(strips[first : first + STRIPS], top, traffic, profile, clock)
         for first in range(0, len(strips), STRIPS)
     ]
 
 
 def _chart(
-    strips: Sequence[tuple[str, pd.Series, pd.Series]],
-    top: float,
-    traffic: ReportedTraffic,
-    clock: Clock,
-) -> Chart:
-    length = timedelta(seconds=traffic.length_s)
+    strips: Sequence[tuple[str, pd.DataFrame]], top: float, traffic: ReportedTraffic,
+    profile: _Profile, clock: Clock,
+) -> Chart:  # fmt: skip
     begin, end = (traffic.lanes[n].dt.tz_convert("UTC") for n in ("begin", "end"))
-    edges = pd.date_range(begin.min(), end.max(), freq=length)
+    edges = pd.date_range(begin.min(), end.max(), freq=timedelta(seconds=traffic.length_s))
     seconds = (edges - edges[0]).total_seconds().to_numpy()
-    place = seconds / seconds[-1]
     moments = [each.to_pydatetime() for each in edges]
-    rows = [(name, volume.reindex(edges[:-1]), error.reindex(edges[:-1]))
-            for name, volume, error in strips]  # fmt: skip
+    drawn = []
+    for name, rows in strips:
+        values, errors = rows.reindex(edges[:-1]).to_numpy().T
+        drawn.append(strip_of(name, seconds / seconds[-1], values, errors))
+    length = f"{figure_text(traffic.length_s / 60.0)}{THIN_SPACE}min"
     return Chart(
-        caption=tr(
-            "Volume of each lane in intervals of {length}, all on one scale; the band is its "
-            "standard error. Hatched grey: not seen.",
-            length=f"{figure_text(traffic.length_s / 60.0)}{THIN_SPACE}min",
-        ),
+        caption=tr(profile.caption, length=length), heading=tr(profile.heading),
         alt=tr(
-            "Chart of {n} lanes over {intervals} intervals; the table above has their means.",
+            "Chart of {n} lanes over {intervals} intervals; the table has the whole time.",
             n=len(strips), intervals=len(edges) - 1,
         ),
-        heading=tr("Lane; vehicles an hour; band: standard error"),
-        top=figure_text(top), below=clock.name,
-        strips=[
-            strip_of(name, place, volume.to_numpy() / top, error.to_numpy() / top)
-            for name, volume, error in rows
-        ],
+        top=figure_text(top), below=clock.name, strips=drawn,
         times=[
             (float(at / seconds[-1]), label) for at, label in times_below(moments, seconds, clock)
         ],
@@ -355,7 +376,8 @@ def _turns_drawn(traffic: ReportedTraffic, width_in: float) -> Image.Image:
         known = traffic.by_turn[traffic.by_turn["volume"].notna()]
         known = known.assign(error_veh_h=known["volume_se"] / traffic.hours)
         draw_turning_diagram(figure, traffic.lanes, known, labels=wide)
-        return image_of_figure(figure).convert("RGB")
+        drawn = image_of_figure(figure).convert("RGB")
+        return drawn.crop(ImageChops.invert(drawn).getbbox())
 
 
 def _turn_table(traffic: ReportedTraffic) -> Table:
@@ -392,7 +414,7 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _queues(traffic: ReportedTraffic, clock: Clock) -> list[Table | Figure]:
+def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table | Figure | Chart]:
     """Return where vehicles queue: a table, and the course of the longest queues."""
     queues = traffic.by_lane[traffic.by_lane["queue_max_m"] >= LEAST_QUEUE_M]
     queues = queues.sort_values(["queue_max_m", "lane"], ascending=[False, True])
@@ -408,9 +430,11 @@ def _queues(traffic: ReportedTraffic, clock: Clock) -> list[Table | Figure]:
         for _, row in queues.head(MOST_COURSES).iterrows()
     ]  # fmt: skip
     span = (traffic.begin, traffic.end)
+    long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # more than diagrams show
     return [
-        *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True)),
+        *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), ways=ways),
         _queue_table(traffic, queues, most, clock),
+        *_charts(traffic, queues.head(MOST_QUEUES), _BACKS, clock)[:long],
     ]
 
 
