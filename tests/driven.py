@@ -61,8 +61,9 @@ def driven(
 ):  # fmt: skip
     """Write a dataset of tracks, states of which are every step; give it.
 
-    All but the unseen lanelets is seen from a pose, the usual one where none is given; what else
-    `write_dataset` takes may be given, too.
+    It is seen from a pose, the usual one where none is given; what else `write_dataset` takes it
+    may be given, too.
+    Tiles that are `unseen` are in nobody's sight.
     Vehicles that drive on in another hour have another number in it, as `continued` says.
     """
     tracks = tracks.sort_values(["vehicle", "step"], ignore_index=True)
@@ -72,12 +73,11 @@ def driven(
     at_end = (step == known["min"].to_numpy()) | (step == known["max"].to_numpy())
     kept = tracks[(step % TRACK_EVERY_STEPS == 0) | at_end]
     steps = np.arange(step.min(), step.max() + 1)
-    seen = tiles.loc[~tiles["lanelet_id"].isin(unseen), "tile_id"]
-    whole = {(tile, True): set(steps.tolist()) for tile in seen}
+    ids = tiles.loc[~tiles["tile_id"].isin(unseen), "tile_id"].to_numpy()
+    whole = {(tile, True): set(steps.tolist()) for tile in ids}
     frames = {"sensor": np.full(len(steps), "R1"), "time_us": steps * 50_000, "first_step": steps,
               "last_step": steps, "pose": np.full(len(steps), "R1")}  # fmt: skip
     zeros = [name for name in FRAMES.names if name not in frames]
-    ids = seen.to_numpy()
     dataset = write_dataset(
         folder,
         {

@@ -7,7 +7,7 @@ import pyogrio
 import pytest
 from datasets import HOUR
 from driven import drive
-from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
+from forks import APPROACH, LEFT, STRAIGHT, fork, fork_dataset, through
 from maps import EAST, NORTH, UTM
 from shapely import LineString, MultiLineString
 
@@ -62,7 +62,8 @@ def test_a_section_at_the_stop_line_counts_what_its_lane_does(dataset):
 
 def test_a_direction_that_nobody_sees_has_rows_without_figures(tmp_path):
     tracks = [through(n, BEGIN + 1200 * n, STRAIGHT) for n in range(3)]
-    unseen = fork_dataset(tmp_path / "dataset", tracks, unseen=[LEFT])
+    left = fork().query(f"lanelet_id == {LEFT}")["tile_id"]
+    unseen = fork_dataset(tmp_path / "dataset", tracks, unseen=left)
     places = lines(early=[(20, -5), (20, 5)], left=[(81, 7), (79, 11)], exits=[(80, 20), (80, -5)])
     found = gr.count_sections(unseen, places, "5min").set_index("section")
     assert found.loc["early", "counted"].sum() == 3

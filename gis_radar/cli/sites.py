@@ -84,6 +84,10 @@ def check(*, site: Path, reporter: Reporter) -> Result:
 @click.option(
     "--dataset", type=FILE, help="What the heat map was made of, where it is not in DIR.",
 )  # fmt: skip
+@click.option(
+    "--no-ways", "ways", is_flag=True, flag_value=False, default=True,
+    help="Without the ways of single vehicles in the diagrams of queues.",
+)  # fmt: skip
 def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
     """Write a report for people without QGIS: HTML, PDF, and tables (CSV).
 

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyogrio
 
-from gis_radar.base import Integers, opened_package
+from gis_radar.base import STEPS_PER_SECOND, Integers, opened_package
 from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, days_with
 from gis_radar.dataset.manifest import TILES
 from gis_radar.dataset.parts import HOURS_PER_DAY, STEPS_PER_HOUR
@@ -38,11 +38,13 @@ from gis_radar.measures import (
     FrontStates,
     LaneNetwork,
     Measured,
+    QueueCourse,
     StepGrid,
     TileSteps,
     VehicleTable,
     VisibleRuns,
     measure_lanes,
+    queue_course,
 )
 
 METHOD = 1
@@ -187,28 +189,68 @@ class LaneTraffic:
         found = self._measured(record, STEPS_PER_QUARTER, tile, interval - first, steps)
         return _tables(found, first)
 
+    def courses(
+        self, records: Mapping[int, HourRecord], lane: int, span: Span
+    ) -> list[QueueCourse]:
+        """Follow the queue at the stop line of a lane, second by second.
+
+        Parameters
+        ----------
+        records : mapping
+            Of hours.
+        lane : int
+            Number of the lane.
+        span : (int, int)
+            First and last step.
+
+        Returns
+        -------
+        list of QueueCourse
+            A part an hour; none where exact tables were deleted.
+        """
+        known = _with_tracks(records).values()
+        if any(TRACKS.name in each.dropped for each in known):
+            return []
+        return [self._course(each, lane, span) for each in known]
+
+    def _course(self, record: HourRecord, lane: int, span: Span) -> QueueCourse:
+        begin = record.hour * STEPS_PER_HOUR
+        first, after = max(begin, span[0]), min(begin + STEPS_PER_HOUR, span[1] + 1)
+        grid = StepGrid(
+            begin=first, steps=STEPS_PER_SECOND, count=max((after - first) // STEPS_PER_SECOND, 0)
+        )
+        states, vehicles = self._states(record), self._vehicles(record)
+        length_m = vehicles.length_m[vehicles.of(states.vehicle)]
+        stop = int(np.searchsorted(self.network.lane, lane))
+        return queue_course(stop, states, length_m, self.network, self._visible(record), grid)
+
     def _measured(
         self, record: HourRecord, steps: int, tile: Integers, interval: Integers,
         counts: Sequence[Any],
     ) -> Measured:  # fmt: skip
         begin = record.hour * STEPS_PER_HOUR
-        vehicles = self._part(VEHICLES, record, ["vehicle", "length_m", "p_heavy", "p_exists"])
-        known = {name: vehicles[name].to_numpy() for name in vehicles.column_names}
-        runs = self._part(VISIBLE, record, ["tile_id", "first_step", "last_step"])
         visible, occupied, inferred, variance = (each.astype(np.float64) for each in counts)
         return measure_lanes(
             self.network,
             StepGrid(begin=begin, steps=steps, count=STEPS_PER_HOUR // steps),
             self._states(record),
-            VehicleTable(**known),
-            VisibleRuns(
-                tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
-                last=runs["last_step"].to_numpy(),
-            ),
+            self._vehicles(record),
+            self._visible(record),
             TileSteps(
                 tile_id=tile, interval=interval.astype(np.int64), visible=visible,
                 occupied=occupied, inferred=inferred, variance=variance,
             ),
+        )  # fmt: skip
+
+    def _vehicles(self, record: HourRecord) -> VehicleTable:
+        rows = self._part(VEHICLES, record, ["vehicle", "length_m", "p_heavy", "p_exists"])
+        return VehicleTable(**{name: rows[name].to_numpy() for name in rows.column_names})
+
+    def _visible(self, record: HourRecord) -> VisibleRuns:
+        runs = self._part(VISIBLE, record, ["tile_id", "first_step", "last_step"])
+        return VisibleRuns(
+            tile_id=runs["tile_id"].to_numpy(), first=runs["first_step"].to_numpy(),
+            last=runs["last_step"].to_numpy(),
         )  # fmt: skip
 
     def _states(self, record: HourRecord) -> FrontStates:

@@ -27,7 +27,7 @@ from gis_radar.base import (
     speaking,
     zone_of,
 )
-from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER
+from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_text
@@ -87,7 +87,7 @@ class TrafficTables:
 
     def traffic(
         self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None,
+        language: str | None = None, whole: bool = False,
     ) -> gpd.GeoDataFrame:  # fmt: skip
         """Return the traffic of lanes, a row a lane and interval.
 
@@ -100,6 +100,11 @@ class TrafficTables:
             Only what begins between these times.
         language : str, optional
             Of the lanes' names, `en` or `de`; English without it, or what is spoken now.
+        whole : bool
+            One row a lane, of all intervals together that were measured: from the begin of the
+            first to the end of the last, `volume` without the time between. Intervals count by the
+            share of them that was visible, so that those in which a recording begins or ends count
+            less. They are of 15 min, or of `interval` where that is less.
 
         Returns
         -------
@@ -119,11 +124,11 @@ class TrafficTables:
             If vehicles were not looked for, or the interval is under 15 min and exact tables were
             deleted.
         """
-        return _reader(self, interval, begin, end, language).lanes()
+        return _reader(self, interval, begin, end, language, whole=whole).lanes()
 
     def turns(
         self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None,
+        language: str | None = None, whole: bool = False,
     ) -> gpd.GeoDataFrame:  # fmt: skip
         """Return the volumes of turns, a row a turn and interval; as of :meth:`traffic`.
 
@@ -134,7 +139,7 @@ class TrafficTables:
             `back`), `begin`, `end`, `visible_share`, `volume`, `volume_se`, `volume_veh_h`; the way
             from the stop line to the exit.
         """
-        return _reader(self, interval, begin, end, language).turns()
+        return _reader(self, interval, begin, end, language, whole=whole).turns()
 
     def queues(
         self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
@@ -157,8 +162,9 @@ class TrafficTables:
 
 
 def _reader(
-    dataset: Source, interval: str, begin: Moment, end: Moment, language: str | None
-) -> TrafficReader:
+    dataset: Source, interval: str, begin: Moment, end: Moment, language: str | None, *,
+    whole: bool = False,
+) -> TrafficReader:  # fmt: skip
     if not dataset.has_vehicles:
         raise InputError(
             "{}: holds no vehicles, of which traffic is counted",
@@ -168,7 +174,7 @@ def _reader(
     traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
     return TrafficReader(
         dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),
-        language=language,
+        language=language, whole=whole,
     )  # fmt: skip
 
 
@@ -192,6 +198,8 @@ class TrafficReader:
         Of the names; the current one without it.
     exact : bool
         Whether intervals of 15 min and more are measured from the exact tables, too.
+    whole : bool
+        Whether all intervals are one, as for :meth:`gis_radar.Dataset.traffic`.
     """
 
     dataset: Source
@@ -200,6 +208,7 @@ class TrafficReader:
     span: Span | None = None
     language: str | None = None
     exact: bool = False
+    whole: bool = False
 
     def lanes(self) -> gpd.GeoDataFrame:
         """Return a row a lane and interval, as of :meth:`gis_radar.Dataset.traffic`."""
@@ -212,11 +221,10 @@ class TrafficReader:
             names = lane_names(layer, network)
         at = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
         lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[at]
-        hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
         shown = pd.DataFrame({"lane": table["lane"], "name": np.array(names, object)[at]})
         shown = shown.join(table[["begin", "end", "visible_share", "counted"]])
         shown = shown.join(table[["volume", "volume_se"]])
-        shown["volume_veh_h"] = table["volume"] / hours
+        shown["volume_veh_h"] = table["volume"] / table["hours"]
         shown["heavy"] = table["heavy"]
         for name, of in (("speed", "speed_mean"), ("speed_time_mean", "speed_time_mean")):
             shown[f"{name}_kmh"] = table[of] * 3.6
@@ -231,6 +239,8 @@ class TrafficReader:
     def turns(self) -> gpd.GeoDataFrame:
         """Return a row a turn and interval, as of :meth:`gis_radar.Dataset.turns`."""
         table, network = self._rows(TURNS), self.traffic.network
+        if self.whole:
+            table = _like_approaches(table, self._rows(LANE_MEASURES))
         ways, layer = network.turns(), self._layer(LANES_LAYER)
         with self._speaking():
             names = np.array(lane_names(layer, network), object)
@@ -244,7 +254,6 @@ class TrafficReader:
         start, end = (
             np.searchsorted(network.lane, table[name].to_numpy(np.int64)) for name in _WITH_TURN
         )
-        hours = (table["end"] - table["begin"]).dt.total_seconds() / 3600.0
         approach = table.groupby(["from_lane", "begin"])["volume"].transform("sum")
         part = (table["volume"] / approach.where(approach > 0.0)).fillna(1.0)
         left_open = part * np.sqrt(self._left_open(table, "from_lane", "volume"))
@@ -252,7 +261,7 @@ class TrafficReader:
         shown = table[_WITH_TURN].assign(from_name=names[start], to_name=names[end])
         shown["turn"] = np.array(words, object)[at]
         shown = shown.join(table[["begin", "end", "visible_share", "volume", "volume_se"]])
-        shown["volume_veh_h"] = table["volume"] / hours
+        shown["volume_veh_h"] = table["volume"] / table["hours"]
         lines_at = gpd.GeoSeries(lines, crs=self.dataset.manifest.crs).array[at]
         return gpd.GeoDataFrame(shown, geometry=lines_at, crs=self.dataset.manifest.crs)
 
@@ -290,12 +299,20 @@ class TrafficReader:
         empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
         rows = pa.concat_tables([empty, *parts]).drop_columns(["interval"]).to_pandas()
         begin = pd.to_datetime(rows.pop("first_step") * STEP_US, unit="us", utc=True)
-        rows = rows.assign(begin=begin, end=begin + _length(min(steps, STEPS_PER_QUARTER)))
+        part_h = part_steps * STEP_S / 3600.0
+        rows = rows.assign(begin=begin, end=begin + _length(part_steps), hours=part_h)
         for name in ("counted", "stops"):
             if name in rows:
                 rows[name] = rows[name].astype("Int64")
-        if steps > STEPS_PER_QUARTER:
-            rows = _rolled_up(rows, steps, zone, self.traffic.network)
+        if self.whole:
+            hours = rows["begin"].nunique() * part_h
+            rows = rows.assign(begin=rows["begin"].min(), end=rows["end"].max(), hours=hours)
+        elif steps > STEPS_PER_QUARTER:
+            rows = rows.assign(**_local_intervals(rows["begin"], steps, zone))
+            rows["hours"] = (rows["end"] - rows["begin"]).dt.total_seconds() / 3600.0
+        if self.whole or steps > STEPS_PER_QUARTER:
+            weight = rows["visible_share"] if self.whole else 1.0
+            rows = _rolled_up(rows.assign(weight=weight), part_h, self.traffic.network)
         rows = rows.assign(**{name: rows[name].dt.tz_convert(zone) for name in ("begin", "end")})
         keys = _WITH_LANE if table is LANE_MEASURES else _WITH_TURN
         ordered: pd.DataFrame = rows.sort_values([*keys, "begin"], ignore_index=True)
@@ -365,26 +382,31 @@ def _local_intervals(begin: pd.Series, steps: int, zone: ZoneInfo) -> pd.DataFra
     return pd.DataFrame(edges)
 
 
-def _rolled_up(
-    rows: pd.DataFrame, steps: int, zone: ZoneInfo, network: LaneNetwork
-) -> pd.DataFrame:
-    """Sum quarters of an hour; what is missing of an interval is estimated as what is known."""
+def _rolled_up(rows: pd.DataFrame, part_h: float, network: LaneNetwork) -> pd.DataFrame:
+    """Sum intervals of `part_h` hours; what is missing of the `hours` is estimated as the known.
+
+    Each known one counts by its `weight`.
+    """
     keys = [name for name in (*_WITH_LANE, *_WITH_TURN) if name in rows]
-    rows = rows.assign(**_local_intervals(rows["begin"], steps, zone))
-    known = rows["volume"].notna()
-    rows = rows.assign(known=known, variance=rows["volume_se"].astype(np.float64) ** 2)
-    groups = rows.groupby([*keys, "begin", "end"], sort=True)
-    sums = groups[["visible_share", "known", "variance"]].sum()
-    volume = groups["volume"].sum(min_count=1)
-    quarters = _hours(sums.index) * QUARTERS
-    more = quarters / np.maximum(sums["known"].to_numpy(np.float64), 1e-9)
-    share = sums["visible_share"].to_numpy(np.float64) / quarters
+    known, by = rows["volume"].notna(), rows["weight"]
+    rows = rows.assign(
+        known=known, weight=by.where(known, 0.0), volume=rows["volume"] * by,
+        variance=(rows["volume_se"].astype(np.float64) * by) ** 2,
+    )  # fmt: skip
+    groups = rows.groupby([*keys, "begin", "end", "hours"], sort=True)
+    sums = groups[["visible_share", "known", "weight", "variance"]].sum()
+    parts = _hours(sums.index) / part_h
+    of_known = sums["known"].to_numpy(np.float64)
+    scale = parts / np.maximum(sums["weight"].to_numpy(np.float64), 1e-9)
+    more = parts / np.maximum(of_known, 1e-9)
+    volume = groups["volume"].sum(min_count=1) * scale
+    share = sums["visible_share"].to_numpy(np.float64) / parts
     enough = (sums["known"].to_numpy() > 0) & (share >= LEAST_SHARE)
-    error = np.sqrt(more**2 * sums["variance"] + (volume + 0.5) * (more**2 - more))
+    error = np.sqrt(scale**2 * sums["variance"] + (volume / more + 0.5) * (more**2 - more))
     found = pd.DataFrame(
         {
-            "visible_share": sums["visible_share"] / quarters,
-            "volume": np.where(enough, volume * more, np.nan),
+            "visible_share": share,
+            "volume": np.where(enough, volume, np.nan),
             "volume_se": np.where(enough, error, np.nan),
         },
         index=sums.index,
@@ -392,6 +414,20 @@ def _rolled_up(
     if "lane" in rows:
         found = found.join(_lane_sums(rows, groups, network))
     return found.reset_index()
+
+
+def _like_approaches(turns: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
+    """Share the volumes of approaches among their turns, as these are to each other.
+
+    In an interval in which nobody was followed to an exit, turns are not known and approaches are.
+    Where one of the turns is never known, the others stay as they are.
+    """
+    keys = ["from_lane", "begin"]
+    total = turns.groupby(keys)["volume"].transform(lambda each: each.sum(skipna=False))
+    approach = lanes.set_index(["lane", "begin"])["volume"]
+    volume = approach.reindex(pd.MultiIndex.from_frame(turns[keys])).to_numpy()
+    scale = (volume / total.where(total > 0.0)).fillna(1.0)
+    return turns.assign(**{name: turns[name] * scale for name in ("volume", "volume_se")})
 
 
 def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.DataFrame:
@@ -430,8 +466,7 @@ def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.Data
 
 def _hours(index: pd.MultiIndex | pd.Index) -> Floats:
     """Return the lengths of intervals in hours."""
-    begin, end = (pd.DatetimeIndex(index.get_level_values(name)) for name in ("begin", "end"))
-    return np.asarray((end - begin).total_seconds(), np.float64) / 3600.0
+    return np.asarray(index.get_level_values("hours"), np.float64)
 
 
 def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -> dict[str, Any]:

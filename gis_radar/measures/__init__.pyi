@@ -27,6 +27,7 @@ from .pose_sights import (
     sight_of_tiles,
     standing_for,
 )
+from .queues import QueueCourse, queue_course
 from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
 from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 
@@ -52,6 +53,7 @@ __all__ = [
     "PlacedRecording",
     "PoseNumbers",
     "PoseSight",
+    "QueueCourse",
     "RecordingCounts",
     "Runs",
     "SensorHour",
@@ -71,6 +73,7 @@ __all__ = [
     "place_on",
     "places_of",
     "pose_names",
+    "queue_course",
     "read_sensor",
     "road_near",
     "rows_of",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, ranges
 from gis_radar.measures.lane_fronts import FrontStates, StepGrid, VisibleRuns
@@ -107,6 +108,65 @@ def queues(
     most = np.zeros(size)
     np.maximum.at(most, cell, back)
     return QueueBacks(most, np.bincount(cell, back, size).astype(np.float64))
+
+
+class QueueCourse(NamedTuple):
+    """How vehicles come to a stop line, and how far back they queue.
+
+    Parameters
+    ----------
+    vehicle, step, to_line_m : (n,) arrays
+        States by vehicle and step: metres from the front to the line, below 0 beyond it.
+    back_step, back_m : (k,) arrays
+        Begins of equal intervals, and the farthest back of the queue in each; NaN where the line is
+        not visible.
+    seen : (r, 4) array
+        Where the road is visible: steps from and to, metres to the line from and to.
+    """
+
+    vehicle: Integers
+    step: Integers
+    to_line_m: Floats
+    back_step: Integers
+    back_m: Floats
+    seen: Floats
+
+
+def queue_course(
+    stop: int, states: FrontStates, length_m: Floats, network: LaneNetwork,
+    visible: VisibleRuns, grid: StepGrid,
+) -> QueueCourse:  # fmt: skip
+    """Follow the queue at one stop line over the intervals of a grid.
+
+    Parameters
+    ----------
+    stop : int
+        Position of its lane.
+    states, length_m, network, visible, grid
+        As for :func:`queues`.
+    """
+    strips = network.queue_strips()
+    to_line = np.full(len(network.lane), np.nan)
+    mine = strips.stop_lane == stop
+    to_line[strips.lane[mine]] = strips.to_line_m[mine]
+    inside = (states.step >= grid.begin) & (states.step < grid.end) & (states.lane >= 0)
+    row = np.flatnonzero(inside & np.isfinite(to_line[states.lane]))
+    backs = queues(states, standing_states(states).stands, length_m, network, visible, grid)
+    begin = grid.begin + np.arange(grid.count) * grid.steps
+    line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
+    known = visible.at(np.repeat(line, grid.count), begin)
+    back = backs.most_m.reshape(-1, grid.count)[stop]
+    place = pd.Series(np.arange(len(network.tile_id)), network.tile_id)
+    tile = place.reindex(visible.tile_id).to_numpy()
+    run = np.flatnonzero(np.isfinite(to_line[network.tile_lane[tile]]))
+    run = run[(visible.first[run] < grid.end) & (visible.last[run] >= grid.begin)]
+    far = to_line[network.tile_lane[tile[run]]] - network.tile_m[tile[run]]
+    near = far - network.tile_length_m[tile[run]]
+    return QueueCourse(
+        states.vehicle[row], states.step[row],
+        to_line[states.lane[row]] - states.along_m[row], begin, np.where(known, back, np.nan),
+        np.column_stack([visible.first[run], visible.last[run] + 1, near, far]).astype(np.float64),
+    )  # fmt: skip
 
 
 def _farthest(values: Floats, new: Booleans) -> Floats:

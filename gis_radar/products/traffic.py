@@ -143,9 +143,9 @@ class Traffic:
         """
         zero = self.lanes["begin"].min()
         writers: dict[str, Callable[[Path], object]] = {
-            "traffic.csv": partial(_write_table, self.lanes),
-            "turns.csv": partial(_write_table, self.turns),
-            **{f"{name}.csv": partial(_write_table, table) for name, table in self._more.items()},
+            "traffic.csv": partial(write_table, self.lanes),
+            "turns.csv": partial(write_table, self.turns),
+            **{f"{name}.csv": partial(write_table, table) for name, table in self._more.items()},
             "traffic.xlsx": self._write_workbook,
             "traffic.gpkg": self._write_package,
             "sumo.edgedata.xml": partial(_write_mean_data, self.lanes, zero, by_lane=False),
@@ -280,8 +280,16 @@ def _fix_dates(path: Path) -> None:
             file.writestr(entry, data, zipfile.ZIP_DEFLATED)
 
 
-def _write_table(table: pd.DataFrame, path: Path) -> None:
-    """Write CSV: columns by their names, times by the clocks of the site with their offset."""
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write CSV: columns by their names, times by the clocks of the site with their offset.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Of traffic, with `begin` and `end`.
+    path : Path
+        The file.
+    """
     shown = _for_people(table)
     for name in _TIMES:
         shown[name] = [each.isoformat() for each in shown[name]]

@@ -17,6 +17,7 @@ from gis_radar.products.heatmap.picture import INK, SOFT
 WIDTH_IN, DPI = 10.0, 160
 AROUND_M = 45.0  # of road shown around the turns: room for the numbers
 VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
+HEAD = (4.0, 1.2)  # size of an arrow's head: points, and those of its line's width
 _BEFORE_M = 2.0  # where the numbers begin, before the turn
 ROAD, FLOW = "#d5d8db", "#ba1c4d"  # differ in grey and for the colour-blind
 _ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
@@ -52,7 +53,7 @@ def mean_turns(turns: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 def write_turning_diagram(
     lanes: gpd.GeoDataFrame, turns: gpd.GeoDataFrame, path: Path
 ) -> None:  # fmt: skip
-    """Draw the turning diagram, in the current language.
+    """Draw the turning diagram, in the current language, with title and explanation.
 
     Parameters
     ----------
@@ -62,22 +63,41 @@ def write_turning_diagram(
     path : Path
         The picture (PNG).
     """
-    known = mean_turns(turns)
     with picture_file(path, (WIDTH_IN, WIDTH_IN), DPI) as figure:
-        axes = figure.subplots()
-        for line in lanes.geometry.drop_duplicates():
-            axes.plot(*line.xy, color=ROAD, linewidth=7.0, solid_capstyle="butt", zorder=1)
-        for row in known.itertuples():
-            _draw_turn(axes, row.geometry, float(row.volume_veh_h))
-        for _, rows in known.groupby("from_lane"):
-            _label(axes, rows)
-        low_x, low_y, high_x, high_y = known.total_bounds
-        half = max(high_x - low_x, high_y - low_y) / 2.0 + AROUND_M
-        x, y = (low_x + high_x) / 2.0, (low_y + high_y) / 2.0
-        axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
-        axes.set_axis_off()
+        axes = draw_turning_diagram(figure, lanes, mean_turns(turns))
         axes.set_title(_title(turns), loc="left", color=INK, fontsize=13, fontweight="bold")
         axes.text(0.0, 0.0, tr(_BELOW), transform=axes.transAxes, color=SOFT, fontsize=9)
+
+
+def draw_turning_diagram(
+    figure: Any, lanes: gpd.GeoDataFrame, known: gpd.GeoDataFrame, *, labels: bool = True
+) -> Any:
+    """Draw turns as wide as their volumes on a figure, with their figures; return its axes.
+
+    Parameters
+    ----------
+    figure : matplotlib Figure
+        Square; the smaller, the thinner are lines. Letters keep their size.
+    lanes : GeoDataFrame
+        As for :func:`write_turning_diagram`.
+    known : GeoDataFrame
+        Turns, from :func:`mean_turns`.
+    labels : bool
+        Whether their figures are written along the approaches.
+    """
+    axes, scale = figure.subplots(), figure.get_figwidth() / WIDTH_IN
+    for line in lanes.geometry.drop_duplicates():
+        axes.plot(*line.xy, color=ROAD, linewidth=7.0 * scale, solid_capstyle="butt", zorder=1)
+    for row in known.itertuples():
+        _draw_turn(axes, row.geometry, float(row.volume_veh_h) * scale)
+    for _, rows in known.groupby("from_lane") if labels else ():
+        _label(axes, rows)
+    low_x, low_y, high_x, high_y = known.total_bounds
+    half = max(high_x - low_x, high_y - low_y) / 2.0 + AROUND_M
+    x, y = (low_x + high_x) / 2.0, (low_y + high_y) / 2.0
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
+    axes.set_axis_off()
+    return axes
 
 
 _BELOW = (
@@ -97,8 +117,12 @@ def _draw_turn(axes: Any, line: shapely.LineString, volume: float) -> None:
     points = shapely.get_coordinates(line)
     width = max(volume / VEH_H_PER_POINT, 0.4)
     axes.plot(*points.T, color=FLOW, linewidth=width, alpha=0.55, zorder=3, solid_capstyle="butt")
-    style = {"arrowstyle": f"-|>,head_width={0.25 + width / 20:.2f}", "color": FLOW, "lw": 0.0}
-    axes.annotate("", xy=points[-1], xytext=points[-2], arrowprops=style, zorder=4)
+    ahead = points[-1] - points[-2]
+    turned = math.degrees(math.atan2(ahead[1], ahead[0])) - 90.0  # a marker points north
+    axes.plot(
+        *points[-1], marker=(3, 0, turned), markersize=HEAD[0] + HEAD[1] * width, color=FLOW,
+        markeredgewidth=0.0, zorder=4,
+    )  # fmt: skip
 
 
 def _label(axes: Any, rows: pd.DataFrame) -> None:

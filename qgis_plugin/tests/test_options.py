@@ -176,9 +176,10 @@ WORDS = {
         {"SITE": "site.toml", "FRESH": True}, ["run", "site.toml", "--fresh", "-o", "OUT"]
     ),
     "sitereport": (
-        {"RESULTS": "r", "TIMEZONE": "Europe/Berlin", "DATASET": "d", "CSV_LOCALE": "de"},
+        {"RESULTS": "r", "TIMEZONE": "Europe/Berlin", "DATASET": "d", "CSV_LOCALE": "de",
+         "NO_WAYS": True},
         ["report", "r", "--timezone", "Europe/Berlin", "--language", "en", "--csv-locale", "de",
-         "--dataset", "d", "-o", "OUT"],
+         "--dataset", "d", "--no-ways", "-o", "OUT"],
     ),
     "qgisproject": (
         {"HEATMAP": "h", "LANES": "t.gpkg", "TITLE": "Ä", "LANGUAGE": "de"},

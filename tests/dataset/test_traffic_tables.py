@@ -242,6 +242,37 @@ def test_intervals_sum_to_the_hour(measured):
     )
 
 
+def test_the_whole_time_is_its_intervals_by_what_was_seen_of_them(measured):
+    """Of the second hour 53 s were recorded: its quarter counts a seventeenth."""
+    quarters, (whole,) = measured.traffic(), measured.traffic(whole=True).to_dict("records")
+    assert (whole["begin"], whole["end"]) == (quarters["begin"].min(), quarters["end"].max())
+    known = quarters[quarters["volume"].notna()]
+    rate = (known["volume"] * known["visible_share"]).sum() / known["visible_share"].sum()
+    assert whole["volume"] == pytest.approx(rate * len(quarters))
+    assert whole["volume_veh_h"] == pytest.approx(rate * 4.0)
+    assert whole["counted"] == 8
+    assert whole["visible_share"] == pytest.approx(quarters["visible_share"].mean())
+    assert whole["volume_se"] > np.sqrt((known["volume_se"] ** 2).sum())
+    assert whole["speed_kmh"] == pytest.approx(36.0, rel=1e-3)
+
+
+def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):
+    """In a minute of the two nobody came to an exit, whose cars are shared like the others."""
+    first = EDGE - STEPS_PER_HOUR
+    tracks = [through(n, first + 100 + 100 * n, (STRAIGHT, LEFT)[n % 3 == 0]) for n in range(3)]
+    lost = through(9, first + 1500, STRAIGHT)
+    tracks.append(lost[lost["lanelet_id"].isin([10])].assign(s_m=lambda each: each["s_m"] + 0.4))
+    tracks.append(through(12, first + 2400, LEFT, begin=70.0))
+    found = fork_dataset(tmp_path / "data", tracks)
+    lanes, turns = (getattr(found, n)("1min", whole=True) for n in ("traffic", "turns"))
+    approach = lanes.set_index("lane").loc[10]
+    assert approach["counted"] == 3 + (lost["s_m"].max() + 0.4 > 60.0)
+    assert found.turns("1min")["volume"].isna().any()
+    assert turns["volume"].sum() == pytest.approx(approach["volume"])
+    share = turns.set_index("to_lane")["volume"] / approach["volume"]
+    assert share[STRAIGHT] == pytest.approx(2 / 3)
+
+
 def test_an_hour_of_which_a_part_is_known_is_estimated_with_a_larger_error(measured):
     """Of the second hour a twentieth was recorded: there is no volume."""
     hour = measured.traffic("1h").iloc[1]

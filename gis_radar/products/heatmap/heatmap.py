@@ -56,6 +56,8 @@ OWNED = (
     "lanes_by_interval.csv",
     "sensors.csv",
     "quality.csv",
+    "traffic.csv",
+    "turns.csv",
 )
 
 

@@ -29,6 +29,7 @@ from gis_radar.products.report import names
 from gis_radar.products.report.content import Column, Fact, Table, text_rows
 from gis_radar.products.report.lanes import part_and_base
 from gis_radar.products.report.results import NOT_KNOWN, Results
+from gis_radar.products.report.traffic import ReportedTraffic
 from gis_radar.scans import VIEW_ONLY
 
 SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
@@ -45,6 +46,7 @@ class Findings(NamedTuple):
     quality: Quality | None  # what sensors delivered; None where that is not known
     lanes: pd.DataFrame  # by interval, from `sums_of`
     table: pd.DataFrame  # the lanes over the whole time, from `lane_table`
+    traffic: ReportedTraffic | None = None  # by lane and turn; None where none is known
 
 
 def recorded_runs(results: Results) -> dict[str, Runs]:
@@ -157,7 +159,7 @@ def as_high_as(table: pd.DataFrame) -> list[str]:
 def basis_of(found: Findings) -> Table:
     """Return what the report rests on: a row a thing, with what follows from it."""
     rows = [
-        recorded_row(found), _seen(found), *_tracked(found), *_ranked(found),
+        recorded_row(found), _seen(found), *_tracked(found), *_counted(found), *_ranked(found),
         _placed(found.results), _hidden(found.results), _delivered(found), _made_of(found.results),
     ]  # fmt: skip
     columns = (
@@ -221,6 +223,19 @@ def _tracked(found: Findings) -> list[list[str]]:
         here = tr("{tracks}, {heavy} of heavy vehicles", tracks=tracks, heavy=heavy)
         follows = tr("No count of vehicles: a track may be a piece of a vehicle's way.")
     return [[tr("Vehicles followed"), here, follows]]
+
+
+def _counted(found: Findings) -> list[list[str]]:
+    """Return that volumes, speeds, turns and queues are not in the report, where that is so."""
+    if found.traffic is not None:
+        return []
+    name = tr("Volumes, speeds, turns, queues")
+    if found.results.dataset is None:
+        return [[name, tr(NOT_KNOWN), tr("They are in the dataset, which is not in the folder.")]]
+    if not found.results.dataset.has_vehicles:
+        text = "Vehicles were not looked for: this report has no volumes, speeds, turns or queues."
+        return [[name, tr("none"), tr(text)]]
+    return [[name, tr("none"), tr("No lane was visible in this time.")]]
 
 
 def _ranked(found: Findings) -> list[list[str]]:

@@ -12,6 +12,7 @@ import pandas as pd
 
 from gis_radar.base import figure_text, listed, percent, plus_minus, tr
 
+QUEUES = "queues"  # the chapter whose figures may show ways of single vehicles
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 LOOKS = {
     "confirms": "the airborne scan confirms it",
@@ -261,7 +262,7 @@ class MapSeries:
 
 
 class Chapter(NamedTuple):
-    """A chapter after the map.
+    """A chapter before or after the map.
 
     Parameters
     ----------
@@ -296,6 +297,8 @@ class Content:
         What to know before reading on, in sentences.
     basis : Table
         What the figures rest on.
+    questions : sequence of Chapter
+        What comes before the map: traffic, a question each.
     map : MapSeries
         The map.
     chapters : sequence of Chapter
@@ -304,6 +307,8 @@ class Content:
         The software.
     measure : str
         What the map shows: `occupancy` or `hit_share`.
+    shows_ways : bool
+        Whether a picture shows the ways of single vehicles.
     """
 
     title: str
@@ -317,6 +322,9 @@ class Content:
     map: MapSeries
     chapters: Sequence[Chapter]
     made_by: str
+    questions: Sequence[Chapter] = ()
+    shows_ways: bool = False
+
     measure: str = "hit_share"
 
 

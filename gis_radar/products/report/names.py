@@ -3,4 +3,5 @@
 PAGE, PAPER = "report.html", "report.pdf"
 LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
 SENSORS, QUALITY = "sensors.csv", "quality.csv"
-REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
+TRAFFIC, TURNS = "traffic.csv", "turns.csv"
+REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY, TRAFFIC, TURNS)

@@ -50,6 +50,7 @@ from gis_radar.products.report.basis import (
 )
 from gis_radar.products.report.chart import draw_lanes_over_time
 from gis_radar.products.report.content import (
+    QUEUES,
     WORDS,
     Chapter,
     Chart,
@@ -83,6 +84,12 @@ from gis_radar.products.report.results import (
     write_sensor_table,
 )
 from gis_radar.products.report.sources import made_by, settings_of, sources_of
+from gis_radar.products.report.traffic import (
+    traffic_chapters,
+    traffic_of,
+    write_lane_traffic,
+    write_turn_traffic,
+)
 from gis_radar.products.report.trust import trust_table
 
 SUMMARY_LANES = 10
@@ -122,6 +129,7 @@ def write_report(
     language: str | None = None,
     csv_locale: str = "en",
     dataset: str | Path | None = None,
+    ways: bool = True,
     reporter: Reporter = QUIET,
 ) -> Report:
     """Write a report for people without QGIS: `report.html`, `report.pdf`, and tables as CSV.
@@ -148,6 +156,8 @@ def write_report(
         mark of UTF-8.
     dataset : str or Path, optional
         What the heat map was made of, where it is not `dataset` in `folder`.
+    ways : bool
+        Whether diagrams of queues show the ways of single vehicles to the stop line.
     reporter : Reporter
         Where progress goes.
 
@@ -172,7 +182,7 @@ def write_report(
     spoken = language or str(results.site.get("language") or heat.labels.language)
     with csv_for(csv_locale), speaking(known_language(spoken)):
         found = _find(results, title or _named(results, folder), timezone, reporter)
-        content = _content(found, _pictures(found, reporter))
+        content = _content(found, _pictures(found, reporter), ways=ways)
         outputs = _write(folder if output is None else Path(output), found, content, reporter)
         return Report(outputs=outputs, summary=_summary(found, content))
 
@@ -196,6 +206,7 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
         quality=_quality(results, zone, reporter),
         lanes=sums,
         table=table,
+        traffic=traffic_of(results.dataset, heat),
     )
 
 
@@ -272,6 +283,9 @@ def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], ob
     }
     if quality is not None:
         writers[names.QUALITY] = quality.write_rows
+    if (traffic := found.traffic) is not None:
+        writers[names.TRAFFIC] = lambda path: write_lane_traffic(path, traffic)
+        writers[names.TURNS] = lambda path: write_turn_traffic(path, traffic)
     return writers
 
 
@@ -311,9 +325,12 @@ def _top_lanes(found: Findings) -> list[list[str]]:
     return [heads, *text_rows((row for _, row in ranked.iterrows()), columns[:-1])]
 
 
-def _content(found: Findings, drawn: _Pictures) -> Content:
+def _content(found: Findings, drawn: _Pictures, *, ways: bool) -> Content:
     """Put the findings into words."""
     results, clock = found.results, found.clock
+    questions = traffic_chapters(found.traffic, clock, ways=ways) if found.traffic else []
+    queues = (part for each in questions if each.name == QUEUES for part in each.parts)
+    ways &= any(isinstance(part, Figure) for part in queues)
     begin, end = results.heat.whole.span()
     return Content(
         title=found.title,
@@ -324,6 +341,8 @@ def _content(found: Findings, drawn: _Pictures) -> Content:
         facts=facts_of(found),
         remarks=remarks_of(found),
         basis=basis_of(found),
+        questions=questions,
+        shows_ways=ways,
         map=drawn.maps,
         chapters=_chapters(found, drawn),
         made_by=made_by(),
@@ -345,18 +364,19 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results)]),
         Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
         Chapter("settings", tr("Settings and sources"), sources),
-        Chapter("words", tr("What the words mean"), [_terms(results.heat.measure)]),
+        Chapter("words", tr("What the words mean"), [_terms(found)]),
     ]
 
 
-def _terms(measure: str) -> Terms:
-    """Return what the words of a report mean, of the measure that it shows."""
+def _terms(found: Findings) -> Terms:
+    """Return what the words of a report mean, of what it shows."""
     text = (
         files("gis_radar.products.report").joinpath("definitions.toml").read_text(encoding="utf-8")
     )
     groups = tomllib.loads(text)
-    other = "hits" if measure == "occupancy" else "occupancy"
-    chosen = [name for name in groups if name != other]
+    others = {"hits" if found.results.heat.measure == "occupancy" else "occupancy"}
+    others |= set() if found.traffic else {"traffic"}
+    chosen = [name for name in groups if name not in others]
     pairs = [pair for name in chosen for pair in groups[name].items()]
     return Terms(tuple((tr(term), tr(meaning)) for term, meaning in pairs))
 

@@ -16,6 +16,7 @@ from ..parameters import (
     Output,
     OutputFolder,
     Result,
+    Switch,
 )
 from ..runner import Answer
 from ..words import tr
@@ -48,6 +49,10 @@ class WriteReport(WorkerAlgorithm):
         replace(
             shared.DATASET, flag="--dataset", optional=True, advanced=True,
             about="What the heat map was made of, where it is not in the folder.",
+        ),
+        Switch(
+            "NO_WAYS", "Without ways of vehicles",
+            "Its diagrams of queues then show the queues alone.",
         ),
         OutputFolder(
             "OUTPUT", "Report",

@@ -1,0 +1,192 @@
+"""Time-space diagrams of queues: vehicles on their way to a stop line, and the queue's back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from textwrap import fill
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure as MplFigure
+from PIL import Image
+
+from gis_radar.base import FONTS, STEPS_PER_SECOND, Clock, Floats, Integers, Text, figure_text, tr
+from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, LaneTraffic
+from gis_radar.measures import QueueCourse
+from gis_radar.products.heatmap.picture import (
+    INK,
+    NARROW_IN,
+    SOFT,
+    for_a_phone,
+    image_of_figure,
+    png,
+)
+from gis_radar.products.report.chart import times_below
+from gis_radar.products.report.content import Figure
+
+MOST_COURSES = 3  # lanes, which fill two thirds of a page
+WINDOW_S = 900.0  # of a diagram: in more, ways of vehicles are a grey field
+COURSE_IN, COURSE_DPI = (7.2, 1.9), 150  # of one lane
+NARROW_COURSE_IN = 1.7  # its height on a phone
+BEYOND_M, LEAST_M, MOST_M = 12.0, 45.0, 250.0  # shown beyond the line; before it
+LEAST_ABOVE_M = 2.0  # shown beyond a line with which its lane ends
+AROUND = 1.5  # shown before the line, of the longest queue
+BROKEN_STEPS = 3 * TRACK_EVERY_STEPS  # without a state, after which a line ends
+QUEUE, UNSEEN = "#ba1c4d", "#d5dade"
+LETTERS_PT, NARROW_PT = 8.0, 6.5
+TITLE_LETTERS = 95.0  # of a title, by inches of width and points of its letters
+
+
+class LongQueue(NamedTuple):
+    """A lane with a queue: its number and name, how far it reached (m) and about when."""
+
+    lane: int
+    name: str
+    longest_m: float
+    moment: datetime
+
+
+def draw_courses(
+    dataset: Dataset, queues: Sequence[LongQueue], span: tuple[datetime, datetime], clock: Clock,
+    *, ways: bool,
+) -> list[Figure]:  # fmt: skip
+    """Draw the ways of vehicles to the stop lines of lanes, and the backs of their queues.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With exact tables, else nothing is drawn.
+    queues : sequence of LongQueue
+        Lanes from top to bottom.
+    span : (datetime, datetime)
+        What the report shows; of more than 15 minutes those around each queue.
+    clock : Clock
+        For the times below.
+    ways : bool
+        Whether the ways of vehicles are drawn, or the queues alone.
+
+    Returns
+    -------
+    list of Figure
+        One figure, or none.
+    """
+    parts = [(each, *_window(each.moment, *span)) for each in queues]
+    drawn = [(*part, _course(dataset, part[0].lane, *part[1:])) for part in parts]
+    if not all(each for *_, each in drawn):
+        return []
+    wide, narrow = (
+        _drawn(drawn, (width_in, height_in), letters_pt, clock, ways=ways)
+        for width_in, height_in, letters_pt in (
+            (*COURSE_IN, LETTERS_PT), (NARROW_IN, NARROW_COURSE_IN, NARROW_PT),
+        )
+    )  # fmt: skip
+    named = "; ".join(
+        f"{each.name}: {figure_text(each.longest_m)} m" for each in queues
+    )  # fmt: skip
+    return [
+        Figure(
+            png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
+            caption=" ".join(map(tr, (_QUEUES, *([_WAYS] if ways else [])))),
+            alt=tr("Time-space diagrams of the longest queues. {lanes}.", lanes=named),
+        )
+    ]  # fmt: skip
+
+
+_QUEUES = Text(
+    "The lanes with the longest queues. Red is the queue, from the stop line back to its end. "
+    "Grey: not seen."
+)
+_WAYS = Text(
+    "Each thin line is the way of one vehicle to the stop line, level where it stands; a line that "
+    "begins or ends on the way was found or lost there."
+)
+
+
+def _window(moment: datetime, begin: datetime, end: datetime) -> tuple[datetime, datetime]:
+    """Return the time that a diagram shows: that around a moment, within what there is."""
+    length = min(timedelta(seconds=WINDOW_S), end - begin)
+    first = min(max(moment - length / 2, begin), end - length)
+    return first, first + length
+
+
+def _course(dataset: Dataset, lane: int, begin: datetime, end: datetime) -> list[QueueCourse]:
+    """Return the course of a queue, a part an hour; none where exact tables were deleted."""
+    span = dataset.span(begin, end)
+    made = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    return made.courses(dataset.records(span), lane, span) if span else []
+
+
+def _drawn(
+    drawn: Sequence[tuple[LongQueue, datetime, datetime, list[QueueCourse]]],
+    size_in: tuple[float, float], letters_pt: float, clock: Clock, *, ways: bool,
+) -> Image.Image:  # fmt: skip
+    """Return the diagrams of lanes below each other."""
+    width_in, height_in = size_in
+    dpi = COURSE_DPI if width_in > NARROW_IN else 2 * COURSE_DPI
+    with mpl.rc_context(FONTS | {"font.size": letters_pt, "axes.titlesize": "medium"}):
+        figure = MplFigure(
+            figsize=(width_in, height_in * len(drawn)), dpi=dpi, layout="constrained"
+        )
+        axes = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
+        for ax, (queue, begin, end, parts) in zip(axes, drawn, strict=True):
+            for part in parts:
+                _draw(ax, part, begin, ways=ways)
+            near, far = np.concatenate([each.seen[:, 2:] for each in parts]).T
+            shown_m = (min(far.max(initial=0.0), MOST_M), max(near.min(initial=0.0), -BEYOND_M))
+            letters = round(TITLE_LETTERS * width_in / letters_pt)
+            named = queue._replace(name=fill(queue.name, letters))
+            _lay_out(ax, named, begin, end, shown_m, clock)
+        figure.supylabel(tr("metres before the stop line"), fontsize=letters_pt, color=SOFT)
+        return image_of_figure(figure).convert("RGB").quantize(128, dither=Image.Dither.NONE)
+
+
+def _draw(ax: Axes, course: QueueCourse, begin: datetime, *, ways: bool) -> None:
+    """Draw what was seen, ways and the queue of one hour; seconds from `begin` to the right."""
+
+    def at(steps: Floats | Integers) -> Floats:
+        return np.asarray(steps, np.float64) / STEPS_PER_SECOND - begin.timestamp()
+
+    first, after, near, far = course.seen.T
+    corners = [(at(first), near), (at(after), near), (at(after), far), (at(first), far)]
+    boxes = np.stack([np.column_stack(each) for each in corners], axis=1)
+    ax.add_collection(PolyCollection(list(boxes), facecolors="white", edgecolors="white", lw=0.3))
+    back = np.nan_to_num(course.back_m)
+    ax.fill_between(
+        at(course.back_step), 0.0, back, step="post", color=QUEUE, alpha=0.3, lw=0.0, zorder=3
+    )
+    shown = np.where(course.back_m > 0.0, course.back_m, np.nan)
+    ax.step(at(course.back_step), shown, where="post", color=QUEUE, lw=1.1, zorder=4)
+    if not ways:
+        return
+    new = np.diff(course.vehicle, prepend=-1) != 0
+    new |= np.diff(course.step, prepend=0) > BROKEN_STEPS
+    points = np.column_stack([at(course.step), course.to_line_m])
+    lines = np.split(points, np.flatnonzero(new)[1:])
+    ax.add_collection(LineCollection(lines, colors=INK, linewidths=0.45, alpha=0.75, zorder=5))
+
+
+def _lay_out(
+    ax: Axes, queue: LongQueue, begin: datetime, end: datetime, shown_m: tuple[float, float],
+    clock: Clock,
+) -> None:  # fmt: skip
+    """Give axes their scale, times and title: vehicles drive upwards, to the line."""
+    seconds = (end - begin).total_seconds()
+    reach = min(max(queue.longest_m * AROUND, LEAST_M), shown_m[0])
+    above = min(shown_m[1], -LEAST_ABOVE_M)
+    ax.set(xlim=(0.0, seconds), ylim=(reach, above), facecolor=UNSEEN)
+    ax.axhline(0.0, color=INK, lw=1.2, zorder=6)
+    step_s = 10.0 if seconds <= WINDOW_S / 3.0 else 60.0
+    first = begin - timedelta(seconds=begin.timestamp() % step_s)
+    edges = [first + timedelta(seconds=step_s * k) for k in range(int(seconds / step_s) + 2)]
+    edges = [each for each in edges if begin <= each <= end]
+    places = np.array([(each - begin).total_seconds() for each in edges])
+    ticks = times_below(edges, places, clock) if len(edges) > 1 else []
+    ax.set_xticks([at for at, _ in ticks], [label for _, label in ticks])
+    ax.set_title(queue.name, loc="left", color=INK, fontweight="bold")
+    ax.tick_params(colors=SOFT, length=2.5)
+    for side in ax.spines.values():
+        side.set(color=SOFT, linewidth=0.6)

@@ -1,0 +1,479 @@
+"""Traffic in a report: how many vehicles, how fast; where they turn; where and when they queue."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import NamedTuple
+
+import geopandas as gpd
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure as MplFigure
+from PIL import Image, ImageChops
+
+from gis_radar.base import (
+    FONTS,
+    NO_FIGURE,
+    STEPS_PER_SECOND,
+    THIN_SPACE,
+    Clock,
+    Text,
+    figure_text,
+    interval_steps,
+    percent,
+    plural,
+    seconds_text,
+    speaking,
+    tr,
+)
+from gis_radar.dataset import Dataset, LaneTraffic
+from gis_radar.hdmap import LANES_LAYER
+from gis_radar.measures import LEAST_SHARE, TURN_WORDS, LaneNetwork, lane_names
+from gis_radar.products.heatmap.heatmap import HeatMap
+from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
+from gis_radar.products.report import names
+from gis_radar.products.report.chart import strip_of, times_below
+from gis_radar.products.report.content import (
+    QUEUES,
+    WORDS,
+    Chapter,
+    Chart,
+    Column,
+    Figure,
+    Table,
+    text_rows,
+)
+from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
+from gis_radar.products.traffic import write_table
+from gis_radar.products.traffic_picture import draw_turning_diagram
+
+# The longest time that intervals of a length are for: some 30 points a strip, then 96 a day.
+INTERVALS = (("1min", 1800.0), ("5min", 10_800.0), ("15min", np.inf))
+STRIPS, MOST_CHARTS = 12, 2  # lanes of a chart, which fills a page; as many charts
+LEAST_INTERVALS = 3  # of a profile: two values are no course, and the table has their mean
+MOST_LANES = 60  # rows of the table as read; the CSV file holds all
+MOST_QUEUES = 6  # lanes of the table of queues
+LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it: less is no queue to speak of
+TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
+NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
+
+
+class ReportedTraffic(NamedTuple):
+    """What a report says of traffic.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Where it is from.
+    begin, end : datetime
+        Of the time that the report shows.
+    interval : str
+        Length of the intervals.
+    lanes, turns : GeoDataFrame
+        By interval, as of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+    by_lane, by_turn : GeoDataFrame
+        The same over all intervals.
+    network : LaneNetwork
+        Of the site.
+    """
+
+    dataset: Dataset
+    begin: datetime
+    end: datetime
+    interval: str
+    lanes: gpd.GeoDataFrame
+    turns: gpd.GeoDataFrame
+    by_lane: gpd.GeoDataFrame
+    by_turn: gpd.GeoDataFrame
+    network: LaneNetwork
+
+    @property
+    def length_s(self) -> float:
+        """Length of an interval."""
+        return float(interval_steps(self.interval)) / STEPS_PER_SECOND
+
+    @property
+    def hours(self) -> float:
+        """How long the intervals are together."""
+        return len(set(self.lanes["begin"])) * self.length_s / 3600.0
+
+    def clock(self, clock: Clock) -> Clock:
+        """Return clocks for the intervals, which may begin before what was recorded."""
+        begin, end = self.lanes["begin"].min(), self.lanes["end"].max()
+        return replace(
+            clock, first=min(clock.first, begin.to_pydatetime()),
+            last=max(clock.last, end.to_pydatetime()), to_seconds=False,
+        )  # fmt: skip
+
+
+def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None:
+    """Return the traffic in the time of a heat map; None where none is known.
+
+    Parameters
+    ----------
+    dataset : Dataset or None
+        That the heat map was made of.
+    heat : HeatMap
+        Whose time.
+    """
+    if dataset is None or not dataset.has_vehicles or heat.measure != "occupancy":
+        return None
+    begin, end = heat.whole.span()
+    seconds = (end - begin).total_seconds()
+    exact = not any(each.dropped for each in dataset.records().values())
+    interval = next(name for name, most_s in INTERVALS if seconds <= most_s)
+    interval = interval if exact else INTERVALS[-1][0]
+    length_s = interval_steps(interval) / STEPS_PER_SECOND
+    first = datetime.fromtimestamp(begin.timestamp() // length_s * length_s, begin.tzinfo)
+    lanes, by_lane = (
+        dataset.traffic(interval, begin=first, end=end, whole=each) for each in (False, True)
+    )
+    if lanes.empty:
+        return None
+    turns, by_turn = (
+        dataset.turns(interval, begin=first, end=end, whole=each) for each in (False, True)
+    )
+    made = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    return ReportedTraffic(
+        dataset=dataset, begin=begin, end=end, interval=interval, lanes=lanes, turns=turns,
+        by_lane=by_lane, by_turn=by_turn, network=made.network,
+    )  # fmt: skip
+
+
+def write_lane_traffic(path: Path, traffic: ReportedTraffic) -> None:
+    """Write the traffic of lanes by interval: columns as of `gis-radar traffic`."""
+    write_table(traffic.lanes.assign(name=_english(traffic, traffic.lanes["lane"])), path)
+
+
+def write_turn_traffic(path: Path, traffic: ReportedTraffic) -> None:
+    """Write the volumes of turns by interval: columns as of `gis-radar traffic`."""
+    ends = {f"{end}_name": _english(traffic, traffic.turns[f"{end}_lane"])
+            for end in ("from", "to")}  # fmt: skip
+    write_table(traffic.turns.assign(**ends), path)
+
+
+def _english(traffic: ReportedTraffic, lanes: pd.Series) -> pd.Series:
+    """Return the names of lanes in English, as all tables are."""
+    with speaking("en"):
+        named = lane_names(traffic.dataset.layer(LANES_LAYER), traffic.network)
+    return lanes.map(dict(zip(traffic.network.lane.tolist(), named, strict=True)))
+
+
+def traffic_chapters(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Chapter]:
+    """Return the chapters on traffic, each with the question that it answers.
+
+    Parameters
+    ----------
+    traffic : ReportedTraffic
+        What is known.
+    clock : Clock
+        Of the site.
+    ways : bool
+        Whether diagrams of queues show the ways of vehicles.
+    """
+    clock = traffic.clock(clock)
+    chapters = [
+        Chapter("volumes", tr("How many vehicles, how fast?"),
+                [_volume_table(traffic), *_volume_charts(traffic, clock)]),
+    ]  # fmt: skip
+    if traffic.by_turn["volume"].notna().any():
+        turns = (_turning_diagram(traffic), _turn_table(traffic))
+        chapters.append(Chapter("turns", tr("Where do they turn?"), turns))
+    if queues := _queues(traffic, clock, ways=ways):
+        chapters.append(Chapter(QUEUES, tr("Where is it slow or full, and when?"), queues))
+    return chapters
+
+
+def _before_lines(traffic: ReportedTraffic) -> set[int]:
+    network = traffic.network
+    return set(network.lane[network.has_stop_line].tolist())
+
+
+def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
+    """Return the lanes over the whole time: those with stop lines by name, then the others.
+
+    Lanes within the junction are left out: they are turns.
+    """
+    network = traffic.network
+    inside = set(network.lane[network.connector].tolist())
+    rows = traffic.by_lane[~traffic.by_lane["lane"].isin(inside)]
+    later = ~rows["lane"].isin(_before_lines(traffic))
+    return rows.assign(later=later).sort_values(["later", "name"], ignore_index=True)
+
+
+def _estimated(row: pd.Series) -> str:
+    """Return a volume an hour with its standard error, or why there is none."""
+    if pd.isna(row["volume"]):
+        return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
+    volume, error = (figure_text(row[name] / row["hours"]) for name in ("volume", "volume_se"))
+    return f"{volume}{THIN_SPACE}±{THIN_SPACE}{error}"
+
+
+def _volume_table(traffic: ReportedTraffic) -> Table:
+    """Return volumes, speeds and queues, a row a lane."""
+    known = _roads(traffic).assign(hours=traffic.hours)
+    shown = known.head(MOST_LANES)
+    columns = _volume_columns(_before_lines(traffic))
+    return Table(
+        name="volumes", caption=tr("Traffic of lanes over the whole time"), columns=columns,
+        rows=text_rows((row for _, row in shown.iterrows()), columns),
+        note=" ".join(_volume_notes(traffic, known, len(shown))),
+        files=[(names.TRAFFIC, tr("each lane in each interval, with further measures"))],
+    )  # fmt: skip
+
+
+def _volume_columns(before_lines: set[int]) -> list[Column]:
+    def counted(row: pd.Series) -> str:
+        return tr(NOT_SEEN) if pd.isna(row["counted"]) else figure_text(int(row["counted"]))
+
+    def heavy(row: pd.Series) -> str:
+        known = pd.notna(row["counted"]) and row["counted"] > 0
+        return percent(row["heavy"] / row["counted"], 0) if known else NO_FIGURE
+
+    def queue(row: pd.Series) -> str:
+        if row["lane"] not in before_lines:
+            return NO_FIGURE
+        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else figure_text(row["queue_max_m"])
+
+    return [
+        Column(tr("Lane"), "", lambda row: str(row["name"]), False),
+        Column(tr("No."), tr("on the plan"), lambda row: str(row["lane"])),
+        Column(tr("Counted"), tr("vehicles"), counted),
+        Column(tr("Volume"), tr("veh/h"), _estimated),
+        Column(tr("Heavy"), tr("of those counted"), heavy),
+        Column(tr("Mean speed"), tr("km/h, waiting included"),
+               lambda row: figure_text(row["speed_kmh"])),
+        Column(tr("Mean occupancy"), tr("of visible time"),
+               lambda row: percent(row["occupancy"], off=row["occupancy_se"])),
+        Column(tr("Longest queue"), "m", queue),
+    ]  # fmt: skip
+
+
+def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> list[str]:
+    """Return how the table is to be read, and what it does not tell."""
+    seconds = (traffic.end - traffic.begin).total_seconds()
+    notes = [
+        tr("Vehicles are counted at the stop line, elsewhere in the middle of the lane. Volume is "
+           "the estimate for an hour like this time, ± its standard error; the other figures have "
+           "no known error but that of the occupancy. From {time} nothing follows about other "
+           "hours or days.", time=seconds_text(seconds)),
+    ]  # fmt: skip
+    share = percent(LEAST_SHARE, 0)
+    if known["volume"].isna().any():
+        notes.append(
+            tr("Not seen: the place of counting was not visible, which is not 0; too little seen: "
+               "under {share} of the time.", share=share)
+        )  # fmt: skip
+    if missing := len(traffic.network.lane) - len(traffic.by_lane):
+        notes.append(plural(missing, WORDS["occupancy"].unseen_one, WORDS["occupancy"].unseen_many))
+    if len(known) > shown:
+        notes.append(tr("Here are {part} of {all} lanes.", part=shown, all=len(known)))
+    return notes
+
+
+def _volume_charts(traffic: ReportedTraffic, clock: Clock) -> list[Chart]:
+    """Draw the volume of lanes before stop lines by interval, of others where there are none."""
+    rows = _roads(traffic)
+    rows = rows[rows["volume"].notna()]
+    before = rows["lane"].isin(_before_lines(traffic))
+    return _charts(traffic, rows[before] if before.any() else rows, _VOLUMES, clock)
+
+
+class _Profile(NamedTuple):
+    """What strips over time show: columns of a value and its error, by how much to divide them."""
+
+    columns: Sequence[str]
+    tops: Sequence[float]
+    an_hour: bool
+    heading: str
+    caption: str
+
+
+_VOLUMES = _Profile(
+    ("volume", "volume_se"), (60, 120, 300, 600, 900, 1200, 1800, 2400), True,
+    Text("Lane; vehicles an hour; band: standard error"),
+    Text("Volume of each lane in intervals of {length}, all on one scale; the band is its "
+         "standard error. Hatched grey: not seen."),
+)  # fmt: skip
+_BACKS = _Profile(
+    ("queue_max_m", "unknown"), (20, 50, 100, 200, 300, 500), False,
+    Text("Lane; longest queue, metres"),
+    Text("Longest queue of each lane in intervals of {length}, all on one scale. Hatched grey: the "
+         "stop line was not seen."),
+)  # fmt: skip
+
+
+def _charts(
+    traffic: ReportedTraffic, lanes: pd.DataFrame, profile: _Profile, clock: Clock
+) -> list[Chart]:
+    """Draw a strip a lane, as far as they fill some pages; nothing of too few intervals."""
+    if len(set(traffic.lanes["begin"])) < LEAST_INTERVALS or lanes.empty:
+        return []
+    lanes = lanes.head(STRIPS * MOST_CHARTS)
+    table = traffic.lanes.assign(unknown=np.nan).set_index(["lane", "begin"])
+    table = table[[*profile.columns]].astype(float)
+    table = table / (traffic.length_s / 3600.0) if profile.an_hour else table
+    high = float(table.loc[lanes["lane"].tolist()].sum(axis=1).max())
+    step = profile.tops[-1] / 4.0
+    top = next((each for each in profile.tops if each >= high), float(np.ceil(high / step) * step))
+    strips = [(str(row["name"]), table.loc[row["lane"]] / top) for _, row in lanes.iterrows()]
+    return [
+        _chart(strips[first : first + STRIPS], top, traffic, profile, clock)
+        for first in range(0, len(strips), STRIPS)
+    ]
+
+
+def _chart(
+    strips: Sequence[tuple[str, pd.DataFrame]], top: float, traffic: ReportedTraffic,
+    profile: _Profile, clock: Clock,
+) -> Chart:  # fmt: skip
+    begin, end = (traffic.lanes[n].dt.tz_convert("UTC") for n in ("begin", "end"))
+    edges = pd.date_range(begin.min(), end.max(), freq=timedelta(seconds=traffic.length_s))
+    seconds = (edges - edges[0]).total_seconds().to_numpy()
+    moments = [each.to_pydatetime() for each in edges]
+    drawn = []
+    for name, rows in strips:
+        values, errors = rows.reindex(edges[:-1]).to_numpy().T
+        drawn.append(strip_of(name, seconds / seconds[-1], values, errors))
+    length = f"{figure_text(traffic.length_s / 60.0)}{THIN_SPACE}min"
+    return Chart(
+        caption=tr(profile.caption, length=length), heading=tr(profile.heading),
+        alt=tr(
+            "Chart of {n} lanes over {intervals} intervals; the table has the whole time.",
+            n=len(strips), intervals=len(edges) - 1,
+        ),
+        top=figure_text(top), below=clock.name, strips=drawn,
+        times=[
+            (float(at / seconds[-1]), label) for at, label in times_below(moments, seconds, clock)
+        ],
+    )  # fmt: skip
+
+
+def _turning_diagram(traffic: ReportedTraffic) -> Figure:
+    """Draw the turning diagram, for the page and for a phone."""
+    drawn = [_turns_drawn(traffic, width_in) for width_in in (TURNS_IN, NARROW_IN)]
+    wide, narrow = (each.quantize(128, dither=Image.Dither.NONE) for each in drawn)
+    return Figure(
+        png=png(wide), narrow=png(for_a_phone(narrow)), width=wide.width, height=wide.height,
+        caption=tr(
+            "Vehicles an hour with their standard errors; an arrow is as wide as its volume, north "
+            "is up. Who was not followed to an exit is shared among the turns like the others; a "
+            "turn without an arrow was not seen."
+        ),
+        alt=tr("Turning diagram of the site; the table below has its figures."),
+    )  # fmt: skip
+
+
+def _turns_drawn(traffic: ReportedTraffic, width_in: float) -> Image.Image:
+    wide = width_in > NARROW_IN
+    with mpl.rc_context(FONTS):
+        dpi = TURNS_DPI if wide else 2 * TURNS_DPI
+        figure = MplFigure(figsize=(width_in, width_in), dpi=dpi, layout="constrained")
+        known = traffic.by_turn[traffic.by_turn["volume"].notna()]
+        known = known.assign(error_veh_h=known["volume_se"] / traffic.hours)
+        draw_turning_diagram(figure, traffic.lanes, known, labels=wide)
+        drawn = image_of_figure(figure).convert("RGB")
+        return drawn.crop(ImageChops.invert(drawn).getbbox())
+
+
+def _turn_table(traffic: ReportedTraffic) -> Table:
+    """Return the volumes of turns, a row a lane, a column a way."""
+    table, hours = traffic.by_turn, traffic.hours
+    ways = [way for way in TURN_WORDS if way in set(table["turn"])]
+    numbers = table.groupby("from_lane")["from_name"].first().sort_values()
+
+    def volume(lane: int, way: str) -> str:
+        mine = table[(table["from_lane"] == lane) & (table["turn"] == way)]
+        if mine.empty:
+            return NO_FIGURE
+        if mine["volume"].isna().any():
+            return tr(NOT_SEEN)
+        error = float(np.sqrt((mine["volume_se"] ** 2).sum()))
+        shown = (figure_text(each / hours) for each in (mine["volume"].sum(), error))
+        return f"{THIN_SPACE}±{THIN_SPACE}".join(shown)
+
+    titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
+    titles += [Column(_capital(tr(TURN_WORDS[way])), tr("veh/h"), str) for way in ways]
+    return Table(
+        name="turns", caption=tr("Turns over the whole time"), columns=titles,
+        rows=[
+            [str(name), str(lane), *(volume(int(str(lane)), way) for way in ways)]
+            for lane, name in numbers.items()
+        ],
+        note=tr("Turns of a lane sum to its volume where all of its exits were seen. No routes: "
+                "where vehicles come from or go to beyond the junction is not known."),
+        files=[(names.TURNS, tr("each turn in each interval"))],
+    )  # fmt: skip
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _queues(traffic: ReportedTraffic, clock: Clock, *, ways: bool) -> list[Table | Figure | Chart]:
+    """Return where vehicles queue: a table, and the course of the longest queues."""
+    queues = traffic.by_lane[traffic.by_lane["queue_max_m"] >= LEAST_QUEUE_M]
+    queues = queues.sort_values(["queue_max_m", "lane"], ascending=[False, True])
+    if queues.empty:
+        return []
+    table = traffic.lanes.dropna(subset="queue_max_m").sort_values("queue_max_m", kind="stable")
+    most = table.groupby("lane").last()
+    longest = [
+        LongQueue(
+            int(row["lane"]), str(row["name"]), float(row["queue_max_m"]),
+            most.loc[row["lane"], ["begin", "end"]].mean().to_pydatetime(),
+        )
+        for _, row in queues.head(MOST_COURSES).iterrows()
+    ]  # fmt: skip
+    span = (traffic.begin, traffic.end)
+    long = int((traffic.end - traffic.begin).total_seconds() > WINDOW_S)  # more than diagrams show
+    return [
+        *draw_courses(traffic.dataset, longest, span, replace(clock, to_seconds=True), ways=ways),
+        _queue_table(traffic, queues, most, clock),
+        *_charts(traffic, queues.head(MOST_QUEUES), _BACKS, clock)[:long],
+    ]
+
+
+def _queue_table(
+    traffic: ReportedTraffic, queues: pd.DataFrame, most: pd.DataFrame, clock: Clock
+) -> Table:
+    def when(row: pd.Series) -> str:
+        span = most.loc[row["lane"]]
+        return clock.span(span["begin"].to_pydatetime(), span["end"].to_pydatetime())
+
+    def figure(name: str) -> Column:
+        title, unit = _OF_QUEUES[name]
+        return Column(tr(title), tr(unit), lambda row: figure_text(float(row[name])))
+
+    several = len(set(traffic.lanes["begin"])) > 1
+    columns = [
+        Column(tr("Lane"), "", lambda row: str(row["name"]), False),
+        Column(tr("No."), tr("on the plan"), lambda row: str(row["lane"])),
+        figure("queue_max_m"),
+        *([Column(tr("Reached"), clock.name, when, False)] if several else []),
+        *(figure(name) for name in _OF_QUEUES
+          if name != "queue_max_m" and queues[name].notna().any()),
+    ]  # fmt: skip
+    rows = [row for _, row in queues.head(MOST_QUEUES).iterrows()]
+    return Table(
+        name="queues", caption=tr("The longest queues"), columns=columns,
+        rows=text_rows(rows, columns),
+        note=tr(
+            "A queue is who stands, from the stop line back, with no gap over 10 m: a vehicle that "
+            "was missed cuts it there, so it may be longer, and one that reaches out of sight is. "
+            "Nothing follows about why vehicles wait."
+        ),
+    )  # fmt: skip
+
+
+_OF_QUEUES = {
+    "queue_max_m": (Text("Longest queue"), Text("m")),
+    "queue_mean_m": (Text("Mean queue"), Text("m")),
+    "stops": (Text("Stops"), Text("vehicles")),
+    "delay_s": (Text("Delay"), Text("s a vehicle, against free speed")),
+    "speed_kmh": (Text("Mean speed"), Text("km/h, waiting included")),
+}

@@ -1,0 +1,234 @@
+"""Traffic in a report, against the tables that it is from: volumes, turns, queues."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from base64 import b64decode
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pandas as pd
+import pytest
+from datasets import HOUR
+from driven import drive
+from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, through
+from PIL import Image
+from report_site import Page, reports_of_whole_run
+
+import gis_radar as gr
+from gis_radar.dataset import (
+    STEPS_PER_HOUR,
+    LaneTraffic,
+    open_dataset,
+    read_hours,
+    write_record,
+)
+from gis_radar.products import make_heatmap
+
+BEGIN = HOUR * STEPS_PER_HOUR
+FRONTS_M = (59.0, 52.0, 45.0)  # of three cars that wait, 4.5 m long
+RED = (186, 28, 77)
+
+
+def waiting(vehicle, first_step, front_m, exit_lane, wait_s=30):
+    """Drive to the stop line, wait, and go on."""
+    way = [np.arange(2.0, front_m, 0.5), np.full(20 * wait_s, front_m), np.arange(front_m, 95, 0.5)]
+    fronts, speed = np.concatenate(way), np.repeat([10.0, 0.0, 10.0], [len(each) for each in way])
+    before = fronts < LINE_M
+    track = drive(vehicle, first_step, fronts, speed=speed, lanelet_id=APPROACH)
+    return track.assign(
+        lanelet_id=pd.array(np.where(before, APPROACH, exit_lane), dtype="Int64"),
+        s_m=np.where(before, fronts, fronts - LINE_M),
+    )
+
+
+def cars():
+    """Give three cars that wait in the third minute, and five that drive through."""
+    tracks = [waiting(n, BEGIN + 2400 + 40 * n, front, (STRAIGHT, LEFT)[n % 2])
+              for n, front in enumerate(FRONTS_M)]  # fmt: skip
+    return tracks + [through(10 + n, BEGIN + 1200 * n, STRAIGHT) for n in range(5)]
+
+
+def reported(folder, tracks, **options):
+    """Write a dataset of cars on the fork, its heat map, and a report in each language."""
+    dataset = fork_dataset(folder / "dataset", tracks, timezone="Europe/Berlin", **options)
+    make_heatmap(dataset).write(folder / "heatmap")
+    for language in ("en", "de"):
+        (folder / language).mkdir()
+        gr.write_report(folder, output=folder / language, language=language, title="Fork")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Give a report of the fork of which the exit to the left is hidden but for its end."""
+    tiles = fork()
+    hidden = tiles[(tiles["lane"] == LEFT) & (tiles["s_m"] < 35.0)]["tile_id"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gis_radar.products.report.report.write_pdf", lambda *_: None)
+        return reported(tmp_path_factory.mktemp("fork"), cars(), unseen=hidden)
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    return Page((folder / "en" / "report.html").read_text(encoding="utf-8"))
+
+
+def table_of(page, head):
+    (rows,) = (each for each in page.tables if each[0][: len(head)] == head)
+    titles = rows[0]
+    return [dict(zip(titles, row, strict=True)) for row in rows[1:]]
+
+
+def volumes(page):
+    return {int(row["No. on the plan"]): row
+            for row in table_of(page, ["Lane", "No. on the plan", "Counted vehicles"])}  # fmt: skip
+
+
+def pictures(folder, chapter, language="en"):
+    """Return the pictures of a chapter as they are read."""
+    text = (folder / language / "report.html").read_text(encoding="utf-8")
+    section = text.partition(f'<section id="{chapter}"')[2].partition("</section>")[0]
+    found = re.findall(r'(?:src|srcset)="data:image/png;base64,([^"]*)"', section)
+    return [Image.open(BytesIO(b64decode(each))).convert("RGB") for each in found]
+
+
+def redness(picture):
+    """Return the share of pixels in shades of the colour of flows and queues."""
+    r, g, b = np.moveaxis(np.asarray(picture, float), -1, 0)
+    return float(((r - g > 40) & (r - b > 20)).mean())
+
+
+def test_figures_are_those_of_the_dataset(folder, page):
+    dataset = open_dataset(folder / "dataset")
+    known = dataset.traffic("1min", whole=True).set_index("lane")
+    fine = dataset.traffic("1min")
+    hours = fine["begin"].nunique() / 60.0
+    rows = volumes(page)
+    assert rows.keys() == {APPROACH, STRAIGHT, LEFT}
+    for lane in (APPROACH, STRAIGHT):
+        row, figures = rows[lane], known.loc[lane]
+        assert row["Lane"] == figures["name"]
+        assert int(row["Counted vehicles"]) == fine[fine["lane"] == lane]["counted"].sum()
+        volume, error = (float(each) for each in row["Volume veh/h"].split("\u202f±\u202f"))
+        assert volume == pytest.approx(figures["volume"] / hours, abs=0.5)
+        assert error == pytest.approx(figures["volume_se"] / hours, abs=0.5)
+        assert float(row["Mean speed km/h, waiting included"]) == round(figures["speed_kmh"])
+        share, error = row["Mean occupancy of visible time"].removesuffix("\u202f%").split("±")
+        assert float(share) == pytest.approx(100 * figures["occupancy"], abs=0.05)
+        assert float(error) == pytest.approx(100 * figures["occupancy_se"], abs=0.05)
+    assert float(rows[APPROACH]["Longest queue m"]) == round(known.loc[APPROACH, "queue_max_m"])
+    assert rows[STRAIGHT]["Longest queue m"] == "\u2013"  # it has no stop line
+
+
+def test_what_is_not_visible_is_not_seen_and_not_0(page):
+    row = volumes(page)[LEFT]
+    assert (row["Counted vehicles"], row["Volume veh/h"]) == ("not seen", "not seen")
+    (turn,) = table_of(page, ["From lane"])
+    assert "not seen" in {turn["Straight ahead veh/h"], turn.get("Left turn veh/h")}
+    assert "which is not 0" in " ".join(page.words)
+
+
+def test_the_profile_is_that_of_the_dataset(folder, page):
+    fine = open_dataset(folder / "dataset").traffic("1min").set_index(["lane", "begin"])
+    volume = fine.loc[APPROACH, "volume_veh_h"].astype(float).dropna()
+    assert len(volume) > 3
+    text = (folder / "en" / "report.html").read_text(encoding="utf-8")
+    section = text.partition('<section id="volumes"')[2].partition("</section>")[0]
+    (strip,) = section.split('<div class="strip">')[1:]
+    assert "=Ring eastbound, lane 1" in strip
+    top = float(re.search(r'class="scale"><span>([^<]*)<', strip)[1])
+    (line,) = re.findall(r'class="line"[^>]* d="([^"]*)"', strip)
+    heights = [100.0 - float(each) for each in line.removeprefix("M").split()[1::4]]
+    assert heights == pytest.approx((100.0 * volume / top).tolist(), abs=1.0)
+
+
+def test_pictures_are_there_and_show_something(folder):
+    turns, courses = pictures(folder, "turns"), pictures(folder, "queues")
+    assert [len(turns), len(courses)] == [2, 2]  # one for a phone
+    for each in turns:
+        assert redness(each) > 0.0001  # two short turns
+    for each in courses:
+        assert redness(each) > 0.01
+        assert (np.asarray(each).sum(axis=-1) < 250).mean() > 0.005  # ways
+
+
+def test_the_course_of_a_queue_is_that_of_its_cars(folder):
+    """Three cars that wait: from the first to the last of them the back moves by 7 m each."""
+    dataset = open_dataset(folder / "dataset")
+    made = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    (course,) = made.courses(dataset.records(), APPROACH, (BEGIN, BEGIN + 6000))
+    backs = sorted(set(np.round(course.back_m[course.back_m > 0], 2)))
+    assert backs == [pytest.approx(LINE_M - front + 4.5) for front in FRONTS_M]
+    assert max(backs) == pytest.approx(dataset.queues("1min")["queue_max_m"].max(), abs=0.01)
+    first = course.vehicle == 0
+    assert course.to_line_m[first].max() == pytest.approx(LINE_M - 2.0, abs=0.3)
+    assert (np.diff(course.step[first]) > 0).all()
+    assert course.seen[:, 3].max() == pytest.approx(LINE_M)
+
+
+def test_tables_lie_beside_the_page_alike_in_all_languages(folder):
+    dataset = open_dataset(folder / "dataset")
+    for name, known in (("traffic", dataset.traffic("1min")), ("turns", dataset.turns("1min"))):
+        path = folder / "en" / f"{name}.csv"
+        assert path.read_bytes() == (folder / "de" / f"{name}.csv").read_bytes()
+        rows = pd.read_csv(path)
+        assert rows.columns.tolist() == [each for each in known if each != "geometry"]
+        np.testing.assert_allclose(rows["volume"], known["volume"].astype(float), atol=1e-4)
+        assert f'href="{name}.csv"' in (folder / "en" / "report.html").read_text(encoding="utf-8")
+
+
+def test_in_german(folder):
+    words = Page((folder / "de" / "report.html").read_text(encoding="utf-8")).words
+    text = " ".join(words)
+    for each in ("Wie viele Fahrzeuge, wie schnell?", "Wohin biegen sie ab?",
+                 "Wo stockt es, und wann?", "=Ring nach Osten, Fahrstreifen 1"):  # fmt: skip
+        assert each in text
+    assert "nicht gesehen" in text
+    assert "Wege von Fahrzeugen" in text  # what the report shows of single vehicles
+
+
+def test_of_one_interval_there_is_no_profile(tmp_path, without_pdf):
+    reported(tmp_path, [through(1, BEGIN + 40, STRAIGHT)])
+    text = (tmp_path / "en" / "report.html").read_text(encoding="utf-8")
+    assert volumes(Page(text))[APPROACH]["Counted vehicles"] == "1"
+    assert 'class="strip"' not in text
+    assert '<section id="queues"' not in text  # nobody waited
+    assert "it shows no single vehicle" in text
+
+
+def test_without_exact_tables_there_are_no_ways(folder, tmp_path, without_pdf):
+    shutil.copytree(folder / "dataset", tmp_path / "dataset")
+    shutil.copytree(folder / "heatmap", tmp_path / "heatmap")
+    place = tmp_path / "dataset"
+    dataset = open_dataset(place)
+    LaneTraffic(folder=place, fingerprint=dataset.manifest.fingerprint).update(HOUR)
+    for record in read_hours(place).values():
+        write_record(place, replace(record, dropped=("tracks", "visible", "occupied")))
+    gr.write_report(tmp_path, title="Fork")
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert volumes(page)[APPROACH]["Counted vehicles"] == "8"
+    assert not pictures(tmp_path, "queues", ".")
+    assert table_of(page, ["Lane", "No. on the plan", "Longest queue m"])
+
+
+def test_of_hits_alone_it_says_so(once):
+    report = reports_of_whole_run(once)["en"]
+    text = report.outputs[0].read_text(encoding="utf-8")
+    assert not re.search('<section id="(volumes|turns|queues)"', text)
+    assert "Vehicles were not looked for: this report has no volumes" in text
+    assert not {"traffic.csv", "turns.csv"} & {path.name for path in report.outputs}
+
+
+def test_ways_of_vehicles_can_be_left_out(folder, tmp_path, without_pdf):
+    gr.write_report(folder, output=tmp_path, title="Fork", ways=False)
+    without, with_ways = pictures(tmp_path, "queues", "."), pictures(folder, "queues")
+    for one, other in zip(without, with_ways, strict=True):
+        assert redness(one) > 0.01
+        dark = [(np.asarray(each).sum(axis=-1) < 250).sum() for each in (one, other)]
+        assert dark[0] < dark[1]
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "it shows no single vehicle" in text
+    assert "way of one vehicle" not in text
