@@ -36,7 +36,13 @@ def tiles():
 
 @pytest.fixture(scope="module")
 def rows(first_seconds):
-    """Rows of a minute of both sensors."""
+    """Rows of half a minute of both sensors."""
+    return {n: pd.read_parquet(first_seconds(SAMPLE / f"{n}.parquet", 30)) for n in POSES}
+
+
+@pytest.fixture(scope="module")
+def minute(first_seconds):
+    """Rows of a minute."""
     return {n: pd.read_parquet(first_seconds(SAMPLE / f"{n}.parquet", 60)) for n in POSES}
 
 
@@ -66,7 +72,7 @@ YAW, PITCH = POSES["R1"].yaw, POSES["R1"].pitch
 MISTAKES = {
     "turned": (turned("yaw", YAW + 180.0), None, "yaw is off by 180 deg", "set yaw to 21.7"),
     "a bearing": (turned("yaw", 90.0 - YAW), None, "its yaw is a bearing", "21.7"),
-    "two degrees": (turned("yaw", YAW + 2.0), None, "its pose is off", "set yaw 21.7"),
+    "two degrees": (turned("yaw", YAW + 2.0), None, "its pose is off", "set yaw 21.67"),
     "pitch": (turned("pitch", -PITCH), None, "pitch has the wrong sign", "set pitch to 3.2"),
     "height": (turned("height", POSES["R1"].height + 3.0), None, "height is 3", "height to 520"),
     "mirrored": (POSES["R1"], times("y", -1.0), "left and right are swapped", "the sign of y"),
@@ -240,8 +246,8 @@ def test_a_pose_track_is_judged_at_the_pose_in_force(tmp_path, tiles, rows):
 
 
 @pytest.mark.parametrize(("recorded", "pose"), [("R1", "R2"), ("R2", "R1")])
-def test_the_pose_of_a_sensor_that_is_not_given_is_refused(tmp_path, tiles, rows, recorded, pose):
-    rows[recorded].to_parquet(tmp_path / "A.parquet", index=False)
+def test_the_pose_of_a_sensor_that_is_not_given_is_refused(tmp_path, tiles, minute, recorded, pose):
+    minute[recorded].to_parquet(tmp_path / "A.parquet", index=False)
     with pytest.raises(ImplausibleError, match=f"{pose}: does not fit"):
         gr.measure(
             [tmp_path / "A.parquet"], [POSES[pose]], tiles, MAP, tmp_path / "d", hits_only=True
@@ -267,19 +273,22 @@ def test_a_doubt_stays_with_the_recording_that_it_is_of(tmp_path, tiles, rows):
     assert measured([first, later], []) == {}
 
 
-def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, rows):
-    middle = rows["R1"]["time"].iloc[0] + 30.0
-    parts = [rows["R1"][rows["R1"]["time"] < middle], rows["R2"][rows["R2"]["time"] >= middle]]
+def test_from_half_way_on_it_is_another_sensor(tmp_path, tiles, minute):
+    middle = minute["R1"]["time"].iloc[0] + 30.0
+    parts = [
+        minute["R1"][minute["R1"]["time"] < middle],
+        minute["R2"][minute["R2"]["time"] >= middle],
+    ]
     pd.concat(parts).to_parquet(tmp_path / "A.parquet", index=False)
-    rows["R2"].to_parquet(tmp_path / "B.parquet", index=False)
+    minute["R2"].to_parquet(tmp_path / "B.parquet", index=False)
     files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
     with pytest.raises(ImplausibleError, match=r"R1: does not fit: from .*07:30:\S+ on: .* of R2"):
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
 
 
-def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_path, tiles, rows):
-    rows["R1"].to_parquet(tmp_path / "A.parquet", index=False)
-    late = rows["R2"].assign(time=rows["R2"]["time"] + 1.0)
+def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_path, tiles, minute):
+    minute["R1"].to_parquet(tmp_path / "A.parquet", index=False)
+    late = minute["R2"].assign(time=minute["R2"]["time"] + 1.0)
     late.to_parquet(tmp_path / "B.parquet", index=False)
     files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
     with pytest.raises(
@@ -293,9 +302,9 @@ def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_pat
 
 
 @pytest.mark.parametrize("seconds", [0.5, 60])
-def test_right_poses_pass_and_too_little_traffic_is_said(tmp_path, tiles, rows, seconds):
+def test_right_poses_pass_and_too_little_traffic_is_said(tmp_path, tiles, minute, seconds):
     """A careful survey is 0.3 m off, and drivers keep off the middle."""
-    table = rows["R1"]
+    table = minute["R1"]
     table[table["time"] < table["time"].iloc[0] + seconds].to_parquet(tmp_path / "R1.parquet")
     near = replace(POSES["R1"], easting=POSES["R1"].easting + 0.3)
     heard = Listener()
@@ -308,8 +317,8 @@ def test_right_poses_pass_and_too_little_traffic_is_said(tmp_path, tiles, rows, 
     assert ("too little traffic" in str(heard.messages)) == (seconds < 1)
 
 
-def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, tiles, rows):
-    rows["R1"].assign(z=np.float32(np.nan)).to_parquet(tmp_path / "R1.parquet")
+def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, tiles, minute):
+    minute["R1"].assign(z=np.float32(np.nan)).to_parquet(tmp_path / "R1.parquet")
     made = gr.measure(
         [tmp_path / "R1.parquet"], [POSES["R1"]], tiles, None, tmp_path / "d", hits_only=True
     )
@@ -321,9 +330,9 @@ def test_without_elevation_and_without_a_map_poses_are_judged_as_well(tmp_path, 
         )  # fmt: skip
 
 
-def test_how_surely_a_pitch_is_off_does_not_depend_on_where_north_is(tmp_path, rows):
+def test_how_surely_a_pitch_is_off_does_not_depend_on_where_north_is(tmp_path, minute):
     """Where map and pose are turned together, the error of a pitch is not that of a roll."""
-    rows["R2"].to_parquet(tmp_path / "R2.parquet")
+    minute["R2"].to_parquet(tmp_path / "R2.parquet")
     pose, lanelets = POSES["R2"], gr.read_map(MAP).lanelets
     off = replace(pose, pitch=pose.pitch + 1.7)
     sigmas = []
@@ -341,9 +350,9 @@ def test_how_surely_a_pitch_is_off_does_not_depend_on_where_north_is(tmp_path, r
     assert sigmas[1] == pytest.approx(sigmas[0], abs=0.03)
 
 
-def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, rows):
+def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, minute):
     """Across a street a pitch and a height raise all that passes alike."""
-    table = rows["R1"]
+    table = minute["R1"]
     table[table["x"].between(35.0, 45.0)].to_parquet(tmp_path / "R1.parquet")
     recorded = RecordedSensor(
         recordings=[gr.open_recording(tmp_path / "R1.parquet")], tracks=[as_track(POSES["R1"])]

@@ -37,11 +37,7 @@ NO_HEIGHTS = "without heights of map and radar, height and tilt are not compared
 @pytest.fixture(scope="module")
 def rows(first_seconds):
     """Rows of forty seconds of both sensors."""
-    found = {}
-    for name in POSES:
-        table = pd.read_parquet(first_seconds(SAMPLE / f"{name}.parquet", 60))
-        found[name] = table[table["time"] < table["time"].iloc[0] + 40.0]
-    return found
+    return {n: pd.read_parquet(first_seconds(SAMPLE / f"{n}.parquet", 40)) for n in POSES}
 
 
 @pytest.fixture

@@ -237,19 +237,27 @@ def _score(
 ) -> Floats:
     """Return the mean closeness for each place (rows) and yaw (columns)."""
     sights, rows, columns = close.shape
+    cells, per_m = close.reshape(sights, rows * columns), 1.0 / cell_m
     total = np.zeros((len(places), len(yaws)))
+    east, north = places[:, 0].copy(), places[:, 1].copy()
+    # Cells first, what lies in them then: so the first loop takes several places at a time.
+    column, row = np.empty(len(places), np.int32), np.empty(len(places), np.int32)
+    sums = np.empty(len(places), np.int32)
     for j in range(len(yaws)):
         cos, sin = np.cos(yaws[j]), np.sin(yaws[j])
+        sums[:] = 0
         for k in range(len(points)):
             x = cos * points[k, 0] - sin * points[k, 1]
             y = sin * points[k, 0] + cos * points[k, 1]
             turn = np.arctan2(y, x) / (2.0 * np.pi) + (0.0 if away[k] else 0.5)
-            sight = int(np.rint(turn * sights)) % sights
+            seen = cells[int(np.rint(turn * sights)) % sights]
             for i in range(len(places)):
-                column = int((x + places[i, 0] - corner[0]) / cell_m)
-                row = int((y + places[i, 1] - corner[1]) / cell_m)
-                if 0 <= column < columns and 0 <= row < rows:
-                    total[i, j] += close[sight, row, column]
+                column[i] = np.int32((x + east[i] - corner[0]) * per_m)
+                row[i] = np.int32((y + north[i] - corner[1]) * per_m)
+            for i in range(len(places)):
+                if 0 <= column[i] < columns and 0 <= row[i] < rows:
+                    sums[i] += seen[row[i] * columns + column[i]]
+        total[:, j] = sums
     return total / (255.0 * max(len(points), 1))
 
 

@@ -91,11 +91,11 @@ def test_hits_and_observed_steps_are_those_of_a_plain_loop(tmp_path_factory, see
 
 @pytest.fixture(scope="module")
 def halves(once):
-    """Two recordings over an hour's edge: 2 s before it and 2 s after it."""
+    """Two recordings over an hour's edge: a second before it and one after it."""
 
     def both_cut(folder):
         return {
-            sensor: cut(folder / f"{sensor}.parquet", sensor, 18.0, 22.0, edge_s=20.0)
+            sensor: cut(folder / f"{sensor}.parquet", sensor, 19.0, 21.0, edge_s=20.0)
             for sensor in ("R1", "R2")
         }
 
@@ -134,7 +134,7 @@ def test_several_processes_write_the_same_bytes(halves, both, tmp_path):
 
 def test_blocks_of_an_hour_side_by_side_write_the_same_bytes(tmp_path):
     # a block ends at 300 s of the hour, amid it
-    recording = cut(tmp_path / "R2.parquet", "R2", 14.0, 26.0, edge_s=-280.0)
+    recording = cut(tmp_path / "R2.parquet", "R2", 17.0, 23.0, edge_s=-280.0)
     for processes in (1, 3):
         measured(tmp_path / str(processes), ("R2", recording), processes=processes)
     assert len(gr.open_dataset(tmp_path / "1").tracks()) > 50
@@ -151,7 +151,7 @@ def of_hours(found):
 
 
 def test_recordings_that_overlap_or_follow_each_other_give_the_same_hours(halves, both, tmp_path):
-    pieces = {"R1": ((18.0, 19.5), (18.3, 21.0), (18.5, 22.0)), "R2": ((18.0, 18.3), (18.3, 22.0))}
+    pieces = {"R1": ((19.0, 19.7), (19.2, 20.5), (19.3, 21.0)), "R2": ((19.0, 19.3), (19.3, 21.0))}
     files = [
         (sensor, cut(tmp_path / f"{sensor}_{span[0]}.parquet", sensor, *span, edge_s=20.0))
         for sensor, spans in pieces.items()

@@ -32,6 +32,8 @@ from gis_radar.site import run as product
 from gis_radar.site import stages_of
 from gis_radar.site.plan import OWNED
 
+HITS_ALONE = "\n[vehicles]\nfollow = false\n"  # where a test looks at no vehicle: it takes the most
+
 
 def test_the_whole_way(small):
     _, out, true = small
@@ -123,6 +125,7 @@ def test_what_stands_elsewhere_is_a_warning(small, copied):
     xyz = np.vstack([scan.xyz, crowns]) - [scans.EAST, scans.NORTH, 0.0]
     kinds = np.r_[np.asarray(scan.classification), np.full(len(crowns), 5, np.uint8)]
     scans.write_points(path.parent / "scan_1.laz", xyz, category=kinds)
+    path.write_text(path.read_text() + HITS_ALONE)
     with only_pictures("localization.png"):
         done = gr.run_site(path, out)
     assert done.failure is None
@@ -167,7 +170,7 @@ def test_the_report_shows_occupancy_and_its_tables_hits_beside_it(small):
 
 def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied, blank_paper):
     path, out = copied
-    change(path, "[heatmap]", "[vehicles]\nfollow = false\n\n[heatmap]")
+    path.write_text(path.read_text() + HITS_ALONE)
     done = gr.run_site(path, out)
     assert states(done)["measure"] == "done"
     assert not (out / "dataset" / "tracks").exists()
@@ -194,6 +197,7 @@ def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied, blank
     pose = path.parent / "R2.json"
     told = json.loads(pose.read_text()) | {"covariance": [[1.0]]}
     pose.write_text(json.dumps(told))
+    path.write_text(path.read_text() + HITS_ALONE)
     done = gr.run_site(path, out, jobs=1)
     assert set(done.missing) == {"R2"}
     assert "covariance" in done.failure.message
@@ -215,7 +219,7 @@ def test_a_track_and_a_road_that_are_there(small, tmp_path, in_this_process, bla
     site = folder / "SITE.toml"
     change(site, 'files = ["scan*.laz"]', 'road = "road.laz"')
     text = re.sub(r"guess = .*\ncompass = .*", 'pose = "R1_track.csv"', site.read_text())
-    site.write_text(text)
+    site.write_text(text + HITS_ALONE)
     done = gr.run_site(site, tmp_path / "out", jobs=1)
     assert done.failure is None
     assert (tmp_path / "out" / "sensors" / "R1" / "track.csv").is_file()
