@@ -1,4 +1,4 @@
-"""Names for the arrays that travel between modules, and compiled inner loops."""
+"""Types of arrays that modules share, and functions that numba compiles."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ def nearest(known: Floats, wanted: Floats) -> Integers:
 
 
 def contiguous(values: Any) -> Any:
-    """Return values one after the other and read-only: numba compiles anew for any other kind."""
+    """Return an array C-contiguous and read-only: numba compiles anew for any other layout."""
     values = np.ascontiguousarray(values).view()
     values.flags.writeable = False
     return values
 
 
 def give_back_memory() -> None:
-    """Give the memory of arrays that are gone back to the system, where the C library keeps it.
+    """Give freed memory that the C library (glibc) keeps back to the system.
 
-    That of glibc does, in pieces between arrays that are still there: of large arrays that come
-    and go, memory would grow to twice what they need.
+    Glibc keeps it in pieces between arrays in use: where large arrays come and go, a process grows
+    to twice what they need.
     """
     with suppress(OSError, AttributeError, TypeError):  # other systems have no such function
         ctypes.CDLL(None).malloc_trim(0)
@@ -88,14 +88,14 @@ class _Compiled(Generic[Given, Answer]):
 
     @cached_property
     def machine_code(self) -> Any:
-        """Dispatcher of numba."""
+        """Numba's dispatcher for the function."""
         import numba  # noqa: PLC0415 - 0.3 s
 
-        # Numba calls what it made itself, so names of other compiled functions stand for that.
+        # Compiled code calls dispatchers only: they stand for the other functions in its globals.
         names = {name: called.machine_code for name, called in self._called.items()}
         globals_ = {**self.function.__globals__, **names}
         plain = FunctionType(self.function.__code__, globals_, self.function.__name__)
-        # Numba's cache asks for the date of one file and the name, so the name tells the rest.
+        # Numba's cache looks at the name and the date of one file: the name covers all the others.
         plain.__qualname__ = f"{self.function.__qualname__}_{self._sources_digest()}"
         try:
             return numba.njit(cache=True, nogil=True)(plain)
@@ -103,17 +103,17 @@ class _Compiled(Generic[Given, Answer]):
             return numba.njit(nogil=True)(plain)
 
     def _compile_once(self, given: tuple[Any, ...]) -> None:
-        """Compile for such arguments, or load what another process compiles just now."""
+        """Compile for arguments of these types, or load what another process compiles just now."""
         from filelock import FileLock, Timeout  # noqa: PLC0415 - as numba
 
         machine_code = self.machine_code
         place = machine_code.stats.cache_path if hasattr(machine_code, "stats") else None
-        if place is None:  # nothing is kept, or numba is told to compile nothing
+        if place is None:  # no folder for machine code, or compiling is switched off
             return
         lock = FileLock(Path(place) / f"{self.function.__name__}.lock")
         try:
             lock.acquire(timeout=_COMPILES_S)
-        except (OSError, NotImplementedError, Timeout):  # then each compiles
+        except (OSError, NotImplementedError, Timeout):  # without a lock, each process compiles
             return
         try:
             machine_code.compile(tuple(machine_code.typeof_pyval(each) for each in given))
@@ -121,30 +121,30 @@ class _Compiled(Generic[Given, Answer]):
             lock.release()
 
     @property
-    def _known(self) -> dict[str, Any]:
-        """Objects behind the names that the function uses."""
+    def _used(self) -> dict[str, Any]:
+        """Global objects that the function uses, by name."""
         of = self.function.__globals__
         return {name: of[name] for name in self.function.__code__.co_names if name in of}
 
     @property
     def _called(self) -> dict[str, _Compiled[Any, Any]]:
-        """Compiled functions that this one calls, by the names it knows them by."""
-        return {name: it for name, it in self._known.items() if isinstance(it, _Compiled)}
+        """Compiled functions that this one calls, by the name it uses."""
+        return {name: it for name, it in self._used.items() if isinstance(it, _Compiled)}
 
     def made_of(self) -> set[str]:
-        """Return the sources and constants that become machine code, also of all that is called."""
-        constants = {repr(it) for it in self._known.items() if isinstance(it[1], int | float)}
+        """Return the sources and constants of this function and of all compiled ones it calls."""
+        constants = {repr(it) for it in self._used.items() if isinstance(it[1], int | float)}
         called = (each.made_of() for each in self._called.values())
         return {Path(self.function.__code__.co_filename).read_text("utf-8")}.union(
             constants, *called
         )
 
     def _sources_digest(self) -> str:
-        """Name for all of that: code and constants may come from other modules."""
+        """Return a digest of :meth:`made_of`: code and constants may come from other modules."""
         return hashlib.sha256("".join(sorted(self.made_of())).encode()).hexdigest()[:16]
 
 
 @compiled
 def turned(to: float, since: float) -> float:  # pragma: no cover - compiled
-    """Return a turn between two headings, radians, within half a circle."""
+    """Return the turn from heading `since` to heading `to`, radians in [-pi, pi)."""
     return (to - since + np.pi) % (2.0 * np.pi) - np.pi

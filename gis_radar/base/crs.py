@@ -15,8 +15,8 @@ from gis_radar.base.texts import Text
 from gis_radar.base.words import WINDS
 
 SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
-_OUTSIDE_DEG = 10.0  # beyond the area of use: sites at its edge pass, other continents do not
-_SHORT_M = 100.0  # step that measures a scale: longer than rounding, shorter than its change
+_OUTSIDE_DEG = 10.0  # outside the area of use: sites at its edge pass, other continents do not
+_SHORT_M = 100.0  # a scale is measured along it: rounding is far smaller, the scale constant
 _FITTING = Text("use the UTM zone or the national grid of the site")
 
 Box: TypeAlias = tuple[float, float, float, float]
@@ -76,7 +76,7 @@ def metric_crs(crs: Any, *, what: str) -> CRS:
         raise CrsError(
             "{}: {} has axes that point {}, not east and north",
             what,
-            _called(flat),
+            _label(flat),
             " and ".join(axes),
             hint="use the site's UTM zone, e.g. EPSG:25832",
         )
@@ -101,7 +101,7 @@ def require_true_scale(crs: CRS, easting: float, northing: float, *, what: str) 
         If the place is far outside the area for which the system is made, or its scale there
         differs by more than 0.2 % from 1 in any direction.
     """
-    name = _called(crs)
+    name = _label(crs)
     longitude, latitude = Proj(crs)(
         easting + _SHORT_M * np.array([0.0, 1.0, 0.0]),
         northing + _SHORT_M * np.array([0.0, 0.0, 1.0]),
@@ -147,14 +147,15 @@ def require_on_earth(crs: CRS, easting: float, northing: float, *, what: str) ->
             what,
             easting,
             northing,
-            _called(crs),
+            _label(crs),
         )
 
 
 def _scales(crs: CRS, longitude: Floats, latitude: Floats) -> Floats:
-    """Return the greatest and the least scale (Tissot) of a place and steps to grid east and north.
+    """Return the greatest and the least scale (Tissot) at the first of three points, degrees.
 
-    Measured rather than asked from the projection, as web Mercator takes the earth for a sphere.
+    The others lie `_SHORT_M` to its grid east and grid north. The scale is measured: PROJ's factors
+    take the earth for a sphere where the projection does so (web Mercator).
     """
     azimuth, _, distance = (crs.get_geod() or Geod(ellps="WGS84")).inv(
         longitude[[0, 0]], latitude[[0, 0]], longitude[1:], latitude[1:]
@@ -186,7 +187,7 @@ def horizontal(crs: CRS) -> CRS:
         return horizontal(crs.source_crs)
     if crs.is_compound:
         return horizontal(crs.sub_crs_list[0])
-    # an object as it is: thousands of poses share one
+    # a flat system is returned as it is: thousands of poses share one object
     return crs if len(crs.axis_info) == 2 else crs.to_2d()
 
 
@@ -196,8 +197,8 @@ def name_of(crs: CRS) -> str:
     return ":".join(authority) if authority else crs.to_wkt()
 
 
-def _called(crs: CRS) -> str:
-    """Return what a line of text calls a coordinate system: its name, and its number if any."""
+def _label(crs: CRS) -> str:
+    """Return a coordinate system as messages name it: its name, with its code if it has one."""
     authority = crs.to_authority(min_confidence=70)
     return f"{crs.name} ({':'.join(authority)})" if authority else crs.name
 
@@ -259,12 +260,12 @@ def transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def moved_position(position: tuple[float, ...], source: Any, target: CRS) -> tuple[float, ...]:
-    """Return easting and northing in another CRS; what follows them stays.
+    """Return a position (easting, northing, ...) in another CRS; further values stay the same.
 
     Raises
     ------
     CrsError
-        If `source` is no projected, metric coordinate system, or does not reach there.
+        If `source` is no projected, metric coordinate system, or `target` does not cover the place.
     """
     metric = metric_crs(source, what=Text("CRS of the guess"))
     east, north = transformer(metric, target).transform(position[0], position[1])
@@ -279,12 +280,12 @@ def same_plane(crs: CRS, other: CRS) -> bool:
 
 
 def moved_box(box: Box, source: CRS, target: CRS) -> Box:
-    """Return the box in another system around a box of this one; an infinite box stays so.
+    """Return the bounds in `target` of a box in `source`; an infinite box stays as it is.
 
     Raises
     ------
     CrsError
-        If the box lies outside the area of the other system.
+        If the box lies outside the area of `target`.
     """
     if same_plane(source, target) or not np.isfinite(box).all():
         return box
@@ -302,7 +303,7 @@ def looks_like_degrees(easting: float, northing: float) -> bool:
 
 
 def bearing_of(value: Any) -> float:
-    """Return a bearing, degrees clockwise from true north, of a number or a word of `WINDS`.
+    """Return the bearing (degrees clockwise from true north) of a number or a word of `WINDS`.
 
     Raises
     ------
@@ -319,7 +320,7 @@ def bearing_of(value: Any) -> float:
 
 
 def yaw_from_compass(bearing_deg: float, crs: CRS, easting: float, northing: float) -> float:
-    """Return the yaw of a compass bearing: counter-clockwise from grid east, in (-180, 180].
+    """Return the yaw of a compass bearing: degrees from grid east to the left, in (-180, 180].
 
     Parameters
     ----------

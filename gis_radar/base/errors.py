@@ -1,4 +1,4 @@
-"""Errors: one class a kind, each with its exit code; a message is one line."""
+"""Errors: a class for each kind, with its exit code; a message is one line."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class GisRadarError(Exception):
     Parameters
     ----------
     template : str
-        What is wrong, and in which file or value, with a hole `{}` for each value; what it quotes
-        may have line ends, the error has none.
+        What is wrong, and in which file or value, with a hole `{}` for each value. Line ends in
+        values become blanks.
     *values
         For the holes of the template.
     hint : str, optional
         One line: what to do about it.
     parts : sequence of GisRadarError
-        Where it is about several things: the same in a line each, with a hint of its own.
+        Where it is about several things: an error for each of them, with its own hint.
 
     Examples
     --------
@@ -88,12 +88,12 @@ class NoAnswerError(GisRadarError):
 
 @contextmanager
 def placed(where: str) -> Iterator[None]:
-    """Name the place of what is wrong, where only the caller knows it.
+    """Put a place before the message of an `InputError` that the block raises.
 
     Parameters
     ----------
     where : str
-        A file, or a place in one; stands before the message of an `InputError`, once.
+        A file, or a place in one; not repeated where the message begins with it.
     """
     try:
         yield

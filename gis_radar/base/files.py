@@ -31,16 +31,16 @@ from gis_radar.base.progress import QUIET, Reporter
 from gis_radar.base.texts import Text
 
 FILE_DATE = date(2000, 1, 1)
-"""The day on which all files were written that must name one: the same work, the same bytes."""
+"""The date in files whose format needs one: fixed, so that equal runs write equal bytes."""
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-# Libraries that write our files, by the module of their errors: importing them takes a second.
+# Libraries that write our files. Their errors are recognised by module: importing takes a second.
 _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
 
 _unfinished: set[Path] = set()
-_CLEARING_FILES = 4  # file descriptors to remove a folder in a folder
+_CLEARING_FILES = 4  # file descriptors that the removal of a nested folder needs
 
 
 def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
@@ -141,7 +141,7 @@ def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
         for place in places.values():
             if place.is_dir():
                 raise OutputError("{}: is a folder", place, hint="name a file for the output")
-        # The file that names the others comes last; a killed run's moves are ended by the next.
+        # `path` moves last. If this run is killed between two moves, the next one ends the plan.
         order = sorted(places.items(), key=lambda each: each[1] == path)
         if len(order) > 1:
             plan = json.dumps([[part.name, str(place.absolute())] for part, place in order])
@@ -162,8 +162,8 @@ def atomic_folder(
     path : Path
         Where the folder shall be. An earlier result there is replaced as a whole.
     owned : tuple of str
-        How the names of our own files begin. A folder that holds anything else is not ours
-        to replace.
+        What the names of our own files begin with. A folder that holds anything else is not
+        replaced.
     reporter : Reporter
         Receives a warning where the file system has no locks; the folder is then written without.
 
@@ -180,9 +180,9 @@ def atomic_folder(
     """
     path = path.resolve()
     if path.exists():
-        _refuse_here(path)
+        _refuse_working_folder(path)
         refuse_foreign(path, owned)
-    with _alone(path, reporter), _beside(path, alone=True) as private:
+    with _locked(path, reporter), _beside(path, alone=True) as private:
         _restore(path)
         fresh = private / path.name
         fresh.mkdir()
@@ -191,7 +191,7 @@ def atomic_folder(
 
 
 def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
-    """Move `fresh` to `path`; until it is there, the earlier result comes back."""
+    """Move `fresh` to `path`, and the result there aside to `earlier`; put that back on failure."""
     try:
         with output_errors(path):
             if path.exists():
@@ -213,7 +213,7 @@ def _restore(path: Path) -> None:
             earlier.rename(path)
 
 
-def _refuse_here(path: Path) -> None:
+def _refuse_working_folder(path: Path) -> None:
     """Refuse the working folder: a shell in it would stay in the folder that is replaced."""
     here = Path.cwd()
     if path == here or path in here.parents:
@@ -225,7 +225,7 @@ def _refuse_here(path: Path) -> None:
 
 
 def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
-    """Refuse a folder with files of others, whose names do not begin like our own, or a file."""
+    """Refuse a file, or a folder that holds names which do not begin with one of `owned`."""
     if not path.is_dir():
         raise OutputError("{}: is a file", path, hint="name a folder for the output")
     clear_abandoned(path, PRIVATE)
@@ -250,9 +250,9 @@ def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
         raise OutputError("{}: the name is not UTF-8, which libraries need to write it", path)
     clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
     private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
-    # Entered before it exists: an interruption may come at any moment, in the clearing up too.
+    # Noted before it exists, for `_clear_up`: an interruption may come at any moment.
     _unfinished.add(private)
-    spare = list[int]()  # kept for the clearing up, where a work leaves no file descriptor
+    spare = list[int]()  # file descriptors kept for the removal: the block may use up all others
     try:
         with output_errors(path):
             spare += (os.open(os.devnull, os.O_RDONLY) for _ in range(_CLEARING_FILES))
@@ -268,7 +268,7 @@ def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Make a folder for temporary files; what killed runs left of theirs goes first.
+    """Make a folder for temporary files; remove first those that killed runs have left.
 
     Yields
     ------
@@ -292,7 +292,7 @@ def scratch_folder() -> Iterator[Path]:
 
 @contextmanager
 def writing_errors(path: Path) -> Iterator[None]:
-    """Turn what libraries raise that write files into an error that names the output.
+    """Turn errors of libraries that write files into one that names the output.
 
     Parameters
     ----------
@@ -311,20 +311,20 @@ def writing_errors(path: Path) -> Iterator[None]:
     except Exception as error:
         reason = first_line(error)
         number = error.errno if isinstance(error, OSError) else None
-        ours = type(error).__module__.partition(".")[0] in _WRITERS
+        of_writer = type(error).__module__.partition(".")[0] in _WRITERS
         # Arrow, GDAL and SQLite set no errno, only the text; some not even that.
-        told = any(text in str(error).lower() for text in _FULL_TEXTS)
-        if number in FULL or told or (ours and _is_full(path)):
+        says_full = any(text in str(error).lower() for text in _FULL_TEXTS)
+        if number in FULL or says_full or (of_writer and _is_full(path)):
             raise OutputError(
                 "{}: cannot be written: the disk is full", path, hint="nothing was left behind"
             ) from error
-        if ours:
+        if of_writer:
             raise OutputError("{}: cannot be written: {}", path, reason) from error
         raise
 
 
 def _is_full(path: Path) -> bool:
-    """Return whether next to nothing is free where a file lies."""
+    """Return whether the disk of a file has less than `LEAST_FREE` bytes left."""
     try:
         return shutil.disk_usage(path.absolute().parent).free < LEAST_FREE
     except OSError:
@@ -333,13 +333,13 @@ def _is_full(path: Path) -> bool:
 
 @atexit.register
 def _clear_up() -> None:
-    """Remove what a second interruption kept from being removed."""
+    """Remove private folders whose removal a second interruption broke off."""
     for private in tuple(_unfinished):
         shutil.rmtree(private, ignore_errors=True)
 
 
 @contextmanager
-def _alone(path: Path, reporter: Reporter) -> Iterator[None]:
+def _locked(path: Path, reporter: Reporter) -> Iterator[None]:
     """Hold the lock of an output; name the output where it cannot be locked."""
     with ExitStack() as held:
         with output_errors(path):
@@ -349,7 +349,7 @@ def _alone(path: Path, reporter: Reporter) -> Iterator[None]:
 
 @contextmanager
 def output_errors(path: Path) -> Iterator[None]:
-    """Turn what the system refuses into an error that names the output.
+    """Turn errors of the operating system into one that names the output.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ def only_writer(
 ) -> Iterator[None]:
     """Keep other runs from writing the same result while the block runs.
 
-    The lock is filelock's, on a file of ours: its `FileLock` leaves the file behind and does not
+    It locks a file by filelock's `lock_descriptor`: `FileLock` would leave the file behind and not
     name the process that holds it.
 
     Parameters
@@ -400,7 +400,7 @@ def only_writer(
         os.write(handle, f"\n{os.getpid()}\n".encode())
         yield
     finally:
-        # While still held, where the system allows it: who opens it anew gets another file.
+        # Removed while still locked, where the system allows it: others then make a new file.
         with suppress(OSError):
             lock.unlink()
         os.close(handle)
@@ -410,7 +410,7 @@ def only_writer(
 
 
 def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
-    """Open and lock the file; a file that was removed meanwhile is no lock."""
+    """Return the descriptor of the locked file; made anew if the last holder has removed it."""
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
     while True:

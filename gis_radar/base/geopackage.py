@@ -1,4 +1,4 @@
-"""Open GeoPackages that are some; write their layers, with styles that QGIS loads by itself."""
+"""Check and open GeoPackages; write their layers, with styles that QGIS loads by itself."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ DAMAGE = (
     shapely.errors.ShapelyError, pa.ArrowException, OSError, ValueError, TypeError, LookupError,
     OverflowError, RecursionError, ProjError,
 )  # fmt: skip
-"""What libraries raise that read a damaged file."""
-_LOCKED = "database is locked"  # as SQLite says it
+"""What libraries raise when they read a damaged file."""
+_LOCKED = "database is locked"  # in SQLite's message
 _HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
-PATIENCE_S = 2.0  # another program may be at the end of its writing
+PATIENCE_S = 2.0  # wait for a program that is about to end its writing
 _OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
 
 # As QGIS itself makes it; GDAL and QGIS look for it by this name.
@@ -79,7 +79,7 @@ FROM gpkg_geometry_columns WHERE table_name = ?
 
 @contextmanager
 def opened_package(path: str | Path, *, what: str, hint: str = "") -> Iterator[Path]:
-    """Read a GeoPackage in the block; what libraries raise in it becomes an error of ours.
+    """Check that a file is a GeoPackage; errors of libraries in the block become an `InputError`.
 
     GDAL chooses its driver by the content, and some drivers open what the content names: files
     and addresses. So the content is looked at before GDAL sees it.
@@ -141,7 +141,7 @@ def _is_in_archive(place: Path) -> bool:
 def library_errors(
     path: str | Path, *, what: str, hint: str = "", reporter: Reporter = QUIET
 ) -> Iterator[None]:
-    """Turn what libraries raise while they read a file into an error that names it.
+    """Turn errors of libraries that read a file into one that names it; pass on their warnings.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ VALUES ('table', ?, NULL, NULL, ?, ?, NULL)
 
 
 class LayerNotes(NamedTuple):
-    """What a layer and its fields are, for people: fields by name, each with title and text."""
+    """Title and text of a layer for people, and of each of its fields, by name."""
 
     title: str
     abstract: str
@@ -215,7 +215,7 @@ def describe_layers(database: sqlite3.Connection, notes: Mapping[str, LayerNotes
     database : sqlite3.Connection
         A GeoPackage that GDAL has written with metadata of its layers.
     notes : mapping
-        By layer; fields that a layer has not are passed over.
+        By layer; fields that the layer does not have are left out.
     """
     database.execute(_FIELDS)
     database.execute(_EXTENSION)
@@ -258,7 +258,7 @@ def add_styles(
     styles : mapping
         QML by layer.
     name, about : str
-        Of the styles, in a few words.
+        Name and description of the styles, in a few words.
     """
     database.execute(_TABLE)
     database.execute(_CONTENTS, (_WRITTEN,))
@@ -267,10 +267,10 @@ def add_styles(
 
 
 def keep_styles(path: Path, *, earlier: Path) -> None:
-    """Take over the styles that somebody has saved in the file that a new one replaces.
+    """Copy the styles that somebody has saved in the file that a new one replaces.
 
-    What was the default of a layer stays its default; a style of ours that nobody touched does not
-    come along.
+    A layer's default style stays its default; a style of ours that nobody changed is not copied.
+
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
 
 
 def _refuse_locked(path: Path) -> None:
-    """Refuse to replace a GeoPackage that another program writes; who only reads it does not."""
+    """Refuse to replace a GeoPackage that another program writes; readers do not matter."""
     uri = f"{_uri(path)}?mode=rw"
     try:
         with closing(sqlite3.connect(uri, uri=True, timeout=PATIENCE_S)) as database:
@@ -322,7 +322,7 @@ def _refuse_locked(path: Path) -> None:
 
 
 def _owner(qml: str) -> str:
-    """Return the mark of a style as we wrote it."""
+    """Return the `owner` of a style of ours: with its digest, so that a changed one is noticed."""
     return f"gis_radar {hashlib.blake2b(qml.encode(), digest_size=8).hexdigest()}"
 
 
@@ -335,10 +335,10 @@ _WITH_TIMES = {"gpkg_contents", "gpkg_metadata_reference"}
 
 
 def content_digest(path: Path, but: Collection[str] = ()) -> str | None:
-    """Return a digest of what tables of a GeoPackage hold; None where it cannot be read.
+    """Return a digest of the tables of a GeoPackage; None where it cannot be read.
 
-    It does not cover what viewers write: the pages' order, counters, and styles; nor when the file
-    was written; nor the layers `but`.
+    Left out are what viewers write (order of pages, counters, styles), the file's dates, and the
+    layers `but`.
     """
     digest = hashlib.blake2b(digest_size=16)
     try:
@@ -355,13 +355,13 @@ def content_digest(path: Path, but: Collection[str] = ()) -> str | None:
 
 
 def _add_table(digest: Any, database: sqlite3.Connection, name: str) -> None:
-    """Add a table's stored columns, row by row."""
+    """Add the columns of a table, without those that are computed, to a digest, row by row."""
     stored = [row[1] for row in database.execute(f'PRAGMA table_xinfo("{name}")') if not row[6]]
     listed = ", ".join(f'"{column}"' for column in stored)
     rows = database.execute(f'SELECT {listed} FROM "{name}"')  # noqa: S608 - of the file itself
     digest.update(repr((name, stored)).encode())
     while batch := rows.fetchmany(4096):
-        digest.update(marshal.dumps(batch, 2))  # 2: without references, so that equal is equal
+        digest.update(marshal.dumps(batch, 2))  # 2: no references, so equal rows give equal bytes
 
 
 _writing = Lock()
@@ -412,7 +412,7 @@ def _refuse_archive(path: Path) -> None:
 def write_stream(
     batches: Iterable[pa.RecordBatch], schema: pa.Schema, path: Path, **options: Any
 ) -> None:
-    """Write batches as a layer of a new GeoPackage; what stops them is raised as it is.
+    """Write batches as a layer of a new GeoPackage; an error that ends them is raised unchanged.
 
     Parameters
     ----------
@@ -443,7 +443,7 @@ def write_stream(
 def _remembering(
     batches: Iterable[pa.RecordBatch], stopped: list[BaseException]
 ) -> Iterator[pa.RecordBatch]:
-    """Pass batches on, and keep what stops them: Arrow's stream would hide a Ctrl-C."""
+    """Yield the batches, and keep the error that ends them: Arrow's stream would hide a Ctrl-C."""
     try:
         yield from batches
     except (Exception, KeyboardInterrupt) as error:

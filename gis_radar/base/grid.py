@@ -42,7 +42,7 @@ class Grid:
 
     @classmethod
     def around(cls, x: Any, y: Any, cell_m: float) -> Grid:
-        """Return the smallest grid that holds some points, of cells of a side in metres."""
+        """Return the smallest grid, of cells with a side of `cell_m`, that holds points (m)."""
         (west, east), (south, north) = (
             (int(np.floor_divide(np.min(side), cell_m)), int(np.floor_divide(np.max(side), cell_m)))
             for side in (x, y)
@@ -64,15 +64,15 @@ class Grid:
 
     @property
     def transform(self) -> Affine:
-        """From (column, row) to the south-west corner of a cell, metres; rows go north."""
+        """Transform from (column, row) to a cell's south-west corner, metres; rows go north."""
         from affine import Affine  # noqa: PLC0415 - most commands need none
 
         west_m, south_m = self.corner
         return Affine(self.cell_m, 0.0, west_m, 0.0, self.cell_m, south_m)
 
     def cells(self, x: Floats, y: Floats) -> tuple[Integers, Integers]:
-        """Return column and row of the cell of each point; those of points outside are, too."""
-        # a quotient may round up to an edge, or underflow to it; floor_divide does neither, slowly
+        """Return column and row of each point's cell, which may lie outside the grid."""
+        # a quotient may round up to an edge, or underflow to it; the slow floor_divide never does
         exact = self.cell_m <= 1.0 and math.frexp(self.cell_m)[0] == 0.5  # 1, 0.5, 0.25 m ...
         floored = (
             np.floor(side / self.cell_m) if exact else np.floor_divide(side, self.cell_m)

@@ -1,4 +1,4 @@
-"""JSON: files and messages of others are read whole or refused, and ours can be read by others."""
+"""Read JSON whole or refuse it; write JSON that any program can read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def parsed_json(text: str) -> Any:
     Raises
     ------
     ValueError
-        If it is no JSON, or holds half a character, which JSON can and no file takes.
+        If it is no JSON, or escapes half of a surrogate pair, which no UTF-8 file can hold.
     RecursionError
         If it is nested too deeply.
     """
@@ -65,14 +65,14 @@ def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
 def json_text(
     document: Any, *, indent: int | None = None, default: Callable[[Any], Any] | None = None
 ) -> str:
-    """Return a document as JSON for other programs: what is no finite number is null.
+    """Return a document as JSON for other programs: infinite numbers and NaN become null.
 
     Parameters
     ----------
     document : object
-        Of what JSON can hold, and numbers that it cannot.
+        Made of what JSON can hold, and of numbers that it cannot.
     indent : int, optional
-        By how many blanks; by default one line.
+        Blanks by which each level is indented; by default all is one line.
     default : callable, optional
         Turns other objects into what JSON can hold; without it they are refused.
     """

@@ -1,4 +1,4 @@
-"""Private folders of what is being written: alive by a lock, cleared when their run was killed."""
+"""Private folders of unfinished outputs: locked by their run, removed once that was killed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ ALIVE = ".alive"  # locked in a private folder as long as the process that made 
 PLAN = ".places.json"  # in a private folder that is whole and about to be moved
 SCRATCH = ".gis_radar-scratch-"  # begins the names of temporary folders: nobody else's do
 PRIVATE = re.compile(r"\..+\.[0-9a-f]{8}\.(part|before)")
-_ABANDONED_S = 86_400.0  # a private folder on a file system without locks
+_ABANDONED_S = 86_400.0  # age at which a private folder counts as abandoned if locks are missing
 _MAKING_S = 60.0  # between making a private folder and locking it; it takes a millisecond
 
 
 def hidden_stem(path: Path) -> str:
-    """Return how our hidden files beside an output begin.
+    """Return what the names of our hidden files beside an output begin with.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def hidden_stem(path: Path) -> str:
     Returns
     -------
     str
-        Its name with a point before it; of a long one a digest, so that endings fit behind it.
+        Its name after a point; a digest of a long name, so that an ending fits behind it.
     """
     name = f".{path.name}"
     if len(os.fsencode(name)) > _LONGEST_NAME - len(".12345678.before"):
@@ -41,19 +41,19 @@ def hidden_stem(path: Path) -> str:
 
 
 def private_pattern(path: Path, ending: str) -> re.Pattern[str]:
-    """Return what private folders beside an output are named like.
+    """Return the pattern of the names of private folders beside an output.
 
     Parameters
     ----------
     path : Path
         The output.
     ending : str
-        `part` of what is being written, `before` of what was moved aside.
+        `part` for an output that is being written, `before` for one that was moved aside.
 
     Returns
     -------
     re.Pattern
-        Of whole names.
+        Matches whole names.
     """
     return re.compile(rf"{re.escape(hidden_stem(path))}\.[0-9a-f]{{8}}\.{ending}")
 
@@ -81,7 +81,7 @@ def leftovers(path: Path, ending: str) -> list[Path]:
 
 @contextmanager
 def living(private: Path) -> Iterator[None]:
-    """Hold a lock in a private folder: it is somebody's as long as the lock is held.
+    """Hold a lock in a private folder, which is in use as long as the lock is held.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def living(private: Path) -> Iterator[None]:
     handle = os.open(private / ALIVE, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         with suppress(OSError):  # no locks here
-            lock_descriptor(handle, blocking=True)  # others hold it for a look only
+            lock_descriptor(handle, blocking=True)  # others hold it for an instant, to test it
             os.write(handle, b"\n")  # from now on the lock counts
         yield
     finally:
@@ -107,7 +107,7 @@ def living(private: Path) -> Iterator[None]:
 
 
 def clear_abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False) -> None:
-    """Remove private folders that killed runs left beside outputs; end what was being moved.
+    """Remove private folders that killed runs left beside outputs, after ending their moves.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def clear_abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False
     named : re.Pattern
         Which private folders in it: those of one output, or :data:`PRIVATE` for all.
     alone : bool
-        Whether the caller holds the lock of the output: then nobody else is making one just now.
+        Whether the caller holds the lock of the output: then no other run is making one.
     """
     for private in _abandoned(folder, named, alone=alone):
         with suppress(OSError, ValueError):
@@ -132,7 +132,7 @@ def clear_scratch(folder: Path) -> None:
     Parameters
     ----------
     folder : Path
-        The system's folder. What is not named by :data:`SCRATCH` and locked by us stays.
+        The system's. Only folders named by :data:`SCRATCH` that hold our lock file are removed.
     """
     named = re.compile(rf"{re.escape(SCRATCH)}\w+")
     for private in _abandoned(folder, named):
@@ -165,17 +165,17 @@ def is_abandoned(private: Path, *, alone: bool = False) -> bool:
     Returns
     -------
     bool
-        False where that cannot be told, for a day.
+        Without locks, whether the folder is older than a day.
     """
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
     age_s = time.time() - private.stat().st_mtime
-    made = alone or age_s > _MAKING_S  # else its file and the lock may come in a moment
+    made = alone or age_s > _MAKING_S  # else its maker may be about to lock it
     try:
         handle = os.open(private / ALIVE, os.O_RDWR)
     except FileNotFoundError:
         return made
-    except OSError:  # of somebody else, or no more files can be opened
+    except OSError:  # another user's, or no more files can be opened
         return age_s > _ABANDONED_S
     try:
         return lock_descriptor(handle, blocking=False) and (made or os.fstat(handle).st_size > 0)

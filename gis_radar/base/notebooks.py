@@ -34,7 +34,7 @@ def card(title: str, figures: Mapping[str, Any], *, picture: bytes = b"") -> str
     figures : mapping
         Values by name; underscores in names become spaces.
     picture : bytes
-        PNG, shown beside the figures.
+        A PNG, shown beside the figures.
     """
     names = (str(name).replace("_", " ") for name in figures)
     rows = zip(names, map(_text, figures.values()), strict=True)
@@ -98,7 +98,7 @@ def _whole(title: str, table: str, picture: bytes) -> str:
 SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
 MOST_TICKS = 5
 EDGE_IN = 0.1  # around a picture
-LABELS_IN = 0.42  # what ticks and label of an axis take
+LABELS_IN = 0.42  # that ticks and label of an axis take
 FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
@@ -121,9 +121,9 @@ def label_map(ax: Any) -> None:
 
 
 def _locator(share: float) -> Any:
-    """Return a locator of as many ticks as have room, at most five.
+    """Return a locator of as many ticks as fit, at most `MOST_TICKS`.
 
-    Along x that is a share of what matplotlib reckons with, which are labels of four figures.
+    `share` scales matplotlib's own count, which is for labels of four digits.
     """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
 
@@ -137,7 +137,7 @@ def _locator(share: float) -> Any:
 
 
 def legend_below(ax: Any, handles: Sequence[Any] | None = None) -> Any:
-    """Write a legend below axes of a map, clear of their labels however flat they are."""
+    """Write a legend below the axes of a map and their labels, at any height of the axes."""
     from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415
 
     down = ScaledTranslation(0.0, -LABELS_IN, ax.figure.dpi_scale_trans)
@@ -177,9 +177,9 @@ def picture_file(
     dpi : int
         Pixels an inch.
     tight : bool
-        Fit the picture to what is drawn, for axes true to scale outgrow a constrained layout.
+        Fit the picture to what is drawn: axes of equal scales may outgrow a constrained layout.
     letters_pt : float
-        Size of its words.
+        Size of its letters, points.
     """
     import matplotlib as mpl  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415

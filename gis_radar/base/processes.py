@@ -31,10 +31,10 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # between two reports of a child that runs
-_REAPED_S = 0.001  # between two looks whether another thread has reaped one
+_REAPED_S = 0.001  # between two checks whether another thread has reaped a child
 _GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
-_TRIES = 100  # to weigh a session, 0.1 s apart: so many workers may begin at once
-_PATIENCE_S = 0.7  # for a stopped worker to clear up: it has files to remove, not work to end
+_TRIES = 100  # to set a session's niceness, 0.1 s apart: as many workers may begin at once
+_PATIENCE_S = 0.7  # for a stopped worker to remove its files; it does not end its work
 
 OFFLINE = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",  # of every file system over curl, S3 and the like too
@@ -75,9 +75,9 @@ def run_child(
     environment: Mapping[str, str],
     waiting: Callable[[float], object],
 ) -> int:
-    """Run a program to its end; when that is interrupted while it runs, the program is killed.
+    """Run a program to its end; an interruption kills it.
 
-    It stays in the process group of its parent, so that who kills that group kills it too.
+    It stays in the process group of its parent, so that a signal to the group kills it too.
 
     Parameters
     ----------
@@ -114,12 +114,12 @@ def run_child(
             except subprocess.TimeoutExpired:
                 waiting(time.monotonic() - start)
     finally:
-        child.kill()  # of one that has ended nothing
+        child.kill()  # does nothing where it has ended
         child.wait()
 
 
 class _StopSignal(threading.Event):
-    """A stop that signals set; what may be broken off is interrupted by it."""
+    """An event that signals set; with `interrupts`, the first one raises KeyboardInterrupt too."""
 
     interrupts = False
 
@@ -146,15 +146,15 @@ def stopped_by_signals() -> Iterator[threading.Event]:
 
 
 def run_unless_stopped(work: Callable[[], object], stop: threading.Event) -> None:
-    """Do what takes long and may be broken off anywhere, unless it is stopped.
+    """Run a long task that may be broken off anywhere, unless `stop` is set.
 
     Parameters
     ----------
     work : callable
-        What is to be done.
+        The task.
     stop : Event
-        That of :func:`stopped_by_signals` interrupts the work; one that another thread sets is
-        only looked at before.
+        One of :func:`stopped_by_signals` also interrupts the task; any other is only looked at
+        before it begins.
     """
     if isinstance(stop, _StopSignal):
         stop.interrupts = True
@@ -193,16 +193,16 @@ def watch_parent() -> None:
         raise RuntimeError("only a process of multiprocessing has a parent to watch")
     if sys.platform != "win32" and os.getpgrp() != os.getpid():
         os.setsid()
-        _weigh_session()
+        _set_session_niceness()
     _start_watchdog(parent.join, _kill_own_group)
 
 
-def _weigh_session() -> None:
+def _set_session_niceness() -> None:
     """Give a new session the niceness of its process: Linux shares cores among sessions first."""
     niceness = os.nice(0)
     with suppress(OSError):
         for _ in range(_TRIES if niceness else 0):
-            with suppress(BlockingIOError):  # Linux takes ten a second, of all users' processes
+            with suppress(BlockingIOError):  # Linux takes ten a second from all processes together
                 Path("/proc/self/autogroup").write_text(str(niceness), encoding="ascii")
                 return
             time.sleep(0.1)
@@ -214,7 +214,7 @@ def stop_workers(workers: Iterable[BaseProcess]) -> None:
     Parameters
     ----------
     workers : iterable of multiprocessing.process.BaseProcess
-        Those of a pool. First they are asked to (SIGTERM), then killed with their groups.
+        Those of a pool. They get SIGTERM, and are killed with their groups soon after.
     """
     workers = list(workers)
     for worker in workers:
@@ -233,7 +233,7 @@ def stop_workers(workers: Iterable[BaseProcess]) -> None:
 
 
 def stop_pool(pool: ProcessPoolExecutor) -> None:
-    """Stop a pool with what its workers do, none of which is waited for."""
+    """Stop a pool and its workers at once, without waiting for their tasks."""
     workers = list((pool._processes or {}).values())  # noqa: SLF001 - no other way
     pool.shutdown(wait=False, cancel_futures=True)
     stop_workers(workers)
@@ -255,7 +255,7 @@ def free_memory() -> int | None:
     Returns
     -------
     int or None
-        Bytes, of the machine or of the group of processes; None where the system does not state it.
+        Bytes free on the machine or in its control group, whichever is less; None if unknown.
     """
     group = Path("/sys/fs/cgroup")
     found = []
@@ -279,13 +279,13 @@ def _start_watchdog(wait: Callable[[], object], end: Callable[[], object]) -> No
 
 def _wait_for_end_of_input() -> None:
     """Wait on descriptor 0 itself; a reader of :mod:`io` would hold a lock at exit."""
-    with suppress(OSError):  # nothing to read from is the end, too
+    with suppress(OSError):  # a closed descriptor is the end, too
         while os.read(0, 1024):
             pass
 
 
 def interrupt_main_thread() -> None:
-    """Interrupt the main thread, out of a system call too where signals can do that."""
+    """Interrupt the main thread; where the system has signals, during a system call too."""
     if sys.platform == "win32":
         _thread.interrupt_main()
     elif (main := threading.main_thread().ident) is not None:

@@ -1,4 +1,4 @@
-"""Progress callbacks: the command line replaces them by bars or JSON lines."""
+"""Receivers of progress and remarks: the command line has its own, for bars or JSON lines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gis_radar.base.texts import Text
 
 Level = Literal["info", "warning"]
 
-MOST_NAMES = 2  # of stages before a warning
+MOST_NAMES = 2  # of stages that are named before a warning
 LETTERS_OF_AN_ERROR = 500
 _BLANKS = "\u00a0\u202f"  # in numbers and before units
 _LOGGER = logging.getLogger("gis_radar")
@@ -41,7 +41,7 @@ class Reporter:
 
 
 class Silent(Reporter):
-    """A receiver that drops remarks: of work that only a picture is made of."""
+    """A receiver that drops remarks, for work whose only purpose is a picture."""
 
     def log(self, message: str, level: Level = "info") -> None:
         """Drop a remark."""
@@ -54,20 +54,20 @@ SILENT = Silent()
 def one_line(text: str, most: int = 2_000) -> str:
     """Return a text as one line that any terminal shows, without its middle where it is long.
 
-    What a file or a message from elsewhere holds may be long, or look like further lines.
+    Text from a file or another program may be long, or hold line ends and control characters.
     """
     if len(text) > most:
         text = f"{text[: most - 150]} ... {text[-100:]}"
     line = re.sub(r"[ \t\n\v\f\r]+", " ", text).strip()
     line = "".join(each if each.isprintable() or each in _BLANKS else ascii(each)[1:-1]
                    for each in line)  # fmt: skip
-    return text if line == text else line  # a Text keeps what it is translated by
+    return text if line == text else line  # so that a Text keeps its template
 
 
 def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the warnings of stages, each once, after the names of the stages that gave it.
 
-    What more than two gave is not theirs, but of a file that all read: it stands alone.
+    A warning of more than `MOST_NAMES` stages is about a file that all read: none is named.
     """
     stages: dict[str, list[str]] = {}
     for name, warnings in by_stage.items():

@@ -1,4 +1,4 @@
-"""Tables for people as CSV: as a spreadsheet of their country opens them, and no cell a formula."""
+"""Write CSV for spreadsheets: with a country's separators, and no cell that is a formula."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "
 
 
 def safe(cell: Any) -> Any:
-    """Return a cell as it is written: numbers stay, text never begins a formula."""
+    """Return a cell that is safe to write: numbers stay, text never begins a formula."""
     if cell is None or cell is pd.NaT:
         return ""
     if isinstance(cell, Number):
@@ -35,7 +35,7 @@ _csv_locale: ContextVar[str] = ContextVar("csv_locale", default="en")
 
 @contextmanager
 def csv_for(locale: str) -> Iterator[None]:
-    """Write tables as spreadsheets of a country open them at once, `en` or `de`.
+    """Make :func:`write_csv` use the separators of `en` or `de` within the block.
 
     Raises
     ------
@@ -55,8 +55,8 @@ def csv_for(locale: str) -> Iterator[None]:
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table as CSV in UTF-8, with commas and points.
 
-    Within :func:`csv_for` of `de` with semicolons and decimal commas, and the mark by which Excel
-    knows UTF-8.
+    Within `csv_for("de")` it has semicolons, decimal commas, and a byte order mark, by which Excel
+    recognises UTF-8.
     """
     german = _csv_locale.get() == "de"
     with path.open("w", encoding="utf-8-sig" if german else "utf-8", newline="") as file:

@@ -98,7 +98,7 @@ def gps_seconds(time: Floats) -> Floats:
     -------
     (n,) array
         Seconds since 1980-01-06; negative before, where GPS time is UTC carried on backwards.
-        A leap second to come is not known: the offset stays that of 2017.
+        Leap seconds to come are unknown: the offset stays that of 2017.
     """
     leaps = np.searchsorted(_LEAPS_S, time, side="right")
     return np.asarray(time - GPS_EPOCH_S + leaps, dtype=np.float64)
@@ -142,21 +142,21 @@ def seconds_from_iso(text: str, *, what: str) -> float:
 
 
 def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
-    """Return a time in UTC; one without an offset is by the clocks of a zone.
+    """Return a time in UTC; one without an offset is local time of a zone.
 
     Parameters
     ----------
     value : str, datetime or numpy.datetime64
         Such as `2025-06-12 07:30`, or `2025-06-12T05:30Z`; 24:00 is the end of a day.
     zone : ZoneInfo
-        Whose clocks.
+        Zone of a time without an offset.
     what : str
-        What it is, for messages.
+        What the time is, for messages.
 
     Raises
     ------
     UsageError
-        If it is no time, or by those clocks there are two such times or none.
+        If it is no time, or the clocks of the zone show it twice or never.
     """
     try:
         moment = value if isinstance(value, datetime) else _moment(str(value))
@@ -190,7 +190,7 @@ def _moment(text: str) -> datetime:
 
 
 def step_at(value: Any, zone: ZoneInfo, *, what: str) -> int:
-    """Return the step that begins at a time of :func:`moment_in`, or next after it."""
+    """Return the first step that begins at or after a time, given as in :func:`moment_in`."""
     return -(round(-moment_in(value, zone, what=what).timestamp() * 1e6) // STEP_US)
 
 
@@ -242,7 +242,7 @@ def zone_of(name: str) -> ZoneInfo:
 
 
 def utc_offsets(zone: ZoneInfo, begin: datetime, end: datetime) -> list[tuple[datetime, int]]:
-    """Return from when on which offset from UTC holds, seconds: the first at `begin`."""
+    """Return the times from which an offset from UTC (seconds) holds; the first is `begin`."""
 
     def offset_at(moment: datetime) -> int:
         return round((moment.astimezone(zone).utcoffset() or timedelta()).total_seconds())
@@ -262,15 +262,15 @@ def utc_offsets(zone: ZoneInfo, begin: datetime, end: datetime) -> list[tuple[da
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """The clocks of the site: local times as text.
+    """Writes times as local times of a site.
 
     Parameters
     ----------
     zone : ZoneInfo
         The site's.
     first, last : datetime
-        All times written are between these; days and offsets are named only where they
-        differ.
+        All times written are between these; days and offsets are named only where they differ
+        in between.
     to_seconds : bool
         Whether times name their seconds.
     """
@@ -282,7 +282,7 @@ class Clock:
 
     @property
     def name(self) -> str:
-        """The zone with its offset from UTC, both where clocks change in between."""
+        """The zone with its offset from UTC; with both offsets where clocks change in between."""
         if str(self.zone) == "UTC":
             return "UTC"
         return f"{self.zone}, {tr(' then ').join(self._offsets)}"
@@ -306,7 +306,7 @@ class Clock:
         return short_day(self._local(moment))
 
     def stamp(self, moment: datetime) -> str:
-        """Return day and minute, whatever the others are; the offset where it changes."""
+        """Return day and time to the minute, also where all times are of one day."""
         local = self._local(moment)
         return f"{short_day(local)} {local:%H:%M}" + (f" {_offset(local)}" if self._changes else "")
 
@@ -328,15 +328,13 @@ class Clock:
         return tr("{begin} to {end}", begin=self.time(begin), end=until)
 
     def whole(self, begin: datetime, end: datetime) -> str:
-        """Return the time of all data for a sentence; milliseconds only where it is under 10 s."""
+        """Return a span for a sentence; with milliseconds only where it is under 10 s."""
         if end - begin >= timedelta(seconds=10):
             begin, end = _to_second(begin), _to_second(end)
         since, until = (_finest(self._local(each)) for each in (begin, end))
-        last = end - timedelta(microseconds=1)
+        last = end
         if until == "00:00:00" and end > begin:
-            until = "24:00:00"
-        else:
-            last = end
+            until, last = "24:00:00", end - timedelta(microseconds=1)
         if since.endswith(":00") and until.endswith(":00") and end - begin >= timedelta(hours=1):
             since, until = since[:-3], until[:-3]
         if self._changes:
@@ -344,18 +342,18 @@ class Clock:
                 f"{since} {_offset(self._local(begin))}",
                 f"{until} {_offset(self._local(end))}",
             )
-        if self._day_of(begin, end):
+        if self._is_in_one_day(begin, end):
             return tr("{day}, {begin} to {end}", day=self.date(begin), begin=since, end=until)
         days = {"day": self.date(begin), "last": self.date(last)}
         return tr("{day}, {begin}, to {last}, {end}", begin=since, end=until, **days)
 
     def whole_in_zone(self, begin: datetime, end: datetime) -> str:
-        """Return the time of all data with the zone; its offset once."""
+        """Return a span as :meth:`whole` does, with the zone; the offset is written once."""
         zone = str(self.zone) if self._changes else self.name
         return f"{self.whole(begin, end)} ({zone})"
 
     def localised(self, text: str) -> str:
-        """Return a text with the times in it, which are UTC and end in Z, as times of the site."""
+        """Return a text in which UTC times (ending in Z) are replaced by local times."""
         if isinstance(text, Text) and text.values:
             values = (self.localised(v) if isinstance(v, str) else v for v in text.values)
             return Text(text.template, *values)
@@ -373,16 +371,16 @@ class Clock:
 
     @property
     def _one_day(self) -> bool:
-        return self._day_of(self.first, self.last)
+        return self._is_in_one_day(self.first, self.last)
 
-    def _day_of(self, begin: datetime, end: datetime) -> bool:
-        """Return whether a span is in one day, which it may fill."""
+    def _is_in_one_day(self, begin: datetime, end: datetime) -> bool:
+        """Return whether a span lies within one local day; it may end at midnight."""
         last = end - timedelta(microseconds=1)
         return self._local(begin).date() == self._local(last).date()
 
     @cached_property
     def _offsets(self) -> list[str]:
-        """The offsets from UTC, one after the other: a year has both, and ends as it began."""
+        """Offsets from UTC between `first` and `last`, in order: one may come again."""
         days = range((self.last - self.first).days + 1)
         moments = [*(self.first + timedelta(days=day) for day in days), self.last]
         return [offset for offset, _ in groupby(_offset(self._local(each)) for each in moments)]

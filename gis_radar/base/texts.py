@@ -1,4 +1,4 @@
-"""Texts for users: a template and its values together, English until shown in a language."""
+"""Texts for users that keep their template and values: English until shown in a language."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Text(str):
         return self  # of an error, too: `str(error)` keeps the template
 
     def join(self, parts: Iterable[str], /) -> Text:
-        """Return texts as one, with this one between them; a word of it is translated, too."""
+        """Return texts as one, with this one between them; words in it are translated, too."""
         values = tuple(parts)
         if any(map(str.isalpha, self)):
             between = [each for part in values for each in (self, part)][1:]
@@ -60,7 +60,7 @@ class Text(str):
         return Text(str.__str__(self).join("{}" for _ in values), *values)
 
     def removeprefix(self, prefix: str, /) -> str:
-        """Return the text without a name and a colon at its begin; what is left is a text, too."""
+        """Return the text without a prefix; after a `name: ` removed, it keeps its template."""
         name, _, rest = self.template.partition(": ")
         if name != "{}" or f"{self.values[0]}: " != prefix:
             return super().removeprefix(prefix)
@@ -68,7 +68,7 @@ class Text(str):
 
 
 def _lasting(value: Any) -> Any:
-    """Return a value as it goes to other processes and files."""
+    """Return a value in a type that can be sent to other processes and written to files."""
     if isinstance(value, str | int | float | PurePath):
         return value
     if isinstance(value, Real):  # NumPy's
@@ -95,10 +95,8 @@ def _as_list(value: Any) -> Any:
     """Return a value as JSON holds it; a text as a list of template and values."""
     if isinstance(value, Text):
         return [value.template, *map(_as_list, value.values)]
-    if isinstance(value, float):
-        return float(
-            f"{value:.9g}"
-        )  # last digits follow the order of sums: equal runs, equal bytes
+    if isinstance(value, float):  # last digits vary with the order of sums; equal runs, equal bytes
+        return float(f"{value:.9g}")
     return str(value) if isinstance(value, PurePath) else value
 
 
@@ -119,9 +117,9 @@ def _from_list(entry: Any) -> Any:
 
 
 def _fits(template: str, values: int) -> bool:
-    """Return whether so many values fill the holes; none looks into a value or fills the memory.
+    """Return whether a template takes this many values, and has plain holes only.
 
-    The file may be anybody's.
+    The file may be anybody's: a hole could read a value's attributes, or ask for a huge width.
     """
     numbers = _HOLE.findall(template)
     places = range(len(numbers)) if not any(numbers) else [int(each or values) for each in numbers]

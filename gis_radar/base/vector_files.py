@@ -22,7 +22,7 @@ from gis_radar.base.geopackage import SQLITE, library_errors, opened_package, pl
 from gis_radar.base.progress import QUIET, Reporter
 from gis_radar.base.texts import Text
 
-_SHAPEFILE, _FLATGEOBUF = b"\0\0\x27\x0a", b"fgb\x03fgb"  # how they begin
+_SHAPEFILE, _FLATGEOBUF = b"\0\0\x27\x0a", b"fgb\x03fgb"  # their first bytes
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 # Names of a coordinate system; anything else could be an address or a file.
 _CRS_NAME = re.compile(r"(urn:(ogc|x-ogc):def:crs:|EPSG:|OGC:)[\w:.+]+", re.IGNORECASE | re.ASCII)
@@ -45,8 +45,8 @@ def read_vector(
     what : str
         What it should be, for messages: `map`.
     choose : str or callable, optional
-        The layer; or what returns it from the kinds of geometry by layer, and the path. By
-        default the first.
+        The layer; or a function that chooses it, given the kind of geometry of each layer, and
+        the path. By default the first.
     columns : sequence of str, optional
         Which to read beside the geometry; None for all.
     reporter : Reporter
@@ -72,7 +72,7 @@ def read_vector(
         if head.startswith(SQLITE):
             with opened_package(path, what=Text("a readable {}", what)):
                 return _read_by_gdal(path, choose, columns)
-        # GDAL looks for the marks of its drivers up to the first zero byte: one must come early.
+        # GDAL looks for its drivers' signatures up to the first zero byte: it must come early.
         flat = head.startswith(_FLATGEOBUF) and 0 in head[:12]
         if flat or (head.startswith(_SHAPEFILE) and path.suffix.lower() == ".shp"):
             return _read_by_gdal(path, choose, columns)

@@ -1,4 +1,4 @@
-"""Words, numbers and days in the language of who reads: of what is written at the moment."""
+"""Words, numbers and days in the current language, that of what is being written."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MONTHS = (
     "October", "November", "December",
 )  # fmt: skip
 _WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
-# Not an argument of each function: what writes a number is ten calls below who knows the language.
+# A context variable: what writes a number is ten calls below what is given the language.
 _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
 
@@ -48,7 +48,7 @@ def speak(language: str) -> None:
 
 
 def known_language(language: str) -> str:
-    """Return a language; refuse one that there are no words of."""
+    """Return a language; refuse one that has no catalogue."""
     if language not in LANGUAGES:
         known = Text("known are {}", ", ".join(LANGUAGES))
         raise UsageError("there is no language {}", repr(language), hint=known)
@@ -61,19 +61,19 @@ def current_language() -> str:
 
 
 def tr(text: str, /, **values: object) -> str:
-    """Return a text in the current language, with its values or those given in its holes."""
+    """Return a text in the current language, filled with its own values or those given."""
     known = catalogue(_CURRENT.get())
     if isinstance(text, Text) and text.values and known:
-        return _Speaker().format(known.get(text.template, text.template), *text.values)
+        return _Translator().format(known.get(text.template, text.template), *text.values)
     found = known.get(text, text)
     return found.format(**values) if values else str.__str__(found)
 
 
-class _Speaker(Formatter):
+class _Translator(Formatter):
     """A formatter that writes values as the current language does."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Return a number with the language's signs; a text or several words translated."""
+        """Return a number with the language's signs, a text (also of several words) translated."""
         if isinstance(value, Text) or (isinstance(value, str) and " " in value):
             return tr(value)
         text = format(value, format_spec)
@@ -83,7 +83,7 @@ class _Speaker(Formatter):
 
 
 def plural(amount: int, one: str, many: str) -> str:
-    """Return an amount with its noun: texts with a hole `{n}`."""
+    """Return an amount with its noun, by one of two texts with a hole `{n}`."""
     return tr(one if amount == 1 else many, n=figure_text(amount))
 
 
@@ -103,7 +103,7 @@ def figure_text(value: float, digits: int = 0) -> str:
 def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
     """Return a share as percent, with its standard error where there is one.
 
-    What is more than nothing never reads as nothing.
+    A share over 0 is never written as 0.
     """
     if math.isfinite(share) and math.isfinite(off):
         value, error = (figure_text(100 * each, digits) for each in (share, off))
@@ -114,13 +114,13 @@ def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
 
 
 def plus_minus(value: float, digits: int, unit: str = "") -> str:
-    """Return one standard deviation; a dash where it is not known."""
+    """Return one standard deviation with its sign and unit; a dash where it is not known."""
     text = f"±{THIN_SPACE}{figure_text(value, digits)}{unit.replace(' ', THIN_SPACE)}"
     return text if math.isfinite(value) else NO_FIGURE
 
 
 def wind_of(east_m: float, north_m: float) -> str:
-    """Return to which of eight winds of the map's grid a way leads; nothing where it has none."""
+    """Return the wind of `WINDS`, from grid north, that a vector points to; empty for none."""
     if math.hypot(east_m, north_m) < 1e-6:
         return ""
     return WINDS[round(math.atan2(east_m, north_m) / (math.pi / 4)) % 8]
@@ -132,7 +132,7 @@ def direction(east_m: float, north_m: float) -> str:
 
 
 def street_label(street: object, part: object = None) -> str:
-    """Return how a street is called, with its place where several have its name; empty if unknown.
+    """Return a street's name, with its part where several streets share it; empty if unknown.
 
     Examples
     --------

@@ -14,7 +14,7 @@ LONGEST_SENTENCE = 200  # characters of a command's first sentence, more is cut 
 
 
 class WholeSentences(click.Group):
-    """A group whose help wraps what each command does, where click cuts it to the line."""
+    """A group whose help wraps the first sentence of each command; click would cut it."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands with the first sentence of each one's help."""

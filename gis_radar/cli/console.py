@@ -51,10 +51,11 @@ from gis_radar.cli.result_tables import (
 )
 from gis_radar.cli.usage import told
 
-WIDE = 160
-FOR_PROGRAMS = {"settings", "found"}  # constants in effect, what `remarks` repeats: for --json
+WIDE = 160  # characters
+# Shown with --json only: constants in effect, and findings that `remarks` has as sentences.
+FOR_PROGRAMS = {"settings", "found"}
 SILENT_S = 30.0  # between lines of progress in a log
-MOST_BARS = 8  # with more than that, those that are full make way
+MOST_BARS = 8  # with more than that, full bars are hidden
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,9 +73,9 @@ class Result:
     advice : str
         What to do next; for people only.
     timezone : str
-        IANA zone whose clocks people read in the summary; JSON keeps UTC.
+        IANA zone of the times that people read in the summary; JSON keeps UTC.
     rows : sequence of mappings, optional
-        Of an answer, values as they are: a table for people, objects in JSON.
+        Rows of a query's answer, with unchanged values: a table for people, objects in JSON.
     """
 
     outputs: list[Path]
@@ -111,7 +112,7 @@ class Console(Reporter):
 
 
 class JsonConsole(Console):
-    """One JSON object a line on standard output: for programs, in English if not asked else."""
+    """Writes a JSON object a line to standard output; English unless the environment chooses."""
 
     def __init__(self) -> None:
         self.language = users_language(chosen_only=True)
@@ -139,19 +140,19 @@ class JsonConsole(Console):
             {name: one_line(self.said(getattr(part, name))) for name in ("message", "hint")}
             for part in error.parts
         ]
-        told = {"parts": parts} if parts else {}
-        self._write(event="error", code=error.exit_code, message=message, hint=hint, **told)
+        further = {"parts": parts} if parts else {}
+        self._write(event="error", code=error.exit_code, message=message, hint=hint, **further)
 
     @staticmethod
     def _write(**record: Any) -> None:
-        # Names of files need not be UTF-8: what cannot be written is escaped.
+        # Names of files need not be UTF-8: bytes that are not are escaped.
         text = json_text(record).encode("utf-8", "backslashreplace").decode("utf-8")
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
 
 
 class TerminalConsole(Console):
-    """Bars and remarks on standard error, the result on standard output."""
+    """Writes bars and remarks to standard error, the result to standard output."""
 
     def __init__(self) -> None:
         self.language = users_language()
@@ -166,8 +167,8 @@ class TerminalConsole(Console):
             disable=not self._rich.is_terminal,
         )
         self._tasks: dict[str, TaskID] = {}
-        self._shares: dict[str, str] = {}  # of what moved since the last line, where no bars are
-        self._told_at = monotonic()
+        self._shares: dict[str, str] = {}  # of stages that moved since the last line, without bars
+        self._printed_at = monotonic()
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -179,28 +180,28 @@ class TerminalConsole(Console):
     def progress(self, stage: str, done: int, total: int | None) -> None:
         """Move the stage's bar; without a terminal print a line now and then."""
         if not self._rich.is_terminal:
-            self._tell(stage, done, total)
+            self._print_shares(stage, done, total)
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(self.said(stage), total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
         if done == total and len(self._tasks) > MOST_BARS:
             self._bars.update(self._tasks[stage], visible=False)
 
-    def _tell(self, stage: str, done: int, total: int | None) -> None:
-        """Print how far each stage is that moves, where nothing was printed for a while."""
+    def _print_shares(self, stage: str, done: int, total: int | None) -> None:
+        """Print how far each moving stage is, if nothing was printed for `SILENT_S`."""
         self._shares.pop(stage, None)
         if done != total:
             self._shares[stage] = f" {100 * done // total} %" if total else ""
-        if self._shares and monotonic() - self._told_at >= SILENT_S:
-            self._told_at = monotonic()
+        if self._shares and monotonic() - self._printed_at >= SILENT_S:
+            self._printed_at = monotonic()
             shares = [f"{self.said(name)}{each}" for name, each in self._shares.items()]
-            self._shares.clear()  # one that failed or has no end would stay for ever
+            self._shares.clear()  # a stage that failed or has no end would stay for ever
             text = one_line(", ".join(shares))
             self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
-        self._told_at = monotonic()
+        self._printed_at = monotonic()
         prefix = f"{self.said('warning')}: " if level == "warning" else ""
         text = one_line(self.said(message))
         self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)
@@ -220,7 +221,7 @@ class TerminalConsole(Console):
             if isinstance(value, list) and value and isinstance(value[0], list):
                 tables.append((name, value))
             elif is_table(value):
-                # A number that is cut short is a wrong number: rather a line too long.
+                # Wider than the terminal if need be: a number that is cut is a wrong number.
                 rich.console.Console(width=max(out.width, WIDE)).print(
                     table_of_entries(name, value)
                 )
@@ -237,7 +238,7 @@ class TerminalConsole(Console):
             out.print(tr(result.advice), markup=False, highlight=False, soft_wrap=True)
 
     def error(self, error: GisRadarError) -> None:
-        """Print the error as one line, or each of its parts; what to do about it in the same."""
+        """Print the error as one line with its hint, or a line for each of its parts."""
         for part in error.parts:
             self.error(part)
         if error.parts:
@@ -248,13 +249,13 @@ class TerminalConsole(Console):
 
 
 def _by_local_clocks(result: Result) -> dict[str, Any]:
-    """Return the summary with times of the site for UTC, and the name of its zone."""
+    """Return the summary with local times in place of UTC, and the name of their zone."""
     summary = dict(result.summary)
     if result.timezone == "UTC":
         return summary
     from gis_radar.base import Clock, zone_of  # noqa: PLC0415 - NumPy
 
-    moment = datetime(1970, 1, 1, tzinfo=UTC)  # each time in a text tells its own offset
+    moment = datetime(1970, 1, 1, tzinfo=UTC)  # of no effect: times in a text have their own offset
     clock = Clock(zone=zone_of(result.timezone), first=moment, last=moment)
 
     def local(value: Any) -> Any:
@@ -269,15 +270,15 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
 
 
 TRACEBACK = "GIS_RADAR_TRACEBACK"
-"""The environment variable that shows the traceback of an error that nobody foresaw."""
+"""The environment variable that shows the traceback of an unforeseen error."""
 UNFORESEEN = "unforeseen"
 NO_MEMORY = Text("there is not enough memory")
 LEAST_FREE_BYTES = 64 << 20  # with 100 MiB the commands work or say so; with 30 GDAL aborts
-# Of the loader, of threads and of LLVM, which raise no MemoryError.
+# In errors of the loader, of threads and of LLVM, which raise no MemoryError.
 _NO_MEMORY_TEXTS = (
     "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",
 )  # fmt: skip
-AGAIN_S = 0.1  # after which the callback that dropped it is over
+AGAIN_S = 0.1  # until the callback that dropped an interruption is over
 INTERRUPTED = 130
 INTERRUPTION = "interrupted; nothing was left half-written"
 
@@ -289,7 +290,7 @@ class _InterruptedError(GisRadarError):
 
 
 def command(*, example: str) -> Callable[[Verb], click.Command]:
-    """Turn a function that reports and returns a result into a command.
+    """Return a decorator that makes a command of a function that returns a `Result`.
 
     Parameters
     ----------
@@ -324,7 +325,7 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
 
 
 def _require_memory() -> None:
-    """Refuse to begin where so little is left that libraries crash or hang rather than say so."""
+    """Refuse to begin where memory is so short that libraries crash or hang without an error."""
     free = free_address_space()
     if free is not None and free < LEAST_FREE_BYTES:
         raise OutputError(NO_MEMORY, hint="raise the limit of the address space (ulimit -v)")
@@ -367,7 +368,7 @@ def run_group(group: click.Group) -> NoReturn:
 
 
 def _error_of(error: Exception) -> GisRadarError:
-    """Return what to say of an error of the system, or of one that nobody foresaw."""
+    """Return the error to show for one of the system, or for an unforeseen one."""
     if isinstance(error, OSError) and not any(text in str(error) for text in _NO_MEMORY_TEXTS):
         if not _output_is_open():
             _exit_without_output()
@@ -396,7 +397,7 @@ def _error_of(error: Exception) -> GisRadarError:
 def _fail(console: Console, error: GisRadarError) -> NoReturn:
     cause = error.__cause__
     while cause is not None:
-        if isinstance(cause, MemoryError):  # which a reader takes for a damaged file
+        if isinstance(cause, MemoryError):  # a reader may have taken it for a damaged file
             error.hint = Text("{}, or the file claims too much", NO_MEMORY)
         cause = cause.__cause__
     try:
@@ -409,7 +410,7 @@ def _fail(console: Console, error: GisRadarError) -> NoReturn:
 
 
 def _output_is_open() -> bool:
-    """Return whether standard output is still open; it may be another pipe that broke."""
+    """Return whether standard output is still open: a broken pipe may be another one."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -428,7 +429,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 
 def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
-    """Interrupt once more where Python dropped an interruption: in a callback, as imports have."""
+    """Interrupt again where Python dropped an interruption, as in callbacks of its imports."""
     if not issubclass(lost.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return

@@ -85,9 +85,9 @@ def _words(text: str) -> tuple[str, ...]:
 
 def _pairs(text: str) -> dict[str, str]:
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
-    if not pairs or any(not (name.strip() and stands.strip()) for name, _, stands in pairs):
+    if not pairs or any(not (name.strip() and value.strip()) for name, _, value in pairs):
         raise ValueError(Text("{} is not {}", repr(text), PAIRS.name))
-    return {name.strip(): stands.strip() for name, _, stands in pairs}
+    return {name.strip(): value.strip() for name, _, value in pairs}
 
 
 def _duration(text: str) -> float:
@@ -123,13 +123,13 @@ def _period(text: str) -> Period:
     return begin, end
 
 
-POSITION = Parsed("E,N[,H]", _position)  # easting and northing, and a height if one likes
-BEARING = Parsed("BEARING", _bearing)  # clockwise from true north: degrees, or a word
+POSITION = Parsed("E,N[,H]", _position)  # easting and northing, with or without a height, m
+BEARING = Parsed("BEARING", _bearing)  # degrees clockwise from true north, or a word for them
 WORDS = Parsed("a,b,...", _words)
-PAIRS = Parsed("a=A,b=B,...", _pairs)  # names and what they stand for
-DURATION = Parsed("DURATION", _duration)  # in seconds; a bare number is seconds
-PERIOD = Parsed("T/T", _period)  # from a time up to another one
-CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # times from frame to frame by sensor
+PAIRS = Parsed("a=A,b=B,...", _pairs)  # values by name
+DURATION = Parsed("DURATION", _duration)  # seconds; a bare number is seconds, too
+PERIOD = Parsed("T/T", _period)  # begin and end
+CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # seconds from frame to frame, by sensor
 
 
 def numbers(names: str) -> Parsed:

@@ -108,22 +108,22 @@ def measure(
 
 
 def _files(clocks: str | None, sight: Path | None) -> list[Path]:
-    """Return the files among these options."""
+    """Return the options that name a file: neither is given always, and clocks may be `auto`."""
     return [Path(each) for each in (clocks, sight) if each not in {None, "auto"}]
 
 
 def _tracks(
     poses: tuple[Path, ...], options: dict[str, Any], reporter: Reporter
 ) -> list[gr.PoseTrack]:
-    """Read poses; take the view of those without one out of the options."""
-    known = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
-    return [_seeing(gr.read_track(pose), known, reporter) for pose in poses]
+    """Read poses, with views by the options; these options are removed."""
+    view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
+    return [_with_view(gr.read_track(pose), view, reporter) for pose in poses]
 
 
-def _seeing(
+def _with_view(
     track: gr.PoseTrack, options: dict[str, float | None], reporter: Reporter
 ) -> gr.PoseTrack:
-    """Give poses without a view the one of the options."""
+    """Return a track whose poses without a view have the one of the options."""
     given = {name: value for name, value in options.items() if value is not None}
     try:
         view = gr.View(**given)

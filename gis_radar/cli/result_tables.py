@@ -18,7 +18,7 @@ def is_table(value: Any) -> bool:
 
 
 def as_lines(name: str, value: Any) -> str:
-    """Return a value as text: sentences a line each; a lane's number is no amount."""
+    """Return a value as text, with a line for each sentence; a lane's number stays plain digits."""
     if name.endswith("lane"):
         return str(value)
     if isinstance(value, Mapping):
@@ -35,7 +35,7 @@ def as_title(name: str) -> str:
 
 
 def table_of_rows(name: str, rows: list[list[Any]]) -> Table:
-    """Return rows below their head as a table that wraps."""
+    """Return a table of rows, the first of which is the head; long cells wrap."""
     head, *rest = rows
     table = Table(box=None, pad_edge=False, title=as_title(name), title_justify="left")
     for title in head:
@@ -46,7 +46,7 @@ def table_of_rows(name: str, rows: list[list[Any]]) -> Table:
 
 
 def table_of_answer(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the rows of an answer as a table, whole numbers as they are."""
+    """Return the rows of a query's answer as a table; whole numbers stay plain digits."""
     table = Table(box=None, pad_edge=False)
     for name in rows[0] if rows else ():
         table.add_column(Cell(name), overflow="fold")
@@ -59,7 +59,7 @@ def table_of_answer(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _number(value: float) -> str:
-    """Return a number with six digits, a coordinate with its millimetres."""
+    """Return a number with six digits, one from 1000 on (a coordinate) with three decimals."""
     return f"{value:.3f}" if 1e3 <= abs(value) < 1e12 else f"{value:.6g}"
 
 
@@ -78,7 +78,7 @@ def table_of_entries(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def _cell(value: Any) -> str:
-    """Return a value of a table: a single word is a state, not a name."""
+    """Return a value of a table as text; a single word is a state, and is translated."""
     return tr(value) if isinstance(value, str) else _readable(value)
 
 

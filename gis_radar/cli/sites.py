@@ -45,7 +45,7 @@ def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Resu
 
 
 def _to_open(outputs: list[Path]) -> str:
-    """Return what to open of a run, and with what."""
+    """Return which outputs to open, and with which program."""
     pages = [Text("open {} in a browser", path) for path in outputs if path.suffix == ".html"]
     projects = [Text("open {} in QGIS", path) for path in outputs if path.suffix == ".qgz"]
     return Text("; ").join([*pages, *projects])

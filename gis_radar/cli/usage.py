@@ -1,4 +1,4 @@
-"""Wrong usage as click reports it: its sentences, which have their German in our catalogue."""
+"""Click's messages of wrong usage as texts of ours, so that the catalogue can translate them."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ CLICK_TEXTS = (
     "{} is not a valid float.",
     "{} is not one of {}.",
 )
-"""What click says, with a hole for each value; a test calls for each."""
+"""Click's messages, with a hole for each value; a test provokes each."""
 
 
 def told(text: str, ours: str = "") -> Text:
-    """Return a sentence of click as a template and its values; another one as it stands.
+    """Return a message of click as a template with values; an unknown one as it is.
 
-    `ours` is a text of this package that it may hold.
+    `ours` is a text of this package that the message may quote.
     """
     if isinstance(ours, Text) and text == ours:
         return ours

@@ -1,12 +1,13 @@
 """The two bounds of a lanelet as arrays of points: direction, arc length, rungs between them.
 
 Every function takes bounds as (n, 2) or (n, 3) arrays in metres, rows in order along the line;
-where heights are given they are carried along and never decide anything.
+heights are carried along and never decide anything. A rung connects a point of the left bound with
+one of the right; two consecutive rungs enclose a slice.
 
-Where equal lengths do not pair the points of two bounds, the ribbon of shortest rungs does: a
-strip of triangles between the bounds. Each has one side on a bound and its tip on the other one. Of
-all strips that only move forward, the one is taken that has the least length of wrongly turned
-triangles and then the shortest rungs (dynamic programming).
+Where rungs at equal shares of both lengths fail, those of a ribbon are used: a strip of triangles
+between the bounds, each with one side on one bound and its tip on the other. Of all strips that
+only move forward, dynamic programming finds that with the least length of wrongly turned triangles
+and then the shortest rungs.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from gis_radar.base import Booleans, Floats, Integers, Text
 
 
 class CannotMendError(Exception):
-    """A lanelet has to be left out; the message is the reason, in plain words."""
+    """A lanelet that must be left out; the message is the reason, in plain words."""
 
 
-# How much of the plain arc-length pairing is kept; the first that works is taken.
+# Weights of the pairing by equal lengths, against the ribbon's; the first that works is taken.
 _BLENDS = (0.75, 0.5, 0.25, 0.1, 0.03)
-# What a bound may lose to cut corners before divisions move to corners; share of the outline.
+# Share of the outline that chords may cut off a bound's corners before rungs move to corners.
 _LOSS = 0.001
-_LOSS_EACH = 0.1  # share of that loss from which a corner counts
-# A lanelet that is whole is cut soundly at this length, see :mod:`mending`.
+_LOSS_EACH = 0.1  # share of that loss from which on a rung moves to a corner
+# A sound lanelet can be cut into sound slices of this length, see :mod:`mending`.
 _SOUND_M = 0.5
 
 
 class Drawn(NamedTuple):
-    """Whether each bound has to be turned round to run in the driving direction."""
+    """For each bound, whether it must be reversed to run in the driving direction."""
 
     turn_left: bool
     turn_right: bool
@@ -60,17 +61,16 @@ def at_fractions(bound: Floats, fractions: Floats) -> Floats:
 
 
 def slices(left: Floats, right: Floats, slice_m: float = _SOUND_M) -> int:
-    """Return into how many slices of about `slice_m` metres a lanelet is cut, at least one."""
+    """Return the number of slices of about `slice_m` metres in a lanelet, at least one."""
     return max(1, round((bound_length(left) + bound_length(right)) / 2.0 / slice_m))
 
 
 def drawn_direction(left: Floats, right: Floats) -> Drawn:
     """Find the driving direction: the one that has the left bound on the left.
 
-    First the bounds are made parallel: of the two ways to pair them, the one with the shorter
-    rungs (mean over the length, so that loops with equal ends are distinguished, too). Then the
-    signed area between them shows on which side the left bound is; if on the right, both are
-    turned.
+    First the bounds are made parallel: of the two ways to pair them, the one with the shorter rungs
+    is taken (mean over the length, which distinguishes loops with equal ends, too). Then the signed
+    area between them shows the side of the left bound; if it is the right, both are reversed.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def drawn_direction(left: Floats, right: Floats) -> Drawn:
     Returns
     -------
     Drawn
-        Which of them to turn round.
+        Which of them to reverse.
     """
     fractions = np.linspace(0.0, 1.0, 2 * max(len(left), len(right)) + 7)
     origin = left[0, :2]
@@ -88,9 +88,9 @@ def drawn_direction(left: Floats, right: Floats) -> Drawn:
         at_fractions(left[:, :2] - origin, fractions),
         at_fractions(right[:, :2] - origin, fractions),
     )
-    with_it = np.hypot(*(p - q).T).mean()
-    against = np.hypot(*(p - q[::-1]).T).mean()
-    opposed = bool(against < with_it)
+    as_drawn_m = np.hypot(*(p - q).T).mean()
+    reversed_m = np.hypot(*(p - q[::-1]).T).mean()
+    opposed = bool(reversed_m < as_drawn_m)
     backward = bool(signed_area(p, q[::-1] if opposed else q) < 0.0)
     return Drawn(turn_left=backward, turn_right=backward != opposed)
 
@@ -105,22 +105,22 @@ def signed_area(left: Floats, right: Floats) -> float:
 def rungs(left: Floats, right: Floats, n: int) -> tuple[Floats, Floats]:
     """Return n + 1 pairs of points that cut a lanelet into n slices.
 
-    Both bounds are divided into n parts of equal length. Where that would cut off too much of
-    their corners, divisions move there. Where it would make slices that cross
-    themselves (a bound with a bay, a very tight turn), points are paired by the shortest rungs
-    instead, blended with equal lengths as far as all slices come out sound.
+    Both bounds are divided into n parts of equal length. Where that would cut off too much of their
+    corners, ends of rungs move to corners. Where slices would cross themselves (a bound with a bay,
+    a very tight turn), the ribbon of shortest rungs pairs the points instead, blended with equal
+    lengths as far as all slices stay sound.
 
     Parameters
     ----------
     left, right : (k, 2 or 3) array
         The cleaned bounds in driving direction.
     n : int
-        How many slices.
+        Number of slices.
 
     Returns
     -------
     left_points, right_points : (n + 1, 2 or 3) array
-        The ends of the rungs; first and last are the ends of the bounds, exactly.
+        Ends of the rungs; the first and the last are exactly the ends of the bounds.
     """
     even = np.linspace(0.0, 1.0, n + 1)
     best, fewest = (left[[0, -1]], right[[0, -1]]), n + 1
@@ -137,15 +137,15 @@ def rungs(left: Floats, right: Floats, n: int) -> tuple[Floats, Floats]:
 def sound_rungs(left: Floats, right: Floats, slice_m: float) -> tuple[Floats, Floats]:
     """Return rungs about `slice_m` metres apart whose slices are all sound.
 
-    Where that length makes slices that cross themselves (a long slice of a tight turn), the
-    lanelet is cut into more; where even many do not help, into slices of half a metre.
+    Where slices of that length cross themselves (a long slice of a tight turn), more slices are
+    tried, at last those of half a metre.
 
     Parameters
     ----------
     left, right : (k, 2 or 3) array
         The cleaned bounds in driving direction.
     slice_m : float
-        The length asked for, metres.
+        Wanted length of the slices, metres.
 
     Returns
     -------
@@ -172,7 +172,7 @@ def _growing(n: int, most: int) -> Iterator[int]:
 
 
 def _pairings(left: Floats, right: Floats, even: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Yield ways to divide both bounds, the plainest first: fractions of their lengths."""
+    """Yield ways to divide both bounds, as fractions of their lengths; the simplest come first."""
     most_loss = _LOSS * abs(signed_area(left, right))
     snapped = [_snapped(bound, even, most_loss) for bound in (left, right)]
     if any(fractions is not even for fractions in snapped):
@@ -186,9 +186,9 @@ def _pairings(left: Floats, right: Floats, even: Floats) -> Iterator[tuple[Float
 
 
 def _snapped(bound: Floats, even: Floats, most_loss: float) -> Floats:
-    """Put divisions on corners where cutting these off would lose more than `most_loss` m2.
+    """Return fractions moved to corners where chords would cut off more than `most_loss` m2.
 
-    Returns ascending fractions, evenly spread between corners, or `even` where none had to move.
+    They ascend, evenly spread between corners; it is `even` itself where none had to move.
     """
     if len(even) < 3 or len(bound) < 3:
         return even
@@ -201,7 +201,7 @@ def _snapped(bound: Floats, even: Floats, most_loss: float) -> Floats:
         return even
     worst = np.argsort(loss)[::-1][: n - 1]
     kept = np.sort(corners[worst[loss[worst] > _LOSS_EACH * most_loss]])
-    # The division nearest to each corner, but every corner its own.
+    # Each corner takes its nearest division that no other corner has.
     turn_of = np.arange(len(kept))
     nearest = np.maximum.accumulate(np.rint(kept * n).astype(np.int64) - turn_of) + turn_of
     nearest = np.clip(nearest, turn_of + 1, n - len(kept) + turn_of)
@@ -213,9 +213,9 @@ def _snapped(bound: Floats, even: Floats, most_loss: float) -> Floats:
 def sound(left_points: Floats, right_points: Floats) -> Booleans:
     """Return which slices between rungs are simple, and have their left side on the left.
 
-    A quadrilateral is simple and runs counter-clockwise exactly if one of its diagonals cuts it
-    into two counter-clockwise triangles. Slices that all are, and share their rungs, tile the
-    outline of the rungs' ends without gap or overlap.
+    A quadrilateral is simple and runs counter-clockwise if and only if one of its diagonals cuts it
+    into two counter-clockwise triangles. Where that holds for all slices, they tile the outline of
+    the rungs' ends without gap or overlap, as they share their rungs.
 
     Parameters
     ----------
@@ -235,25 +235,25 @@ def sound(left_points: Floats, right_points: Floats) -> Booleans:
     return answer
 
 
-_SPACING_POINTS = 300  # on both bounds together; the work grows with its square
-_MOST_POINTS = 1200  # on a bound, drawn ones included: bounds time and memory
-NEVER_M = 1e4  # a rung gets so much longer to avoid a wrongly turned triangle: any way round
-_FLAT_M2 = 1e-9  # sideways is not backwards
+_SPACING_POINTS = 300  # points on both bounds together; the work grows with its square
+_MOST_POINTS = 1200  # points on a bound, drawn ones included: limits time and memory
+NEVER_M = 1e4  # metres a rung may grow to avoid a wrongly turned triangle: no rung is so long
+_FLAT_M2 = 1e-9  # area of a triangle that is flat, not wrongly turned
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ribbon:
-    """A monotone pairing of two bounds.
+    """A pairing of two bounds that only moves forward on both.
 
     Parameters
     ----------
     left, right : (k,) array
         Fractions of the bounds' lengths, ascending together from 0 to 1.
     even : (k,) array
-        The mean of both, which parametrises the pairing.
+        Mean of both, the parameter of the pairing.
     left_wrong, right_wrong : (m, 2) array
-        Stretches, in fractions of each bound's length, whose triangles are wrongly turned: there
-        the bound runs backwards.
+        Begin and end, as fractions of the bound's length, of stretches whose triangles are wrongly
+        turned: there the bound runs backwards.
     """
 
     left: Floats
@@ -272,7 +272,7 @@ def arc_lengths(line: Floats) -> Floats:
 
 
 def turn(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return twice the signed area of triangles a b c in m2, positive if counter-clockwise."""
+    """Return twice the signed area (m2) of triangles a b c, positive if counter-clockwise."""
     ab, ac = b - a, c - a
     area: Floats = ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]
     return area
@@ -284,15 +284,14 @@ def matched(left: Floats, right: Floats, wrong_m: float = NEVER_M) -> Ribbon:
     Parameters
     ----------
     left, right : (n, 2 or 3) array
-        The bounds in metres. All their vertices take part, and points between them where these
-        are far apart.
+        The bounds in metres. Points are added between vertices that are far apart.
     wrong_m : float
-        How many metres longer a rung may get to avoid a wrongly turned triangle.
+        Metres a rung may grow to avoid a wrongly turned triangle.
 
     Returns
     -------
     Ribbon
-        The pairing, and where it cannot go forward.
+        The pairing, and the stretches where a bound runs backwards.
     """
     spacing = (arc_lengths(left)[-1] + arc_lengths(right)[-1]) / _SPACING_POINTS
     p, s = _refined(left[:, :2] - right[0, :2], max(spacing, 0.1))
@@ -316,7 +315,10 @@ def _stretches(fractions: Floats, wrong: Booleans) -> Floats:
 
 
 def _refined(line: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Return a line with points added until none are farther apart, and their length fractions."""
+    """Return a line with points added until none are farther apart than `spacing` m.
+
+    With it come the points' fractions of the length.
+    """
     along = arc_lengths(line)
     parts = np.maximum(1, np.ceil(np.diff(along) / spacing).astype(np.int64))
     where = np.concatenate(
@@ -333,7 +335,7 @@ def _refined(line: Floats, spacing: float) -> tuple[Floats, Floats]:
 
 
 def _cheapest_path(p: Floats, q: Floats, wrong_m: float) -> tuple[Integers, Integers]:
-    """Return the indices of the rungs of the best strip, one step on one bound at a time."""
+    """Return the rungs of the best strip as indices into `p` and `q`; each moves on one of them."""
     rung = np.hypot(p[:, None, 0] - q[None, :, 0], p[:, None, 1] - q[None, :, 1])
     step_p, step_q = np.hypot(*np.diff(p, axis=0).T), np.hypot(*np.diff(q, axis=0).T)
     # Moving on the left: triangle (tip on the right, ahead, behind) must be counter-clockwise.
@@ -367,7 +369,7 @@ def _walk_back(from_left: Booleans) -> tuple[Integers, Integers]:
 def _wrong_length(
     p: Floats, q: Floats, rows: Integers, columns: Integers, moves_left: Booleans
 ) -> Floats:
-    """Return how long the side of each triangle is where it is wrongly turned, else 0."""
+    """Return the length (m) of the side of each wrongly turned triangle, 0 for the others."""
     tip = np.where(moves_left[:, None], q[columns[:-1]], p[rows[:-1]])
     behind = np.where(moves_left[:, None], p[rows[:-1]], q[columns[:-1]])
     ahead = np.where(moves_left[:, None], p[rows[1:]], q[columns[1:]])

@@ -1,8 +1,8 @@
 """Curves: directions along the smooth line that a polyline of a map stands for.
 
-A map draws a bend as a few chords, at whose corners its direction jumps. Who drives there turns all
-along. Seen across, a direction that is off by a few degrees makes the speed that follows from a
-range rate wrong by half.
+A map draws a bend as a few chords, with a jump of direction at each corner; a vehicle turns
+steadily. The speed is the range rate divided by the cosine of the angle between direction and line
+of sight: near 90 degrees, an error of a few degrees in the direction changes it by half.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import shapely
 
 from gis_radar.base import Floats, turned
 
-DRAWN_M = 0.05  # accuracy of drawn lines: what is nearer to a chord is no corner of it
-ALIKE_RAD = np.radians(5.0)  # two turns that differ by less are alike
+DRAWN_M = 0.05  # accuracy of drawn lines: a vertex nearer to a chord is no corner
+ALIKE_RAD = np.radians(5.0)  # two turns that differ by less are equal
 BEND_RAD = np.radians(30.0)  # a sharper turn from lane to lane is a corner, not a bend
 
 
@@ -28,9 +28,9 @@ class Curve:
     Parameters
     ----------
     length_m : (n,) array
-        Of the chords.
+        Lengths of the chords.
     way : (n,) array
-        Their directions, radians, without jumps.
+        Directions of the chords, radians counter-clockwise from east, without jumps of 2 pi.
     """
 
     length_m: Floats
@@ -50,9 +50,9 @@ class Curve:
         Parameters
         ----------
         share : (k,) array
-            Of the length, in [0, 1].
+            Shares of the length, in [0, 1].
         before, after : Curve, optional
-            Those that it continues without a corner.
+            Curves that join it without a corner.
         """
         length, way, begin = self.length_m, self.way, 0.0
         if before is not None:
@@ -74,21 +74,21 @@ def lane_headings(
     shares: Sequence[Floats],
     after: Sequence[Sequence[int]],
 ) -> list[Floats]:
-    """Return the directions along the middle of lanes, as their bends go on from lane to lane.
+    """Return the directions along the middle of lanes; bends continue from lane to lane.
 
     Parameters
     ----------
     bounds : sequence of pairs of LineString
         Left and right bound of each lane.
     shares : sequence of (k,) arrays
-        Where on each directions are asked: shares of the length, in [0, 1].
+        For each lane, the places to return directions for: shares of the length, in [0, 1].
     after : sequence of sequences of int
         Positions of the lanes that follow each.
 
     Returns
     -------
     list of (k,) arrays
-        Radians, without jumps within a lane.
+        Radians counter-clockwise from east, without jumps of 2 pi within a lane.
     """
     curves = [tuple(Curve.of(line) for line in pair) for pair in bounds]
     before = [list[int]() for _ in bounds]
@@ -107,14 +107,17 @@ def lane_headings(
                 None if earlier is None else curves[earlier][side],
                 None if later is None else curves[later][side],
             )
-            # the middle goes half as far as both sides together
+            # Displacements of both sides add up to twice that of the middle: the same direction.
             way += curve.length_m.sum() * np.column_stack([np.cos(heading), np.sin(heading)])
         found.append(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
     return found
 
 
 def _straightest(turns: dict[float, int]) -> int | None:
-    """Return which lane goes on; none where two that part are as straight."""
+    """Return the lane that continues most straight; None at a fork of two as straight, or a corner.
+
+    `turns` holds a lane by its turn, radians.
+    """
     least, *others = sorted(turns, key=abs) or [np.inf]
     parts = any(
         abs(each - least) > ALIKE_RAD and abs(each) - abs(least) < ALIKE_RAD for each in others

@@ -1,4 +1,4 @@
-"""Lane graph: where on which lanelet a point lies, and which lanelets follow which."""
+"""Lane graph: find the lanelets at a point and the place on them, and the successors of each."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import shapely
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled, ranges
 from gis_radar.hdmap.curves import lane_headings
 
-STEP_M = 1.0  # of the samples: on a curve of 10 m radius their chord is 1 cm off the arc
-LANE_MARGIN_M = 1.0  # beyond a lane's edge: a vehicle's middle is rarely so far outside
-CELL_M = 1.0
-JOIN_M = 1.5  # ends of lanelets that share no nodes: half a lane
-JOIN_RAD = np.radians(30.0)
+STEP_M = 1.0  # between samples: on a curve of 10 m radius their chord is 1 cm off the arc
+LANE_MARGIN_M = 1.0  # added on both sides of a lane: a vehicle's middle is rarely farther outside
+CELL_M = 1.0  # side of a cell of the field
+JOIN_M = 1.5  # between ends of lanelets that follow each other without shared nodes: half a lane
+JOIN_RAD = np.radians(30.0)  # between their directions
 MOST = 8  # lanelets at one point
 LEVEL_M = 2.0  # roads that differ less in height are on one level (the contract)
 
@@ -36,15 +36,15 @@ class LaneGraph:
     length_m : (n,) array
         Length of the centre line.
     first : (n + 1,) int64 array
-        Where the samples of each lanelet begin.
+        Index of the first sample of each lanelet; at the end, the number of samples.
     points : (m, 3) array
-        Samples in the map, metres, `origin` taken away; heights NaN where unknown.
+        Samples, metres from `origin` in the map frame; heights NaN where unknown.
     s_m : (m,) array
         Distance of a sample from the start of its lanelet, metres.
     heading : (m,) array
-        Direction of travel, radians.
+        Direction of travel at a sample, radians counter-clockwise from grid east.
     half_width_m : (m,) array
-        Half of the lanelet's width there.
+        Half of the lanelet's width at a sample.
     two_way : (n,) bool array
         Lanelets that are driven in both directions.
     successors : list of int64 arrays
@@ -66,7 +66,7 @@ class LaneGraph:
 
     @cached_property
     def field(self) -> LaneField:
-        """The graph as compiled code asks it: which lanes are at a point."""
+        """The graph as arrays for compiled code, which finds the lanes at a point."""
         return LaneField.of(self)
 
     def reversed(self) -> LaneGraph:
@@ -99,7 +99,7 @@ class LaneGraph:
         lane : int
             Position of the lanelet.
         s_m : (k,) array
-            Metres from its start; beyond its ends its ends.
+            Metres from its start; distances beyond its ends give its ends.
         """
         part = slice(self.first[lane], self.first[lane + 1])
         s = self.s_m[part]
@@ -160,7 +160,7 @@ def lane_graph(lanelets: gpd.GeoDataFrame) -> LaneGraph:
 def _sampled(
     left: shapely.LineString, right: shapely.LineString
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return points, distances, headings and half widths along a lanelet."""
+    """Return points (m), distances (m), headings (rad) and half widths (m) along a lanelet."""
     count = max(int(np.ceil(max(left.length, right.length) / STEP_M)), 1) + 1
     share = np.linspace(0.0, 1.0, count)
     sides = [
@@ -202,11 +202,16 @@ class LaneField:
     Parameters
     ----------
     first, segment : int64 arrays
-        Where the segments of each cell begin, and the segments by cell: positions of samples.
+        For each cell, the index of its first entry in `segment`; the entries are indices of the
+        samples at which segments begin.
     columns, rows : int
-        Size of the grid, which begins at the graph's origin less `LANE_MARGIN_M`.
+        Size of the grid.
+    shift : float
+        Metres by which the grid's corner lies south-west of the graph's origin.
     lane_of : (m,) int64 array
-        Lanelet of each sample.
+        Position of each sample's lanelet.
+    points, s_m, heading, half_width_m : arrays
+        The samples, as in :class:`LaneGraph`.
     """
 
     first: Integers
@@ -222,7 +227,7 @@ class LaneField:
 
     @classmethod
     def of(cls, graph: LaneGraph) -> LaneField:
-        """Lay the segments of a graph into a grid."""
+        """Return the field of a graph."""
         lane_of = np.repeat(np.arange(len(graph.lanelet_id)), np.diff(graph.first))
         shift = float(graph.half_width_m.max()) + LANE_MARGIN_M
         size = graph.points[:, :2].max(axis=0) + 2.0 * shift
@@ -285,13 +290,14 @@ class LaneField:
 def lanes_at(
     x: float, y: float, field: FieldArrays, out: Floats
 ) -> int:  # pragma: no cover - compiled
-    """Fill rows (lane, s, d, heading, half width, height) of the lanes at a point; return how many.
+    """Fill rows of `out` with the lanes at a local point; return their number.
 
-    A lane is at a point within its width and `LANE_MARGIN_M`, between its ends.
+    A row has lane, s (m), d (m, left of the centre), heading (rad), half width (m), height (m). A
+    lane is at a point between its ends, within its width and `LANE_MARGIN_M`.
     """
     first, segment, size, lane_of, samples = field
     shift = samples[0, 6]
-    column, row = int((x + shift) / 1.0), int((y + shift) / 1.0)
+    column, row = int((x + shift) / CELL_M), int((y + shift) / CELL_M)
     if x + shift < 0.0 or y + shift < 0.0 or column >= size[0] or row >= size[1]:
         return 0
     cell, found = row * size[0] + column, 0
@@ -308,7 +314,7 @@ def lanes_at(
             continue
         found = max(found, slot + 1)
         out[slot, 0], out[slot, 2] = lane_of[i], d
-        # s, heading, half width, height: between those of the segment's ends
+        # s, heading, half width and height are interpolated along the segment
         for place, column in ((1, 3), (3, 4), (4, 5), (5, 2)):
             begin, end = samples[i, column], samples[i + 1, column]
             out[slot, place] = begin + t * (end - begin)
@@ -317,7 +323,7 @@ def lanes_at(
 
 @compiled
 def _share(x: float, y: float, i: int, samples: Floats) -> float:  # pragma: no cover - compiled
-    """Return how far along a segment a point is, as a share of its length; NaN of none."""
+    """Return the place of a point along a segment as a share of its length; NaN if that is 0."""
     bx, by = samples[i + 1, 0] - samples[i, 0], samples[i + 1, 1] - samples[i, 1]
     length2 = bx * bx + by * by
     if length2 <= 0.0:
@@ -329,11 +335,14 @@ def _share(x: float, y: float, i: int, samples: Floats) -> float:  # pragma: no 
 def _on_segment(
     x: float, y: float, i: int, lane_of: Integers, samples: Floats
 ) -> tuple[float, float]:  # pragma: no cover - compiled
-    """Return how far along a segment, as a share, and how far left of it a point is; or NaN."""
+    """Return the share along a segment and the distance to its left (m) of a point; NaN if off it.
+
+    A point in the wedge outside a corner belongs to the segment before it and to that after it.
+    """
     nothing = (np.nan, np.nan)
     t = _share(x, y, i, samples)
     if t < 0.0:
-        # before it, and on the segment before or before the lane
+        # before the lane, or on the segment before
         if i == 0 or lane_of[i - 1] != lane_of[i] or _share(x, y, i - 1, samples) <= 1.0:
             return nothing
     elif t > 1.0:
@@ -347,16 +356,16 @@ def _on_segment(
     t = min(max(t, 0.0), 1.0)
     d = (bx * (y - ay) - by * (x - ax)) / np.hypot(bx, by)
     half = samples[i, 5] + t * (samples[i + 1, 5] - samples[i, 5])
-    return (t, d) if abs(d) <= half + 1.0 else nothing
+    return (t, d) if abs(d) <= half + LANE_MARGIN_M else nothing
 
 
 @compiled
 def _all_lanes(points: Floats, field: FieldArrays) -> Floats:
-    """Return the lanes at every point, a row each, the point's position first."""
-    rows = np.empty((8 * len(points), 7))
+    """Return a row for each point and lane at it: the point's index, then as :func:`lanes_at`."""
+    rows = np.empty((MOST * len(points), 7))
     count = 0
     for i in range(len(points)):
-        out = rows[count : count + 8, 1:]
+        out = rows[count : count + MOST, 1:]
         found = lanes_at(points[i, 0], points[i, 1], field, out)
         rows[count : count + found, 0] = i
         count += found

@@ -1,7 +1,7 @@
 """Lanes: chains of lanelets with number, street, direction, turns and stop line.
 
-This is the one place where lanes are made and numbered: tiles carry the number, and heat maps,
-reports and projects take it from there.
+Lanes are made and numbered here only: tiles carry the number, from which heat maps, reports and
+projects take it.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from gis_radar.hdmap.streets import name_streets
 from gis_radar.hdmap.tagging import STREET, TURN_TAG
 
 LANES_LAYER, STOP_LINES_LAYER = "lanes", "stop_lines"
-TOUCH_M = 0.05  # between the ends of lanelets that follow each other: drawn twice, to the digit
-SHAPE_M = 0.01  # of lines as drawn: far below a pixel, and a tenth of the points
-LANE_EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
+TOUCH_M = 0.05  # between the ends of lanelets that follow each other: nodes may be drawn twice
+SHAPE_M = 0.01  # to which centre lines are simplified: far below a pixel, a tenth of the points
+LANE_EXIT_M = 5.0  # last part of a lane, which gives its direction: it may turn before
 STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
-BACK_RAD = math.radians(150.0)
-SHARP_M = 50.0  # mean radius of a turn; roads that only bend have more
-STOP_NEAR_M = 2.0  # from the end of a lanelet to the stop line that is drawn behind it
+BACK_RAD = math.radians(150.0)  # from which on a turn is one back
+SHARP_M = 50.0  # largest mean radius of a turn; roads that only bend have more
+STOP_NEAR_M = 2.0  # from the end of a lanelet to a stop line drawn behind it
 WAYS = ("left", "straight", "right", "back")
 _STOP_KINDS: dict[str, Any] = {
     "stop_line": np.int64, "lane": np.int64, "lanelet_id": np.int64,
@@ -40,7 +40,7 @@ _TAGGED = {"left": "left", "right": "right", "straight": "straight", "through": 
 
 
 class _Ends(NamedTuple):
-    """Where lanelets begin and end: (n, 4) arrays, easting and northing of left and right."""
+    """Starts and ends of lanelets: (n, 4), easting and northing of left and right bound, metres."""
 
     starts: Floats
     ends: Floats
@@ -52,14 +52,14 @@ def chain_lanelets(
     ends: Floats,
     stated: Sequence[Collection[int]] | None = None,
 ) -> list[tuple[int, ...]]:
-    """Chain lanelets to lanes: each the only successor of the last, which alone precedes it.
+    """Chain lanelets to lanes: each is the only successor of its only predecessor.
 
     Parameters
     ----------
     lanelet_id : (n,) int64 array
         Ids, ascending.
     starts, ends : (n, 4) arrays
-        Easting and northing of the left and of the right bound there, metres.
+        Easting and northing of the left and of the right bound at start and end, metres.
     stated : sequence of collections of int, optional
         Ids of the successors that the map states, beside those that begin where a lanelet ends.
 
@@ -80,7 +80,7 @@ def chain_lanelets(
 def _following(
     ids: list[int], at: _Ends, stated: Sequence[Collection[int]] | None
 ) -> list[list[int]]:
-    """Return the positions of the lanelets that follow each."""
+    """Return, for each lanelet, the positions of the lanelets that follow it."""
     low = at.starts.min(axis=0) if len(ids) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))
     touching = next(trees).query_ball_tree(next(trees), TOUCH_M)
@@ -93,7 +93,7 @@ def _following(
 
 
 def _chains(only: Mapping[int, int], total: int) -> Iterator[list[int]]:
-    """Follow the links from where a chain begins; a ring begins at its first lanelet."""
+    """Yield the chains of links `only` (next position by position); a ring begins at its first."""
     led_to, seen = set(only.values()), set[int]()
     for first in [*(i for i in range(total) if i not in led_to), *range(total)]:
         chain, at = [], first
@@ -129,7 +129,7 @@ def _by_id(lanelets: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 
 
 def _ends_of(lanelets: gpd.GeoDataFrame) -> _Ends:
-    """Return where the bounds of lanelets begin and end."""
+    """Return the starts and ends of the bounds of lanelets."""
     sides = [lanelets[side].array for side in ("left", "right")]
     starts, ends = (
         np.column_stack([shapely.get_coordinates(shapely.get_point(side, at)) for side in sides])
@@ -150,36 +150,35 @@ def lanes(
     street_field: str | None = None,
     reporter: Reporter = QUIET,
 ) -> gpd.GeoDataFrame:
-    """Return the lanes of a map, with what planners call them by.
+    """Return the lanes of a map, with street, direction and turns.
 
-    A lane is a chain of lanelets, each the only successor of the last and it its only predecessor.
+    A lane is a chain of lanelets, each the only successor of its only predecessor.
 
     Parameters
     ----------
     roads : LaneletMap
         The map.
     streets : GeoDataFrame, str or Path, optional
-        Lines of streets with names, in any coordinate system: a layer of the city's. Lanes that the
-        map names keep their name; the others get that of the street along most of their way.
+        Lines of streets with names, in any coordinate system, such as a layer of the city. Lanes
+        named in the map keep their name; others get that of the street along most of their length.
     street_field : str, optional
         Its column of names; without it the first of the usual ones.
     reporter : Reporter
-        Receives what a user should know: lanes without names, streets of one name.
+        Receives remarks on lanes without names and on streets of one name.
 
     Returns
     -------
     GeoDataFrame
         One row a lane, by `lane` (int64, its number: its smallest lanelet id). `lanelets` (tuple of
         int, in driving order); `subtype` of the first; `street` (None where unknown);
-        `street_part` (where the map or the layer has several streets of that name, more than 250 m
-        apart: where among them this one lies, a compass wind such as `north-east`, or a number
-        where winds do not tell them apart; None elsewhere); `direction`
-        (of eight compass winds of the map's grid, where its last 5 m lead to); `turn` (`left`,
-        `straight`, `right`, `back`, joined by `;`: what it or the lanes that it leads to do in a
-        junction, by the map's tags, else by their geometry; None elsewhere); `stop_line_m` (metres
-        along the lane, NaN where the map has none); `length_m`; `speed_limit_kmh` (the mean speed
-        of who drives it at the limits, NaN where the map does not state them all); its centre line
-        as geometry.
+        `street_part` (of several streets of that name more than 250 m apart, which one: by its
+        place among them, a compass wind such as `north-east`, else a number; None for a single
+        street); `direction` (of its last 5 m: one of eight compass winds, from grid north); `turn`
+        (`left`, `straight`, `right`, `back`, joined by `;`: the turns in a junction of the lane or
+        of those that it leads to, by the map's tags, else by geometry; None elsewhere);
+        `stop_line_m` (metres along the lane, NaN where the map has none); `length_m`;
+        `speed_limit_kmh` (mean speed of a vehicle that drives at the limits, NaN where the map does
+        not state them all); its centre line as geometry.
 
     Raises
     ------
@@ -231,7 +230,7 @@ def _lanelets_after(table: gpd.GeoDataFrame) -> dict[int, list[int]]:
 
 
 def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
-    """Join centre lines that follow each other, in the plane."""
+    """Return consecutive centre lines joined to one, in the plane, simplified."""
     points = np.concatenate([shapely.get_coordinates(part) for part in parts])
     apart = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)
     line = shapely.LineString(points[apart] if apart.sum() > 1 else points)
@@ -239,7 +238,7 @@ def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
 
 
 def _exit_of(line: shapely.LineString) -> tuple[float, float]:
-    """Return east and north of the last metres of a line."""
+    """Return the vector (east, north), metres, of the last `LANE_EXIT_M` of a line."""
     end, before = (
         line.interpolate(line.length),
         line.interpolate(max(line.length - LANE_EXIT_M, 0.0)),
@@ -248,7 +247,7 @@ def _exit_of(line: shapely.LineString) -> tuple[float, float]:
 
 
 def _tagged_street(table: gpd.GeoDataFrame, chain: tuple[int, ...]) -> str | None:
-    """Return the name that most of a lane's length is tagged with."""
+    """Return the street's name that most of a lane's length is tagged with, or None."""
     lengths = Counter[str]()
     for ref in chain:
         if name := table.at[ref, STREET]:
@@ -269,7 +268,7 @@ def _limit_along(table: gpd.GeoDataFrame, chain: tuple[int, ...]) -> float:
 def _lane_turns(
     chains: list[tuple[int, ...]], table: gpd.GeoDataFrame, after: Mapping[int, Sequence[int]]
 ) -> list[str | None]:
-    """Return the turns of each lane, or those of the lanes that it leads to."""
+    """Return the turns of each lane, with those of the lanes that it branches into."""
     own = {ref: _turn_of(table, ref) for ref in table["lanelet_id"].tolist()}
     branches = {ref for found in after.values() if len(found) > 1 for ref in found}
     turns: list[str | None] = []
@@ -285,7 +284,7 @@ def _lane_turns(
 
 
 def _turn_of(table: gpd.GeoDataFrame, ref: int) -> str:
-    """Return how a lanelet turns: by its tag, else by its geometry; nothing where it does not."""
+    """Return the turn of a lanelet: by its tag, else by its geometry; empty where it has none."""
     if tag := str(table.at[ref, TURN_TAG] or "").lower():
         return _TAGGED.get(tag, "")
     gaps = np.diff(shapely.get_coordinates(table.at[ref, "centre"]), axis=0)
@@ -303,10 +302,10 @@ def _turn_of(table: gpd.GeoDataFrame, ref: int) -> str:
 
 
 def stop_lines(roads: LaneletMap) -> gpd.GeoDataFrame:
-    """Return the stop lines of a map, one row for each lane that one ends.
+    """Return the stop lines of a map, a row for each lane that one ends.
 
-    A line ends the lanes that it crosses, or that end within 2 m before it: of the lanelets that
-    name its regulatory element, where some do.
+    A stop line ends the lanes that it crosses, and those that end up to 2 m before it. If lanelets
+    name its regulatory element, only these count.
 
     Parameters
     ----------
@@ -338,7 +337,7 @@ def stop_lines(roads: LaneletMap) -> gpd.GeoDataFrame:
 def _drawn_stop_lines(
     elements: gpd.GeoDataFrame,
 ) -> Iterator[tuple[int, set[int], str, shapely.LineString]]:
-    """Yield the id of each stop line, the lanelets that name it, its sign, and itself."""
+    """Yield id of each stop line, ids of the lanelets that name it, its sign, and its line."""
     found = elements[elements["member_type"].eq("stop_line") | elements["role"].eq("ref_line")]
     for way, rows in found.groupby("member_id"):
         line = rows.geometry.iloc[0]
@@ -350,18 +349,18 @@ def _drawn_stop_lines(
 def _stopped(
     centres: gpd.GeoSeries, line: shapely.LineString, named: Collection[int]
 ) -> list[tuple[int, float]]:
-    """Return the lanelets that a stop line ends, each with the metres along it."""
+    """Return the lanelets that a stop line ends, each with the line's place along it, metres."""
     near = centres.index[shapely.dwithin(centres.array, line, STOP_NEAR_M)].tolist()
     among = [ref for ref in (named or near) if ref in centres.index]
     met = [ref for ref in among if _ends_at(centres[ref], line)]
     along = [(ref, _meets(centres[ref], line)) for ref in met or sorted(among)]
-    # where one lanelet ends at the line and the next begins, the line ends the first
+    # A line where one lanelet ends and the next begins ends the first.
     ended = [(ref, s_m) for ref, s_m in along if s_m > STOP_NEAR_M / 2]
     return sorted(ended or along)
 
 
 def _ends_at(centre: shapely.LineString, line: shapely.LineString) -> bool:
-    """Return whether a lanelet, or what lies straight ahead of it, meets a stop line."""
+    """Return whether a centre line, extended by `STOP_NEAR_M`, meets a stop line."""
     before, end = shapely.get_coordinates(centre)[-2:]
     ahead = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
     longer = shapely.LineString([before, end + STOP_NEAR_M * ahead])
@@ -369,5 +368,5 @@ def _ends_at(centre: shapely.LineString, line: shapely.LineString) -> bool:
 
 
 def _meets(centre: shapely.LineString, line: shapely.LineString) -> float:
-    """Return where along a centre another line meets it, or comes nearest, metres."""
+    """Return the place along a centre line (m) at which another line meets it or is nearest."""
     return float(centre.project(shapely.Point(shapely.shortest_line(centre, line).coords[0])))

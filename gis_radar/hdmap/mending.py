@@ -1,4 +1,4 @@
-"""Mending the bounds of a lanelet: loops, crossings, fold-backs, and ends without width.
+"""Mend the bounds of a lanelet: loops, crossings, fold-backs, and ends without width.
 
 Functions take bounds as (n, 2) or (n, 3) arrays in metres, in driving direction.
 """
@@ -28,11 +28,11 @@ from gis_radar.hdmap.bounds import (
 
 NO_WIDTH_M = 0.01  # maps are drawn to centimetres
 NO_LENGTH_M = 0.01  # as NO_WIDTH_M
-MOST_LENGTH_M = 100_000.0  # a longer bound has a node that is misplaced
-_PASSES = 8  # one stretch that runs backwards is taken out in each
-# How much longer a rung may get to avoid a wrongly turned triangle, the strictest first.
+MOST_LENGTH_M = 100_000.0  # a longer bound has a node in the wrong place
+_PASSES = 8  # each removes one stretch that runs backwards
+# Metres a rung may grow to avoid a wrongly turned triangle, tried in this order.
 _SLANTS_M = (NEVER_M, 100.0, 10.0, 3.0)
-_RESUME_M = 0.1  # behind the rung that a bound crosses, so that the slice there has an area
+_RESUME_M = 0.1  # after the rung that a bound crosses, so that the slice there has an area
 _TINY = 1e-9  # rounding of fractions of a length
 _OPPOSITE = 1e-6  # length of the sum of two unit vectors that cancel
 
@@ -46,7 +46,7 @@ class Mended:
     left, right : (n, 2 or 3) array
         The cleaned bounds.
     repairs : tuple of str
-        What was mended, in plain words; empty where nothing needed it.
+        Description of each repair, in plain words.
     """
 
     left: Floats
@@ -55,11 +55,11 @@ class Mended:
 
 
 def mend(left: Floats, right: Floats) -> Mended:
-    """Return the bounds of a lanelet such that it can be cut into sound slices.
+    """Return the bounds of a lanelet, mended so that it can be cut into sound slices.
 
-    A lanelet that needs nothing is returned as it is. Otherwise, in this order: small loops of a
-    bound are cut off; bounds that cross right at an end are cut there; ends without width are
-    parted by 1 cm; stretches where a bound runs backwards are taken out.
+    A sound lanelet is only freed of repeated points. Otherwise, in this order: small loops of a
+    bound are cut off; bounds that cross near an end are cut there; ends without width are moved
+    apart by 1 cm; stretches where a bound runs backwards are removed.
 
     Parameters
     ----------
@@ -69,12 +69,12 @@ def mend(left: Floats, right: Floats) -> Mended:
     Returns
     -------
     Mended
-        Cleaned bounds, and what was done.
+        The bounds, and the repairs.
 
     Raises
     ------
     CannotMendError
-        With the reason, where the lanelet must be left out.
+        If the lanelet must be left out; the message is the reason.
     """
     left, right = without_repeats(left), without_repeats(right)
     _require_extent(left, right)
@@ -140,7 +140,7 @@ def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Flo
 
 
 def _parted(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
-    """Part ends without width by 1 cm, across the direction in which the lanelet opens."""
+    """Return the bounds with ends without width moved apart by 1 cm, across the lanelet."""
     if _gap(left[0], right[0]) < NO_WIDTH_M:
         left, right = _start_parted(left, right)
         repairs.append("start without width parted by 1 cm")
@@ -171,7 +171,7 @@ def _start_parted(left: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 
 def _heading(bound: Floats, i: int) -> Floats:
-    """Return the unit vector along a bound after (at its last point: before) a point."""
+    """Return the unit vector along a bound after its point `i`; for the last point, before it."""
     i = min(i, len(bound) - 2)
     step = bound[i + 1, :2] - bound[i, :2]
     unit: Floats = step / np.hypot(*step)
@@ -179,7 +179,7 @@ def _heading(bound: Floats, i: int) -> Floats:
 
 
 def _plainly_forward(left: Floats, right: Floats) -> bool:
-    """Return, by equal lengths only, that every stretch has the other bound on its proper side."""
+    """Return whether the other bound is on the proper side all along, paired by equal lengths."""
     return bool(_faces(left, right) and _faces(right[::-1], left[::-1]))
 
 
@@ -197,10 +197,10 @@ def _backward(left: Floats, right: Floats) -> bool:
 
 
 def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
-    """Remove the stretches where a bound runs backwards.
+    """Return the bounds without the stretches where one runs backwards.
 
-    A very slanted rung can make a backward stretch look forward; so where that leaves slices
-    that cross themselves, slanted rungs are made dearer.
+    A very slanted rung can make a backward stretch look forward. If slices then still cross
+    themselves, it is tried again with less slanted rungs allowed.
     """
     for wrong_m in _SLANTS_M:
         forward = _unfolded_both(left, right, wrong_m)
@@ -231,10 +231,10 @@ def _unfolded_both(left: Floats, right: Floats, wrong_m: float) -> tuple[Floats,
 def _unfolded(
     bound: Floats, other: Floats, wrong: Floats, on_bound: Floats, on_other: Floats
 ) -> Floats:
-    """Return a left bound without the first stretch that runs backwards.
+    """Return a left bound without its first stretch that runs backwards.
 
-    The part behind the rung at the turning point is skipped until the bound is ahead of it
-    again; where it never is, the part ahead of the last rung is skipped instead.
+    From the turning point on, points behind the rung there are left out until the bound is ahead of
+    it again. If it never is, the points ahead of the last rung are left out instead.
     """
     fractions = arc_lengths(bound) / bound_length(bound)
     tip = at_fractions(bound, wrong[:1])
@@ -251,9 +251,10 @@ def _unfolded(
 
 
 def _resumed(bound: Floats, behind: Floats) -> Floats:
-    """Return a bound from a little after the rung that its first segment crosses.
+    """Return a bound from `_RESUME_M` after the rung that its first segment crosses.
 
-    `behind` is proportional to how far each point is behind the rung: the first is, the second not.
+    `behind` is proportional to each point's distance behind the rung: positive for the first point,
+    not for the second.
     """
     step = float(np.hypot(*(bound[1] - bound[0])[:2]))
     across = behind[0] - behind[1]
@@ -263,9 +264,9 @@ def _resumed(bound: Floats, behind: Floats) -> Floats:
     return np.concatenate([first[None], bound[1:]])
 
 
-_LOOP_SHARE = 0.5  # of the bound; a longer loop may be the road itself
-_END_M = 1.0  # from an end, in which bounds may cross by careless drawing
-_END_SHARE = 0.2  # of the bound, where that is less
+_LOOP_SHARE = 0.5  # longest loop, as a share of the bound; a longer one may be the road itself
+_END_M = 1.0  # from an end, within which a crossing is careless drawing
+_END_SHARE = 0.2  # the same as a share of the bound, where that is less
 _MOST_LOOPS = 20  # of a bound
 _NEAR_M = 1e-6  # rounding of coordinates of 1e7 m in float64 is 2e-9
 
@@ -298,19 +299,19 @@ def without_loops(bound: Floats, side: str) -> Floats:
 
 
 def without_first_loop(bound: Floats, side: str) -> Floats:
-    """Cut the first loop out of a bound that crosses itself.
+    """Return a bound that crosses itself without its first loop.
 
     Parameters
     ----------
     bound : (n, 2) or (n, 3) array
-        Its points, metres.
+        Points of the bound, metres.
     side : str
-        Which bound it is, for the message.
+        `left` or `right`, for the message.
 
     Returns
     -------
     (m, 2) or (m, 3) array
-        The bound with the point of the crossing in place of the loop.
+        The bound with the crossing's point in place of the loop.
 
     Raises
     ------
@@ -334,7 +335,7 @@ def without_first_loop(bound: Floats, side: str) -> Floats:
 
 
 def _near_pairs(line: Floats) -> tuple[Integers, Integers]:
-    """Return the segments i < j of a line whose boxes meet, ascending by i, then j."""
+    """Return pairs i < j of segments of a line whose bounding boxes meet, by i, then j."""
     low = np.minimum(line[1:], line[:-1]) - _NEAR_M
     high = np.maximum(line[1:], line[:-1]) + _NEAR_M
     boxes = box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
@@ -345,10 +346,10 @@ def _near_pairs(line: Floats) -> tuple[Integers, Integers]:
 
 
 def _crossings(line: Floats, i: Integers, j: Integers) -> tuple[Floats, Floats]:
-    """Return where on segments i and j of a line (0 to 1) they meet; NaN if they do not.
+    """Return the places (0 to 1) on segments i and j of a line where they meet; NaN if nowhere.
 
-    Segments that follow each other share a point, and meet otherwise only if the second one runs
-    back over the first.
+    Consecutive segments share a point; they meet elsewhere only if the second runs back over the
+    first.
     """
     ab, cd, ac = line[i + 1] - line[i], line[j + 1] - line[j], line[j] - line[i]
     across = _cross(ab, cd)
@@ -369,7 +370,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def part_at_crossings(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
-    """Cut off what is beyond a crossing of the two bounds right at an end.
+    """Return the bounds cut off at a crossing near an end.
 
     Raises
     ------
@@ -397,7 +398,7 @@ def part_at_crossings(left: Floats, right: Floats, repairs: list[str]) -> tuple[
 
 
 def _meeting_places(left: Floats, right: Floats) -> Floats:
-    """Return where the bounds meet, apart from ends that they share: (k, 2)."""
+    """Return the points (k, 2) at which the bounds meet, without those shared from an end on."""
     met = LineString(left[:, :2]).intersection(LineString(right[:, :2]))
     places: Floats = get_coordinates(met)
     shared = _shared_runs(left, right)
@@ -419,7 +420,7 @@ def _shared_runs(left: Floats, right: Floats) -> Floats:
 
 
 def _along(bound: Floats, point: Floats) -> float:
-    """Return how far along a bound a point on it is, in metres."""
+    """Return the distance (m) along a bound of a point on it."""
     return float(LineString(bound[:, :2]).project(Point(point)))
 
 

@@ -1,4 +1,4 @@
-"""OpenStreetMap XML as Lanelet2 uses it: nodes, ways and relations, read in one stream."""
+"""Read OpenStreetMap XML as Lanelet2 uses it, as a stream: nodes, ways and relations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gis_radar.base import Floats, InputError, Integers, Text
 
 NODE_TAGS = ("ele", "local_x", "local_y")
 LONGEST_TAG = 1 << 20  # bytes; the longest of a map are texts of some kilobytes
-DEEPEST = 100  # elements in each other; osm, relation and member are three
+DEEPEST = 100  # depth of nested elements; osm, relation and member make three
 _BYTES_AT_ONCE = 1 << 18
 _NOWHERE = (math.nan, math.nan)
 _IDS = range(-(2**63), 2**63)
@@ -47,7 +47,7 @@ class Relation:
 
     @property
     def type(self) -> str:
-        """What it is: `lanelet`, `regulatory_element`, `multipolygon`, ..."""
+        """Its tag `type`: `lanelet`, `regulatory_element`, `multipolygon`, ..."""
         return self.tags.get("type", "")
 
     def refs(self, kind: str, role: str) -> tuple[int, ...]:
@@ -57,12 +57,12 @@ class Relation:
 
 @dataclass(frozen=True, kw_only=True)
 class OsmMap:
-    """The elements of an OSM file, before any meaning is given to them.
+    """The elements of an OSM file, not yet interpreted as lanelets.
 
     Parameters
     ----------
     path : Path
-        Where it was read from, for messages.
+        The file, for messages.
     node_ids : (n,) array
         Node ids in the order of the file, each once.
     geographic : (n, 2) array
@@ -74,9 +74,9 @@ class OsmMap:
     ways, relations : dict
         By id.
     doubled : tuple of (str, int)
-        Kind and id of every element whose id had been used before; the first one counts.
+        Kind and id of each element whose id an earlier one has; the first one counts.
     odd_heights : tuple of (int, str)
-        Node and text of every tag `ele` that is not empty and no number.
+        Node and text of each tag `ele` that is neither empty nor a number.
     """
 
     path: Path
@@ -104,8 +104,8 @@ class OsmMap:
 def read_osm(path: str | Path) -> OsmMap:
     """Read an OSM XML file.
 
-    Document type definitions and entities are refused before anything is expanded. Elements that
-    an editor marked as deleted are left out.
+    Document type definitions and entities are refused, and never expanded. Elements that an editor
+    marked as deleted are left out.
 
     Parameters
     ----------
@@ -141,14 +141,14 @@ def _parse(parser: expat.XMLParserType, file: BinaryIO, collector: _Collector) -
     while batch := file.read(_BYTES_AT_ONCE):
         parser.Parse(batch)
         read += len(batch)
-        # Expat looks through an open tag from its begin on, again with every batch.
+        # Expat keeps an unfinished tag and reads it from its begin again with each batch.
         if read - max(parser.CurrentByteIndex, 0) > LONGEST_TAG + _BYTES_AT_ONCE:
             collector.refuse(Text("a tag of over {} MiB, a map has none", LONGEST_TAG >> 20))
     parser.Parse(b"", True)
 
 
 def _not_xml(path: str | Path, error: Exception, line: int) -> str:
-    """Explain why the parser gave up, for a person who may have sent the wrong file."""
+    """Return why the parser gave up, for a user who may have named the wrong file."""
     reason = str(error).split(":")[0]
     if Path(path).stat().st_size == 0:
         return Text("{}: the file is empty", path)
@@ -158,7 +158,7 @@ def _not_xml(path: str | Path, error: Exception, line: int) -> str:
 
 
 class _Collector:
-    """Collector of elements as the parser meets them; one open way or relation at a time."""
+    """Collects elements as the parser meets them; one node, way or relation is open at a time."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -185,7 +185,7 @@ class _Collector:
         parser.buffer_text = True
 
     def finished(self) -> OsmMap:
-        """Return everything gathered."""
+        """Return the elements collected."""
         table = np.array(list(self.rows.values()), dtype=np.float64).reshape(-1, 5)
         return OsmMap(
             path=self.path,
@@ -207,7 +207,7 @@ class _Collector:
         self.id = 0
 
     def refuse(self, reason: str) -> NoReturn:
-        """Refuse what the parser is at."""
+        """Refuse the element at which the parser is."""
         raise InputError("{}: line {}: {}", self.path, self.parser.CurrentLineNumber, reason)
 
     def _refuse(self, *_: object) -> None:

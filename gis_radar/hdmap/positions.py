@@ -1,8 +1,8 @@
-"""Where the nodes of a map are: projected from latitude and longitude, or placed from local metres.
+"""Positions of a map's nodes: projected from latitude and longitude, or taken from local metres.
 
-A map may carry both. The local metres (`local_x`, `local_y`) are a mere copy where both agree;
-where they differ by more than 0.1 % in scale, or there is no usable latitude and longitude, the
-local metres are the map.
+A map may have both. Where they agree, latitude and longitude count. Where they differ by more than
+0.1 % in scale, or latitude and longitude are unusable, the local metres (`local_x`, `local_y`)
+count.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap.osm import OsmMap
 
-WIDEST_DEG = 0.5  # of longitude, from the middle of a map; what is farther is misplaced
-SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM is as far off at the edge of its zone
-# Fewer than this share of heights, all equal, come from a template, not from a survey.
+WIDEST_DEG = 0.5  # of longitude, from the middle of a map; nodes farther away are misplaced
+SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM's scale error at the edge of its zone
+# Equal heights of less than this share of the nodes come from a template, not from a survey.
 KNOWN_HEIGHTS = 0.25
-_MOST_HEIGHTS = 0.5  # share of nodes with a height from which the rest goes without a remark
+_MOST_HEIGHTS = 0.5  # share of nodes with a height from which on missing ones are not reported
 _EQUAL_M = 0.05  # range of heights that count as equal: survey noise is as large
 _WGS84 = CRS.from_epsg(4326)
 
@@ -49,7 +49,7 @@ class Positions:
     crs : CRS
         The projected system.
     remarks : tuple of str
-        What a user should know about how the positions came about.
+        Remarks for the user on the source of the positions.
     """
 
     xyz: Floats
@@ -67,7 +67,7 @@ def place_nodes(
     osm : OsmMap
         The map as read.
     used : (n,) array of bool
-        The nodes that lanelets use; they decide the zone, and which coordinates are true.
+        The nodes that lanelets use; they decide the zone, and which coordinates count.
     crs : CRS, str or int, optional
         A projected system in metres; without it, the UTM zone of the middle of the used nodes.
     origin : (float, float), optional
@@ -133,7 +133,7 @@ def place_nodes(
 
 
 def _border_remarks(geographic: Floats, chosen: CRS) -> tuple[str, ...]:
-    """Return which zone was chosen where a map lies in two: others may have taken the other."""
+    """Return a remark on the chosen zone where a map lies in two."""
     longitude, latitude = np.median(geographic, axis=0)
     near = geographic[np.abs(geographic[:, 0] - longitude) < WIDEST_DEG, 0]
     if not len(near):  # half of the nodes lie here, half far away
@@ -156,7 +156,7 @@ def _border_remarks(geographic: Floats, chosen: CRS) -> tuple[str, ...]:
 
 
 def _scale_remarks(target: CRS, plane: Floats) -> tuple[str, ...]:
-    """Return why local metres do not fit the ground at their place; they are kept as they are."""
+    """Return a remark if `target` is not true to scale there; the positions stay unchanged."""
     try:
         _require_fit(target, plane)
     except CrsError as error:
@@ -214,14 +214,14 @@ def _with_geographic(
     both = geographic & local & _has(projected)
     if both.sum() < 2:
         return _lone_kind(osm, projected, geographic, local, target, origin)
-    # Judged in the site's own zone: a --crs with a scale of its own is no disagreement.
+    # Compared in the site's UTM zone: the scale of another --crs would count as a disagreement.
     off = _scale_error(osm.local[both], _project(osm.geographic[both], _zone(osm.geographic[both])))
     if off > SCALE_TOLERANCE:
         reason = Text("latitudes and longitudes differ from them in scale by {:.2g} %", 100.0 * off)
         return _local_wins(osm.local, projected[both] - osm.local[both], origin, reason)
     _require_fit(target, projected[geographic])
     fit = _similarity(osm.local[both], projected[both])
-    # Only to fill gaps: the fit turns by the grid convergence where local metres are not a grid's.
+    # The fit only fills gaps: it is rotated where the local metres are not those of a grid.
     filled = np.where(_has(projected)[:, None], projected, _apply(fit, osm.local))
     return filled, _unused(origin, "local_x, local_y agree with latitudes and longitudes")
 
@@ -234,7 +234,7 @@ def _lone_kind(
     target: CRS,
     origin: tuple[float, float] | None,
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Take the coordinates that more nodes have, where no two nodes have both."""
+    """Return positions by the kind of coordinates that more nodes have; less than two have both."""
     if geographic.sum() >= local.sum():
         _require_fit(target, projected[geographic])
         return projected, _unused(origin, "most nodes have latitudes and longitudes only")
@@ -268,7 +268,7 @@ def _local_wins(
 
 
 def _project(geographic: Floats, target: CRS) -> Floats:
-    """Return easting and northing of all nodes in one call; NaN where there is no answer."""
+    """Return easting and northing of all nodes, metres; NaN where the projection has none."""
     east, north = transformer(_WGS84, target).transform(geographic[:, 0], geographic[:, 1])
     plane: Floats = np.column_stack([east, north])
     plane[~np.isfinite(plane).all(axis=1)] = np.nan
@@ -276,10 +276,10 @@ def _project(geographic: Floats, target: CRS) -> Floats:
 
 
 def _scale_error(local: Floats, projected: Floats) -> float:
-    """Return by how much the scale from local to projected differs from 1, in the worse direction.
+    """Return the greatest deviation from 1 of the scale from local to projected metres.
 
-    Turning and moving are no differences, mirroring is. Both directions count where the map is
-    wide enough to tell them apart.
+    Rotation and shift do not count; for a mirrored map it is infinite. A narrow map is compared by
+    its length only, any other in all directions.
     """
     dx, dy = local - local.mean(axis=0), projected - projected.mean(axis=0)
     spread = np.linalg.svd(dx, compute_uv=False)
@@ -306,7 +306,7 @@ def _apply(fit: tuple[complex, complex], local: Floats) -> Floats:
 
 
 def _heights(osm: OsmMap, used: Booleans) -> tuple[Floats, tuple[str, ...]]:
-    """Return the heights of all nodes, or NaN for all where a few equal ones mean nothing."""
+    """Return the heights of all nodes, metres, with remarks; all NaN where only a few are equal."""
     given = osm.elevation[np.isfinite(osm.elevation) & used]
     share = len(given) / used.sum()
     tagged = int(np.isfinite(osm.elevation).sum())

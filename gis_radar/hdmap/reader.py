@@ -1,4 +1,4 @@
-"""Lanelet2 maps: read, put into one metric system, cleaned, ready to be cut into tiles."""
+"""Read Lanelet2 maps, project them to one metric system, and mend their lanelets."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ from gis_radar.hdmap.tagging import (
 
 STAGE = "reading lanelets"
 REPAIRED, LEFT_OUT, DOUBTFUL = "repaired", "left out", "doubtful"
-WIDE_M = 40.0  # of a lanelet's bounds: the widest squares and turning areas are narrower
-WIDEST_M = 500.0  # beyond that a node is in the wrong place
+WIDE_M = 40.0  # width from which on a lanelet is doubtful: squares and turning areas are narrower
+WIDEST_M = 500.0  # width from which on a node must be in the wrong place
 STRAY_M = 100_000.0  # from the middle of the map: no site is so large
 
 
@@ -67,7 +67,7 @@ class LaneletMap:
     crs : CRS
         The system of all coordinates.
     remarks : tuple of str
-        What a user should know about how the map was read.
+        Remarks for the user on the reading of the map.
     """
 
     lanelets: gpd.GeoDataFrame
@@ -100,7 +100,7 @@ class LaneletMap:
 
 @dataclass(frozen=True, kw_only=True)
 class _Lanelet:
-    """One lanelet on its way into the table: `start` and `end` are node ids, left and right."""
+    """A lanelet for the table; `start` and `end` are node ids of the left and the right bound."""
 
     id: int
     relation: Relation
@@ -215,7 +215,7 @@ def _assembled(
 
 
 def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]]:
-    """Leave out lanelets that cannot be where they are; name those that hardly can."""
+    """Return the lanelets of possible place and width, and problems: left out, or doubtful."""
     begins = np.array([each.bounds.left[0, :2] for each in lanelets]).reshape(-1, 2)
     away_m = np.hypot(*(begins - np.median(begins, axis=0)).T) if lanelets else begins[:, 0]
     kept, problems = [], []
@@ -245,7 +245,7 @@ def _left_out(ref: int, reason: str, drawn: list[Floats]) -> _Problem:
 def _lanelet(
     osm: OsmMap, ref: int, relation: Relation, xyz: Floats, drawn: list[Floats]
 ) -> tuple[_Lanelet, tuple[str, ...]]:
-    """Return one lanelet and what was mended; `drawn` collects its bounds as far as it comes."""
+    """Return a lanelet and its repairs; `drawn` receives its bounds, also where it then fails."""
     chains: list[Chain] = []
     for side in ("left", "right"):
         chains.append(chain_of(osm, relation.refs("way", side), xyz, side))
@@ -303,13 +303,13 @@ def _centre(bounds: Mended) -> LineString:
 
 
 def _speed_limit(osm: OsmMap, relation: Relation) -> float:
-    """Return the limit in km/h; as in Lanelet2, a regulatory element wins over the tag."""
+    """Return the limit in km/h, NaN if unknown; a regulatory element overrides the tag."""
     regulated = regulated_kmh(osm, relation)
     return kmh(relation.tags.get("speed_limit", "")) if math.isnan(regulated) else regulated
 
 
 def _linked(lanelets: Iterable[_Lanelet]) -> dict[int, tuple[int, ...]]:
-    """Return the successors of each lanelet: those that begin at both nodes where it ends."""
+    """Return the successors of each lanelet: those whose two start nodes are its end nodes."""
     starting: dict[tuple[int, int], list[int]] = defaultdict(list)
     for lanelet in lanelets:
         starting[lanelet.start].append(lanelet.id)
@@ -317,7 +317,7 @@ def _linked(lanelets: Iterable[_Lanelet]) -> dict[int, tuple[int, ...]]:
 
 
 def problem_table(problems: Sequence[_Problem], crs: CRS) -> gpd.GeoDataFrame:
-    """Return what was left out or repaired as a table; an empty one of nothing."""
+    """Return problems as a table, which may be empty."""
     return gpd.GeoDataFrame(
         {
             "lanelet_id": np.array([problem.id for problem in problems], dtype=np.int64),
@@ -358,7 +358,7 @@ class Chain:
     points : (n, 3) array
         Positions in metres; heights may be NaN.
     repairs : tuple of str
-        What had to be dropped.
+        Description of what was dropped.
     """
 
     nodes: tuple[int, ...]
@@ -371,7 +371,7 @@ class Chain:
 
 
 def chain_of(osm: OsmMap, ways: tuple[int, ...], xyz: Floats, side: str) -> Chain:
-    """Join the ways of a bound, and look up where their nodes are.
+    """Return the ways of a bound joined to one line, with the positions of its nodes.
 
     Parameters
     ----------
@@ -427,7 +427,7 @@ def chain_of(osm: OsmMap, ways: tuple[int, ...], xyz: Floats, side: str) -> Chai
 
 
 def joined(ways: list[tuple[int, ...]]) -> tuple[int, ...] | None:
-    """Join ways at common end nodes into one line; None if they are not one chain."""
+    """Return the nodes of ways joined at common end nodes; None if they are not one chain."""
     chain, *rest = [list(way) for way in ways if way] or [[]]
     while rest:
         for i, way in enumerate(rest):
@@ -442,7 +442,7 @@ def joined(ways: list[tuple[int, ...]]) -> tuple[int, ...] | None:
 
 
 def _attached(chain: list[int], way: list[int]) -> list[int] | None:
-    """Return the chain with a way at its end or its start, turned as needed."""
+    """Return the chain with a way attached, reversed if needed; None if they share no end."""
     if chain[-1] in {way[0], way[-1]}:
         return chain + (way if way[0] == chain[-1] else way[::-1])[1:]
     if chain[0] in {way[0], way[-1]}:
@@ -451,9 +451,9 @@ def _attached(chain: list[int], way: list[int]) -> list[int] | None:
 
 
 def heights_filled(left: Floats, right: Floats) -> tuple[Floats, Floats]:
-    """Close gaps in the heights of two parallel bounds.
+    """Return two parallel bounds without gaps in their heights.
 
-    A gap is interpolated along its bound; a bound without any height takes the other one's. Where
+    A gap is interpolated along its bound; a bound without any height takes those of the other. If
     neither has one, both are returned without heights.
     """
     known = [bool(np.isfinite(bound[:, 2]).any()) for bound in (left, right)]

@@ -1,4 +1,4 @@
-"""Streets: names of lanes from a layer of the city's."""
+"""Names of streets for lanes, from a layer of streets such as a city has."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ NAME_FIELDS = (
     "name", "street", "street_name", "road_name", "strassenname", "straßenname", "str_name",
     "strname", "strasse", "straße", "bezeichnung", "nom_voie", "naam", "straatnaam",
 )  # fmt: skip
-PART = "street_part"  # on which of several streets of one name a lane is
+PART = "street_part"  # column: of several streets with one name, the one that a lane is on
 NEAR_M = 20.0  # from the middle of a street to its outermost lane: six lanes and a tram
-PARALLEL_RAD = math.radians(30.0)
-SAMPLE_M = 5.0  # of lanes, to ask which street is there
-APART_M = 250.0  # between pieces of a street, beyond which one name is of two streets
+PARALLEL_RAD = math.radians(30.0)  # between directions of a lane and of its street
+SAMPLE_M = 5.0  # between the points of a lane at which the street is looked up
+APART_M = 250.0  # between lines of one name, beyond which they are different streets
 
 
 def name_streets(
@@ -32,21 +32,21 @@ def name_streets(
     field: str | None,
     reporter: Reporter,
 ) -> gpd.GeoDataFrame:
-    """Return lanes with the names of streets where the map has none.
+    """Return lanes with names of streets where the map has none, and with `street_part`.
 
     A lane takes the name of the street that is nearest and parallel along most of it. Where streets
-    far apart have one name, `street_part` tells on which of them a lane is.
+    far apart have one name, `street_part` is the place of the lane's street among them.
 
     Parameters
     ----------
     lanes : GeoDataFrame
-        With `street`, lines as geometry, metres.
+        Lanes with the column `street`; lines in metres.
     streets : GeoDataFrame, str or Path, optional
         Lines of streets.
     field : str, optional
         Their column of names.
     reporter : Reporter
-        Receives what a user should know.
+        Receives remarks on lanes without a name and streets of one name.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def name_streets(
     if len(known):
         names = [_name_along(line, known) for line in lanes.geometry]
         named[STREET] = [tag or name for tag, name in zip(lanes[STREET], names, strict=True)]
-        _tell_bare(named, prefix, reporter)
+        _report_unnamed(named, prefix, reporter)
     place = list(named.columns).index(STREET) + 1
     named.insert(place, PART, _parts_of(named, known, prefix, reporter))
     return named
@@ -97,7 +97,7 @@ def _no_streets(crs: Any) -> gpd.GeoDataFrame:
 
 
 def _read(streets: gpd.GeoDataFrame | str | Path, what: str) -> gpd.GeoDataFrame:
-    """Return the layer of streets; refuse what is none, or states no coordinate system."""
+    """Return the layer of streets; refuse one without lines or without a coordinate system."""
     table: Any = streets
     if isinstance(streets, str | Path):
         table = read_vector(streets, what="layer of streets", columns=None)
@@ -113,7 +113,7 @@ def _read(streets: gpd.GeoDataFrame | str | Path, what: str) -> gpd.GeoDataFrame
 
 
 def _field_of(table: gpd.GeoDataFrame, field: str | None, what: str) -> str | None:
-    """Return the column of names: the one that is asked for, else the first of the usual ones."""
+    """Return the column of names: `field` if given, else the first of the usual ones, or None."""
     texts = [str(name) for name in table.columns if name != table.geometry.name]
     if field is not None and field not in texts:
         listed = ", ".join(texts) or "none"
@@ -159,7 +159,7 @@ def _name_along(lane: shapely.LineString, streets: gpd.GeoDataFrame) -> str | No
 
 
 def _on(line: shapely.LineString, at: Floats) -> tuple[Floats, Floats]:
-    """Return points of a line and its direction there, radians."""
+    """Return the points at distances `at` (m) along a line, and its directions there, radians."""
     behind, ahead = (
         shapely.get_coordinates(
             shapely.line_interpolate_point(line, np.clip(at + off, 0.0, line.length))
@@ -171,25 +171,25 @@ def _on(line: shapely.LineString, at: Floats) -> tuple[Floats, Floats]:
     return points, np.arctan2(way[:, 1], way[:, 0])
 
 
-def _tell_bare(lanes: gpd.GeoDataFrame, prefix: str, reporter: Reporter) -> None:
-    """Report lanes without a name."""
-    bare = int(lanes[STREET].isna().sum())
-    if bare:
+def _report_unnamed(lanes: gpd.GeoDataFrame, prefix: str, reporter: Reporter) -> None:
+    """Report the number of lanes without a name."""
+    unnamed = int(lanes[STREET].isna().sum())
+    if unnamed:
         reporter.log(
             Text(
                 "{}{} of {} lanes run along none of its streets with a name and stay without",
                 prefix,
-                bare,
+                unnamed,
                 len(lanes),
             ),
-            "warning" if bare == len(lanes) else "info",
+            "warning" if unnamed == len(lanes) else "info",
         )
 
 
 def _parts_of(
     lanes: gpd.GeoDataFrame, streets: gpd.GeoDataFrame, prefix: str, reporter: Reporter
 ) -> list[str | None]:
-    """Return on which of several streets of its name each lane is; a line tells of each name."""
+    """Return `street_part` of each lane, None where one street has its name; warn of each name."""
     parts = np.full(len(lanes), None, object)
     names = lanes[STREET].to_numpy(object)
     for name in sorted({each for each in names if isinstance(each, str)}):
@@ -209,20 +209,21 @@ def _parts_of(
 
 
 def _pieces(lines: list[shapely.LineString]) -> list[int]:
-    """Return the number of the street that each line is part of: near ones are one street."""
+    """Return the number of each line's street: lines within `APART_M` are of one street."""
     near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=APART_M)
     links = scipy.sparse.coo_array((np.ones(near.shape[1]), near), shape=(len(lines), len(lines)))
     return list(scipy.sparse.csgraph.connected_components(links, directed=False)[1].tolist())
 
 
 def _told_apart(lanes: Any, pieces: list[int]) -> dict[int, str]:
-    """Return a word for each street: where it lies among those of its name, else a number."""
+    """Return a word for each street: the wind of its place among those of its name, or a number."""
     known = sorted(set(pieces))
     middles = shapely.get_coordinates(
         [shapely.union_all(lanes[np.equal(pieces, each)]).centroid for each in known]
     )
     off = middles - middles.mean(axis=0)
     words = [wind_of(*each) for each in off]
-    if len(set(words)) < len(known) or np.hypot(*off.T).min() < APART_M / 4.0:  # one in the middle
+    in_middle = np.hypot(*off.T).min() < APART_M / 4.0  # a street without a clear direction
+    if len(set(words)) < len(known) or in_middle:
         words = [str(number) for number in range(1, len(known) + 1)]
     return dict(zip(known, words, strict=True))

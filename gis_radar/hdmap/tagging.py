@@ -1,4 +1,4 @@
-"""Tags and regulatory elements: who uses a lanelet, how fast, stop lines, lights, right of way."""
+"""Read tags and regulatory elements: participants, speed limits, stop lines, lights, priority."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ USERS: dict[str, tuple[str, ...]] = {
     "crosswalk": (PEDESTRIAN,),
     "stairs": (PEDESTRIAN,),
 }
-# Lanelet2 names none; these are the tags in use, the plainest last.
+# Tags for the street's name, for which Lanelet2 has none; the most general come last.
 STREET, STREET_TAGS = "street", ("street_name", "road_name", "street", "addr:street", "name")
 TURN_TAG = "turn_direction"  # of Autoware and CARLA: left, right, straight
 _YES, _NO = {"yes", "true", "1"}, {"no", "false", "0"}
@@ -51,8 +51,8 @@ _SIGN = re.compile(r"(?:^|[^0-9])274(?:\.1)?[-_](\d{2,3})$")
 def participants_of(tags: dict[str, str]) -> tuple[str, ...]:
     """Return who may use a lanelet, sorted: `vehicle`, `bicycle`, `pedestrian`, `vehicle:bus`, ...
 
-    One `participant:*` tag sets aside all that the subtype implies. A subtype that Lanelet2 does
-    not know has no users.
+    A tag `participant:*` overrides all that the subtype implies. A subtype unknown to Lanelet2 has
+    no users.
     """
     override = {key: value for key, value in tags.items() if key.startswith("participant:")}
     if override:
@@ -62,7 +62,7 @@ def participants_of(tags: dict[str, str]) -> tuple[str, ...]:
 
 
 def subtype_of(tags: dict[str, str]) -> str:
-    """Return the subtype; where old maps give none, the one that fits the participants."""
+    """Return the subtype; without a tag, as in old maps, the one that fits the participants."""
     if subtype := tags.get("subtype", ""):
         return subtype
     users = participants_of(tags)
@@ -77,15 +77,15 @@ def subtype_of(tags: dict[str, str]) -> str:
 
 
 def street_of(tags: dict[str, str]) -> str | None:
-    """Return the name of the street that a lanelet is tagged with, None where it is not."""
+    """Return the street's name that a lanelet is tagged with, or None."""
     return next((name for key in STREET_TAGS if (name := tags.get(key, "").strip())), None)
 
 
 def one_way_of(tags: dict[str, str]) -> bool:
     """Return whether a lanelet is used in one direction only.
 
-    Without a `one_way` tag it is, unless pedestrians alone use it; a tag for single participants
-    (`one_way:bicycle=no`) leaves the rest in one direction.
+    Without a tag `one_way` it is, unless only pedestrians use it; a tag for single participants
+    (`one_way:bicycle=no`) does not change that for others.
     """
     given = truth(tags.get("one_way", ""))
     if given is not None:
@@ -96,7 +96,7 @@ def one_way_of(tags: dict[str, str]) -> bool:
 def truth(text: str) -> bool | None:
     """Return the truth of yes, no, true, false, 1 or 0, or None for anything else."""
     word = text.strip().lower()
-    return True if word in _YES else False if word in _NO else None
+    return word in _YES if word in _YES | _NO else None
 
 
 def kmh(text: str) -> float:
@@ -109,7 +109,7 @@ def kmh(text: str) -> float:
 
 
 def kmh_of_signs(signs: Iterable[str]) -> float:
-    """Return the lowest speed in km/h that signs state: `50 km/h`, or German ones, `de274-50`."""
+    """Return the lowest speed that signs state, km/h, else NaN: `50 km/h`, or German `de274-50`."""
     speeds = [kmh(sign) for sign in signs]
     speeds += [float(match[1]) for sign in signs if (match := _SIGN.search(sign))]
     return min((speed for speed in speeds if not math.isnan(speed)), default=math.nan)
@@ -128,7 +128,7 @@ COLUMNS = (
 
 
 def lanelets_of_elements(osm: OsmMap) -> dict[int, tuple[int, ...]]:
-    """Return which lanelets name each regulatory element, sorted."""
+    """Return, by regulatory element, the ids of the lanelets that name it, sorted."""
     users: dict[int, set[int]] = defaultdict(set)
     for lanelet_id, lanelet in osm.relations_of("lanelet"):
         for element in lanelet.refs("relation", ELEMENT):
@@ -204,7 +204,7 @@ def _lone_stop_lines(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
 
 
 def _shape(osm: OsmMap, xyz: Floats, kind: str, ref: int) -> BaseGeometry | None:
-    """Return a line for a way of two points or more, a point for a single one."""
+    """Return the geometry of a way (a point if it has only one) or of a node; None of others."""
     nodes = osm.ways[ref].nodes if kind == "way" and ref in osm.ways else (ref,)
     known = [osm.node_index[node] for node in nodes if node in osm.node_index]
     points = xyz[known] if kind in {"way", "node"} else xyz[:0]

@@ -1,4 +1,4 @@
-"""Lanes of tiles: which tiles are whose, in driving order."""
+"""Lanes of tiles: the tiles of each lane, in driving order."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gis_radar.hdmap.tiles import LANE_COLUMN, quads
 
 @dataclass(frozen=True, kw_only=True)
 class Lane:
-    """A chain of lanelets, each the only successor of the last and following nothing else.
+    """A chain of lanelets, each the only successor of its only predecessor.
 
     Parameters
     ----------
     number : int
         Its smallest lanelet id: the same for the same map.
     lanelets : tuple of int
-        Those with tiles, in driving direction.
+        Ids of its lanelets with tiles, in driving direction.
     rows : (n,) int64 array
-        Positions of its tiles, in driving direction.
+        Positions of its tiles in the table, in driving direction.
     """
 
     number: int
@@ -34,8 +34,8 @@ class Lane:
 def lanes_of(tiles: gpd.GeoDataFrame) -> list[Lane]:
     """Return the lanes of tiles, by number.
 
-    Tiles that carry the number of their lane, as :func:`gis_radar.make_tiles` gives it, are
-    grouped by it; for others lanelets are chained by where their tiles begin and end.
+    Tiles with the column `lane` of :func:`gis_radar.make_tiles` are grouped by it; for others,
+    lanelets are chained by the begin and the end of their tiles.
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
 """Find the tiles that points fall in: two exact engines that give the same pairs.
 
-A point belongs to a tile by the crossing number of a ray towards the west. Every edge is
-stored once in one direction, whichever tile it bounds, so that a point on an edge shared by two
-tiles of a lanelet falls in exactly one of them: the test for that edge is the same arithmetic.
+A point is in a tile by the number of edges that a ray to the west crosses. Each edge is stored in
+one direction, the same for both tiles that it bounds: the arithmetic is the same, so a point on it
+is in exactly one of them.
 
 :class:`TileGrid` is the default. Its inner loop is compiled by numba, which is worth its 190 MB:
-the same look-up in NumPy alone (in `bench/plain_grid.py`, an oracle of the tests, too) is ten times
-slower (`make bench-assignment`) and barely three times faster than a spatial join. A
-compiled extension of our own would need a compiler on each user's machine. :class:`TileTree` is
-the paper's R-tree ("Local Sensor Data Processing").
+the same look-up in NumPy alone (`bench/plain_grid.py`, also an oracle of the tests) is ten times
+slower (`make bench-assignment`) and barely three times faster than a spatial join. A compiled
+extension of our own would need a compiler on each user's machine. :class:`TileTree` is the paper's
+R-tree ("Local Sensor Data Processing").
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gis_radar.base import Floats, InputError, Integers, compiled
 from gis_radar.hdmap.tiles import LENGTH_M, quads
 
 Numbers: TypeAlias = NDArray[np.int32]
-SLACK_M = 1e-6  # a point may be rounded into the cell beside its own
+SLACK_M = 1e-6  # added around tiles: rounding may move a point to the next cell
 
 
 def _fill_cells(quads: Floats, columns: int, rows: int, cell_m: float) -> tuple[Numbers, Numbers]:
@@ -50,7 +50,10 @@ def _visit(  # pragma: no cover - compiled
     cursor: Integers,
     tiles: Numbers,
 ) -> None:
-    """Move each touched cell's cursor by one; note the tile there unless `tiles` is empty."""
+    """Store each tile at the cursor of each cell that it touches, and advance that cursor.
+
+    A first run with empty `tiles` only advances the cursors, which then are counts.
+    """
     for tile in range(len(quads)):
         quad = quads[tile]
         low_column = max(int((quad[:, 0].min() - SLACK_M) / cell_m), 0)
@@ -69,7 +72,7 @@ def _visit(  # pragma: no cover - compiled
 
 @compiled
 def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: no cover - compiled
-    """Return whether the normal of an edge separates a tile from the square around (x, y)."""
+    """Return whether a tile's edge separates the tile from the square around (x, y), metres."""
     for k in range(4):
         normal_x = quad[(k + 1) % 4, 1] - quad[k, 1]
         normal_y = quad[k, 0] - quad[(k + 1) % 4, 0]
@@ -83,24 +86,24 @@ def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: 
     return False
 
 
-MOST_CELLS = 16_000_000  # of a grid, 64 MB; wider cells where a map is larger
+MOST_CELLS = 16_000_000  # of a grid, 64 MB; larger maps get larger cells
 Pairs = tuple[Integers, Integers]
 
 
 class TileCells(NamedTuple):
-    """A grid of cells as compiled code takes it; its corner is the origin of what it holds.
+    """A grid of cells for compiled code; edges are in metres from its south-west corner.
 
     Parameters
     ----------
     west, south, width, height : float
-        The rectangle around all tiles; map frame, metres.
+        Corner (map frame) and size of the rectangle around all tiles, metres.
     cell_m : float
-        Side of a cell.
+        Side of a cell, metres.
     columns : int
         Cells from west to east.
     first : (m + 2,) int32 array
-        Where the tiles of each cell begin in `tiles`. Cells count from 1, along the rows from the
-        south-west; cell 0 is all that is outside, and has none.
+        Index in `tiles` of the first tile of each cell. Cells are numbered from 1, along the rows
+        from the south-west; cell 0 stands for all places outside, and has no tiles.
     tiles : (k,) int32 array
         The tiles that touch each cell, ascending.
     edges : (n, 4, 4) array
@@ -149,7 +152,7 @@ class TileGrid:
 
     @property
     def most_in_a_cell(self) -> int:
-        """How many tiles touch a cell at most."""
+        """Greatest number of tiles that touch a cell."""
         return int(np.diff(self.cells.first).max(initial=0))
 
     def assign(self, easting: Floats, northing: Floats) -> Pairs:
@@ -163,7 +166,7 @@ class TileGrid:
         Returns
         -------
         point, tile : (k,) int64 arrays
-            Positions in the inputs and in the quads, ascending by point, then by tile.
+            Indices into the inputs and into the quads, ascending by point, then by tile.
         """
         x, y = (np.ascontiguousarray(each, np.float64) for each in (easting, northing))
         room = len(x) + len(x) // 4 + 1024
@@ -208,11 +211,11 @@ class TileTree:
 
 
 TileEngine: TypeAlias = TileGrid | TileTree
-"""Objects that find the tiles of points."""
+"""A class that finds the tiles of points."""
 
 
 def _origin(quads: Floats) -> Floats:
-    """South-west corner of all tiles: sums near it keep their digits."""
+    """Return the south-west corner of all tiles, metres: coordinates from it lose no digits."""
     return np.floor(quads.reshape(-1, 2).min(axis=0)) if len(quads) else np.zeros(2)
 
 
@@ -241,8 +244,8 @@ def inside_quads(edges: Floats, points: Floats) -> NDArray[np.bool_]:
 def cell_at(  # pragma: no cover - compiled
     x: float, y: float, width: float, height: float, per_m: float, columns: int
 ) -> int:
-    """Return the cell around a point from the corner of :class:`TileCells`; 0 outside of them."""
-    # Not a number compares false. Without branches and in 32 bits, processors do several at a time.
+    """Return the number of the cell of a point (m from the grid's corner); 0 outside or for NaN."""
+    # NaN compares false. Without branches and in 32 bits, processors do several points at a time.
     inside = (x >= 0.0) & (x <= width) & (y >= 0.0) & (y <= height)
     row, column = np.int32(y * per_m if inside else 0.0), np.int32(x * per_m if inside else 0.0)
     return int(row * np.int32(columns) + column + 1 if inside else 0)
@@ -252,13 +255,13 @@ def cell_at(  # pragma: no cover - compiled
 def is_inside(  # pragma: no cover - compiled
     edges: Floats, tile: int, x: float, y: float
 ) -> int:
-    """Return 1 where a point is in a tile, else 0; edges and origin as of :class:`TileCells`."""
+    """Return 1 if a point is in a tile, else 0; edges and origin as in :class:`TileCells`."""
     crossings = 0.0
     for e in range(4):
         low, high, x_low, slope = (
             edges[tile, 0, e], edges[tile, 1, e], edges[tile, 2, e], edges[tile, 3, e],
         )  # fmt: skip
-        # Numbers, not truth values: processors take several edges at a time.
+        # Numbers in place of truth values let processors do several edges at a time.
         over, right = y - low, x - (x_low + (y - low) * slope)
         crossed = 1.0 if min(over, right) >= 0.0 else 0.0
         crossings += crossed if y < high else 0.0
@@ -275,7 +278,7 @@ def _assign(  # pragma: no cover - compiled
     done: int,
     found: int,
 ) -> tuple[int, int]:
-    """Go on at point `done` until the end or until the pairs found fill the room."""
+    """Add pairs from point `done` on until the outputs are full; return both counts."""
     first, tiles, edges = cells.first, cells.tiles, cells.edges
     per_m = 1.0 / cells.cell_m
     for i in range(done, len(x)):
@@ -297,9 +300,9 @@ NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
 def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame:
     """Return tiles whose `height_m` is that of the scanned road.
 
-    A tile takes the median of the points in it; one without points the nearest point within
-    `NEAR_M` of its centre; else it keeps the height it had. Where the map has a height, it
-    chooses the level: points more than `SAME_LEVEL_M` off it belong to another road.
+    A tile takes the median height of the points in it; without any, that of the nearest point
+    within `NEAR_M` of its centre; else it keeps its height. Points that differ from the map's
+    height by more than `SAME_LEVEL_M` belong to another road, and do not count.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ from gis_radar.hdmap.mending import outline
 from gis_radar.hdmap.reader import LaneletMap, problem_table
 from gis_radar.hdmap.tagging import ON_FOOT_OR_BICYCLE
 
-LENGTH_M = 0.5  # of the contract and the paper
+LENGTH_M = 0.5  # by the contract and the paper
 LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
 MOST_TILES = 2_500_000  # each takes 1.4 kB of memory when it is made and written: 3.5 GB
 TILES_LAYER = "tiles"
@@ -75,9 +75,9 @@ def make_tiles(
         `max(1, round(mean length of its bounds / length_m))` tiles, or more where these would
         cross themselves.
     subtypes : collection of str, optional
-        Which lanelets; without it all but those for pedestrians and bicycles.
+        Subtypes to tile; without it all but those for pedestrians and bicycles.
     reporter : Reporter
-        Receives progress, which lanelets are not tiled, and what long tiles lose.
+        Receives progress, the lanelets that are not tiled, and the area that long tiles cut off.
 
     Returns
     -------
@@ -132,7 +132,7 @@ _STOPS: dict[str, Any] = {
 
 
 def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
-    """Return the columns of tiles that are not somebody else's."""
+    """Return the columns of tiles that are ours, without those that others have added."""
     return [*TILE_COLUMNS, *((LANE_COLUMN,) if LANE_COLUMN in tiles else ())]
 
 
@@ -163,7 +163,7 @@ def _say_left_out(lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter
 
 
 def _table(lanelets: gpd.GeoDataFrame, pieces: list[Floats], crs: Any) -> gpd.GeoDataFrame:
-    """Lay the rungs of all lanelets, each (n + 1, left and right, xyz), out as tiles."""
+    """Return the tiles between the rungs of all lanelets, each (n + 1, left and right, xyz)."""
     counts = np.array([len(piece) - 1 for piece in pieces])
     index = np.concatenate([np.arange(count) for count in counts])
     corners = np.concatenate([corners_between(piece) for piece in pieces])
@@ -199,10 +199,7 @@ def quads(tiles: gpd.GeoDataFrame) -> Floats:
 
 
 def fingerprint(tiles: gpd.GeoDataFrame) -> str:
-    """Return a short text that only tables made from exactly these tiles carry.
-
-    It covers the coordinate system, the ids and every vertex.
-    """
+    """Return the digest of coordinate system, ids and vertices that tables made of tiles carry."""
     return _digest(tiles, name_of(metric_crs(tiles.crs, what="tiles")))
 
 
@@ -238,7 +235,7 @@ def write_tiles(
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
         raise UsageError("{}: tiles are written as GeoPackage", path, hint="end the name in .gpkg")
-    # Without the CRS: GeoPackage rewrites the text of one that has no number.
+    # Without the CRS: GeoPackage changes the text of one that has no EPSG code.
     seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
     if problems is None:
         problems = problem_table([], tiles.crs)
@@ -300,7 +297,7 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
 
 
 def _layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
-    """Return the layer of tiles as it is, and what :func:`write_tiles` noted about it."""
+    """Return the layer of tiles, unchecked, and its metadata from :func:`write_tiles`."""
     with opened_package(path, what="a GeoPackage of tiles", hint=_MAKE_ONE) as place:
         tiles = pyogrio.read_dataframe(place, layer=TILES_LAYER, use_arrow=True)
         seal = pyogrio.read_info(place, layer=TILES_LAYER)["layer_metadata"] or {}
@@ -308,7 +305,7 @@ def _layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
 
 
 def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str | Path) -> None:
-    """Refuse tiles that are not those that were written; a layer without a seal is its own."""
+    """Refuse tiles that differ from those written; a layer of another program has no seal."""
     if _CONTENT not in seal or seal[_CONTENT] == _digest(tiles):
         return
     count = seal.get(_COUNT, str(len(tiles)))
@@ -347,12 +344,12 @@ def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
         raise InputError("{}: tile {} is there twice", path, twice)
 
 
-AREA_TOLERANCE = 0.005  # of a lanelet, from which corners that tiles cut are reported
+AREA_TOLERANCE = 0.005  # share of a lanelet's area from which on cut corners are reported
 STAGE = "splitting lanelets"
 
 
 def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> list[Floats]:
-    """Return the rungs between which each lanelet's slices are, (n + 1, left and right, xyz).
+    """Return the rungs that cut each lanelet into tiles: (n + 1, left and right, xyz), metres.
 
     A lanelet whose slices would cross themselves gets shorter ones.
     """
@@ -385,7 +382,7 @@ def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> l
 
 
 def corners_between(piece: Floats) -> Floats:
-    """Return the slices between rungs: (n, 4, 3), counter-clockwise from the right at the start."""
+    """Return the slices between rungs, (n, 4, 3): counter-clockwise from the right of the start."""
     return np.stack([piece[:-1, 1], piece[1:, 1], piece[1:, 0], piece[:-1, 0]], axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Hits: which tiles were hit in which 50 ms steps, and which were observed.
+"""Measures: hits and observed steps of tiles from detections, traffic of lanes from tracks.
 
 What the room offers is listed in `__init__.pyi` and loaded when it is first used.
 """

@@ -1,8 +1,8 @@
 """The compiled loop from detections to the tiles that each frame hits.
 
-One pass over the rows of a recording: the detections of a frame are placed in the map
-(:mod:`gis_radar.measures.placing`), and those over cells with tiles are filtered and tested
-against these. A tile is stamped with the frame that hit it, so that it counts once in it.
+In one pass over the rows of a recording, the detections of a frame are placed in the map
+(:mod:`gis_radar.measures.placing`), and those over cells with tiles are filtered and tested against
+these tiles. Each tile keeps the number of the frame that hit it last, so that it counts once.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from gis_radar.base import Floats, Integers, compiled
 from gis_radar.hdmap import Numbers, TileCells, is_inside
 from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of
 
-# Columns of the frames: what is found of each.
+# Columns of the table of frames.
 TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, POSE = range(7)
 FRAME_COLUMNS = 7
-# Places in `Accumulator.counts`: frames begun so far; frames and hits that are filled in.
+# Indices into `Accumulator.counts`: frames begun so far; frames and hits in the buffers.
 FRAMES, FILLED_FRAMES, FILLED_HITS = range(3)
 COUNTS = 3
 
 
 class RowColumns(NamedTuple):
-    """Rows of a recording as compiled code takes them: its columns, all of one length.
+    """Rows of a recording for compiled code: columns of one length.
 
     Parameters
     ----------
     time, shift_us : arrays
-        UNIX seconds, corrected, float64; microseconds added by the correction, int64, empty where
-        there is none.
+        UNIX seconds, corrected, float64; microseconds that the correction added, int64, empty
+        without one.
     x, y, z, range_rate, rcs : arrays
-        Of the detections, all float64 or all float32; `rcs` may be empty where no filter asks for
-        it.
+        As in :class:`Detections`, all float64 or all float32; `rcs` may be empty where no filter
+        needs it.
     """
 
     time: Floats
@@ -47,20 +47,20 @@ class RowColumns(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Which detections count, and on which tiles; NaN where nothing is asked.
+    """Limits for detections that count, and for the tiles that they count on; NaN: no limit.
 
     Parameters
     ----------
     min_speed, min_rcs : float
         Least absolute range rate, m/s, and radar cross section, dBm2.
     lowest_m, highest_m, widening, level_m : float
-        The clearance profile, metres over the road; by how much it widens a metre of range; within
-        which heights tiles are on one level.
+        The clearance profile, metres over the road; metres that it widens for each metre of range;
+        height difference under which tiles are on one level, metres.
     moving_mps, wild_mps : float
-        From which speed on a detection of the frame log moves; over which no vehicle drives.
+        Least speed of a moving detection in the frame log; speed over which no vehicle drives.
     sight_mps, sight_over_m, sight_level_m : float
-        From which speed on a detection counts as movement for sight; how high over a tile's road it
-        is then, metres, and within which heights of that it is on the tile's level.
+        Least speed of movement for sight, m/s; its usual height over a tile's road, and the
+        greatest difference from that on the tile's level, metres.
     """
 
     min_speed: float
@@ -77,28 +77,28 @@ class Limits(NamedTuple):
 
 
 class TileIndex(NamedTuple):
-    """The tiles as compiled code takes them: the heights of their roads, their cells."""
+    """The tiles for compiled code: heights of their roads (m), and the grid of cells."""
 
     road_m: Floats
     cells: TileCells
 
 
 class Accumulator(NamedTuple):
-    """The frame that more rows may belong to, and sums over all rows.
+    """The open frame, to which more rows may belong, and sums over all rows.
 
     Parameters
     ----------
     counts, time, frame : arrays
-        As of `FRAMES` and the following; the frame's time, NaN where none is open; its columns so
-        far.
+        Counts at the indices `FRAMES` and following; time of the open frame, (1,) UNIX seconds, NaN
+        if none is open; its columns so far.
     of_frame, moved : (n,) int64 arrays
-        By tile the number of the last frame that hit it, and of the last one with movement on it.
+        By tile, the number of the last frame that hit it, and of the last one with movement on it.
     inside, places : (m,) int64 array, Places
-        Room for the tiles around one detection, and for the places of some.
+        Working memory: tiles around one detection, and places of some detections.
     ranges : (r,) int64 array
-        Detections by their range in whole metres, the last place for all beyond.
+        Number of detections by range in whole metres; the last entry counts all beyond.
     movement : (n,) int64 array
-        Frames with movement on each tile; empty where it is not counted.
+        Number of frames with movement on each tile; empty if it is not counted.
     """
 
     counts: Integers
@@ -118,10 +118,10 @@ class CountBuffer(NamedTuple):
     Parameters
     ----------
     frames : (f, 7) int64 array
-        Rows of frames.
+        Rows of complete frames.
     tile : (k,) int32 array
-        Positions of the tiles that a frame hits, `TILES_HIT` of each, each once. Room for one more
-        than there are tiles at least.
+        Positions of the tiles hit, `TILES_HIT` for each frame, each once in it. At least one entry
+        more than there are tiles.
     """
 
     frames: Integers
@@ -139,12 +139,12 @@ def count_rows(  # pragma: no cover - compiled
     sums: Accumulator,
     buffer: CountBuffer,
 ) -> int:
-    """Count some rows, all seen from one pose, as far as there is room for what is found.
+    """Count rows recorded from one pose, until `end` or until the buffers are full.
 
     Returns
     -------
     int
-        The first row that is not counted.
+        The first row that is not yet counted.
     """
     counts, time, row = sums.counts, rows.time, begin
     room = len(buffer.tile) - len(sums.of_frame) - 1
@@ -168,7 +168,7 @@ def count_rows(  # pragma: no cover - compiled
 
 @compiled
 def end_frame(sums: Accumulator, buffer: CountBuffer) -> None:  # pragma: no cover - compiled
-    """Fill in the open frame, if any, and close it."""
+    """Move the open frame, if any, to the buffer."""
     if not math.isnan(sums.time[0]):
         buffer.frames[sums.counts[FILLED_FRAMES]] = sums.frame
         sums.counts[FILLED_FRAMES] += 1
@@ -181,7 +181,7 @@ def end_frame(sums: Accumulator, buffer: CountBuffer) -> None:  # pragma: no cov
 def _count_speeds(  # pragma: no cover - compiled
     rates: Floats, begin: int, end: int, limits: Limits, frame: Integers
 ) -> None:
-    """Count the rows of the open frame that move, and those too fast for any vehicle."""
+    """Count, in the open frame, moving rows and rows too fast for any vehicle."""
     moving = wild = 0
     moving_mps, wild_mps = limits.moving_mps, limits.wild_mps
     for row in range(begin, end):
@@ -236,26 +236,26 @@ def _hit_by(  # pragma: no cover - compiled
     sums: Accumulator,
     hit: Numbers,
 ) -> int:
-    """List in `hit` the tiles that detections over cells with tiles hit first in the frame.
+    """Write to `hit` the tiles that the frame has not hit before; return their number.
 
-    `low` is the row of the first detection placed. Returns how many tiles it lists.
+    `low` is the row of the first placed detection, `over` how many are over cells with tiles.
     """
-    # An array taken from its tuple is a count of references, slower than the test: not in the loop.
+    # Taken out of their tuples before the loop: that counts references, slower than a test.
     xs, ys, zs, rates, strengths = rows.x, rows.y, rows.z, rows.range_rate, rows.rcs
     first, tiles, edges = index.cells.first, index.cells.tiles, index.cells.edges
     east, north, range_m, cell, _, nth_over = sums.places
     road_m, inside, moved, movement = index.road_m, sums.inside, sums.moved, sums.movement
     of_frame, number, count = sums.of_frame, sums.counts[FRAMES], 0
-    picked = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
-    tracked, asked = len(movement) > 0, not math.isnan(limits.lowest_m)
+    has_least = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
+    counts_moves, has_clearance = len(movement) > 0, not math.isnan(limits.lowest_m)
     for nth in range(over):
         k = nth_over[nth]
         row, begin, end = low + k, first[cell[k]], first[cell[k] + 1]
-        # Without elevation and nearer than the road: not on it.
+        # Without elevation, a detection nearer than the road is not on it.
         hits = not math.isnan(zs[row]) or range_m[k] > pose.drop_m
-        hits &= not picked or _passes(rates, strengths, row, limits)
-        moves = tracked and abs(rates[row]) >= limits.sight_mps
-        if not moves and not asked:
+        hits &= not has_least or _passes(rates, strengths, row, limits)
+        moves = counts_moves and abs(rates[row]) >= limits.sight_mps
+        if not moves and not has_clearance:
             for at in range(begin, end if hits else begin):
                 tile = tiles[at]
                 stamp, is_hit = of_frame[tile], is_inside(edges, tile, east[k], north[k])
@@ -266,8 +266,8 @@ def _hit_by(  # pragma: no cover - compiled
         around = _inside(tiles, edges, begin, end, east[k], north[k], inside)
         height = height_of(xs[row], ys[row], zs[row], pose)
         if moves:
-            _move(inside, around, height, limits, road_m, moved, number, movement)
-        if hits and asked:
+            _count_movement(inside, around, height, limits, road_m, moved, number, movement)
+        if hits and has_clearance:
             around = _fitting(inside, around, height, range_m[k], limits, road_m)
         for at in range(around if hits else 0):
             count = _list(inside[at], number, of_frame, hit, count)
@@ -278,7 +278,7 @@ def _hit_by(  # pragma: no cover - compiled
 def _list(  # pragma: no cover - compiled
     tile: int, number: int, of_frame: Integers, hit: Numbers, count: int
 ) -> int:
-    """List a tile once a frame; return the number of listed tiles."""
+    """Write a tile to `hit` if the frame has not hit it yet; return the number of tiles there."""
     hit[count] = tile
     count += of_frame[tile] != number
     of_frame[tile] = number
@@ -289,7 +289,7 @@ def _list(  # pragma: no cover - compiled
 def _passes(  # pragma: no cover - compiled
     rates: Floats, strengths: Floats, row: int, limits: Limits
 ) -> bool:
-    """Return whether a detection is fast and strong enough; an unknown value is not."""
+    """Return whether a detection is fast and strong enough; NaN is not."""
     fast = math.isnan(limits.min_speed) or abs(rates[row]) >= limits.min_speed
     return fast and (math.isnan(limits.min_rcs) or strengths[row] >= limits.min_rcs)
 
@@ -299,7 +299,7 @@ def _inside(  # pragma: no cover - compiled
     tiles: Numbers, edges: Floats, begin: int, end: int, x: float, y: float,
     inside: Integers,
 ) -> int:  # fmt: skip
-    """Fill in the tiles of a cell that a point is in; return how many."""
+    """Fill `inside` with the tiles of a cell that a point is in; return their number."""
     count = 0
     for k in range(begin, end):
         inside[count] = tiles[k]
@@ -311,11 +311,11 @@ def _inside(  # pragma: no cover - compiled
 def _fitting(  # pragma: no cover - compiled
     inside: Integers, around: int, height: float, range_m: float, limits: Limits, road_m: Floats
 ) -> int:
-    """Keep the tiles that a detection fits in height.
+    """Keep the tiles that a detection fits in height, at the begin of `inside`; return how many.
 
-    Where tiles are above each other (a bridge), it counts on the level that it fits best, and
-    among levels that fit alike on the one nearer to the middle of the clearance. A tile of unknown
-    height takes no detection.
+    Where tiles are above each other (a bridge), it counts on the level that it fits best; among
+    equal ones, on that with the middle of its clearance nearest. No detection counts on a tile of
+    unknown height.
     """
     widened_m = range_m * limits.widening
     middle_m = (limits.lowest_m + limits.highest_m) / 2
@@ -336,11 +336,11 @@ def _fitting(  # pragma: no cover - compiled
 
 
 @compiled
-def _move(  # pragma: no cover - compiled
+def _count_movement(  # pragma: no cover - compiled
     inside: Integers, around: int, height: float, limits: Limits, road_m: Floats,
     moved: Integers, number: int, movement: Integers,
 ) -> None:  # fmt: skip
-    """Count movement on the tiles around a detection, once a frame; unknown heights count."""
+    """Count movement on the tiles around a detection, once a frame, also at unknown heights."""
     for k in range(around):
         tile = inside[k]
         over_m = height - road_m[tile] - limits.sight_over_m

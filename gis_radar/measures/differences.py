@@ -1,20 +1,20 @@
-"""Comparison of two periods: by how much a measure of a lane differs, and how sure that is.
+"""Compare a measure of a lane in two periods: its difference, and the error of that.
 
-What is compared with what follows from how long the periods are:
+The length of the periods decides what is compared:
 
-- *days*: three days and more in each. The mean of each day is one value; two sets of days differ by
-  Welch's t-test (Welch 1947). Traffic of a day goes together, so a day, not an interval, is what
-  varies independently.
-- *times of day*: fewer days. The same times of day, before and after, are pairs; their differences
-  have a t-test of one sample.
-- *intervals*: the periods share no three times of day. Their intervals differ by Welch's test, and
-  what differs may be the time of day.
+- *days*: each period has three days or more. The mean of each day is one value; two sets of days
+  are compared by Welch's t-test (Welch 1947). Values within a day are correlated, so days, not
+  intervals, are taken as independent.
+- *times of day*: there are fewer days. The same times of day, before and after, make pairs; their
+  differences are compared with 0 by a t-test of one sample.
+- *intervals*: the periods share less than three times of day. Their intervals are compared by
+  Welch's test; a difference may then be one between times of day.
 
-Intervals that follow each other are alike, as a queue lasts. With a correlation r of neighbours, n
-values are worth n (1 - r) / (1 + r) (Bartlett 1946).
+Consecutive intervals are correlated, as a queue lasts. With a correlation r of neighbours, n values
+count as n (1 - r) / (1 + r) independent ones (Bartlett 1946).
 
 Of many lanes some seem to differ by chance. Probabilities are corrected by Holm's procedure (Holm
-1979): the chance to name any lane in which nothing changed stays under the level.
+1979): the chance to name any unchanged lane stays under the level.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from gis_radar.base import Floats, Text
 
 DAYS, TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
 LEVEL = 0.05  # chance to name any lane where nothing changed
-LEAST_UNITS = 3  # days, pairs or intervals of which a variance is estimated; of two it is nothing
-MOST_ALIKE = 0.8  # correlation of neighbours that counts at most: from few values it is known badly
+LEAST_UNITS = 3  # days, pairs or intervals for the estimate of a variance; that of two is useless
+MOST_ALIKE = 0.8  # upper limit of the correlation of neighbours: few values give it badly
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,15 @@ class Difference:
     Parameters
     ----------
     before, after : float
-        Means of the two periods over what is compared.
+        Means of the values compared, in each period.
     se : float
-        Standard error of `after - before`; NaN where it cannot be told.
+        Standard error of `after - before`; NaN if it cannot be estimated.
     freedom : float
         Degrees of freedom of the error.
     units : str
         What was compared: days, times of day or intervals.
     count : int
-        How many of them, in the smaller period.
+        Number of units in the period that has fewer.
     """
 
     before: float
@@ -60,18 +60,18 @@ class Difference:
 
     @property
     def difference(self) -> float:
-        """What is more after than before."""
+        """Difference `after - before`."""
         return self.after - self.before
 
     def half_width(self, level: float) -> float:
-        """Return half of the interval that holds the difference but for a chance of `level`."""
+        """Return half of the confidence interval that misses the difference at a chance `level`."""
         found = float(scipy.stats.t.isf(level / 2.0, self.freedom) * self.se)
         return found if found > 0.0 or self.difference == 0.0 else float("nan")
 
     @property
     def p(self) -> float:
-        """Chance of such a difference, or a larger one, where nothing changed."""
-        if not self.se > 0.0:  # equal values tell no variance
+        """Chance of such a difference, or a larger one, if nothing has changed."""
+        if not self.se > 0.0:  # equal values have no variance
             return 1.0 if self.se == self.difference == 0.0 else float("nan")
         return float(2.0 * scipy.stats.t.sf(abs(self.difference) / self.se, self.freedom))
 
@@ -82,13 +82,13 @@ def compare_values(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     Parameters
     ----------
     before, after : DataFrame
-        `day` (which day, ascending), `time` (when in it the interval begins, any unit) and `value`;
-        rows in the order of time. Values that are not known are left out.
+        `day` (ascending), `time` (begin of the interval within the day, in any unit) and `value`;
+        rows in the order of time, without those of unknown value.
 
     Returns
     -------
     Difference
-        With `se` NaN where there is too little to tell.
+        With `se` NaN where there are too few values.
     """
     shared = np.intersect1d(before["time"], after["time"])
     if (
@@ -110,10 +110,10 @@ def compare_values(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
 
 
 def _day_means(table: pd.DataFrame, before: pd.DataFrame, after: pd.DataFrame) -> Floats:
-    """Return the mean of each day, as if it had all times of day.
+    """Return the mean of each day, adjusted for missing times of day.
 
-    A day without its peak is not a quiet day: each value counts by what it differs from the usual
-    one of its time.
+    A day without its peak is not a quiet day: its values are compared with the usual ones of their
+    times, and the mean deviation is added to the usual mean.
     """
     if before.empty or after.empty:
         return np.zeros(0)
@@ -127,17 +127,17 @@ def _paired(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     first, second = (each.groupby("time")["value"].mean().sort_index() for each in (before, after))
     apart = (second - first).to_numpy(np.float64)
     alike = _alike(apart)
-    worth = len(apart) * (1.0 - alike) / (1.0 + alike)
-    se = float(apart.std(ddof=1) / np.sqrt(worth))
-    freedom = max(worth - 1.0, 1.0)
+    independent = len(apart) * (1.0 - alike) / (1.0 + alike)
+    se = float(apart.std(ddof=1) / np.sqrt(independent))
+    freedom = max(independent - 1.0, 1.0)
     return Difference(float(first.mean()), float(second.mean()), se, freedom, TIMES, len(apart))
 
 
 def _welch(before: Floats, after: Floats, units: str, alike: float) -> Difference:
-    worth = [len(each) * (1.0 - alike) / (1.0 + alike) for each in (before, after)]
-    parts = [float(each.var(ddof=1)) / n for each, n in zip((before, after), worth, strict=True)]
-    spread = sum(part**2 / max(n - 1.0, 1.0) for part, n in zip(parts, worth, strict=True))
-    freedom = sum(parts) ** 2 / spread if spread > 0.0 else max(min(worth) - 1.0, 1.0)
+    counts = [len(each) * (1.0 - alike) / (1.0 + alike) for each in (before, after)]
+    parts = [float(each.var(ddof=1)) / n for each, n in zip((before, after), counts, strict=True)]
+    spread = sum(part**2 / max(n - 1.0, 1.0) for part, n in zip(parts, counts, strict=True))
+    freedom = sum(parts) ** 2 / spread if spread > 0.0 else max(min(counts) - 1.0, 1.0)
     count = min(len(before), len(after))
     return Difference(
         float(before.mean()), float(after.mean()), float(np.sqrt(sum(parts))), freedom, units, count
@@ -145,9 +145,9 @@ def _welch(before: Floats, after: Floats, units: str, alike: float) -> Differenc
 
 
 def _alike(values: Floats) -> float:
-    """Return the correlation of neighbouring values, 0 where they are not alike.
+    """Return the correlation of neighbouring values, within 0 and `MOST_ALIKE`.
 
-    That of a sample is too low by about (1 + 4 r) / n (Marriott and Pope 1954).
+    The correlation r of a sample of n is too low by about (1 + 4 r) / n (Marriott and Pope 1954).
     """
     count = len(values)
     if count <= 4:
@@ -159,12 +159,12 @@ def _alike(values: Floats) -> float:
 
 
 def holm_corrected(p: Floats) -> Floats:
-    """Return probabilities corrected for how many there are, by Holm's procedure.
+    """Return probabilities corrected for the number of tests, by Holm's procedure.
 
     Parameters
     ----------
     p : (n,) array
-        Of each test by itself; NaN where there is none, which does not count.
+        Probability of each test by itself; NaN for no test.
     """
     known = np.flatnonzero(~np.isnan(p))
     order = known[np.argsort(p[known], kind="stable")]

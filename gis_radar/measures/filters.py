@@ -1,4 +1,4 @@
-"""Filters: which detections count."""
+"""Filters for the detections that count."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from gis_radar.base import UsageError
 
 @dataclass(frozen=True, kw_only=True)
 class Filters:
-    """Which detections count; by default all.
+    """Filters for the detections that count; by default all do.
 
-    A stopped vehicle has no Doppler, and a queue is what planners look for: so the default
-    keeps what stands still. (The paper, "Local Sensor Data Processing", names these three.)
+    Stopped vehicles have no Doppler shift, and planners look for queues, so the default keeps
+    detections at rest. The paper, "Local Sensor Data Processing", names the three filters.
 
     Parameters
     ----------
@@ -24,13 +24,13 @@ class Filters:
     clearance : (float, float), optional
         Lowest and highest height over the tile's road, metres: the clearance profile.
     elevation_error_deg : float
-        One standard deviation of the radar's elevation; the clearance profile widens with range
-        by `sigmas` of them.
+        One standard deviation of the radar's elevation, degrees; the clearance profile widens with
+        range by `sigmas` of them.
     sigmas : float
-        2: of the detections within the profile 95 % stay.
+        2 keeps 95 % of the detections that are within the profile.
     levels_apart_m : float
-        Tiles nearer in height belong to one level, metres: over a crossfall or a kerb, under the
-        least clearance of a bridge (4.5 m).
+        Height difference, metres, under which tiles are on one level: more than a crossfall or a
+        kerb, less than the least clearance of a bridge (4.5 m).
     """
 
     min_speed: float | None = None
@@ -55,5 +55,5 @@ class Filters:
 
     @property
     def widening(self) -> float:
-        """By how much the clearance profile widens a metre of range, to either side, metres."""
+        """Metres that the clearance profile widens, up and down, for each metre of range."""
         return math.tan(math.radians(self.sigmas * self.elevation_error_deg))

@@ -1,4 +1,4 @@
-"""Hashes of frames: equal for equal rows, whatever file or batch they come in."""
+"""Hashes of frames: equal for equal rows, independent of file and batch."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gis_radar.recordings import RawRows
 
 Hashes: TypeAlias = NDArray[np.uint64]
 Bits: TypeAlias = NDArray[np.uint32]
-# Odd numbers with as many ones as zeros (Knuth's and Steele's), so that all bits mix.
+# Odd multipliers with about as many ones as zeros (Knuth's and Steele's), so that all bits mix.
 _FIRST, _SECOND, _TURN = (
     np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(31),
 )  # fmt: skip
@@ -25,16 +25,16 @@ _HASH, _DETECTIONS, _ROWS = 0, 1, 2
 
 @dataclass(frozen=True, kw_only=True)
 class HashedFrames:
-    """Frames with what tells one from another.
+    """Frames with their times, hashes and numbers of detections.
 
     Parameters
     ----------
     time : (f,) array
         Times, corrected, UNIX seconds, ascending.
     hash : (f,) uint64 array
-        Of the rows' positions, range rates and, where they are read, radar cross sections.
+        Hash of the rows' positions, range rates and, if read, radar cross sections.
     detections : (f,) int64 array
-        Rows with a position.
+        Number of rows with a position.
     """
 
     time: Floats
@@ -50,14 +50,14 @@ class HashedFrames:
         return np.rint(self.time * 1e6).astype(np.int64)
 
     def take(self, keep: Any) -> HashedFrames:
-        """Return some of the frames."""
+        """Return some of the frames, by a mask, indices or a slice."""
         return HashedFrames(
             time=self.time[keep], hash=self.hash[keep], detections=self.detections[keep]
         )
 
     @classmethod
     def join(cls, parts: list[HashedFrames]) -> HashedFrames:
-        """Return the frames of several, one after the other."""
+        """Return the frames of several parts, one after the other."""
         empty = (np.empty(0), np.empty(0, np.uint64), np.empty(0, np.int64))
         columns = [empty, *((each.time, each.hash, each.detections) for each in parts)]
         time, hashes, detections = map(np.concatenate, zip(*columns, strict=True))
@@ -66,7 +66,7 @@ class HashedFrames:
 
 @dataclass(kw_only=True)
 class FrameHasher:
-    """Hashes the frames of a recording as its rows come."""
+    """Hashes the frames of a recording, batch by batch."""
 
     _time: Floats = field(default_factory=lambda: np.array([math.nan]))
     _state: Hashes = field(default_factory=lambda: np.zeros(3, np.uint64))
@@ -78,11 +78,11 @@ class FrameHasher:
         Parameters
         ----------
         time : (n,) array
-            Corrected times of all rows, UNIX seconds.
+            Corrected times of all rows of the batch, UNIX seconds.
         rows : RawRows
-            Their columns.
+            Columns of the batch.
         begin, end : int
-            Which of the rows.
+            Range of the rows to take.
         """
         x, y, z, rate, rcs = (
             _bits(each[begin:end]) for each in (rows.x, rows.y, rows.z, rows.range_rate, rows.rcs)
@@ -114,8 +114,8 @@ def _hash_rows(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover 
     time: Floats, x: Bits, y: Bits, z: Bits, rate: Bits, rcs: Bits, open_time: Floats,
     state: Hashes, times: Floats, frames: Hashes,
 ) -> int:  # fmt: skip
-    """Fill in the frames that end; keep the last one open. Returns how many ended."""
-    count, told = 0, len(rcs) > 0
+    """Fill `times` and `frames` with the frames that end; return how many. The last stays open."""
+    count, has_rcs = 0, len(rcs) > 0
     now, mixed, present, place = open_time[0], state[_HASH], state[_DETECTIONS], state[_ROWS]
     for k in range(len(time)):
         if time[k] != now:
@@ -123,12 +123,12 @@ def _hash_rows(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover 
                 times[count], frames[count, _HASH], frames[count, _DETECTIONS] = now, mixed, present
                 count += 1
             now, mixed, present, place = time[k], np.uint64(0), np.uint64(0), np.uint64(0)
-        # A sum over rows, each mixed by itself with its place: processors mix several at once.
+        # The hash is a sum over rows, each mixed by itself: processors do several at once.
         place += _STEP
         row = (((np.uint64(x[k]) << _HALF) | np.uint64(y[k])) ^ place) * _FIRST
         row ^= (row >> _TURN) ^ ((np.uint64(z[k]) << _HALF) | np.uint64(rate[k]))
         row *= _SECOND
-        if told:
+        if has_rcs:
             row = (row ^ (row >> _TURN) ^ np.uint64(rcs[k])) * _FIRST
         mixed += row ^ (row >> _TURN)
         # A NaN has all bits of the exponent: a row without a position is no detection.

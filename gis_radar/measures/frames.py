@@ -1,4 +1,4 @@
-"""Frames of a recording: batches that split none, and where each begins."""
+"""Frames of a recording: batches of whole frames, and the rows of each frame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatc
 
 
 def whole_frames(batches: Iterator[Detections]) -> Iterator[Detections]:
-    """Cut batches at the borders of frames, so that none is split; further columns are dropped."""
+    """Yield batches cut at borders of frames, so that none is split; drop further columns."""
     waiting: Detections | None = None
     for batch in batches:
         joined = replace(batch, further=NO_FURTHER) if waiting is None else _joined(waiting, batch)
@@ -58,7 +58,7 @@ class FrameIndex:
 
     @classmethod
     def of(cls, time: Floats) -> FrameIndex:
-        """Find the frames of rows with the given times, ascending."""
+        """Return the frames of rows with these times, which ascend."""
         new = fresh(time)
         begins = np.flatnonzero(new)
         return cls(time=time[begins], begins=begins, of_row=np.cumsum(new) - 1)
@@ -69,12 +69,12 @@ class FrameIndex:
         return np.rint(self.time * 1e6).astype(np.int64)
 
     def count(self, flags: Booleans) -> Integers:
-        """Return for each frame how many of its rows have a flag set."""
+        """Return, for each frame, the number of its rows with a flag set."""
         return np.add.reduceat(flags.astype(np.int64), self.begins)
 
 
 def fresh(values: Integers | Floats) -> Booleans:
-    """Return which values differ from the one before; the first one does."""
+    """Return which values differ from the one before; True for the first one."""
     differs = np.ones(len(values), dtype=np.bool_)
     np.not_equal(values[1:], values[:-1], out=differs[1:])
     return differs

@@ -1,4 +1,4 @@
-"""Count hits as rows of detections come: of a whole recording, or of a frame at a sensor."""
+"""Count hits batch by batch: of a whole recording, or of single frames in the live system."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ from gis_radar.poses import Pose
 from gis_radar.recordings import Detections, RangeCounts
 from gis_radar.scans import MOVEMENT_LEVEL_M, MOVEMENT_MPS, REFLECTION_M, SightTiles
 
-ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # filled in at once; 224 KiB, 1 MiB
+ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 18  # sizes of the buffers: 224 KiB, 1 MiB
 NO_TILES: Integers = np.empty(0, np.int64)
-# For the frame log only: a detection moves from this absolute range rate on, over the Doppler noise
-# of a radar (0.1 to 0.3 m/s) and of leaves; no vehicle is faster than 250 km/h.
+# For the frame log only: least absolute range rate of a moving detection, over the Doppler noise of
+# a radar (0.1 to 0.3 m/s) and of leaves; and speed over which no vehicle drives (250 km/h).
 MOVING_MPS, WILD_MPS = 0.5, 70.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Counted:
-    """Frames that are complete, and the tiles that they hit.
+    """Complete frames, and the tiles that they hit.
 
     Parameters
     ----------
     frames : (f, 7) int64 array
-        A row a frame; columns as of :mod:`gis_radar.measures.counting_loop`.
+        A row a frame, with the columns of :mod:`gis_radar.measures.counting_loop`.
     tile : (k,) int32 array
-        Positions of the tiles that each hits, `TILES_HIT` of a frame, each once.
+        Positions of the tiles hit, `TILES_HIT` for each frame, each once in it.
     """
 
     frames: Integers
@@ -58,18 +58,18 @@ class Counted:
 
 
 class HitCounter:
-    """Finds which tiles the frames of one sensor hit, as its rows come.
+    """Finds the tiles that the frames of one sensor hit, batch by batch.
 
     Parameters
     ----------
     tiles : SightTiles
         All tiles.
     grid : TileGrid
-        Of the same tiles.
+        Grid of the same tiles.
     filters : Filters
-        Which detections count.
+        Filters for the detections that count.
     ranges : RangeCounts, optional
-        Takes the ranges of all detections.
+        Receives the ranges of all detections.
     """
 
     def __init__(
@@ -108,23 +108,23 @@ class HitCounter:
         *,
         movement: Integers = NO_TILES,
     ) -> Iterator[Counted]:
-        """Count rows that follow those so far, seen from one pose; times are finite and ascend.
+        """Count rows that follow those so far, from one pose; times are finite and ascend.
 
         Parameters
         ----------
         rows : RowColumns
             Columns of a recording.
         begin, end : int
-            Which rows of them.
+            Range of the rows to count.
         placing : PoseNumbers
             The pose.
         movement : (n,) int64 array, optional
-            Grows by one a frame for tiles on which something moves.
+            Changed in place: a tile's number grows by one for each frame with movement on it.
 
         Yields
         ------
         Counted
-            What is complete, as often as there is no room for more.
+            Complete frames, each time the buffers are full.
         """
         sums = self._sums._replace(movement=movement)
         while True:
@@ -136,12 +136,12 @@ class HitCounter:
             yield self._taken()
 
     def end(self) -> Counted:
-        """Close the open frame; return what :meth:`add` has not."""
+        """Close the open frame; return the frames that :meth:`add` has not yielded."""
         end_frame(self._sums, self._buffer)
         return self._taken()
 
     def _taken(self) -> Counted:
-        """Return what was counted so far, and reset the buffers."""
+        """Return the frames in the buffers, and empty these."""
         frames, hits = self._sums.counts[[FILLED_FRAMES, FILLED_HITS]].tolist()
         self._sums.counts[[FILLED_FRAMES, FILLED_HITS]] = 0
         return Counted(
@@ -156,11 +156,11 @@ class CountedFrame:
     Parameters
     ----------
     time_us : int
-        Microseconds since the UNIX epoch.
+        Time, microseconds since the UNIX epoch.
     detections, moving, wild : int
-        As in the frame log.
+        Numbers of detections, as in the table `frames`.
     tiles : (k,) int64 array
-        Positions of the tiles that it hits, ascending, as :func:`encode_tiles` takes them.
+        Positions of the tiles that it hits, ascending, for :func:`encode_tiles`.
     """
 
     time_us: int
@@ -171,16 +171,16 @@ class CountedFrame:
 
 
 class FrameCounter:
-    """Finds the tiles that each frame hits, right when it comes: the edge's side.
+    """Finds the tiles that single frames hit, for a sensor's program in the live system.
 
     Parameters
     ----------
     tiles : SightTiles
         All tiles; :meth:`SightTiles.of` makes them from a table of tiles.
     grid : TileGrid, optional
-        Of the same tiles, where there is one already.
+        Grid of the same tiles, if it is made already.
     filters : Filters, optional
-        Which detections count; without it, all.
+        Filters for the detections that count; without it, all do.
     """
 
     def __init__(
@@ -201,7 +201,7 @@ class FrameCounter:
         detections : Detections
             One or a few whole frames; a frame without detections is a row of NaN.
         pose : Pose or PoseNumbers
-            Where the sensor stands; of many frames its numbers are made once.
+            Pose of the sensor; for many frames, make its numbers once.
 
         Raises
         ------
@@ -227,7 +227,7 @@ class FrameCounter:
 
 
 def limits_of(filters: Filters) -> Limits:
-    """Return what the counting loop asks of a detection."""
+    """Return the limits of the counting loop for some filters."""
     lowest_m, highest_m = filters.clearance or (math.nan, math.nan)
     return Limits(
         min_speed=_or_nan(filters.min_speed),
@@ -249,7 +249,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def rows_of_detections(detections: Detections) -> RowColumns:
-    """Return detections as the counting loop takes them."""
+    """Return detections as rows for the counting loop."""
     x, y, z = np.asarray(detections.points, np.float64).T
     return rows_of_columns(
         detections.time, x, y, z, np.asarray(detections.range_rate, np.float64),
@@ -261,5 +261,5 @@ def rows_of_columns(
     time: Floats, x: Floats, y: Floats, z: Floats, range_rate: Floats, rcs: Floats,
     shift_us: Integers = NO_TILES,
 ) -> RowColumns:  # fmt: skip
-    """Return columns as the counting loop takes them: arguments as of :class:`RowColumns`."""
+    """Return columns as rows for the counting loop; arguments as in :class:`RowColumns`."""
     return RowColumns(*map(contiguous, (time, shift_us, x, y, z, range_rate, rcs)))

@@ -1,4 +1,4 @@
-"""The window of an hour: its steps, and those before and after it that its tables follow from."""
+"""The window of an hour: its steps, and the steps around it that its tables depend on, too."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gis_radar.base import STEP_US, STEPS_PER_SECOND
 
 STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
 MARGIN_STEPS = 120 * STEPS_PER_SECOND
-"""Steps on either side of an hour that vehicles are known by (the contract: two minutes)."""
+"""Steps on either side of an hour that its vehicles are found from (the contract: two minutes)."""
 LONGEST_VALID_STEPS = 64
 """Upper bound of validity in steps: 1.5 x the slowest cycle are 3 s, 60 steps."""
 
@@ -20,9 +20,9 @@ class HourWindow:
     Parameters
     ----------
     hour : int
-        Since 1970.
+        Hours since 1970, UTC.
     margin : int
-        Steps before and after the hour that are read.
+        Steps before and after the hour that are read, too.
     """
 
     hour: int
@@ -45,6 +45,6 @@ class HourWindow:
 
     @property
     def span_us(self) -> tuple[int, int]:
-        """The same in microseconds since 1970."""
+        """The span in microseconds since 1970."""
         first, after = self.span
         return first * STEP_US, after * STEP_US

@@ -1,4 +1,4 @@
-"""The hits and the observed steps of the tiles in an hour, of all sensors together."""
+"""Hits and observed steps of the tiles in an hour, of all sensors together."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union_of_runs
 
 NEVER = np.iinfo(np.int64).min // 2
-ROOM = 1 << 19  # pairs at once, 8 MiB; more than a tile can have
+ROOM = 1 << 19  # pairs in a batch, 8 MiB; more than a tile can have
 LENGTHS = LONGEST_VALID_STEPS
-_WORDS = STEPS_PER_HOUR // 64 + 1
-# Each power of two times this number has another beginning: from that, its exponent.
+_WORDS = STEPS_PER_HOUR // 64 + 1  # of 64 bits, one for each step of an hour
+# A power of two times this number has six first bits of its own, from which follows its exponent.
 DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
 PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
 CHECKSUM_BITS = np.uint64(0xFFFF)
@@ -29,14 +29,14 @@ CHECKSUM_BITS = np.uint64(0xFFFF)
 
 @dataclass(frozen=True, kw_only=True)
 class ValidFrames:
-    """The steps with a frame of a sensor, and up to when each is valid.
+    """The steps with a frame of a sensor, and the last step in which each is valid.
 
     Parameters
     ----------
     step : (n,) int64 array
         Steps of the window with a frame, each once, ascending.
     until : (n,) int64 array
-        The last step in which the frames of each are valid.
+        The last step in which the frames of each step are valid.
     """
 
     step: Integers
@@ -44,23 +44,23 @@ class ValidFrames:
 
     @classmethod
     def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
-        """Compute the steps with a frame and the last step in which each is valid."""
+        """Return the valid frames of a sensor; each is valid for `most` steps after its own."""
         step = each_once(sensor.frames.time_us // STEP_US)
         return cls(step=step, until=valid_until(step, most))
 
     def until_of(self, step: Integers) -> Integers:
-        """Return the last valid step of frames in some steps."""
+        """Return the last step in which the frames of some steps are valid."""
         return np.asarray(self.until[np.searchsorted(self.step, step)])
 
 
 def valid_until(step: Integers, most: int) -> Integers:
-    """Return the last step in which frames of ascending steps are valid: `most` after their own."""
+    """Return the last step in which frames of ascending steps are valid: up to `most` later."""
     before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
     return np.asarray(np.minimum(step + most, before_next))
 
 
 def each_once(ascending: Integers) -> Integers:
-    """Return each of some ascending numbers once; a pass, where NumPy would sort."""
+    """Return each of some ascending numbers once, in one pass; `np.unique` would sort."""
     return ascending[np.diff(ascending, prepend=NEVER) > 0]
 
 
@@ -70,15 +70,15 @@ def frame_columns(sensor: SensorHour, valid: ValidFrames, window: HourWindow) ->
     Parameters
     ----------
     sensor : SensorHour
-        What it delivered.
+        Frames of the sensor.
     valid : ValidFrames
-        When its frames are valid.
+        Steps in which they are valid.
     window : HourWindow
         The hour.
     """
     time_us = sensor.counted[:, TIME_US]
     mine = time_us >= window.begin * STEP_US
-    mine[:-1] &= time_us[1:] != time_us[:-1]  # frames of one microsecond are one
+    mine[:-1] &= time_us[1:] != time_us[:-1]  # frames of the same microsecond count as one
     rows = sensor.counted[mine]
     step = rows[:, TIME_US] // STEP_US
     place = np.searchsorted(sensor.frames.time_us, rows[:, TIME_US])
@@ -102,9 +102,9 @@ def frame_columns(sensor: SensorHour, valid: ValidFrames, window: HourWindow) ->
 def valid_runs(
     sensors: Sequence[SensorHour], valid: Sequence[ValidFrames], window: HourWindow
 ) -> pd.DataFrame:
-    """Return `sight, first_step, last_step`: in which steps a frame with a sight is valid.
+    """Return `sight, first_step, last_step`: the runs of steps with a valid frame of each sight.
 
-    Those of the window, by sensor, name of the sight and step.
+    They lie in the window, sorted by sensor, name of the sight and step.
     """
     tables = [pd.DataFrame({"sight": [], "first_step": [], "last_step": []})]
     for sensor, frames in zip(sensors, valid, strict=True):
@@ -127,9 +127,9 @@ def observed_runs(
     Parameters
     ----------
     held : DataFrame
-        Of :func:`valid_runs`.
+        Table from :func:`valid_runs`.
     sights : mapping
-        By name.
+        Sights by name.
     tile_id : (n,) int64 array
         Ids of all tiles, ascending.
     window : HourWindow
@@ -138,7 +138,7 @@ def observed_runs(
     Returns
     -------
     tile, first, last : (n,) int64 arrays
-        Positions of tiles and steps, ascending.
+        Positions of tiles, first and last steps of runs, sorted by tile and step.
     """
     names = sorted(set(held["sight"]))
     seen = np.zeros((len(tile_id), len(names)), np.bool_)
@@ -165,12 +165,12 @@ def sorted_hits(
     sensors: Sequence[SensorHour], valid: Sequence[ValidFrames], tile_id: Integers,
     window: HourWindow,
 ) -> Iterator[dict[str, Integers]]:  # fmt: skip
-    """Yield the pairs of a tile and a step of the hour, each once, by both, in batches.
+    """Yield, in batches, the pairs of a tile and a step of the hour, each once, sorted by both.
 
     Parameters
     ----------
     sensors, valid : sequences
-        What each sensor delivered, and when its frames are valid.
+        Frames of each sensor, and the steps in which they are valid.
     tile_id : (n,) int64 array
         Ids of the tiles, ascending.
     window : HourWindow
@@ -196,7 +196,10 @@ def sorted_hits(
 
 
 def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) -> Numbers:
-    """Return the step of each frame, from just before the hour, and how much longer it is valid."""
+    """Return, packed into a number for each frame, its step and its length of validity.
+
+    Steps count from `LENGTHS` before the hour's begin.
+    """
     step = sensor.counted[:, TIME_US] // STEP_US
     valid = frames.until_of(step) - step
     return ((step - window.begin + LENGTHS) * LENGTHS + valid).astype(np.int32)
@@ -212,7 +215,7 @@ def _count_tiles(tile: Numbers, counts: Integers) -> None:  # pragma: no cover -
 def _place_runs(  # pragma: no cover - compiled
     run: Numbers, hits: Integers, frame: int, tile: Numbers, place: Integers, packed: Numbers
 ) -> int:
-    """Sort the runs of frames from one on by the tiles that they hit; return the next frame."""
+    """Store the runs of frames from `frame` on by the tiles they hit; return the next frame."""
     begin = 0
     while begin < len(tile):
         for k in range(begin, begin + hits[frame]):
@@ -228,9 +231,9 @@ def _fill_pairs(
     packed: Numbers, first: Integers, tile_id: Integers, begin: int, words: NDArray[np.uint64],
     state: Integers, tiles: Integers, steps: Integers,
 ) -> None:  # fmt: skip
-    """Fill in the pairs of tiles from one on, as long as all of a tile's find room.
+    """Fill in the pairs of consecutive tiles, as long as there is room for all pairs of a tile.
 
-    `state` holds the next tile, and how many pairs are filled in.
+    `state` holds the next tile and the number of pairs filled in; both are updated.
     """
     tile, filled = state[0], state[1]
     while tile < len(tile_id):

@@ -1,10 +1,10 @@
-"""Fronts of vehicles along lanes: where they cross lines, and how long and far they drive.
+"""Fronts of vehicles along lanes: crossings of lines, and times and distances driven.
 
-Tracks hold a state each 0.2 s. Between two of them a vehicle drives on evenly, so that the moment
-in which its front crosses a line is interpolated. On a lane of length L, seen for a time T,
-Edie's definitions (L. C. Edie, Discussion of traffic stream measurements and definitions, 1963)
-hold for all vehicles in it: flow q = sum of distances / (L T), density k = sum of times / (L T),
-space-mean speed u = q / k = sum of distances / sum of times.
+Tracks hold a state each 0.2 s. A vehicle is taken to drive evenly in between, so the moment at
+which its front crosses a line is interpolated. For a lane of length L, seen for a time T, Edie's
+definitions (L. C. Edie, Discussion of traffic stream measurements and definitions, 1963) sum over
+all vehicles in it: flow q = sum of distances / (L T), density k = sum of times / (L T), space-mean
+speed u = q / k = sum of distances / sum of times.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from gis_radar.base import STEP_S, Booleans, Floats, Integers
 from gis_radar.measures.lane_network import LaneNetwork
 
-FOLLOWS_M = 2.0  # beyond what a vehicle drove, to the end of a lane or from the begin of the next
+FOLLOWS_M = 2.0  # tolerance, over the distance driven, of the way left on a lane and on the next
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,9 +30,9 @@ class StepGrid:
     begin : int
         First step.
     steps : int
-        Of each interval.
+        Number of steps in each interval.
     count : int
-        How many.
+        Number of intervals.
     """
 
     begin: int
@@ -41,17 +41,17 @@ class StepGrid:
 
     @property
     def end(self) -> int:
-        """First step after them."""
+        """First step after the last interval."""
         return self.begin + self.steps * self.count
 
     def of(self, step: Integers) -> Integers:
-        """Return the interval of each step, which lies in one."""
+        """Return the number of the interval of each step; all steps lie in the grid."""
         return (step - self.begin) // self.steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VisibleRuns:
-    """In which steps tiles are visible.
+    """Runs of steps in which tiles are visible.
 
     Parameters
     ----------
@@ -65,20 +65,20 @@ class VisibleRuns:
 
     @cached_property
     def _room(self) -> tuple[int, int]:
-        """First step, and steps from one tile to the next on a common axis."""
+        """First step, and number of steps that a tile takes on the common axis of all tiles."""
         if not len(self.first):
             return 0, 1
         return int(self.first.min()), int(self.last.max() - self.first.min()) + 2
 
     @cached_property
     def _axis(self) -> tuple[Integers, Integers, Integers]:
-        """Tiles, and runs on the common axis."""
+        """Tiles, and first and last steps of runs on the common axis."""
         begin, room = self._room
         tiles, at = np.unique(self.tile_id, return_inverse=True)
         return tiles, at * room + self.first - begin, at * room + self.last - begin
 
     def at(self, tile_id: Integers, step: Integers) -> Booleans:
-        """Return whether tiles are visible in steps."""
+        """Return whether each tile is visible in its step."""
         tiles, first, last = self._axis
         if not len(first):
             return np.zeros(len(step), np.bool_)
@@ -98,15 +98,15 @@ class FrontStates:
     Parameters
     ----------
     vehicle, step : (n,) int64 arrays
-        At the begin of which step.
+        Number of the vehicle, and the step at whose begin it has the state.
     lane : (n,) int64 array
         Position of the lane, -1 off the lanes.
     along_m : (n,) array
-        Metres along it, NaN off the lanes.
+        Place of the front along the lane, metres; NaN off the lanes.
     speed : (n,) array
-        m/s.
+        Speed, m/s.
     seen : (n,) bool array
-        Measured within 0.5 s, else inferred.
+        Whether the vehicle was measured within 0.5 s; else the state is inferred.
     """
 
     vehicle: Integers
@@ -122,7 +122,7 @@ class FrontStates:
         return np.flatnonzero(self.vehicle[1:] == self.vehicle[:-1])
 
     def moves(self, network: LaneNetwork) -> Moves:
-        """Return how vehicles move between states that follow each other."""
+        """Return the moves of vehicles between consecutive states."""
         i, j = self.pairs, self.pairs + 1
         one, other = self.lane[i], self.lane[j]
         driven = (self.speed[i] + self.speed[j]) / 2.0 * (self.step[j] - self.step[i]) * STEP_S
@@ -136,19 +136,19 @@ class FrontStates:
 
 
 class Moves(NamedTuple):
-    """Vehicles between two states, a row for each of :attr:`FrontStates.pairs`.
+    """Moves of vehicles between two states, a row for each of :attr:`FrontStates.pairs`.
 
     Parameters
     ----------
     same, follows : (k,) bool arrays
-        The lane stays, or the next one begins where the last one ended; else it is one beside, or
-        none.
+        Whether the lane stays the same, and whether it changes to one that follows it; neither for
+        a change to a lane beside, and off the lanes.
     before_m : (k,) array
-        Where the first state is on the lane of the second one, m; below 0 before it begins.
+        Place of the first state along the lane of the second one, m; negative before it begins.
     left_m : (k,) array
-        What is left of the first lane, m.
+        Distance from the first state to the end of its lane, m.
     driven_m : (k,) array
-        By the speeds, m.
+        Distance driven, by the speeds, m.
     """
 
     same: Booleans
@@ -159,18 +159,18 @@ class Moves(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """Fronts over the lines of lanes, each vehicle and lane once, by vehicle, lane and time.
+    """Crossings of lanes' lines by fronts, one for each vehicle and lane, sorted by both.
 
     Parameters
     ----------
     row : (k,) int64 array
-        Row of the last state before.
+        Row of the last state before the crossing.
     vehicle, lane, step : (k,) int64 arrays
-        Which, where, and in which step.
+        Number of the vehicle, position of the lane, and the step of the crossing.
     speed : (k,) array
-        m/s.
+        Speed, m/s.
     seen : (k,) bool array
-        Whether the vehicle was measured then.
+        Whether the vehicle was measured at the state after the crossing.
     """
 
     row: Integers
@@ -181,16 +181,16 @@ class Crossings(NamedTuple):
     seen: Booleans
 
     def taken(self, which: Booleans) -> Crossings:
-        """Return some of them."""
+        """Return the crossings for which `which` is true."""
         return Crossings._make(each[which] for each in self)
 
 
 def crossings(states: FrontStates, moves: Moves, network: LaneNetwork, grid: StepGrid) -> Crossings:
     """Find the fronts that cross the line of a lane within the grid.
 
-    A vehicle that changes lanes while it crosses counts on the lane that it reaches. States before
-    the grid tell who has crossed already; a crossing between the last of them and the grid's first
-    step counts in the latter.
+    A vehicle that changes lanes while it crosses counts on the lane that it reaches. Vehicles that
+    have crossed by their states before the grid do not count again; a crossing between the last of
+    these states and the grid's first step counts in that step.
     """
     i = states.pairs
     one, other = states.lane[i], states.lane[i + 1]
@@ -236,8 +236,8 @@ def driven(
 ) -> Driven:
     """Sum the times and distances of all vehicles, for Edie's definitions.
 
-    What lies between two states belongs to the first one's lane; where the vehicle goes on to the
-    next lane, it is split where that begins. A vehicle's last state lasts one step.
+    The way between two states belongs to the lane of the first; where the vehicle drives on to a
+    following lane, it is split where that begins. A vehicle's last state lasts one step.
     """
     last = np.ones(len(states.step), np.bool_)
     last[states.pairs] = False

@@ -1,15 +1,16 @@
 """Measures of lanes and turns by interval: volumes, speeds, density, occupancy, delays, queues.
 
-Definitions are Edie's (:mod:`gis_radar.measures.lane_fronts`) and, of stops, queues and delay,
-those of the Highway Capacity Manual (TRB, 7th edition, chapters 4 and 31).
+Definitions are Edie's (:mod:`gis_radar.measures.lane_fronts`); those of stops, queues and delay are
+from the Highway Capacity Manual (TRB, 7th edition, chapters 4 and 31).
 
-The variance of a volume has three sources, which are independent:
+The variance of a volume has three independent sources:
 
-- *counting*: a vehicle that was counted may be none, or another one may be missing;
-- *existence*: where the probability p of a vehicle to exist is known, p (1 - p) takes the place of
-  the half of that which is for counting what is none;
-- *not visible*: of n vehicles counted in a share p of the time, arrivals being a Poisson process,
-  the whole interval has n / p with variance (n + 1/2) (1 - p) / p^2.
+- *counting*: a counted vehicle may not exist, or one may be missing; half of the variance is for
+  each of the two;
+- *existence*: where the probability p that a vehicle exists is known, p (1 - p) replaces the first
+  half;
+- *visibility*: if n vehicles are counted in a visible share p of the interval and arrivals are a
+  Poisson process, the whole interval has n / p with variance (n + 1/2) (1 - p) / p^2.
 """
 
 from __future__ import annotations
@@ -36,27 +37,27 @@ from gis_radar.measures.queues import LOOK_STEPS, queues, standing_states
 
 SPEED_CLASS_KMH = 5.0
 SPEED_CLASSES = 40  # up to 200 km/h; the last one is open
-# Share of an interval that must be visible for an estimate of all of it: from less, its error is
+# Share of an interval that must be visible for an estimate of the whole: with less, the error is
 # that of a guess.
 LEAST_SHARE = 0.2
-# Root of the variance that a counted vehicle adds, where it was measured: 5 % are none, and as many
-# are missing; where it was inferred: 25 % of each kind. Hidden parts of the visible time have the
-# error of what is inferred, too.
+# Standard deviation that a counted vehicle adds: if measured, 5 % do not exist and as many are
+# missing; if inferred, 25 % each. Hidden parts of the visible time have the error of inferred
+# vehicles, too.
 COUNTING_SEEN, COUNTING_INFERRED = 0.3, 0.7
 LEAST_OCCUPIED_S = 0.1  # least error of the occupied time of a tile: two steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TileSteps:
-    """Steps of tiles by interval, as `tile_counts` has them.
+    """Numbers of steps by tile and interval, from the table `tile_counts`.
 
     Parameters
     ----------
     tile_id, interval : (n,) int64 arrays
-        Which; the interval as a number of the grid.
+        Id of the tile, and number of the interval in the grid.
     visible, occupied, inferred, variance : (n,) arrays
-        Steps visible, occupied while visible, visible while hidden by vehicles, and the variance of
-        those occupied, steps^2.
+        Steps visible, steps occupied and visible, steps visible although hidden by vehicles, and
+        the variance of the occupied steps, steps^2.
     """
 
     tile_id: Integers
@@ -69,14 +70,14 @@ class TileSteps:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VehicleTable:
-    """What is known of vehicles.
+    """Lengths and probabilities of vehicles.
 
     Parameters
     ----------
     vehicle : (n,) int64 array
-        Numbers, ascending, among them those of all states.
+        Numbers of vehicles, ascending; all vehicles of the states are among them.
     length_m, p_heavy, p_exists : (n,) arrays
-        Length; probabilities that it is heavy, and that it exists (NaN: not known).
+        Length; probabilities that it is heavy, and that it exists (NaN: unknown).
     """
 
     vehicle: Integers
@@ -111,15 +112,15 @@ def measure_lanes(
     network : LaneNetwork
         The lanes.
     grid : StepGrid
-        The intervals; of a dataset those of one hour.
+        The intervals; those of one hour for a dataset.
     states : FrontStates
-        Of all vehicles in them; earlier states of the same vehicles may stand before.
+        States of all vehicles in the intervals; earlier states of the same vehicles may precede.
     vehicles : VehicleTable
-        Those vehicles.
+        The vehicles.
     visible : VisibleRuns
-        Of all tiles in the grid.
+        Runs of all tiles in the grid.
     tiles : TileSteps
-        Steps of tiles; a lane has a row in the intervals in which one of its tiles does.
+        Steps of tiles; a lane gets a row for each interval in which one of its tiles has one.
     """
     moves = states.moves(network)
     crossed = crossings(states, moves, network, grid)
@@ -183,7 +184,7 @@ def _areas(network: LaneNetwork, grid: StepGrid, tiles: TileSteps) -> _Areas:
 
 
 def _share_at(tile_id: Integers, grid: StepGrid, tiles: TileSteps) -> Floats:
-    """Return the share of each interval in which each of some tiles is visible, row by row."""
+    """Return the visible share of each interval, for each of some tiles, (tiles * intervals,)."""
     wanted, place = np.unique(tile_id, return_inverse=True)
     found = np.zeros(len(wanted) * grid.count)
     at = np.minimum(np.searchsorted(wanted, tiles.tile_id), max(len(wanted) - 1, 0))
@@ -210,7 +211,7 @@ class _Counts:
         cell = crossed.lane * grid.count + grid.of(crossed.step)
         error = np.where(crossed.seen, COUNTING_SEEN, COUNTING_INFERRED)
         exists = vehicles.p_exists[row]
-        known = 0.5 * error**2 + exists * (1.0 - exists)  # half is for those that are missing
+        known = 0.5 * error**2 + exists * (1.0 - exists)  # half is for missing vehicles
         variance = np.where(np.isnan(exists), error**2, known)
         kmh = np.maximum(crossed.speed, 0.0) * 3.6
         group = np.minimum((kmh // SPEED_CLASS_KMH).astype(np.int64), SPEED_CLASSES - 1)
@@ -226,7 +227,7 @@ class _Counts:
 
 
 def _volumes(counts: _Counts, share: Floats) -> dict[str, Any]:
-    """Return what was counted, and the estimates for whole intervals."""
+    """Return the counts, and the estimates for whole intervals."""
     estimated = share >= LEAST_SHARE
     whole = np.where(estimated, share, 1.0)
     unseen = (counts.counted + 0.5) * (1.0 - whole)
@@ -249,7 +250,7 @@ def _speeds(counts: _Counts, seconds: Floats, metres: Floats, share: Floats) -> 
 
 
 def _occupancies(areas: _Areas) -> dict[str, Any]:
-    """Return the mean occupancy of tiles; their errors go together, as in heat maps."""
+    """Return the mean occupancy of tiles; their errors are added as fully correlated."""
     return {
         "occupancy": _quotient(areas.occupied_steps, areas.visible_steps),
         "occupancy_se": _quotient(areas.error_steps, areas.visible_steps),
@@ -276,7 +277,7 @@ def _stops(
     states: FrontStates, stopped: Booleans, network: LaneNetwork, visible: VisibleRuns,
     grid: StepGrid,
 ) -> Floats:  # fmt: skip
-    """Count the vehicles that come to stand on visible tiles."""
+    """Return the number of vehicles that stop on visible tiles, by lane and interval."""
     row = np.flatnonzero(stopped & (states.lane >= 0))
     size = len(network.lane) * grid.count
     tile = network.tile_id[network.tile_at(states.lane[row], states.along_m[row])]
@@ -289,10 +290,10 @@ def _turns(
     network: LaneNetwork, grid: StepGrid, states: FrontStates, crossed: Crossings,
     lanes: Mapping[str, Any], areas: _Areas, tiles: TileSteps,
 ) -> dict[str, Any]:  # fmt: skip
-    """Share the volume of each approach among its turns, by the vehicles whose exit is known.
+    """Return turns: the volume of each approach, divided by the exits of vehicles where known.
 
-    Where an exit is not visible, vehicles without a known one may have taken it: then only the
-    known share of the volume goes to the others.
+    Vehicles without a known exit may have taken one that is not visible: then the other exits only
+    get the share of the volume that is known for them.
     """
     ways = np.array([(each.start, each.end) for each in network.turns()], np.int64).reshape(-1, 2)
     known = _known_turns(states, crossed, ways, grid, len(network.lane))
@@ -330,9 +331,9 @@ _OF_APPROACH = ("visible_share", "counted", "volume", "volume_se")
 def _known_turns(
     states: FrontStates, crossed: Crossings, ways: Integers, grid: StepGrid, lanes: int
 ) -> Floats:
-    """Count the vehicles that crossed an approach's line and came to an exit, by way and interval.
+    """Return the number of vehicles from an approach's line to an exit, by way and interval.
 
-    Each takes the first exit of its approach that it comes to.
+    Each vehicle counts for the first exit of its approach that it reaches.
     """
     changes = np.flatnonzero(np.diff(states.lane, prepend=-2) != 0)
     came = pd.DataFrame(
@@ -357,7 +358,7 @@ def _known_turns(
 
 
 def _quotient(part: Floats, whole: Floats) -> Floats:
-    """Return quotients, NaN where there is nothing to divide by."""
+    """Return quotients, NaN where the divisor is not positive."""
     found: Floats = np.full(len(whole), np.nan)
     return np.divide(part, whole, out=found, where=whole > 0.0)
 

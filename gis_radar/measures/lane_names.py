@@ -1,9 +1,9 @@
 """Names of lanes as people use them: street, direction, number from the kerb, turn.
 
-`Ostring northbound, lane 2 (left)`: the street by the map or the city's layer, the direction by the
-compass at the stop line, numbers from the right, where the kerb is, and what the lane does in the
-junction. Lanes that would share a name are told apart as sections, in driving order. Ids stay the
-key; names are for people.
+`Ostring northbound, lane 2 (left)` has the street (by the map or the city's layer), the direction
+at the stop line, the number of the lane from the right, where the kerb is, and its turns in the
+junction. Lanes of the same name are numbered as sections, in driving order. Names are for people;
+programs use the lanes' numbers.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import shapely.ops
 from gis_radar.base import Floats, Text, listed, street_label, tr, wind_of
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 
-BEFORE_M = 5.0  # before the stop line a lane is looked at, where lanes beside still are lanes
+BEFORE_M = 5.0  # before the stop line, where direction and number of a lane are determined
 BESIDE_M = 5.5  # between the middles of lanes side by side, at most
-ABREAST_M = 30.0  # over which lanes of one direction may lie
+ABREAST_M = 30.0  # width over which lanes of one direction are searched
 PARALLEL = math.cos(math.radians(30.0))
 STRAIGHT_RAD, BACK_RAD = math.radians(35.0), math.radians(150.0)  # as of turns in the layer `lanes`
 _BOUND = {
@@ -37,14 +37,14 @@ TURN_WORDS = {
 
 
 def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
-    """Name the lanes of a network, in the current language, each unlike all others.
+    """Return a unique name for each lane of a network, in the current language.
 
     Parameters
     ----------
     lanes : GeoDataFrame
-        The layer `lanes`: of all lanes of the network, perhaps of more.
+        The layer `lanes`, with all lanes of the network; it may have more.
     network : LaneNetwork
-        Of the site.
+        Network of the site.
     """
     known = lanes.set_index("lane").loc[network.lane.tolist()]
     lines = list(known.geometry.array)
@@ -66,16 +66,16 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
         turns = str(row["turn"]).split(";") if leads and isinstance(row["turn"], str) else []
         words = listed([tr(TURN_WORDS[each]) for each in turns if each in TURN_WORDS])
         names.append(f"{name} ({words})" if words else name)
-    return _unlike(names, points, ways)
+    return _made_unique(names, points, ways)
 
 
 def bound_name(way: Floats) -> str:
-    """Return how traffic in a direction is called: `northbound`."""
+    """Return the word for traffic in a direction, such as `northbound`."""
     return tr(_BOUND[wind_of(*way) or "north"])
 
 
 def place_on(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:
-    """Return a point of a line, and its direction there."""
+    """Return a point (m) of a line, and the unit vector of its direction there."""
     low, high = max(along_m - 1.0, 0.0), min(along_m + 1.0, line.length)
     before, point, after = (line.interpolate(m).coords[0][:2] for m in (low, along_m, high))
     way = np.subtract(after, before)
@@ -83,7 +83,7 @@ def place_on(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:
 
 
 def _number(point: Floats, way: Floats, lines: Sequence[shapely.LineString]) -> int:
-    """Return the number of a lane, counted from the right over lanes side by side."""
+    """Return the number of a lane, from the right, among lanes side by side."""
     right = np.array([way[1], -way[0]])
     across = shapely.LineString([point, point + ABREAST_M * right])
     found = []
@@ -96,29 +96,29 @@ def _number(point: Floats, way: Floats, lines: Sequence[shapely.LineString]) -> 
     for away in sorted(found):
         if away - reached > BESIDE_M:
             break
-        if away - reached > 1.0:  # not the lane itself, nor one that runs into it
+        if away - reached > 1.0:  # leaves out the lane itself and one that merges into it
             number, reached = number + 1, away
     return number
 
 
-def _unlike(names: list[str], points: Floats, ways: Floats) -> list[str]:
-    """Tell the lanes of one name apart by the number of their section, in driving order."""
-    told = list(names)
+def _made_unique(names: list[str], points: Floats, ways: Floats) -> list[str]:
+    """Return names of which equal ones get the number of a section, in driving order."""
+    unique = list(names)
     for name in sorted({each for each in names if names.count(each) > 1}):
         mine = [k for k, each in enumerate(names) if each == name]
         way = ways[mine].sum(axis=0)
         order = sorted(mine, key=lambda k: (float(points[k] @ way), k))
         for section, k in enumerate(order, start=1):
-            told[k] = tr("{name}, section {section}", name=name, section=section)
-    return told
+            unique[k] = tr("{name}, section {section}", name=name, section=section)
+    return unique
 
 
 def turn_lines(
     lanes: gpd.GeoDataFrame, network: LaneNetwork, turns: Sequence[Turn]
 ) -> tuple[list[str], list[shapely.LineString]]:
-    """Return which way each turn leads (`left`, `straight`, `right`, `back`), and its line.
+    """Return the word (`left`, `straight`, `right` or `back`) and the line of each turn.
 
-    The line leads from the stop line, else from the approach's end, to the begin of the exit.
+    The line runs from the stop line, else from the approach's end, to the begin of the exit.
     """
     lines = lanes.set_index("lane").geometry
     found = []
@@ -137,7 +137,7 @@ def turn_lines(
 
 
 def _way_of(turned: float) -> str:
-    """Return the word for a turn of so many radians to the left."""
+    """Return the word for a turn, given in radians to the left."""
     if abs(turned) < STRAIGHT_RAD:
         return "straight"
     if abs(turned) > BACK_RAD:

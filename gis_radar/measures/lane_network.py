@@ -1,9 +1,9 @@
-"""The lanes of a site as measures need them: where vehicles are counted, and which lane follows.
+"""The network of lanes for measures: lines at which vehicles are counted, and following lanes.
 
-Junctions are told by how lanes follow each other. A *connector* leads from a branch to a merge and
-has no stop line. A *turn* leads from a lane to the next one that is no connector: over connectors,
-or at once where the lane has a stop line (its lanelets then reach through the junction) or where
-roads branch and merge without one. The lanes that fan out before a stop line are no turns.
+Junctions are found from the order of lanes. A *connector* leads from a branch to a merge and has no
+stop line. A *turn* leads from a lane to the next one that is no connector: over connectors, or
+directly where the lane has a stop line (its lanelets then reach through the junction) or where
+roads branch and merge without one. Lanes that fan out before a stop line are not turns.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.hdmap import lanes_of, quads
 
 JOIN_M = 0.5  # between the middles of ends that follow each other: a tenth of a lane's width
-JOIN_RAD = math.radians(30.0)  # so that the opposite direction, which ends there too, does not
-QUEUE_REACH_M = 500.0  # up to which queues are followed into the lanes before
+JOIN_RAD = math.radians(30.0)  # between their directions: excludes the opposite direction
+QUEUE_REACH_M = 500.0  # from the stop line, up to which queues are followed into earlier lanes
 
 
 class Turn(NamedTuple):
-    """A way from a lane to the next, by positions of lanes: over the connectors `via`."""
+    """A way from a lane to the next over the connectors `via`; all are positions of lanes."""
 
     start: int
     end: int
@@ -40,9 +40,9 @@ class QueueStrips(NamedTuple):
     Parameters
     ----------
     lane, stop_lane : (k,) int64 arrays
-        Positions of the lane, and of the one with the stop line.
+        Positions of the lane, and of the lane with the stop line.
     to_line_m : (k,) array
-        From the begin of the lane to the stop line.
+        Distance from the begin of the lane to the stop line, metres.
     """
 
     lane: Integers
@@ -59,21 +59,21 @@ class LaneNetwork:
     lane : (n,) int64 array
         Numbers of the lanes, ascending.
     length_m : (n,) array
-        Along the middle.
+        Lengths along the middle.
     line_m : (n,) array
-        Where vehicles are counted: the stop line, else the middle of the lane.
+        Place along the lane at which vehicles are counted: its stop line, else its middle.
     has_stop_line : (n,) bool array
-        Which of them it is.
+        Whether that is a stop line.
     free_speed : (n,) array
         Speed without other traffic, m/s; NaN where unknown.
     lanelet_id, lanelet_lane : (m,) int64 arrays
         Lanelets, ascending, and the positions of their lanes.
     offset_m : (m,) array
-        Where along its lane a lanelet begins.
+        Place along its lane at which a lanelet begins.
     tile_id, tile_lane : (t,) int64 arrays
         Tiles in the order of lanes and along them, and the positions of their lanes.
     tile_m, tile_length_m : (t,) arrays
-        Where along its lane a tile begins, and its length.
+        Place along its lane at which a tile begins, and its length.
     after : sequence of tuples of int
         Positions of the lanes that follow each.
     """
@@ -106,8 +106,8 @@ class LaneNetwork:
         tiles : GeoDataFrame
             All tiles.
         stop_line_m, free_speed_kmh : mapping, optional
-            By number of the lane: where its stop line is, m along it, and its speed without other
-            traffic; NaN and lanes left out are none.
+            By number of the lane: place of its stop line, m along it, and its speed without other
+            traffic, km/h; NaN or missing where there is none.
         """
         lanes = lanes_of(tiles)
         s_m, long = (tiles[name].to_numpy(np.float64) for name in ("s_m", "length_m"))
@@ -133,9 +133,9 @@ class LaneNetwork:
         )  # fmt: skip
 
     def place(self, lanelet_id: Integers, s_m: Floats) -> tuple[Integers, Floats]:
-        """Return position of the lane and metres along it of places along lanelets.
+        """Return the lane's position and the metres along it, for places along lanelets.
 
-        -1 and NaN for lanelets that are none of the site's.
+        They are -1 and NaN for lanelets that are not in the network.
         """
         at = np.minimum(np.searchsorted(self.lanelet_id, lanelet_id), len(self.lanelet_id) - 1)
         known = (self.lanelet_id[at] == lanelet_id) & np.isfinite(s_m)
@@ -144,7 +144,7 @@ class LaneNetwork:
         return lane, np.where(known, along, np.nan)
 
     def tile_at(self, lane: Integers, along_m: Floats) -> Integers:
-        """Return the position among the tiles of places on lanes; -1 where `lane` is -1."""
+        """Return the position of the tile at each place on a lane; -1 where `lane` is -1."""
         room = float(self.length_m.max()) + 1.0
         inside = np.nan_to_num(along_m)
         keys = self.tile_lane * room + self.tile_m
@@ -191,11 +191,11 @@ class LaneNetwork:
         return [found[key] for key in sorted(found)]
 
     def _is_turn(self, start: int, end: int) -> bool:
-        """Return whether a lane that follows at once is a turn, and no lane before a stop line."""
+        """Return whether a lane that follows without connector is a turn, not one fanning out."""
         return bool(self.has_stop_line[start] or not self.has_stop_line[end])
 
     def queue_strips(self) -> QueueStrips:
-        """Return the lanes on which queues may stand: up to the stop lines before, or 500 m."""
+        """Return the lanes on which queues may stand: back to other stop lines, or 500 m."""
         before, rows = self.before, list[tuple[int, int, float]]()
         for stop in np.flatnonzero(self.has_stop_line).tolist():
             waiting, seen = [(stop, float(self.line_m[stop]))], set[int]()
@@ -219,7 +219,7 @@ class LaneNetwork:
 
 
 def _offsets(chains: Sequence[Sequence[int]], ends: pd.Series) -> dict[int, float]:
-    """Return where along its lane each lanelet begins."""
+    """Return, by lanelet, the metres along its lane at which it begins."""
     found = {}
     for chain in chains:
         gone = 0.0
@@ -235,7 +235,7 @@ def _known(lane: Integers, values: Mapping[int, float] | None) -> Floats:
 
 
 def _after(tiles: gpd.GeoDataFrame, rows: Sequence[Integers]) -> list[tuple[int, ...]]:
-    """Return the positions of the lanes that begin where each ends, and as it is headed."""
+    """Return, for each lane, the positions of the lanes that begin at its end in its direction."""
     corners = quads(tiles)
     first, last = (np.array([each[k] for each in rows]) for k in (0, -1))
     begin, end = corners[first][:, [0, 3]], corners[last][:, [1, 2]]

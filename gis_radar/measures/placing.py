@@ -1,7 +1,8 @@
-"""Where the detections of a frame are: the half of the counting loop without branches.
+"""Place the detections of a frame in the map: the part of the counting loop without branches.
 
-Of processors' time most goes to branches guessed wrong. So a first loop places all detections, a
-few at a time as vectors, and lists those over cells with tiles; few are left for the second.
+Mispredicted branches take most of a processor's time. So a first loop, without any, places all
+detections, several at a time as vectors, and lists those over cells with tiles. Only these few are
+left for the second loop.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from gis_radar.base import Floats, compiled
 from gis_radar.hdmap import Numbers, TileCells, cell_at
 from gis_radar.poses import Pose
 
-PLACED_AT_ONCE = 1024  # detections: 36 KiB, near the processor
+PLACED_AT_ONCE = 1024  # detections: 36 KiB, which fit in the processor's cache
 
 
 class PoseNumbers(NamedTuple):
-    """A pose as compiled code takes it.
+    """A pose as numbers for compiled code.
 
     Parameters
     ----------
@@ -28,10 +29,10 @@ class PoseNumbers(NamedTuple):
     easting, northing, height : float
         Position of the sensor, metres.
     drop_m, drop_m2 : float
-        How far the road lies under the sensor, metres, and its square: where detections without
-        elevation are placed; 0 where not known.
+        Height of the sensor over the road, on which detections without elevation are placed,
+        metres, and its square; 0 where unknown.
     number : int
-        Of the pose; frames carry it.
+        Number of the pose, which frames keep.
     """
 
     xx: float
@@ -52,7 +53,7 @@ class PoseNumbers(NamedTuple):
 
     @classmethod
     def of(cls, pose: Pose, *, road_m: float = math.nan, number: int = 0) -> PoseNumbers:
-        """Return a pose over a road of some height (metres in the map; NaN where not known)."""
+        """Return the numbers of a pose over a road at `road_m` (map frame; NaN where unknown)."""
         drop_m = 0.0 if math.isnan(road_m) else pose.height - road_m
         (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = pose.R_map_sensor.tolist()
         return cls(
@@ -62,16 +63,16 @@ class PoseNumbers(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Room for the places of some detections.
+    """Buffers for the places of some detections.
 
     Parameters
     ----------
     east, north, range_m : (m,) float64 arrays
-        From the corner of the cells, and from the sensor, metres.
+        Position from the corner of the cells, and range from the sensor, metres.
     cell, metres : (m,) int32 arrays
-        Cell of :class:`TileCells`; the range as a place in a histogram, -1 without a position.
+        Cell of :class:`TileCells`; index of the range in a histogram, -1 without a position.
     over : (m,) int32 array
-        Which of them are over a cell with tiles.
+        Indices of the detections over a cell with tiles.
     """
 
     east: Floats
@@ -83,7 +84,7 @@ class Places(NamedTuple):
 
     @classmethod
     def empty(cls) -> Self:
-        """Return the room."""
+        """Return buffers for `PLACED_AT_ONCE` detections."""
         east, north, range_m = np.empty((3, PLACED_AT_ONCE))
         cell, metres, over = np.empty((3, PLACED_AT_ONCE), np.int32)
         return cls(east, north, range_m, cell, metres, over)
@@ -94,9 +95,9 @@ def fill_places(  # pragma: no cover - compiled
     xs: Floats, ys: Floats, zs: Floats, pose: PoseNumbers, cells: TileCells, last_m: float,
     places: Places,
 ) -> int:  # fmt: skip
-    """Fill in the places of detections, of float64 or float32; return how many are over tiles.
+    """Fill in the places of detections (m; float64 or float32); return how many are over tiles.
 
-    Ranges from `last_m` metres on count as that.
+    Ranges over `last_m` metres count as `last_m`.
     """
     east, north, range_m, metres = places.east, places.north, places.range_m, places.metres
     cell, per_m, odd = places.cell, 1.0 / cells.cell_m, False
@@ -122,7 +123,7 @@ def _place_level(  # pragma: no cover - compiled
     xs: Floats, ys: Floats, zs: Floats, pose: PoseNumbers, cells: TileCells, last_m: float,
     places: Places,
 ) -> None:  # fmt: skip
-    """Fill in the places of detections without elevation, and of rows that are none."""
+    """Fill in the places of detections without elevation, and of rows without a detection."""
     for k in range(len(xs)):
         x, y = np.float64(xs[k]), np.float64(ys[k])
         if math.isnan(x) or math.isnan(y):
@@ -142,7 +143,7 @@ def _place_level(  # pragma: no cover - compiled
 def height_of(  # pragma: no cover - compiled
     x: float, y: float, z: float, to: PoseNumbers
 ) -> float:
-    """Return the height of a detection in the map, as :meth:`Pose.to_map` does."""
+    """Return the height (m) of a detection in the map, as :meth:`Pose.to_map` does."""
     if math.isnan(z):
         return to.height - to.drop_m
     return ((x * to.zx + z * to.zz) + y * to.zy) + to.height
@@ -152,7 +153,7 @@ def height_of(  # pragma: no cover - compiled
 def _on_plane(  # pragma: no cover - compiled
     x: float, y: float, to: PoseNumbers
 ) -> tuple[float, float]:
-    """Return where a detection without elevation is, as :meth:`Pose.to_map` does."""
+    """Return easting and northing of a detection without elevation, as :meth:`Pose.to_map` does."""
     east, north = x * to.xx + y * to.xy, x * to.yx + y * to.yy
     range_m, length = math.hypot(x, y), math.hypot(east, north)
     flat_m = math.sqrt(max(range_m * range_m - to.drop_m2, 0.0))

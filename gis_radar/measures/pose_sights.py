@@ -1,9 +1,9 @@
-"""What sensors see from their poses, and the recordings made there.
+"""Sights of sensors from the poses of their tracks, and recordings with these sights.
 
-A pose track corrects a pose by centimetres, and each correction adds or removes a tile at the rim
-of the view. So a pose shares the sight of an earlier one of its track that is near enough, unless a
-pose `moved` stands between them. Sights follow from the track alone, not from what was recorded;
-detections are moved to the map by the poses as they are.
+A pose track corrects a pose by centimetres, and each correction would add or remove tiles at the
+rim of the view. So a pose shares the sight of an earlier, near one of its track, unless a pose
+with the event `moved` comes between them. Sights depend on the track alone, not on what was
+recorded; detections are moved to the map by the exact poses.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from gis_radar.scans import (
     report_uncovered,
 )
 
-# A pose of a track shares the view of an earlier one that is so near: half a tile, and about the
-# sigma of a tracked angle. Smaller values make more views; hits do not depend on them.
+# Farthest earlier pose of a track whose sight a pose shares: half a tile, and about the sigma of a
+# tracked angle. Smaller values give more sights; hits do not depend on them.
 VIEW_SHARED_M, VIEW_SHARED_DEG = 0.25, 0.2
-VIEWS_COMPARED = 64  # latest ones of a track that a pose is compared with: bounds the work
-# Nearest tiles of a view whose median height is the road's for detections without elevation: 100 m
-# of lane, where the height matters: 5 m shift a place by 0.6 m at 20 m, 0.1 m at 120 m.
+VIEWS_COMPARED = 64  # latest sights of a track that a pose is compared with: limits the work
+# Number of nearest tiles whose median height is the road's for detections without elevation: 100 m
+# of lane near the sensor, where it matters: 5 m shift a place by 0.6 m at 20 m, 0.1 m at 120 m.
 ROAD_TILES = 200
 
 
@@ -58,14 +58,14 @@ def pose_names(track: str, count: int) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseSight:
-    """A pose, and the tiles in its sight; later poses of its track may share it.
+    """A pose with the tiles in its sight; later poses of its track may share it.
 
     Parameters
     ----------
     name : str
-        Of the pose.
+        Name of the pose.
     pose : Pose
-        Where the sensor stands and looks.
+        The pose.
     tile_id : (n,) int64 array
         Tiles in sight, ascending.
     road_m : float
@@ -79,7 +79,7 @@ class PoseSight:
 
     @classmethod
     def of(cls, sight: Sight, road: SightTiles, *, name: str) -> Self:
-        """Keep of a sight what frames are counted by."""
+        """Return what the counting of frames needs of a sight."""
         return cls(
             name=name, pose=sight.pose, tile_id=np.sort(sight.seen),
             road_m=road_near(sight, road),
@@ -88,18 +88,18 @@ class PoseSight:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedRecording:
-    """A recording with what is known of its sensor.
+    """A recording with track, sights and clock of its sensor.
 
     Parameters
     ----------
     recording, track : Recording, PoseTrack
-        What is read, and where its sensor stood.
+        The recording, and the poses of its sensor.
     track_name : str
         Name of the track.
     sights : sequence of PoseSight
-        What is seen from each pose of the track.
+        The sight of each pose of the track.
     clock : SensorClock, optional
-        How far the sensor's clock is ahead.
+        Offset of the sensor's clock.
     """
 
     recording: Recording
@@ -115,22 +115,22 @@ class PlacedRecording:
 
     @property
     def right_clock(self) -> SensorClock:
-        """The sensor's clock; where nothing is known of it, it is right."""
+        """The sensor's clock; one without offset where it is unknown."""
         return self.clock or SensorClock(offset_s=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SightBook:
-    """What sensors see by tiles and scan, by the name of the pose.
+    """Finds and keeps the sights of poses, by tiles and scan.
 
     Parameters
     ----------
     road : SightTiles
         All tiles.
     scan : SightScan or SightFile, optional
-        What hides tiles; without it, all that is within range and angles is in sight.
+        Source of sight; without it, all tiles in a view are in sight.
     sights : dict
-        What was found, by the name of the pose.
+        Sights found so far, by the name of the pose.
     """
 
     road: SightTiles
@@ -144,7 +144,7 @@ class SightBook:
         clocks: Mapping[str, SensorClock] | None,
         reporter: Reporter,
     ) -> list[PlacedRecording]:
-        """Return recordings with what is seen from their tracks; warn of sensors that see no tile.
+        """Return recordings with the sights of their tracks; warn of sensors that see no tile.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class SightBook:
         ]  # fmt: skip
 
     def _see(self, tracks: Mapping[str, PoseTrack]) -> dict[str, tuple[PoseSight, ...]]:
-        """Return by the name of each track what is seen from its poses."""
+        """Return, by the name of each track, the sights of its poses."""
         standing = {name: standing_for(each.poses) for name, each in tracks.items()}
         looks = {
             name: {k: track.poses[k] for k in np.unique(standing[name]).tolist()}
@@ -205,7 +205,7 @@ class SightBook:
             reporter.warn("no tile lies in the view of {}", sensor)
 
     def report(self, reporter: Reporter) -> None:
-        """Report that there is no scan, or what it does not cover."""
+        """Report that there is no scan, or the share of views that it covers."""
         if self.scan is None:
             reporter.log(
                 Text(
@@ -223,12 +223,12 @@ class SightBook:
 
 
 def road_near(sight: Sight, road: SightTiles) -> float:
-    """Return the height of the road near a sensor, metres; NaN where it is not known.
+    """Return the height of the road near a sensor, metres; NaN where it is unknown.
 
     Parameters
     ----------
     sight : Sight
-        What the sensor sees: tiles in its view count.
+        Sight of the sensor; the tiles in its view count, hidden ones too.
     road : SightTiles
         All tiles.
     """
@@ -240,7 +240,7 @@ def road_near(sight: Sight, road: SightTiles) -> float:
 
 
 def standing_for(poses: Sequence[Pose]) -> Integers:
-    """Return for each pose of a track the one whose sight it shares: an earlier one, or itself.
+    """Return, for each pose of a track, the pose whose sight it shares: an earlier one, or itself.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def standing_for(poses: Sequence[Pose]) -> Integers:
 
 
 class _Head(NamedTuple):
-    """A pose that stands for itself."""
+    """A pose with a sight of its own, which later poses may share."""
 
     number: int
     pose: Pose
@@ -278,7 +278,7 @@ class _Head(NamedTuple):
         return cls(number, pose, pose.position, turn)
 
     def is_near(self, other: _Head) -> bool:
-        """Return whether another pose shares the sight."""
+        """Return whether another pose may share the sight."""
         if self.pose.view != other.pose.view:
             return False
         apart_m = float(np.linalg.norm(self.position - other.position))
@@ -289,7 +289,7 @@ class _Head(NamedTuple):
 
 
 def places_of(poses: Sequence[Pose]) -> Integers:
-    """Return for each pose of a track the first one where the sensor stood then: it may move.
+    """Return, for each pose of a track, the first pose since the sensor was moved last.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def places_of(poses: Sequence[Pose]) -> Integers:
 
 
 def sight_of_tiles(tile_id: Integers, pose: Pose, road: SightTiles) -> Sight:
-    """Return the sight of a sensor from the tiles that it sees: the others of its view are hidden.
+    """Return a sight from the tiles in sight; all other tiles in the view are hidden.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Vehicles that stand, and the queues that they make before stop lines."""
+"""Standing vehicles, and the queues that they form at stop lines."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, ranges
 from gis_radar.measures.lane_fronts import FrontStates, StepGrid, VisibleRuns
 from gis_radar.measures.lane_network import LaneNetwork
 
-SLOW_MPS = 5.0 / 3.6  # a slower vehicle stands, as traffic engineering counts stops (HCM, ch. 31)
-SLOW_STEPS = STEPS_PER_SECOND  # after so long
-JOINED_M = 10.0  # largest gap to the vehicle before, or to the stop line: the length of two cars
-OVER_LINE_M = 2.0  # by how much who waits may stand over the line
-# From one look to the next, those of absolute time that so many divide: all tracks have a state.
+SLOW_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
+SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
+JOINED_M = 10.0  # largest gap to the vehicle ahead, or to the stop line: the length of two cars
+OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
+# Queues are measured at steps divisible by this: all tracks have a state there.
 LOOK_STEPS = 4
 
 
 class StandingStates(NamedTuple):
-    """States of vehicles that stand.
+    """States in which vehicles stand or stop.
 
     Parameters
     ----------
     stands : (n,) bool array
-        Which states: slow for 1 s.
+        Whether the vehicle stands in the state: it has been slow for 1 s.
     stops : (n,) bool array
-        In which of them a vehicle has come to stand; one that stood when it was first found has
-        not.
+        Whether it begins to stand in the state; a vehicle that is slow from its first state on does
+        not stop.
     """
 
     stands: Booleans
@@ -36,7 +36,7 @@ class StandingStates(NamedTuple):
 
 
 def standing_states(states: FrontStates) -> StandingStates:
-    """Tell the states in which vehicles stand."""
+    """Return the states in which vehicles stand, and those in which they stop."""
     slow = states.speed < SLOW_MPS
     new = np.ones(len(slow), np.bool_)
     new[1:] = np.diff(states.vehicle) != 0
@@ -50,14 +50,14 @@ def standing_states(states: FrontStates) -> StandingStates:
 
 
 class QueueBacks(NamedTuple):
-    """Backs of queues, by cells of lane and interval.
+    """Lengths of queues from the stop line to the back, by cells of lane and interval.
 
     Parameters
     ----------
     most_m : (cells,) array
-        The farthest one from the stop line, m; 0 where there is no queue.
+        Greatest length, m; 0 without a queue.
     sum_m : (cells,) array
-        Sum over all looks at which the stop line is visible, m.
+        Sum of the lengths, m, over all steps divisible by `LOOK_STEPS` with a visible stop line.
     """
 
     most_m: Floats
@@ -68,16 +68,16 @@ def queues(
     states: FrontStates, stands: Booleans, length_m: Floats, network: LaneNetwork,
     visible: VisibleRuns, grid: StepGrid,
 ) -> QueueBacks:  # fmt: skip
-    """Find the queues at stop lines: vehicles that stand, from the line back, without a large gap.
+    """Find the queues at stop lines: standing vehicles, from the line back, up to a large gap.
 
     Parameters
     ----------
     states : FrontStates
         All states.
     stands : (n,) bool array
-        Which of them stand.
+        Whether the vehicle stands in each state.
     length_m : (n,) array
-        Lengths of their vehicles.
+        Length of the vehicle of each state, m.
     network, visible, grid
         As for :func:`gis_radar.measures.lane_fronts.driven`.
     """
@@ -96,7 +96,7 @@ def queues(
     rear = front + length_m[row[order]]
     new = np.ones(len(stop), np.bool_)
     new[1:] = (np.diff(stop) != 0) | (np.diff(step) != 0)
-    reach = _farthest(rear, new)  # a lorry may reach farther back than a car that begins behind it
+    reach = _farthest(rear, new)  # a lorry may reach farther back than a car whose front is behind
     ahead = np.where(new, 0.0, np.concatenate([[0.0], reach])[: len(reach)])
     joined = _unbroken(front - ahead <= JOINED_M, new)
     line = network.tile_id[network.tile_at(stop, network.line_m[stop])]
@@ -170,14 +170,14 @@ def queue_course(
 
 
 def _farthest(values: Floats, new: Booleans) -> Floats:
-    """Return the greatest value of each group so far."""
+    """Return, for each value, the greatest one of its group up to it; `new` begins a group."""
     group = np.cumsum(new)
     span = float(np.ptp(values)) + 1.0 if len(values) else 1.0
     return np.asarray(np.maximum.accumulate(values + group * span) - group * span, np.float64)
 
 
 def _unbroken(good: Booleans, new: Booleans) -> Booleans:
-    """Return the values of each group up to its first that is not good."""
+    """Return which values are before the first one of their group that is not good."""
     bad: Integers = np.cumsum(~good)
     first = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
     return np.asarray(bad == bad[first] - (~good)[first], np.bool_)

@@ -1,4 +1,4 @@
-"""What one sensor delivered in the window of an hour: its frames, and the tiles that they hit."""
+"""Read the frames of one sensor in the window of an hour, and the tiles that they hit."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ NEVER_US = -(2**62)
 
 @dataclass(frozen=True, kw_only=True)
 class HitTarget:
-    """What detections are assigned to, the same for all recordings.
+    """Tiles that detections are assigned to, and filters, the same for all recordings.
 
     Parameters
     ----------
     road : SightTiles
         All tiles, by ascending id.
     grid : TileGrid
-        Of the same tiles.
+        Grid of the same tiles.
     filters : Filters
-        Which detections count.
+        Filters for the detections that count.
     rcs : bool
-        Whether radar cross sections are read, by which frames are told apart, too.
+        Whether radar cross sections are read; the frames' hashes then include them.
     """
 
     road: SightTiles
@@ -47,22 +47,23 @@ class HitTarget:
 
 @dataclass(kw_only=True)
 class RecordingCounts:
-    """What is counted of a recording for remarks about it, over any hours.
+    """Counts of a recording for remarks about it, over one hour or more.
 
     Parameters
     ----------
     rows, hits : int
-        Rows, and how often a tile was hit by a frame.
+        Number of rows, and of hits of a tile by a frame.
     times : FrameTimes
         First and last frame, and the gaps between frames.
     ranges : (r,) int64 array
-        Detections by their range, as of :class:`RangeCounts`.
+        Number of detections by range, as in :class:`RangeCounts`.
     level : bool
         Whether the sensor measures no elevation.
     movement : dict
-        By the first sight after the last move, frames with movement on each tile.
+        Number of frames with movement on each tile, by the name of the first sight since the sensor
+        was moved last.
     frames : dict
-        By the same sight, all frames.
+        Number of all frames, by the same name.
     """
 
     rows: int = 0
@@ -74,7 +75,7 @@ class RecordingCounts:
     frames: dict[str, int] = field(default_factory=dict)
 
     def add(self, other: RecordingCounts) -> None:
-        """Add what was counted in another hour."""
+        """Add the counts of another hour."""
         self.rows, self.hits = self.rows + other.rows, self.hits + other.hits
         self.times.join(other.times)
         self.ranges = self.ranges + other.ranges
@@ -87,25 +88,25 @@ class RecordingCounts:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorHour:
-    """The frames of a sensor in a window, and what they hit.
+    """The frames of a sensor in a window, and the tiles that they hit.
 
     Parameters
     ----------
     sensor : str
-        Its name.
+        Name of the sensor.
     sources : sequence of PlacedRecording
         Its recordings, by their first frame.
     frames : HashedFrames
         All frames of the window, each once.
     source, pose : (f,) int64 arrays
-        Of each, the number of its recording, and of the pose in force in that one's track.
+        For each frame, the number of its recording, and that of the pose in force in its track.
     counted : (g, 7) int64 array
-        The frames of the hour and just before it: columns as of
+        The frames of the hour and just before it, with the columns of
         :mod:`gis_radar.measures.counting_loop`.
     tile : list of int32 arrays
-        Positions of the tiles that these hit, frame by frame.
+        Positions of the tiles that these frames hit, frame by frame.
     evidence : list of RecordingCounts
-        A recording each.
+        Counts of each recording.
     """
 
     sensor: str
@@ -119,12 +120,12 @@ class SensorHour:
 
     @property
     def sights(self) -> list[PoseSight]:
-        """What is seen from each pose of all sources, one after the other."""
+        """Sights of all poses of all sources, one after the other."""
         return [sight for source in self.sources for sight in source.sights]
 
     @property
     def place(self) -> Integers:
-        """The number among these of the pose in force at each frame of the window."""
+        """Index into :attr:`sights` of the pose in force at each frame of the window."""
         begins = np.cumsum([0, *(len(source.sights) for source in self.sources)])
         return np.asarray(begins[self.source] + self.pose)
 
@@ -138,18 +139,18 @@ def read_sensor(
 ) -> SensorHour:
     """Read the recordings of a sensor in the window of an hour.
 
-    What two recordings hold of the same time has to be equal, and counts once.
+    Frames that two recordings hold of the same time must be equal, and count once.
 
     Parameters
     ----------
     sources : sequence of PlacedRecording
-        All of one sensor, by their first frame.
+        All recordings of one sensor, by their first frame.
     window : HourWindow
         The hour.
     target : HitTarget
-        What detections are assigned to.
+        Tiles and filters.
     count_hits : bool
-        Whether hits are asked for, or only the frames.
+        Whether to count hits, or only to read the frames.
 
     Raises
     ------
@@ -178,12 +179,12 @@ def read_sensor(
 
 @dataclass(kw_only=True)
 class _Reading:
-    """A recording as it is read."""
+    """The frames of one recording in the window, and the tiles that they hit."""
 
     source: PlacedRecording
     window: HourWindow
     target: HitTarget
-    until_us: int  # up to it earlier recordings of the sensor count
+    until_us: int  # time up to which earlier recordings of the sensor count
     frames: HashedFrames = field(default_factory=lambda: HashedFrames.join([]))
     counted: list[Integers] = field(default_factory=list)
     tile: list[Numbers] = field(default_factory=list)
@@ -199,11 +200,11 @@ class _Reading:
         return self.frames.take(self.frames.time_us > self.until_us)
 
     def poses(self) -> Integers:
-        """Return which pose of the track is in force at each of the fresh frames."""
+        """Return the index of the pose of the track in force at each fresh frame."""
         return self.source.track.at(self.fresh.time)
 
     def read(self, *, count_hits: bool) -> None:
-        """Read the rows of the window; count those that matter to the hits of the hour."""
+        """Read the rows of the window; count hits of frames that may be valid in the hour."""
         hasher = FrameHasher()
         counter = _Counter(self)
         first_us, after_us = self.window.span_us
@@ -220,7 +221,7 @@ class _Reading:
         self.frames = hasher.end()
 
     def _batches(self) -> Iterator[tuple[RawRows, Floats, Integers]]:
-        """Read batches around the window, with corrected times, and microseconds added to them."""
+        """Yield batches around the window: rows, corrected times (s), and the corrections (us)."""
         clock = self.source.clock
         first, after = self.window.span
         limits = np.array([first - 1, after + 1]) * STEP_S
@@ -232,7 +233,7 @@ class _Reading:
                 yield raw, raw.time, NO_TILES
                 continue
             time = clock.corrected(raw.time)
-            step_of(time[[0, -1]])  # refuses what is outside of the known years
+            step_of(time[[0, -1]])  # refuses times outside the known years
             yield raw, time, np.rint((time - raw.time) * 1e6).astype(np.int64)
 
 
@@ -296,7 +297,7 @@ class _Counter:
 
 
 def rows_between(time: Floats, first_us: int, after_us: int) -> tuple[int, int]:
-    """Return which rows, of ascending times, lie from one time to before another, microseconds."""
+    """Return begin and end of the rows, of ascending times (s), in [`first_us`, `after_us`)."""
     edges = np.rint(time[[0, -1]] * 1e6)
     if edges[0] >= first_us and edges[1] < after_us:
         return 0, len(time)
@@ -305,7 +306,7 @@ def rows_between(time: Floats, first_us: int, after_us: int) -> tuple[int, int]:
 
 
 def _refuse_difference(part: _Reading, earlier: Sequence[_Reading]) -> None:
-    """Refuse a recording that differs from earlier ones in the time that both hold."""
+    """Refuse a recording that differs from earlier ones in the time that they share."""
     again = part.frames.take(part.frames.time_us <= part.until_us)
     if len(again) == 0:
         return

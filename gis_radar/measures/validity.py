@@ -20,12 +20,12 @@ from gis_radar.base import (
     UsageError,
 )
 
-# Of a frame where no cycle is stated: two cycles of 50 ms, so that one lost frame leaves no gap.
+# Validity without a stated cycle: two cycles of 50 ms, so that one lost frame leaves no gap.
 VALIDITY_S = 0.1
-# How long a frame is valid where a cycle is stated, in cycles: over any jitter, under two, so that
-# time without frames is not observed.
+# Validity with a stated cycle, in cycles: more than any jitter, and less than two, so that time
+# without frames is not observed.
 CYCLES_VALID = 1.5
-GAP_US = 100  # resolution of measured cycles: jitter is larger
+GAP_US = 100  # resolution of the histogram of gaps: finer than jitter
 MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
 
 
@@ -65,22 +65,22 @@ def validity_of(cycles: Mapping[str, float] | None, sensors: Sequence[str]) -> d
 
 
 def valid_steps(validity_s: float) -> int:
-    """Return in how many steps after its own a frame is valid at most."""
+    """Return the greatest number of steps after its own in which a frame is valid."""
     return round(validity_s * 1e6) // STEP_US
 
 
 @dataclass(kw_only=True)
 class FrameTimes:
-    """When the frames of a sensor came: the first, the last, and a histogram of the gaps.
+    """Times of the frames of a sensor: the first, the last, and a histogram of the gaps.
 
     Parameters
     ----------
     frames : int
-        Frames so far.
+        Number of frames so far.
     first_us, last_us : int
         Time of the first and of the last one, microseconds since the UNIX epoch.
     gaps, sums_us : (m,) int64 arrays
-        Gaps between frames by their length in `GAP_US`: how many, and their sum.
+        Number of gaps between frames by their length in `GAP_US`, and the sum of their lengths.
     """
 
     frames: int = 0
@@ -101,7 +101,7 @@ class FrameTimes:
         self.frames += len(time_us)
 
     def join(self, other: FrameTimes) -> None:
-        """Add the frames of another time."""
+        """Add the frames of another period."""
         if other.frames == 0:
             return
         known = self.frames > 0
@@ -113,7 +113,7 @@ class FrameTimes:
 
     @property
     def cycle_us(self) -> float:
-        """The median time from one frame to the next; infinite where there is but one."""
+        """Median time from frame to frame, microseconds; infinite for a single frame."""
         done = np.cumsum(self.gaps)
         if done[-1] == 0:
             return np.inf
@@ -123,7 +123,7 @@ class FrameTimes:
 
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """A set of steps: runs that ascend and do not touch.
+    """A set of steps, as ascending runs that do not touch.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Runs:
         return int((self.last - self.first + 1).sum())
 
     def before(self, step: Integers) -> Integers:
-        """Return how many steps of the set come before each of the given steps."""
+        """Return the number of steps of the set before each of the given steps."""
         length = self.last - self.first + 1
         done = np.concatenate([[0], np.cumsum(length)])
         run = np.searchsorted(self.first, step) - 1

@@ -35,7 +35,7 @@ SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
 QUATERNION_FIELDS = ("quaternion_x", "quaternion_y", "quaternion_z", "quaternion_w")
 TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS, *SIGMA_FIELDS,
                 "event", "vehicles", "fitness")  # fmt: skip
-NUMBERS = {"vehicles": int, "fitness": float}  # of the evidence; the rest of it is text
+NUMBERS = {"vehicles": int, "fitness": float}  # evidence that is a number; all other is text
 DECIMALS = 6  # of metres and degrees
 
 
@@ -64,7 +64,10 @@ class PoseTrack:
         return np.maximum(np.searchsorted(self.since, time, side="right") - 1, 0)
 
     def runs(self, time: Floats) -> Iterator[tuple[int, int, int]]:
-        """Yield which pose holds at ascending times: its index, and from where to where."""
+        """Yield (index of the pose, begin, end) of each run of ascending times with one pose.
+
+        `begin` and `end` are indices into `time` (UNIX seconds), which is not empty.
+        """
         first, last = self.at(time[[0, -1]]).tolist()
         borders = np.searchsorted(time, self.since[first + 1 : last + 1]).tolist()
         for index, (begin, end) in enumerate(pairwise([0, *borders, len(time)]), start=first):
@@ -133,9 +136,9 @@ def read_pose(path: str | Path) -> Pose:
 def write_track(track: PoseTrack, path: str | Path) -> None:
     """Write a pose track as CSV, whole or not at all.
 
-    A row a pose: time, position, angles, the quaternion (x, y, z, w; its sign does not jump from
-    row to row), sigma in metres and degrees, and `event`, `vehicles` and `fitness` where the
-    pose's evidence has them; the view where there is one. What is not known stays empty.
+    A row a pose: time, position, angles, quaternion (x, y, z, w; its sign does not jump from row
+    to row), sigma in metres and degrees, then `event`, `vehicles`, `fitness` and the view where a
+    pose has them. Unknown values stay empty.
 
     Parameters
     ----------
@@ -182,7 +185,7 @@ def read_track(path: str | Path) -> PoseTrack:
     """Read a pose (JSON) or a pose track (CSV), whichever the file is.
 
     The row of an event `rejected` holds the pose that stays in force, so it counts like any
-    other. Columns that are no part of a pose go into its evidence, `sigma_...` as its sigma.
+    other. Further columns become its evidence, `sigma_...` the sigma in it.
 
     Raises
     ------
@@ -212,7 +215,7 @@ def read_track(path: str | Path) -> PoseTrack:
 
 
 def _rows_of(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a track; refuse rows of other lengths, and a last row that may be cut."""
+    """Return the rows of a track; refuse rows of unequal length, and a last row that may be cut."""
     text = _text(path)
     try:
         header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
@@ -226,11 +229,11 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
                 Text("{}: row {} has {} cells, the header {}", path, number, len(row), len(header))
                 + (": cut off?" if number == len(rows) else "")
             )
-    # A line end at the end is not required (RFC 4180), but without it the last number may be cut:
-    # of a view as we write it, which does not change, unless another row has the same.
+    # The last line needs no line end (RFC 4180), but without one its last number may be cut. In our
+    # own files that number is of a view, which is the same in all rows: it is cut if no row has it.
     of_view = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS and header[-1] in VIEW_FIELDS
-    same = any(row[-1] == rows[-1][-1] for row in rows[:-1])
-    if of_view and not same and not text.endswith("\n"):
+    is_repeated = any(row[-1] == rows[-1][-1] for row in rows[:-1])
+    if of_view and not is_repeated and not text.endswith("\n"):
         raise InputError("{}: row {} does not end: cut off?", path, len(rows))
     return [dict(zip(header, row, strict=True)) for row in rows]
 

@@ -1,4 +1,4 @@
-"""The three layers of a GeoPackage of sensors: points, views, uncertainties; `*.qml` style them."""
+"""A GeoPackage of sensors: layers of points, views and uncertainties, with styles (`*.qml`)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
     Parameters
     ----------
     poses : sequence of Pose
-        At least one, all in one coordinate system. A pose without a view gets the usual one.
+        At least one, all in one coordinate system. A pose without a view gets the default one.
     path : str or Path
         The GeoPackage; it appears whole or not at all. QGIS loads its styles by itself.
 
@@ -52,7 +52,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
         raise UsageError("there is no pose to write")
     for pose in poses[1:]:
         require_same(pose.crs, poses[0].crs, what=pose.sensor, other_what=poses[0].sensor)
-    poses = sorted(poses, key=lambda pose: pose.sensor)  # in whatever order they were given
+    poses = sorted(poses, key=lambda pose: pose.sensor)  # equal files for any order of the input
     layers = {SENSORS: _points(poses), VIEWS: _views(poses), UNCERTAINTY: _ellipses(poses)}
     kinds = {SENSORS: "Point", VIEWS: "Polygon", UNCERTAINTY: "Polygon"}
     with atomic_write(path) as part:

@@ -1,4 +1,4 @@
-"""Poses: where a sensor stands and looks, how well that is known, how points move to the map."""
+"""Poses: position and orientation of a sensor, their uncertainty, and points moved by them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ QUATERNION_TOLERANCE_DEG = 0.01  # of the contract: 5 cm at 300 m
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What a sensor can see: full opening angles about its x axis, and a range.
+    """The field of view of a sensor: full opening angles about its x axis, and a range.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class View:
         Parameters
         ----------
         points : (n, 3) array
-            Sensor frame, metres; a z of NaN leaves the elevation out of the question.
+            Sensor frame, metres; where z is NaN, the elevation is not checked.
 
         Returns
         -------
@@ -110,7 +110,7 @@ class Pose:
         Degrees, intrinsic Z-Y-X: `R_map_sensor = Rz(yaw) Ry(pitch) Rx(roll)`. Yaw counts
         counter-clockwise from grid east, pitch > 0 looks down.
     view : View, optional
-        What it sees; None where not stated.
+        Its field of view; None where not stated.
     evidence : dict
         What else the pose file holds (sigma, covariance, time, method, ...), kept as read.
     """
@@ -161,16 +161,17 @@ class Pose:
             x forward, y left, z up, metres. Where z is NaN, the sensor measures no elevation, and
             x and y are at the slant range.
         road_m : float
-            Height of the road in the map, metres, on which points without elevation are placed;
-            where it is NaN, they are placed at the sensor's height.
+            Height of the road in the map, metres: points without elevation are placed on it, or at
+            the sensor's height where it is NaN.
 
         Returns
         -------
         (n, 3) float64 array
-            Easting, northing, height. A point nearer than the road is placed under the sensor.
+            Easting, northing, height, metres. A point without elevation whose range is less than
+            the sensor's height over the road is placed under the sensor.
         """
-        # Not a matrix product: its last digits would depend on how the points are cut into pieces,
-        # and on the machine. The counting loop adds in the same order.
+        # The last digits of a matrix product depend on the number of points and on the machine.
+        # The counting loop adds in the same order.
         points = np.asarray(points, np.float64)
         x, y, z = points.T
         turned = np.stack([(x * r[0] + z * r[2]) + y * r[1] for r in self.R_map_sensor], axis=1)
@@ -181,7 +182,7 @@ class Pose:
         return np.asarray(turned + self.position)
 
     def _on_plane(self, points: Floats, drop_m: float) -> Floats:
-        """Return points at slant ranges on a level plane under the sensor, from the sensor."""
+        """Return offsets from the sensor, map axes, of points put on a plane `drop_m` below it."""
         x, y = points[:, 0], points[:, 1]
         ahead = np.stack([x * r[0] + y * r[1] for r in self.R_map_sensor[:2]], axis=1)
         range_m = np.hypot(x, y)
@@ -210,11 +211,11 @@ class Pose:
         return record if self.view is None else record | {"view": vars(self.view)}
 
     def outline(self) -> shapely.Polygon:
-        """Return what its azimuth and range reach in the map, seen from above.
+        """Return the view's area in the map, seen from above.
 
-        The rim is the view's azimuths at elevation 0 in the sensor frame, turned by the whole pose:
-        a sensor that hangs upside down or looks down is drawn where it looks. Without a view, the
-        usual one counts.
+        Its rim has elevation 0 in the sensor frame and is turned by yaw, pitch and roll: a sensor
+        that hangs upside down or looks down is drawn where it looks. A pose without a view gets
+        the default one.
         """
         view = self.view or View()
         half = math.radians(view.azimuth_deg) / 2
@@ -229,15 +230,15 @@ class Pose:
         return shapely.Polygon(np.concatenate([outer, inner[::-1]]))
 
     def parsed_evidence(self) -> Evidence:
-        """Return its evidence parsed and checked.
+        """Return the evidence, parsed and checked.
 
         Raises
         ------
         InputError
-            If the covariance is not 6 x 6, symmetric and positive, or a sigma no number from 0.
+            If the covariance is not 6 x 6, symmetric and positive, or a sigma is negative.
         """
         what, stated = Text("pose of {}", self.sensor), self.evidence
-        scale = stated.get("range_scale")  # a text where there was none to fit
+        scale = stated.get("range_scale")  # a text where none could be fitted
         sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
         return Evidence(
             range_scale_sigma=_from_zero(0.0 if sigma is None else sigma, "range_scale", what),
@@ -252,7 +253,7 @@ class Pose:
         return self.parsed_evidence().plane_covariance()
 
     def plot(self, ax: Any = None, *, reach_m: float | None = None, **style: Any) -> Any:
-        """Draw the sensor, where it looks, what it reaches, and the 95 % ellipse of its place.
+        """Draw the sensor, its direction and view, and the 95 % ellipse of its place.
 
         Parameters
         ----------
@@ -304,7 +305,7 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
     Parameters
     ----------
     record : mapping
-        The contract's fields. Angles win; a quaternion beside them must agree.
+        Fields of a pose file. Angles count; a quaternion beside them must agree.
     what : str
         Where the record comes from; begins error messages.
 
@@ -384,7 +385,7 @@ INK = "#111827"
 
 
 def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:
-    """Return the ellipse that holds the true place with 95 % probability.
+    """Return the ellipse, in metres of the map, that holds the true place with 95 % probability.
 
     Parameters
     ----------
@@ -411,9 +412,9 @@ def draw_sensor(
     ax : matplotlib Axes
         In metres of the map.
     position : (2,) or (3,) array
-        Where it stands.
+        Easting and northing, metres.
     ahead : (2,) array
-        The arrow, metres.
+        Vector of the arrow, metres of the map.
     ring : Polygon, optional
         The ellipse.
     label : str
@@ -430,12 +431,12 @@ def draw_sensor(
 
 
 COMPONENTS = ("easting", "northing", "height", "roll", "pitch", "yaw")  # order of a covariance
-LEAST_EIGENVALUE = -1e-6  # of a covariance scaled to a unit diagonal; files round decimals
+LEAST_EIGENVALUE = -1e-6  # of a covariance scaled to a unit diagonal: files hold rounded numbers
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """What a pose file states of a pose beside the pose itself, parsed and checked.
+    """Accuracy and origin of a pose as its file states them, parsed and checked.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Packets of the ARS430 in bags of `ars430_ros_publisher`: several of one cycle are a frame.
+"""Packets of the ARS430 in bags of `ars430_ros_publisher`: those of one cycle make a frame.
 
-The package has two makes. The one for ROS 1 has names such as `AzAng` and keeps the slant range in
-`posX` (its `posY` is `-posX tan(AzAng)`: no Cartesian position); the port to ROS 2 has names such
-as `az_ang` and a field `range`. Azimuth counts to the right in both. The maker tells users to
-ignore the elevation angle, and the package writes 0 or that.
+The package has two versions. That for ROS 1 has names such as `AzAng` and keeps the slant range in
+`posX` (its `posY` is `-posX tan(AzAng)`, no Cartesian position); that for ROS 2 has names such as
+`az_ang` and a field `range`. Azimuth counts to the right in both. The elevation angle is not used:
+the maker says to ignore it, and the package writes it, or 0.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gis_radar.recordings.frames import Column, DamagedError, Frame
 
 PACKET = "ars430_ros_publisher/msg/RadarPacket"
 DETECTION = "ars430_ros_publisher/msg/RadarDetection"
-# ROS 2 bags up to Humble do not hold these; those of ROS 1 do.
+# ROS 2 bags up to Humble do not hold their definitions; those of ROS 1 do.
 DEFINITIONS = {
     DETECTION: "float32 pos_x\nfloat32 pos_y\nfloat32 pos_z\nfloat32 vrel_rad\nfloat32 az_ang\n"
     "float32 el_ang\nfloat32 rcs\nfloat32 range\nfloat32 range_var\nfloat32 az_ang_var\n"
@@ -28,7 +28,7 @@ DEFINITIONS = {
     PACKET: "std_msgs/Header header\nuint8 event_id\nuint32 time_stamp\n"
     "uint32 measurement_counter\nfloat32 vambig\nars430_ros_publisher/RadarDetection[] detections",
 }
-# Ours to the names of both makes.
+# Names of fields in both versions.
 LIST, COUNTER, SCAN = (
     ("Detections", "detections"),
     ("TimeStamp", "time_stamp"),
@@ -43,7 +43,7 @@ FIELDS = {
 }
 
 
-def _of(record: Any, names: tuple[str, ...]) -> Any:
+def _field(record: Any, names: tuple[str, ...]) -> Any:
     for name in names:
         if hasattr(record, name):
             return getattr(record, name)
@@ -52,7 +52,7 @@ def _of(record: Any, names: tuple[str, ...]) -> Any:
 
 @dataclass(kw_only=True)
 class PacketGroup:
-    """Packets with one time stamp of the sensor, which become a frame.
+    """Collector of packets with one time stamp of the sensor, which become a frame.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class PacketGroup:
     _parts: list[dict[str, Column]] = field(default_factory=list)
 
     def put(self, message: Any, *, stamp: float, recorded: float) -> Iterator[Frame]:
-        """Take a packet; yield the frame of those before it, where the sensor's time changes.
+        """Take a packet; where its time stamp is a new one, yield the frame of those before it.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class PacketGroup:
         stamp, recorded : float
             UNIX seconds of its header, 0 where it has none, and of its recording.
         """
-        counter, part = int(_of(message, COUNTER)), _columns(message)
+        counter, part = int(_field(message, COUNTER)), _columns(message)
         if counter != self._counter:
             yield from self.finish()
             self._counter = counter
@@ -109,9 +109,9 @@ class PacketGroup:
 
 
 def _columns(message: Any) -> dict[str, Column]:
-    listed = _of(message, LIST)
+    listed = _field(message, LIST)
     columns: dict[str, Column] = {
-        name: np.array([_of(each, names) for each in listed], dtype=np.float32)
+        name: np.array([_field(each, names) for each in listed], dtype=np.float32)
         for name, names in FIELDS.items()
     }
-    return {**columns, "scan": np.full(len(listed), _of(message, SCAN), dtype=np.uint8)}
+    return {**columns, "scan": np.full(len(listed), _field(message, SCAN), dtype=np.uint8)}

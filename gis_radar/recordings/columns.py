@@ -13,7 +13,8 @@ from gis_radar.recordings.frames import Column, DamagedError, Frame, ReaderConte
 from gis_radar.recordings.recording import COLUMNS
 from gis_radar.recordings.units import refuse_degrees
 
-# Names that radar drivers and data sets use, however they are written; the first one counts.
+# Names that radar drivers and data sets use, in any case, with or without underscores; the first
+# one that a file has counts.
 NAMES: dict[str, tuple[str, ...]] = {
     "time": ("time", "timestamp", "t", "stamp"),
     "x": ("x", "x_m", "pos_x"),
@@ -30,7 +31,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     ),
     "rcs": ("rcs", "radar_cross_section", "rcs_dbsm", "rcs_dbm2"),
 }  # fmt: skip
-# Clouds of drivers for RViz keep the cross section in whole dBm2 here; an amplitude has no sign.
+# Drivers' clouds for RViz keep the cross section here, in whole dBm2; amplitudes have no sign.
 SIGNED_RCS = "intensity"
 CARTESIAN, POLAR = ("x", "y", "z"), ("range", "azimuth", "elevation")
 TARGETS = tuple(NAMES)
@@ -38,7 +39,7 @@ TARGETS = tuple(NAMES)
 Values = Callable[[str], Column]
 
 
-# Bytes at random are any number: a position that is none afterwards is left out and counted.
+# Damaged files hold any numbers: positions that are not finite are left out later, and counted.
 @np.errstate(over="ignore", invalid="ignore")
 def cartesian(distance: Column, azimuth: Column, elevation: Column) -> Column:
     """Return positions in the sensor frame from polar ones.
@@ -66,16 +67,16 @@ def cartesian(distance: Column, azimuth: Column, elevation: Column) -> Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Where the columns of a recording come from.
+    """Fields of a file that the columns of a recording are read from.
 
     Parameters
     ----------
     sources : mapping of str to str
-        Our name to the field's name; a leading minus turns the sign.
+        Field by column of a recording; a leading minus turns the sign.
     further : mapping of str to str
-        A further column's name to the field's name.
+        Field by further column.
     rcs_from_intensity : bool
-        Whether `rcs` is a field that is called an intensity.
+        Whether `rcs` is read from a field named `intensity`.
     """
 
     sources: Mapping[str, str]
@@ -89,12 +90,15 @@ class Layout:
 
     @property
     def is_radar(self) -> bool:
-        """Whether there are positions and speeds: what distinguishes radar from other clouds."""
+        """Whether there are positions and range rates, which only clouds of radars have."""
         return self.placed and "range_rate" in self.sources
 
     @np.errstate(over="ignore", invalid="ignore")
     def points(self, values: Values) -> Column:
-        """Return the positions, (n, 3) float32; z is NaN without height or elevation."""
+        """Return the positions in the sensor frame, (n, 3) float32, metres.
+
+        z is NaN without height or elevation.
+        """
         if self._has(CARTESIAN[:2]):
             axes = [self._read(axis, values) for axis in CARTESIAN]
             return np.column_stack(axes).astype(np.float32, copy=False)
@@ -108,7 +112,7 @@ class Layout:
         return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)
 
     def explain(self, sensor: str, context: ReaderContext) -> None:
-        """Remark what is not plain from the fields' names."""
+        """Report a field whose name does not say what it is read as."""
         if self.rcs_from_intensity:
             context.remark(
                 Text(
@@ -120,7 +124,7 @@ class Layout:
             )
 
     def frame(self, values: Values, **known: Any) -> Frame:
-        """Return a frame of the fields' values; `known` is what else is known of it."""
+        """Return a frame of the fields' values; `known` are its further arguments."""
         return Frame(
             points=self.points(values),
             range_rate=self.column("range_rate", values),
@@ -157,15 +161,15 @@ def find_layout(
     fields : collection of str
         Names as the file has them.
     columns : mapping of str to str
-        Our name to the field's name, as given by the user; these win.
+        Field by column of a recording, as the user gives them; these come first.
     kind : dtype, optional
-        Types of a cloud's fields. With them a field `intensity` of signed whole numbers beside
-        a range rate is the cross section: so recorded ARS548 and ARS430 clouds keep it.
+        Types of a cloud's fields. By them, a field `intensity` of signed whole numbers beside a
+        range rate is taken for the cross section, as in clouds of the ARS548 and the ARS430.
 
     Raises
     ------
     UsageError
-        If the user names a field that is not there, or a column that is not ours.
+        If the user names a field that is not there, or no column of a recording.
     """
     sources = {}
     for target, field in columns.items():
@@ -187,7 +191,7 @@ def find_layout(
     lower = {_plain(field): field for field in reversed(list(fields)) if field not in taken}
     for target, names in NAMES.items():
         found = next((lower[_plain(name)] for name in names if _plain(name) in lower), None)
-        # Radians that are found by name give way to degrees that the user names.
+        # A field that the user names, in radians or degrees, replaces one that is found by name.
         given = any(name.removesuffix("_deg") == target.removesuffix("_deg") for name in columns)
         if found is not None and not given:
             sources[target] = found
@@ -208,7 +212,7 @@ def _signed_rcs(fields: Mapping[str, str], kind: np.dtype[Any] | None) -> str | 
 
 
 def _plain(name: str) -> str:
-    """Return a name without what only style decides: `RangeRate` is `range_rate`."""
+    """Return a name in small letters without blanks and underscores."""
     return name.strip().lower().replace("_", "").replace(" ", "")
 
 
@@ -218,7 +222,7 @@ def _signed(field: str, values: Values) -> Column:
     return values(field)
 
 
-# PointField's numbers for the types of numbers.
+# NumPy's types by the constants of `sensor_msgs/PointField`.
 POINT_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -256,7 +260,10 @@ def message_rows(message: Any) -> Column:
 
 
 def values_of(rows: Column) -> Values:
-    """Return how to read a field of structured rows: native numbers, the first of several."""
+    """Return a function that reads a field of structured rows in native byte order.
+
+    Of a field with several numbers a row it reads the first.
+    """
 
     def read(name: str) -> Column:
         column = rows[name]

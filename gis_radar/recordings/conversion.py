@@ -1,4 +1,4 @@
-"""Convert files and sockets of any known format to recordings: Parquet, a file a sensor."""
+"""Convert inputs of any known format to recordings: one Parquet file for each sensor."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
 
-# What readers and their libraries raise where bytes cannot be what they should.
+# What readers and their libraries raise on damaged bytes.
 DAMAGE = (
     struct.error, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
     MemoryError, RuntimeError, TypeError, ValueError,
@@ -48,14 +48,14 @@ class SensorRecording:
     sensor : str
         Source address, topic or name.
     frames, empty_frames, detections : int
-        How many are in it.
+        Numbers of them in it.
     begin, end : float
         UNIX seconds of the first and the last frame.
     clock : str
-        Whose times they are: `sensor` (its own clock), `header stamp` (which may be the sensor's,
-        or that of the computer at arrival), `file name`, `time column`, `recorder`; `sensor at the
-        recorder's rate` where its clock ran slow or fast; where they changed, one after the other:
-        `sensor, then recorder`.
+        Source of the times: `sensor` (its own clock), `header stamp` (which may be by the sensor's
+        clock, or by that of the computer at arrival), `file name`, `time column`, `recorder`;
+        `sensor at the recorder's rate` where its clock ran slow or fast; `sensor, then recorder`
+        where the source changed.
     elevation : bool
         Whether the sensor measures elevation; if not, z is NaN throughout.
     """
@@ -82,7 +82,7 @@ class Conversion:
     left_out : mapping of str to int
         What was dropped or mended, by kind.
     remarks : tuple of str
-        What was taken for what, and what is not known.
+        How unclear fields were read, and what is not known.
     """
 
     recordings: tuple[SensorRecording, ...]
@@ -127,11 +127,11 @@ NO_ELEVATION = Text(
     "measures no elevation (z is missing or 0 throughout): x and y are at the slant "
     "range; height, pitch, roll and clearance cannot be had from it"
 )
-REMEMBERED = 4 * WINDOW  # frames whose doubles are found
+REMEMBERED = 4 * WINDOW  # latest frames among which doubles are found
 
 
-class _Track:
-    """Steps of one sensor's frames from the reader to the rows of its recording."""
+class _SensorFrames:
+    """One sensor's frames on their way to its file: without doubles, timed, put in order."""
 
     def __init__(
         self, sensor: str, file: RecordingFile, clock: Clock, context: ReaderContext
@@ -139,18 +139,18 @@ class _Track:
         self.file = file
         self.clock = FrameClock(sensor, clock, context.reporter)
         self.doubles = 0
-        self._known: OrderedDict[object, None] = OrderedDict()
+        self._identities: OrderedDict[object, None] = OrderedDict()
         self.order = FrameOrder(sensor)
         self._counts = context.counts
 
     def put(self, frame: Frame) -> None:
         if frame.identity is not None:
-            if frame.identity in self._known:
+            if frame.identity in self._identities:
                 self.doubles += 1
                 return
-            self._known[frame.identity] = None
-            if len(self._known) > REMEMBERED:
-                self._known.popitem(last=False)
+            self._identities[frame.identity] = None
+            if len(self._identities) > REMEMBERED:
+                self._identities.popitem(last=False)
         self._put_in_order(self.clock.feed(frame.sound(self._counts)))
 
     def finish(self) -> None:
@@ -166,16 +166,16 @@ class _Track:
 
 
 class Tracks:
-    """Sensors of a conversion, in order of their first frames.
+    """Recordings that a conversion writes, one for each sensor, in order of their first frames.
 
     Parameters
     ----------
     folder : Path
-        Where their recordings grow.
+        Holds the unfinished recordings.
     place : Path
-        Where the recording shall be, or what those of several sensors are named after.
+        Final path of the recording; those of several sensors are named after it.
     clock : str
-        Whose times count.
+        Whose times count: `auto`, `sensor` or `recorder`.
     context : ReaderContext
         Options and counts of the readers.
     """
@@ -183,7 +183,7 @@ class Tracks:
     def __init__(self, folder: Path, place: Path, clock: Clock, context: ReaderContext) -> None:
         self._folder, self._place = folder, place
         self._clock, self._context = clock, context
-        self._tracks: dict[str, _Track] = {}
+        self._tracks: dict[str, _SensorFrames] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -194,16 +194,16 @@ class Tracks:
 
     @property
     def parts(self) -> list[Path]:
-        """The files as they grow, a sensor each."""
+        """The unfinished files, one for each sensor."""
         return [track.file.path for track in self._tracks.values()]
 
     def put(self, frame: Frame) -> None:
-        """Take the next frame of whichever sensor."""
+        """Take the next frame, of any sensor."""
         track = self._tracks.get(frame.sensor)
         if track is None:
             part = self._folder / f"{len(self._tracks)}.parquet"
             file = RecordingFile(part, self._place, self._context.counts, sensor=frame.sensor)
-            track = _Track(frame.sensor, file, self._clock, self._context)
+            track = _SensorFrames(frame.sensor, file, self._clock, self._context)
             self._tracks[frame.sensor] = track
         track.put(frame)
 
@@ -253,7 +253,7 @@ def _places(place: Path, sensors: list[str]) -> list[Path]:
     if len(sensors) == 1:
         return [place]
     words = [re.sub(r"[^\w.-]+", "_", sensor).strip("_.") or "sensor" for sensor in sensors]
-    if len(set(words)) < len(words):  # two sensors may have one name once it is fit for a file
+    if len(set(words)) < len(words):  # names may be equal once they are fit for files
         words = [f"{word}_{number}" for number, word in enumerate(words)]
     return [place.with_name(f"{place.stem}.{word}{place.suffix}") for word in words]
 
@@ -290,7 +290,7 @@ def convert(
     sensor : str, optional
         Only this sensor (source address, topic).
     columns : mapping of str to str, optional
-        Our column to the field's name, for clouds and tables; a leading minus turns the sign.
+        Field by column of a recording, for clouds and tables; a leading minus turns the sign.
     time_unit : str
         Unit of times in tables: `s`, `ms`, `us` or `ns` since 1970.
     clock : str
@@ -326,18 +326,18 @@ def convert(
         atomic_writes(place) as (private, places),
         Tracks(private, place, clock, context) as tracks,
     ):
-        told = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
+        shown = names[0] + (Text(" and {} more", len(names) - 1) if len(names) > 1 else "")
         for frame in merged(opened, context):
             try:
                 tracks.put(frame)
-            except InputError as error:  # a context manager would cost a tenth of the time
-                raise InputError("{}: {}", told, error.message, hint=error.hint) from error
-        with placed(told):
+            except InputError as error:  # not by `placed`, which would take a tenth of the time
+                raise InputError("{}: {}", shown, error.message, hint=error.hint) from error
+        with placed(shown):
             result = tracks.finish()
         for recording in result.recordings:
             refuse_inputs(recording.path, *names)
         places.update(zip(tracks.parts, result.outputs, strict=True))
-    _tell(result, reporter)
+    _report(result, reporter)
     return result
 
 
@@ -360,7 +360,7 @@ def _refuse_options(
 
 
 def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]:
-    """Read an input; name it where the system refuses it, or a library meets what cannot be."""
+    """Read an input; errors of the system and of libraries become an InputError that names it."""
     try:
         yield from form.frames(source, context)
     except OSError as error:
@@ -370,7 +370,7 @@ def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]
         raise InputError("{}: damaged: {}", source, first_line(error)) from error
 
 
-def _tell(result: Conversion, reporter: Reporter) -> None:
+def _report(result: Conversion, reporter: Reporter) -> None:
     if len(result.recordings) > 1:
         reporter.log(
             Text("{} sensors, a recording each ({} takes one)", len(result.recordings), "--sensor")

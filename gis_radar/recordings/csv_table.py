@@ -18,12 +18,12 @@ from gis_radar.recordings import settings
 BYTES_AT_ONCE = 1 << 20  # about 15,000 rows; the longest header
 NO_NUMBER = ["", "nan", "NaN", "NA"]
 DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
-LONG_VALUE = re.compile(r"'([^']{24})[^']{8,}'", re.DOTALL)  # a line shows its begin
+LONG_VALUE = re.compile(r"'([^']{24})[^']{8,}'", re.DOTALL)  # in messages cut to its begin
 
 
 @dataclass(frozen=True, kw_only=True)
 class CsvTable:
-    """A CSV file whose header is read and whose rows are not yet.
+    """A CSV file of which only the header has been read.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class CsvTable:
     header_lines : int
         Lines from the top of the file to the end of the header.
     numbers : tuple of str
-        The columns that hold numbers; the others are what they look like.
+        The columns that hold numbers; types of the others are inferred.
     """
 
     path: Path
@@ -53,7 +53,7 @@ class CsvTable:
         Raises
         ------
         InputError
-            If a row has more or fewer values than the header, or no number where one belongs.
+            If a row has more or fewer values than the header, or a text in a column of numbers.
         """
         reading = pa_csv.ReadOptions(
             block_size=BYTES_AT_ONCE,

@@ -1,4 +1,4 @@
-"""The known formats, one of each module in `readers`: which an input is of, and what opens it."""
+"""Formats, one for each module in `readers`: find that of an input, and open recordings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gis_radar.recordings import readers
 from gis_radar.recordings.frames import Format
 from gis_radar.recordings.recording import UNREADABLE, Recording, open_table
 
-OWN = ".parquet"  # a recording as we write it: no other format is looked for, or imported
+OWN = ".parquet"  # opened without importing or asking any reader
 
 
 @cache
@@ -42,13 +42,13 @@ def format_of(source: str) -> Format:
 
 
 def direct_endings() -> tuple[str, ...]:
-    """Return the endings of files that are recordings as they are."""
+    """Return the endings of files that need no conversion."""
     found = (ending for form in known_formats() if form.opens for ending in form.endings)
     return tuple(dict.fromkeys(found))
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a file is a recording as it is; one that is not there, by its ending."""
+    """Return whether a file can be opened without conversion; a missing one, by its ending."""
     return _opener(path) is not None
 
 

@@ -1,4 +1,4 @@
-"""Which clock gives frames their times: the sensor's, at the recorder's rate, or the recorder's."""
+"""Times of frames: by the sensor's clock, also at the recorder's rate, or by the recorder's."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from gis_radar.recordings.frames import Frame
 Clock = Literal["auto", "sensor", "recorder"]
 CLOCKS: tuple[Clock, ...] = ("auto", "sensor", "recorder")
 
-# Clocks that run at all are far after this; one that counts since boot is not.
+# A clock that was set is far after this; one that counts from its start is not.
 EARLIEST_S = 946_684_800.0  # 2000-01-01
 LATEST_S = 4_102_444_800.0  # 2100-01-01
 AGREEING_S = 5.0  # clocks set by NTP or PTP agree far better; TAI is 37 s off
-# How far a sensor's clock may move against the recorder's. A recorder that was kept busy stamps
-# late, so that of a clock that falls behind only the one that goes back is sure to be wrong.
+# How far a sensor's clock may move against the recorder's. A busy recorder stamps late, which looks
+# as if the sensor's clock fell behind: only one that goes back by its own count is surely wrong.
 FORWARD_S, BACK_S = 0.5, 0.1
-# So many frames ahead tell a clock that jumped from a frame that was late.
+# Frames ahead that distinguish a clock that jumped (all are off) from a single late frame.
 FRAMES_AHEAD = 40
-# Frames from which a rate is fitted: 10 s at 20 Hz, in which arrivals that jitter by 9 ms give it
-# to 0.012 %; half of them at least.
+# Frames to which a rate is fitted, half of them at least: 10 s at 20 Hz give it to 0.012 % where
+# arrivals jitter by 9 ms.
 RATE_FRAMES = 200
 # Quartz clocks differ by 0.01 %, a recorder that NTP corrects by 0.05 %; an ARS430 was 0.8 % slow.
-# Beyond the other limit one of the two is no clock, as where a bag was replayed faster.
+# Over MOST_RATE one of the two is no clock, as where a bag was replayed faster.
 LEAST_RATE, MOST_RATE = 0.003, 0.02
 REFIT_FRAMES = 20  # a second of frames between two fits of a rate
 # A PTP clock on TAI, without the leap seconds since 1972.
@@ -37,21 +37,21 @@ TAI_AHEAD_S = 37.0
 
 
 class FrameClock:
-    """Choice of the clock that gives one sensor's frames their times, in order of arrival.
+    """Chooses the clock for the times of one sensor's frames, in order of arrival.
 
-    The first frames decide; where the sensor's clock goes wrong later, the recorder's counts
-    from there on: two clocks that take turns would shuffle the frames. A sensor's clock is right
-    where the sensor calls it synchronised, it agrees with the recorder's to `AGREEING_S`, and does
-    not jump. One that runs slow or fast by `LEAST_RATE` or more, evenly over the first ten seconds,
-    is corrected by a robust line through its offsets from the recorder's clock: its times are the
-    recorder's without their jitter, and jumps count from that line.
+    The first frames decide; where the sensor's clock goes wrong later, the recorder's counts from
+    there on, for good: two clocks in turn would shuffle the frames. A sensor's clock is right if
+    the sensor calls it synchronised, it agrees with the recorder's to `AGREEING_S`, and does not
+    jump. One that runs slow or fast by `LEAST_RATE` or more, evenly over the first `RATE_FRAMES`,
+    is corrected by a robust line through its offsets from the recorder's clock: times are then the
+    recorder's without jitter, and jumps are measured from that line.
 
     Parameters
     ----------
     sensor : str
-        As messages name it.
+        Its name, for messages.
     clock : str
-        `sensor` or `recorder` to have that one in any case.
+        `auto`, or `sensor` or `recorder` for that one in any case.
     reporter : Reporter
         Receives the reason where the sensor's clock is not used.
     """
@@ -67,7 +67,7 @@ class FrameClock:
 
     @property
     def _name(self) -> str:
-        """What messages call the clock of the sensor's times: a stamp may be of any clock."""
+        """The clock of the sensor's times, for messages: a stamp may be by any clock."""
         return "the sensor's clock" if self._stamp == "sensor" else f"the {self._stamp}"
 
     def feed(self, frame: Frame) -> Iterator[tuple[float, Frame]]:
@@ -122,9 +122,8 @@ class FrameClock:
             return None
         line, half = OffsetLine(pairs), len(pairs) // 2
         parts = [OffsetLine(pairs[:half]).rate, OffsetLine(pairs[half:]).rate]
-        # A jump, or a recorder that was busy, is not in both halves.
-        even = all(0.5 <= part / line.rate <= 1.5 for part in parts) if line.rate else False
-        if abs(line.rate) < LEAST_RATE or not even:
+        # A jump, or a recorder that was busy, changes the rate of one half only.
+        if abs(line.rate) < LEAST_RATE or not all(0.5 <= p / line.rate <= 1.5 for p in parts):
             return None
         if abs(line.rate) > MOST_RATE:
             raise InputError(
@@ -163,7 +162,7 @@ class FrameClock:
         return time
 
     def _corrected(self, frame: Frame) -> float | None:
-        """Return the sensor's time, by the recorder's rate where its own is wrong."""
+        """Return the sensor's time (UNIX seconds), corrected where its rate is wrong."""
         if self._line is None or frame.sensor_time is None:
             return frame.sensor_time
         return frame.sensor_time - self._line.at(frame.sensor_time)
@@ -206,7 +205,7 @@ class FrameClock:
         return ""
 
     def _lasts(self, usual_s: float, jump_s: float) -> bool:
-        """Return whether the frames to come have jumped as well: one that was late is alone."""
+        """Return whether the next frames have jumped by the same: a late frame is alone."""
         ahead = islice(self._waiting, FRAMES_AHEAD)
         coming = [offset for frame in ahead if (offset := _offset_s(frame)) is not None]
         return bool(coming) and all((offset - usual_s) / jump_s > 0.5 for offset in coming)
@@ -218,12 +217,12 @@ class OffsetLine:
     Parameters
     ----------
     pairs : list of (float, float)
-        The sensor's times, UNIX seconds, and by how much they are ahead, seconds.
+        The sensor's times, UNIX seconds, and how far they are ahead of the recorder's, seconds.
 
     Attributes
     ----------
     rate : float
-        By which share the clock runs fast.
+        Seconds that the clock gains in a second; negative where it runs slow.
     """
 
     def __init__(self, pairs: list[tuple[float, float]]) -> None:
@@ -233,11 +232,11 @@ class OffsetLine:
         self._fit()
 
     def at(self, time: float) -> float:
-        """Return how far the clock is ahead at a time of its own."""
+        """Return how far the clock is ahead (s) at a time that it shows (UNIX seconds)."""
         return self._offset_s + self.rate * (time - self._begin)
 
     def add(self, time: float, offset_s: float) -> None:
-        """Take the offset of a frame that is not among those the line began with."""
+        """Add the offset of a frame; skip the frames that the line was begun with."""
         if time <= self._known:
             return
         self._pairs.append((time, offset_s))
@@ -258,7 +257,7 @@ class OffsetLine:
 
 
 def _offset_s(frame: Frame) -> float | None:
-    """Return how far the sensor's clock is ahead; None where there are not two to compare."""
+    """Return how far the sensor's clock is ahead of the recorder's, seconds; None if unknown."""
     if frame.sensor_time is None or frame.recorder_time is None:
         return None
     if not EARLIEST_S <= frame.recorder_time < LATEST_S:

@@ -18,10 +18,10 @@ Active = tuple[float, int, Frame, Iterator[Frame]]
 
 
 def merged(inputs: Sequence[Input], context: ReaderContext) -> Iterator[Frame]:
-    """Yield the frames of several inputs in order of arrival, whatever the order of the inputs.
+    """Yield the frames of several inputs, given in any order, by their time of arrival.
 
-    An input is opened when its first frame is due: a day in a thousand files needs no thousand
-    open files.
+    An input is opened when its first frame is due: a day in a thousand files does not keep a
+    thousand files open.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def _push(active: list[Active], number: int, frames: Iterator[Frame]) -> None:
 
 
 def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float, int]]:
-    """Return when each input begins, and warn of those without frames."""
+    """Return (arrival of the first frame, number) of each input; warn of those without frames."""
     looking = replace(context, reporter=QUIET, counts=Counter(), remarks=[])
     begins: list[tuple[float, int]] = []
     empty: list[NothingHereError] = []
@@ -74,12 +74,12 @@ class FrameOrder:
     Parameters
     ----------
     sensor : str
-        As messages name it.
+        Its name, for messages.
 
     Attributes
     ----------
     late : int
-        How many came after one that is later.
+        Number of frames that came after one with a later time.
     """
 
     def __init__(self, sensor: str) -> None:
@@ -91,12 +91,12 @@ class FrameOrder:
         self._left = -float("inf")
 
     def put(self, time: float, frame: Frame) -> Iterator[tuple[float, Frame]]:
-        """Take a frame; yield those that none can precede any more.
+        """Take a frame; yield the earliest one, once more than `WINDOW` are held.
 
         Raises
         ------
         InputError
-            If the frame comes so late that those after it are gone.
+            If its time is before that of a frame that has been yielded.
         """
         if time < self._left:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Frames as the readers of formats deliver them, and the record of a format."""
+"""Frames, which the readers of formats yield, and the description of a format."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Frame:
     Parameters
     ----------
     sensor : str
-        Which sensor: a source address, a topic, or a name given to the only one.
+        Source address, topic, or a name given to the only sensor.
     points : (n, 3) float32 array
         Sensor frame: x forward, y left, z up, metres. NaN where the sensor calls a position
         invalid; z alone is NaN where it measures no elevation.
@@ -35,8 +35,8 @@ class Frame:
     sensor_time, recorder_time : float or None
         UNIX seconds by the sensor's clock, and by that of the computer that recorded.
     stamp : str
-        What `sensor_time` is: that of the sensor's clock (`sensor`), or `header stamp`, `file
-        name`, `time column`, whose clock is not known.
+        Source of `sensor_time`: the sensor's clock (`sensor`), or `header stamp`, `file name` or
+        `time column`, whose clock is unknown.
     synchronised : bool
         False where the sensor marks its clock as not set.
     identity : object
@@ -75,10 +75,10 @@ class Frame:
         )
 
     def sound(self, counts: Counter[str]) -> Frame:
-        """Return the frame without detections that have no position, and count those."""
+        """Return the frame without detections that have no usable position, and count those."""
         placed = np.isfinite(self.points[:, :2]).all(axis=1) & ~np.isinf(self.points[:, 2])
         near = placed & ~(np.abs(self.points) > FARTHEST_M).any(axis=1)
-        # An infinite speed or cross section is not known.
+        # Infinite range rates and cross sections become NaN: unknown.
         rate = np.where(np.isfinite(self.range_rate), self.range_rate, np.nan)
         rcs = np.where(np.isfinite(self.rcs), self.rcs, np.nan)
         known = replace(self, range_rate=rate, rcs=rcs)
@@ -96,19 +96,19 @@ class ReaderContext:
     Parameters
     ----------
     columns : mapping of str to str
-        The file's field of each of our columns, as given by the user.
+        Field by column of a recording, as given by the user.
     time_unit : str
         Unit of times in tables: `s`, `ms`, `us` or `ns`.
     sensor : str or None
         The only sensor that is asked for.
     duration_s : float or None
-        When a reader that never ends by itself shall end.
+        Seconds after which a reader that never ends by itself ends.
     reporter : Reporter
         Receives progress and remarks.
     counts : Counter
-        What was left out, by a name that the summary shows.
+        Numbers of what was left out, by the name that the summary shows.
     remarks : list of str
-        What was taken for what; shown in the log and in the summary.
+        How unclear fields were read; shown in the log and in the summary.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -145,25 +145,24 @@ class Format:
     Parameters
     ----------
     name : str
-        As the documentation calls it.
+        Its name in the documentation.
     takes : str
-        What its files look like, for the message on an unknown one.
+        What its inputs look like, for the message on an unknown one.
     accepts : callable
-        Whether an input (a path or an address) is of this format.
+        Returns whether an input (a path or an address) is of this format.
     frames : callable
-        Reads an input. Frames come in order of arrival. Raises NothingHereError where there is
-        none, with what there is instead in the message.
+        Reads an input and yields its frames in order of arrival. Raises NothingHereError where
+        there is none, with what there is instead in the message.
     endings : tuple of str
-        Of its files, in small letters, for pages and file dialogs: `accepts` alone decides. Folders
-        and addresses have none.
+        Endings of its files, in small letters, for pages and file dialogs: `accepts` alone decides.
+        Folders and addresses have none.
     rank : int
-        When it is asked, the least first: 0 where the content, an address or fixed names tell, 1
-        where an ending or any folder of such files does, 2 for tables of any columns.
+        Formats are asked by ascending rank: 0 where content, address or fixed names decide, 1 where
+        an ending or a folder of such files does, 2 for tables of any columns.
     opens : callable, optional
-        Opens a file as a recording, which every command then takes as it is; without it only
-        `convert` does.
+        Opens a file as a recording, for every command; without it only `convert` reads the format.
     live : bool
-        Whether it never ends by itself.
+        Whether an input never ends by itself.
     """
 
     name: str
@@ -177,7 +176,7 @@ class Format:
 
 
 def counted(seen: Mapping[str, int], *, most: int = 8) -> str:
-    """Return what was seen how often as text, the most frequent first."""
+    """Return names with their counts as text, the most frequent first, at most `most` of them."""
     ranked = sorted(seen.items(), key=lambda item: (-item[1], item[0]))
     shown = ", ".join(f"{name} ({count:,})" for name, count in ranked[:most])
     return Text("{} and {} more", shown, len(ranked) - most) if len(ranked) > most else shown

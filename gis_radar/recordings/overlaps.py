@@ -1,4 +1,4 @@
-"""Times of recordings: those of a sensor that overlap, and sensors that have none in common."""
+"""Warn of recordings of one sensor that overlap, and of sensors without any time in common."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -
     """
     for sensor, spans in recorded.items():
         ordered = sorted(spans)
-        last = ordered[0]  # of those so far the one that ends last
+        last = ordered[0]  # the one that ends last, so far
         for each in ordered[1:]:
             if each[0] <= last[1]:
                 yield Text(

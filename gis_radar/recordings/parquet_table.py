@@ -1,4 +1,4 @@
-"""Parquet tables, batch by batch, and no more of them in memory than a radar's texts need."""
+"""Read Parquet tables batch by batch, in bounded memory."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ def parquet_batches(
     InputError
         If a column holds texts or lists that are too long to be beside a detection.
     """
-    # A text that repeats is once in the file and once in memory: its length is seen there first.
+    # Texts are read as dictionaries, in which a repeated text is once: its length is checked there,
+    # before it is copied to each row.
     texts = _texts(path)
     # A small buffer keeps a file of one huge row group from being read at once.
     with pq.ParquetFile(
@@ -53,11 +54,11 @@ def parquet_batches(
         for batch in file.iter_batches(
             ROWS_AT_ONCE, row_groups=groups, use_threads=False, columns=columns
         ):
-            yield _spelt_out(batch, texts, path)
+            yield _decoded(batch, texts, path)
 
 
 def first_group_of(path: Path, column: str, least: float) -> tuple[int, int]:
-    """Return the first row group that may hold a value or a greater one, and the rows before it.
+    """Return the first row group that may hold values from `least` on, and the rows before it.
 
     Parameters
     ----------
@@ -131,8 +132,8 @@ def _refuse_huge_columns(
                 )
 
 
-def _spelt_out(batch: pa.RecordBatch, texts: dict[str, pa.DataType], path: Path) -> pa.RecordBatch:
-    """Return a batch with its texts in each row, if none is too long."""
+def _decoded(batch: pa.RecordBatch, texts: dict[str, pa.DataType], path: Path) -> pa.RecordBatch:
+    """Return a batch with texts in place of dictionaries; refuse a text that is too long."""
     most = settings.DEFAULTS.longest_text
     for place, field in enumerate(batch.schema):
         if field.name not in texts or not pa.types.is_dictionary(field.type):

@@ -1,7 +1,7 @@
-"""Rows of a recording as its file has them: for what looks at each once and keeps none.
+"""Rows of a recording as arrays in the file's precision, read faster than by `Recording.read`.
 
-Checked like the detections of :meth:`Recording.read`, and refused with the same words: compiled
-code looks whether a batch is sound, and only where it may not be, the checks by name run.
+They are checked like those of :meth:`Recording.read` and refused with the same messages: compiled
+code finds whether a batch is sound, and only where it may not be, the full checks run.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gis_radar.recordings.recording import COLUMNS, FARTHEST_M, Recording, RowCh
 from gis_radar.recordings.units import FARTHEST_RADAR_M, LEAST_EXTENT_M, LEAST_JUDGED
 
 RAW_COLUMNS = COLUMNS[:-1]  # all but the radar cross section, which few ask for
-NEARLY = 0.999  # what comes near a limit is looked at by name, too
+NEARLY = 0.999  # share of a limit from which the full checks run, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,10 +29,10 @@ class RawRows:
     time : (n,) float64 array
         UNIX seconds, ascending.
     x, y, z, range_rate, rcs : (n,) arrays
-        As of :class:`Detections`, float32 where all are so in the file, else float64. `rcs` is
-        empty where it was not asked for.
+        As in :class:`Detections`; float32 where all are float32 in the file, else float64. `rcs`
+        is empty where it was not asked for.
     level : bool
-        Whether detections, as far as there are any so far, have no height.
+        Whether the detections read so far have no height; False before the first one.
     """
 
     time: Floats
@@ -55,7 +55,7 @@ def read_raw(
     Parameters
     ----------
     recording : Recording
-        It.
+        The recording.
     rcs : bool
         Whether radar cross sections are needed.
     begin, end : float
@@ -77,11 +77,11 @@ def read_raw(
     with checks.reading():
         for batch in batches:
             rows = _columns(batch, rcs=rcs)
-            sound, flat = _look(rows, checks) if rows is not None else (False, None)
+            sound, flat = _are_sound(rows, checks) if rows is not None else (False, None)
             if sound and rows is not None:
                 checks.pass_over(rows.time, flat=flat)
             else:
-                checked = _by_name(batch, checks)
+                checked = _checked(batch, checks)
                 rows = checked if rows is None else rows
             if len(rows) and rows.time[0] > end:
                 return
@@ -104,8 +104,8 @@ def _columns(batch: pa.RecordBatch, *, rcs: bool) -> RawRows | None:
     )
 
 
-def _by_name(batch: pa.RecordBatch, checks: RowChecks) -> RawRows:
-    """Check a batch as all readers do."""
+def _checked(batch: pa.RecordBatch, checks: RowChecks) -> RawRows:
+    """Return the rows of a batch after the full checks, those of `Recording.read`."""
     if "rcs" not in batch.schema.names:
         batch = batch.append_column("rcs", pa.nulls(len(batch), pa.float32()))
     rows = checks.take(batch)
@@ -114,11 +114,11 @@ def _by_name(batch: pa.RecordBatch, checks: RowChecks) -> RawRows:
     return RawRows(time=rows.time, x=x, y=y, z=z, range_rate=rate, rcs=rcs)
 
 
-def _look(rows: RawRows, checks: RowChecks) -> tuple[bool, bool | None]:
-    """Return whether nothing is odd about rows, and whether detections have no height so far."""
+def _are_sound(rows: RawRows, checks: RowChecks) -> tuple[bool, bool | None]:
+    """Return whether rows are surely sound, and whether detections have no height so far."""
     if len(rows) == 0:
         return True, checks.flat
-    sound, present, level, far, wide = _look_at(rows.time, rows.x, rows.y, rows.z, checks.last)
+    sound, present, level, far, wide = _scan(rows.time, rows.x, rows.y, rows.z, checks.last)
     sound &= bool(in_known_years(rows.time[[0, -1]]).all())
     flat = checks.flat if present == 0 else level > 0
     sound &= level in {0, present} and (checks.flat is None or flat == checks.flat)
@@ -128,19 +128,19 @@ def _look(rows: RawRows, checks: RowChecks) -> tuple[bool, bool | None]:
 
 
 @compiled
-def _look_at(  # pragma: no cover - compiled
+def _scan(  # pragma: no cover - compiled
     time: Floats, xs: Floats, ys: Floats, zs: Floats, last: float
 ) -> tuple[bool, int, int, int, bool]:
-    """Return whether times ascend and positions are near or gaps; counts of detections.
+    """Check times and positions, and count detections.
 
     Returns
     -------
     sound : bool
-        Whether they do.
+        Whether times (s) ascend from `last`, and positions (m) are within `FARTHEST_M` or missing.
     present, level, far : int
-        Detections, those without height, those beyond any radar.
+        Numbers of detections, of those without height, of those beyond any radar.
     wide : bool
-        Whether they are in more than one spot.
+        Whether detections are in more than one spot.
     """
     sound, present, level, far = True, 0, 0, 0
     far_m2 = (NEARLY * FARTHEST_RADAR_M) ** 2

@@ -91,11 +91,11 @@ class RangeCounts:
     Attributes
     ----------
     counts : (4096,) int64 array
-        Detections by their range in whole metres; the last place has all beyond.
+        Detections by their range in whole metres; the last entry counts all beyond.
     """
 
     def __init__(self) -> None:
-        self.counts = np.zeros(4096, np.int64)  # a metre each; beyond the reach of any radar
+        self.counts = np.zeros(4096, np.int64)  # bins of 1 m, farther than any radar reaches
 
     def add(self, rows: Detections) -> None:
         """Count the detections of a batch."""
@@ -104,7 +104,7 @@ class RangeCounts:
         self.counts += np.bincount(bins, minlength=len(self.counts))
 
     def reached_m(self, share: float = 0.999) -> float:
-        """Return within how many whole metres a share of the detections is; 0 without any."""
+        """Return the range (whole metres) that holds a share of the detections; 0 without any."""
         total = int(self.counts.sum())
         inside = np.cumsum(self.counts) / max(total, 1)
         return float(np.searchsorted(inside, share) + 1) if total else 0.0
@@ -119,18 +119,17 @@ class Recording:
     path : Path
         The file.
     rows : int or None
-        How many rows it has, where that is known without reading it.
+        Number of rows, where it is known without reading the file.
     batches : callable
-        Starts reading some columns, or with None all: an iterator over record batches of bounded
-        size.
+        Takes columns, or None for all; returns an iterator over record batches of bounded size.
     batches_from : callable, optional
-        Takes a time (UNIX seconds) and columns, and starts reading where rows of that time and
-        later may be: how many rows are before, and the iterator. Only where the file tells that.
+        Takes a time (UNIX seconds) and columns; returns a number of earlier rows to skip, and an
+        iterator over the batches after them. None where the file has no index for that.
     time_spans : callable, optional
-        Returns first and last time of consecutive parts of the file, without reading them; None
-        where it does not tell them.
+        Returns first and last time (UNIX seconds) of consecutive parts of the file, without reading
+        them; None where the file does not state them.
     sensor : str
-        Name of the sensor, as `convert` wrote it into the file; empty where it is not there.
+        Name of the sensor, as `convert` wrote it into the file; empty if missing.
     """
 
     path: Path
@@ -185,14 +184,14 @@ class Recording:
     def batches_since(
         self, begin: float, columns: Sequence[str]
     ) -> tuple[int, Iterator[pa.RecordBatch]]:
-        """Start reading where rows of a time (UNIX seconds) may be.
+        """Return the batches that may hold rows from a time (UNIX seconds) on.
 
         Returns
         -------
         before : int
-            How many rows are left out.
+            Number of rows before them.
         batches : iterator
-            Of the columns.
+            Record batches with the columns.
         """
         if self.batches_from is None or begin == -np.inf:
             return 0, self.batches(columns)
@@ -228,7 +227,7 @@ class Recording:
 
 
 def has_height(rows: Detections) -> bool:
-    """Return whether the first detection has a height; all of a recording have one, or none."""
+    """Return whether the first detection, and so all of a recording, has a height."""
     return bool(np.isfinite(rows.points[rows.present, 2][0]))
 
 
@@ -296,13 +295,13 @@ class RowChecks:
     path : Path
         The file.
     row : int
-        How many rows are checked.
+        Number of rows checked so far.
     last : float
-        Time of the last one, UNIX seconds.
+        Time of the last of them, UNIX seconds.
     flat : bool, optional
         Whether detections have no height; None before the first one.
     of_last : int
-        Rows of the last time so far.
+        Number of rows of the time `last` so far.
     """
 
     path: Path
@@ -313,7 +312,7 @@ class RowChecks:
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """Raise what cannot be read of the file, and a file without rows, as an InputError."""
+        """Turn errors of reading in the block into an InputError; refuse a file without rows."""
         try:
             yield
         except UNREADABLE as error:
@@ -332,7 +331,7 @@ class RowChecks:
         return rows
 
     def pass_over(self, time: Floats, *, flat: bool | None) -> None:
-        """Go on after rows that were found sound, if they can be of frames."""
+        """Count rows that were found sound; refuse more of one time than a frame can have."""
         self.flat = flat
         if len(time):
             self.of_last = _refuse_no_frame(time, self.path, self.last, self.of_last)
@@ -355,7 +354,7 @@ def _checked(batch: pa.RecordBatch, *, path: Path, row: int, last: float) -> Det
 
 
 def _further(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return the columns that are not ours; Arrow cannot take rows of view types."""
+    """Return the further columns, without view types, of which Arrow cannot take rows."""
     others = batch.select([name for name in batch.schema.names if name not in COLUMNS])
     for place, field in enumerate(others.schema):
         if kind := VIEWS.get(field.type):
@@ -406,9 +405,9 @@ def _refuse_mixed(rows: Detections, path: Path, row: int, *, flat: bool | None) 
 
 
 def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
-    """Return how many rows the last time has so far; refuse more than any radar delivers at once.
+    """Return the number of rows of the last time so far; refuse more than a frame can have.
 
-    `before` is how many rows of the time `last` came before these.
+    `before` is the number of rows of the time `last` before these.
     """
     same = len(time) - int(np.searchsorted(time, time[-1], side="left"))
     if same == len(time) and time[-1] == last:
@@ -425,7 +424,7 @@ def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
 
 
 def _require_numbers(kind: pa.DataType, name: str, path: Path) -> None:
-    # A column that is null throughout has no type of its own; text of digits is still text.
+    # A column of nulls has the type null, which NUMERIC holds; digits as text are refused.
     if not any(is_kind(kind) for is_kind in NUMERIC):
         raise InputError("{}: column {} is {}, expected numbers", path, name, kind)
 

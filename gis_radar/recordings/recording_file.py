@@ -1,4 +1,4 @@
-"""Files of recordings as conversions write them: Parquet that grows frame by frame."""
+"""Write a recording frame by frame, as Parquet."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gis_radar.recordings.units import refuse_positions_in_other_units
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
-LEAST_LEVEL = 100  # so many heights of exactly 0 m, and no other, are no measurement
+LEAST_LEVEL = 100  # detections at z = 0 m, and none elsewhere, that show: elevation is not measured
 _NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
 _UNKNOWN = np.full(1, np.nan, dtype=np.float32)
 
@@ -31,11 +31,11 @@ class RecordingFile:
     Parameters
     ----------
     path : Path
-        The file, as it grows.
+        The unfinished file.
     place : Path
-        Where it shall be in the end, as messages name it.
+        Its final path, for messages.
     counts : Counter
-        What was left out, by kind.
+        Numbers of what was left out, by kind.
     sensor : str
         Its name, which the file's metadata keep.
 
@@ -102,7 +102,7 @@ class RecordingFile:
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
 
     def _level(self, frame: Frame) -> Frame:
-        """Return a frame whose detections all have a height, or none has, as in the others."""
+        """Return a frame whose detections all have a height, or none has, by `elevation`."""
         given = np.isfinite(frame.points[:, 2])
         if self.elevation and not given.all():
             self._counts["invalid_detections"] += int((~given).sum())
@@ -131,9 +131,9 @@ class RecordingFile:
 
 
 def parquet_options(names: Sequence[str]) -> dict[str, Any]:
-    """Return how a recording with some columns is written: small, and fast to read."""
-    # Coordinates hardly repeat, times and the sensor's marks do. Of numbers that are noise but for
-    # their first byte LZ4 leaves 4 % more than zstd, and is read twice as fast.
+    """Return pyarrow's options for writing these columns: small, and fast to read."""
+    # Times and the sensor's marks repeat, coordinates hardly do: all but their first byte is noise,
+    # of which LZ4 leaves 4 % more than zstd, and is read twice as fast.
     return {
         "compression": {name: "lz4" if name in CORE else "zstd" for name in names},
         "compression_level": {name: 1 for name in names if name not in CORE} or None,
@@ -183,7 +183,7 @@ def _kinds(frames: list[Frame]) -> dict[str, pa.DataType]:
 
 
 def _further(parts: list[Column | None], rows: list[int], kind: pa.DataType) -> pa.ChunkedArray:
-    """Return a further column; where a frame has none, NaN or null."""
+    """Return a further column of frames; NaN or null for the rows of a frame without it."""
     if pa.types.is_floating(kind):
         dtype = kind.to_pandas_dtype()
         filled = [

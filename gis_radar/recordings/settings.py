@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class ReaderSettings:
-    """Limits of the readers: what is beyond them is damage, or made to fill the memory.
+    """Limits of the readers: an input beyond them is damaged, or made to fill the memory.
 
     All are far over what radars deliver; a file within them takes under 4 GiB.
 
     Parameters
     ----------
     most_columns : int
-        Columns of a table; detections of known radars have under 40, and each costs time a batch.
+        Columns of a table; those of known radars have under 40, and each takes time in each batch.
     most_rows_of_frame : int
         Detections of one time, 100 MiB of our columns: radars deliver some hundred.
     longest_text : int
-        Bytes of a text beside a detection: twice a screen of it.
+        Bytes of a text in a row: twice a screen.
     most_text_bytes : int
         Bytes of texts or lists in one column of one row group, as they are unpacked: a million
         rows of 500 bytes.
@@ -27,10 +27,10 @@ class ReaderSettings:
     most_chunk_bytes : int
         Bytes of one chunk of a bag when unpacked: writers close chunks at 1 to 4 MiB.
     most_expansion : int
-        How many times a packed file may grow. Packets of a capture have times of their own, so
-        that even empty ones shrink to a hundredth at best; what is made to explode reaches 1000.
+        Largest ratio of unpacked to packed size. Packets of a capture have times of their own, so
+        that even empty ones reach 100 at most; files that are made to explode reach 1000.
     free_expansion_bytes : int
-        From so many bytes on that is judged; a second of a radar.
+        Unpacked bytes up to which the ratio is not checked: a second of a radar.
     """
 
     most_columns: int = 1000

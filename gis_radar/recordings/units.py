@@ -7,10 +7,10 @@ import numpy as np
 from gis_radar.base import Floats, InputError, Text
 
 FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
-LEAST_JUDGED = 100  # detections, of which the median is no ghost's
-LEAST_MEDIAN_M = 10.0  # of roadside radars it is 20 to 60 m: under it, the next smaller unit
-MAP_M = 1e5  # no median range in millimetres is over 100 m
-LEAST_EXTENT_M = 0.02  # even one still target wanders by more; 0.02 degrees are 2 km
+LEAST_JUDGED = 100  # detections: of fewer, the median may be a ghost's
+LEAST_MEDIAN_M = 10.0  # median range; of roadside radars 20 to 60 m. Less: a smaller unit was meant
+MAP_M = 1e5  # numbers beyond are no millimetres: the median range of a radar is under 100 m
+LEAST_EXTENT_M = 0.02  # positions of even one still target vary by more; 0.02 degrees are 2 km
 TURN_RAD = 2.0 * np.pi
 
 
@@ -20,9 +20,9 @@ def refuse_positions_in_other_units(points: Floats, what: str) -> None:
     Parameters
     ----------
     points : (n, 3) array
-        Of detections, finite x and y; fewer than 100 are not judged.
+        Positions of detections, x and y finite; fewer than `LEAST_JUDGED` are not checked.
     what : str
-        What they are, for the message.
+        Their file, for the message.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     Raises
     ------
     InputError
-        If half of them are over a turn, or as elevations over a right angle.
+        If half of them are over a full turn, or over a right angle for elevations.
     """
     limit = TURN_RAD if name == "azimuth" else TURN_RAD / 4.0
     known = np.abs(angles[np.isfinite(angles)])

@@ -1,4 +1,4 @@
-"""Unpack what is compressed up to a limit: a few kilobytes can hold gigabytes of nothing."""
+"""Unpack compressed data up to a limit: a few kilobytes can hold gigabytes of zeros."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ExplodingError(ValueError):
 
 
 class LimitedStream:
-    """A stream of unpacked bytes that ends in an error where they are too many for the packed.
+    """A stream of unpacked bytes that fails where they exceed a multiple of the packed ones.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class LimitedStream:
         Raises
         ------
         ExplodingError
-            If more were unpacked than the packed ones can hold.
+            If more bytes were unpacked than honest packed bytes can hold.
         """
         data = self._stream.read(size)
         self._read += len(data)
@@ -56,7 +56,7 @@ class LimitedStream:
 
 
 def unpacked(make: Callable[[], Any], packed: bytes) -> bytes:
-    """Return what was packed into one chunk of a bag.
+    """Return the unpacked bytes of one chunk of a bag.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def unpacked(make: Callable[[], Any], packed: bytes) -> bytes:
         Returns a decompressor of the standard library's kind: `decompress(data, max_length)`,
         `eof`, `unused_data`.
     packed : bytes
-        All of it: one stream or several.
+        The whole chunk: one compressed stream or several.
 
     Raises
     ------
     ExplodingError
-        If it is more than a chunk may hold.
+        If it unpacks to more than a chunk may hold.
     """
     most = settings.DEFAULTS.most_chunk_bytes
     plain = bytearray()
@@ -96,7 +96,7 @@ def limit_rosbags() -> None:
 
     for module in (bag2, storage_mcap):
         if (zstd := getattr(module, "zstd", None)) is not None:
-            setattr(module, "zstd", _limited_zstd(zstd))  # noqa: B010 - of whatever version
+            setattr(module, "zstd", _limited_zstd(zstd))  # noqa: B010 - for any version
     frames: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor}
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415
 
@@ -111,7 +111,7 @@ def limit_rosbags() -> None:
 
 
 def _limited_zstd(zstd: Any) -> SimpleNamespace:
-    """Return the module with limits."""
+    """Return a copy of the module `zstd` whose functions unpack up to the limits."""
 
     def opened(file: Any, *words: Any) -> LimitedStream:
         return LimitedStream(zstd.open(file, *words), os.fstat(file.fileno()).st_size)

@@ -1,4 +1,4 @@
-"""The last frames of a recording, as a window that rolls on."""
+"""A rolling window over the last frames of a recording."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gis_radar.recordings.recording import Detections
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """The last frames of a recording.
+    """Content of a rolling window: its frames' times and the kept detections.
 
     Parameters
     ----------
     frame_times : (f,) array
         UNIX seconds of all its frames, ascending.
     time, range_rate : (n,) array
-        Of the kept detections: UNIX seconds; m/s, positive when receding.
+        Of each kept detection: UNIX seconds; m/s, positive when receding.
     points : (n, 3) array
-        Theirs, sensor frame, metres.
+        Positions of the kept detections, sensor frame, metres.
     """
 
     frame_times: Floats
@@ -38,9 +38,9 @@ class RollingWindow:
     Parameters
     ----------
     frames : int
-        Length of the window.
+        Length of the window, frames.
     keep : callable
-        Which of some detections are kept.
+        Returns which detections of a batch are kept.
     """
 
     def __init__(self, *, frames: int, keep: Callable[[Detections], Booleans]) -> None:
@@ -78,7 +78,7 @@ class RollingWindow:
 
     @property
     def detections_held(self) -> int:
-        """How many are in memory: those of the window, and the rest of its first batch."""
+        """Number of detections in memory: those of the window, and the rest of its first batch."""
         return sum(len(time) for time, _, _ in self._batches)
 
     def __len__(self) -> int:

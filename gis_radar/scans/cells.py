@@ -1,18 +1,18 @@
 """Reduce points on the road surface to half-metre cells: their centres and heights.
 
-The surface is the lowest smooth one under the points: stiff, so that things on the road do not lift
-it. It is bilinear between nodes and resists bending: it minimises the squares of its distances from
-the lowest point of each square metre, and of the differences between neighbouring slopes (a
-discrete thin-plate spline, Duchon 1977). What is clearly over it - a roof, a crown, a car, a bridge
-that the map does not have - gets no weight in the next round, and the surface sinks to what is
-left; points below it pull with bounded force, so that a stray reflection under the ground does not
-pull it down. A slope costs nothing, whatever its grade, and a road bends over tens of metres, a
-car's outline over one.
+The surface is the lowest smooth one under the points: stiff, so that objects on the road do not
+lift it. It is bilinear between nodes, and minimises the sum of its squared distances from the
+lowest point of each square metre and of the squared differences between neighbouring slopes (a
+discrete thin-plate spline, Duchon 1977). Points clearly above it - a roof, a crown, a car, a bridge
+that the map does not have - get no weight in the next round, and the surface sinks to the rest;
+points below it have bounded weight, so that a stray reflection under the ground does not pull it
+down. Slopes cost nothing, however steep; a road bends over tens of metres, a car's outline over
+one.
 
 DBSCAN runs here on the cells of the cropped road, never on the raw cloud. On a regular grid its
 neighbourhoods are sums over a disc, and its clusters the connected patches of core cells.
 
-This step is the same whoever read, cropped and classified the points.
+This step is the same for points read by PDAL and by laspy.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, PointStore
 from gis_radar.scans.roads import RoadLevel
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
-SQUARE_M = 16.0  # side of the squares in which it is told whether scans have points there
+SQUARE_M = 16.0  # side of the squares for which we state whether scans have points there
 
 _TINY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroundSurface:
-    """A surface over the plane.
+    """Heights of the ground at nodes of a square grid, bilinear in between.
 
     Parameters
     ----------
     corner : (2,) array
-        Place of the first node, metres.
+        Easting and northing of the first node, metres.
     nodes : (columns, rows) array
-        Heights, metres; NaN where nothing supports it.
+        Heights, metres; NaN where no point is near.
     node_m : float
         Distance of the nodes, metres.
     """
@@ -53,12 +53,12 @@ class GroundSurface:
     node_m: float
 
     def height(self, x: Floats, y: Floats) -> Floats:
-        """Return the height at places, NaN beyond the support."""
+        """Return the heights at places, metres; NaN where a node around has none."""
         base, weight = self.weights(x, y)
         return np.asarray((self.nodes.ravel()[base] * weight).sum(axis=1))
 
     def weights(self, x: Floats, y: Floats) -> tuple[Integers, Floats]:
-        """Return the four nodes around each place, and their bilinear weights: (n, 4) each."""
+        """Return indices of the four nodes around each place, and bilinear weights: (n, 4) each."""
         shape = self.nodes.shape
         u, v = (x - self.corner[0]) / self.node_m, (y - self.corner[1]) / self.node_m
         column = np.clip(np.floor(u).astype(np.int64), 0, shape[0] - 2)
@@ -76,9 +76,9 @@ def fit_ground(points: Floats, settings: MaskSettings = DEFAULTS) -> GroundSurfa
     Parameters
     ----------
     points : (n, 3) array
-        Metres; at least one.
+        Easting, northing, height, metres; at least one.
     settings : MaskSettings
-        Nodes, stiffness, and what pulls how much.
+        Spacing of the nodes, stiffness, and weights of points.
     """
     node_m = settings.node_m
     corner = node_m * np.floor((points[:, :2].min(axis=0) - node_m) / node_m)
@@ -89,8 +89,8 @@ def fit_ground(points: Floats, settings: MaskSettings = DEFAULTS) -> GroundSurfa
     middle = float(np.median(low[:, 2]))
     used = np.unique(surface.weights(low[:, 0], low[:, 1])[0])
     bend = _bending(used, nodes.shape)
-    look = _nodes_to_points(surface, low, used)
-    nodes.ravel()[used] = _settled(look, bend, low[:, 2] - middle, settings) + middle
+    at_points = _nodes_to_points(surface, low, used)
+    nodes.ravel()[used] = _settled(at_points, bend, low[:, 2] - middle, settings) + middle
     return _centred(surface, points, bend, used, middle, settings)
 
 
@@ -102,25 +102,25 @@ def _nodes_to_points(surface: GroundSurface, points: Floats, used: Integers) -> 
 
 
 def _settled(
-    look: sparse.csr_array, bend: sparse.csr_array, z: Floats, settings: MaskSettings
+    at_points: sparse.csr_array, bend: sparse.csr_array, z: Floats, settings: MaskSettings
 ) -> Floats:
-    """Solve in rounds: what is over it loses its weight, what is below pulls with bounded force."""
-    pull = np.ones(len(z))
-    heights = np.zeros(look.shape[1])
+    """Return heights of nodes, solved in rounds with new weights for points above and below."""
+    weight = np.ones(len(z))
+    heights = np.zeros(at_points.shape[1])
     for stiffness in settings.stiffness:
-        heights = _solved(look, bend, z, pull, stiffness)
-        over = z - look @ heights
+        heights = _solved(at_points, bend, z, weight, stiffness)
+        over = z - at_points @ heights
         bounded = np.minimum(1.0, settings.pull_m / np.maximum(-over, _TINY))
-        pull = np.where(over > settings.object_m, 0.0, bounded)
+        weight = np.where(over > settings.object_m, 0.0, bounded)
     return heights
 
 
 def _solved(
-    look: sparse.csr_array, bend: sparse.csr_array, z: Floats, pull: Floats, stiffness: float
+    at_points: sparse.csr_array, bend: sparse.csr_array, z: Floats, weight: Floats, stiffness: float
 ) -> Floats:
-    weighted = look.multiply(pull[:, None]).tocsr()
-    normal = look.T @ weighted + stiffness * bend
-    # A shred without enough points to hold a plane is level at the middle height.
+    weighted = at_points.multiply(weight[:, None]).tocsr()
+    normal = at_points.T @ weighted + stiffness * bend
+    # Keeps the matrix regular: parts with too few points for a plane are level, at middle height.
     normal = normal + _TINY * sparse.eye_array(normal.shape[0])
     return np.asarray(splu(normal.tocsc(), permc_spec="MMD_AT_PLUS_A",
                            options={"SymmetricMode": True}).solve(weighted.T @ z))  # fmt: skip
@@ -130,17 +130,17 @@ def _centred(
     surface: GroundSurface, points: Floats, bend: sparse.csr_array, used: Integers, middle: float,
     settings: MaskSettings,
 ) -> GroundSurface:  # fmt: skip
-    """Lift a surface from the lowest points to the middle of all that are on it."""
+    """Return the surface lifted from the lowest points to the middle of all points on it."""
     over = points[:, 2] - surface.height(points[:, 0], points[:, 1])
     kept = points[np.abs(over) <= settings.object_m]
     if len(kept) == 0:
         return surface
-    look = _nodes_to_points(surface, kept, used)
-    # As many points pull as there are low squares, whatever the density of the scan.
+    at_points = _nodes_to_points(surface, kept, used)
+    # The weights add up to the number of low squares, whatever the density of the scan.
     squares = len(used) * settings.node_m**2 / settings.low_m**2
-    pull = np.full(len(kept), min(1.0, squares / len(kept)))
+    weight = np.full(len(kept), min(1.0, squares / len(kept)))
     nodes = surface.nodes.copy()
-    solved = _solved(look, bend, kept[:, 2] - middle, pull, settings.stiffness[-1])
+    solved = _solved(at_points, bend, kept[:, 2] - middle, weight, settings.stiffness[-1])
     nodes.ravel()[used] = solved + middle
     return replace(surface, nodes=nodes)
 
@@ -156,7 +156,7 @@ def _lowest(points: Floats, side_m: float) -> Floats:
 
 
 _ROOT = float(np.sqrt(2.0))
-# Second differences across, up and of the twist: nodes by their offsets, and their factors.
+# Second differences to the east, to the north and mixed: offsets of the nodes, and their factors.
 _SECOND = (
     (((-1, 0), (0, 0), (1, 0)), (1.0, -2.0, 1.0)),
     (((0, -1), (0, 0), (0, 1)), (1.0, -2.0, 1.0)),
@@ -165,7 +165,7 @@ _SECOND = (
 
 
 def _bending(used: Integers, shape: tuple[int, ...]) -> sparse.csr_array:
-    """Return the matrix whose form is the sum of squared second differences of the heights."""
+    """Return the matrix B such that h' B h sums the squared second differences of heights h."""
     wide, tall = shape
     place = np.full(wide * tall, -1, np.int64)
     place[used] = np.arange(len(used))
@@ -189,13 +189,13 @@ def large_clusters(filled: Booleans, settings: MaskSettings = DEFAULTS) -> Boole
     filled : (rows, columns) bool array
         Cells with a point.
     settings : MaskSettings
-        What a core and a cluster are.
+        Definition of a core and of a cluster.
     """
     reach = np.arange(-settings.core_radius, settings.core_radius + 1)
     disc = np.hypot(*np.meshgrid(reach, reach)) <= settings.core_radius
     around = ndimage.convolve(filled.astype(np.uint8), disc.astype(np.uint8), mode="constant")
     core = filled & (around >= settings.core_cells)
-    # Cores a radius apart touch when each is grown by one cell.
+    # Cores within the radius (two cells) touch once each is grown by a cell.
     patch, _ = ndimage.label(grown(core), np.ones((3, 3)))
     member = np.where(filled, patch, 0)
     sizes = np.bincount(member.ravel())
@@ -226,9 +226,9 @@ def medians(  # pragma: no cover - compiled
     cell : (n,) int64 array
         The cell of each point in a square grid, row by row; ascending.
     value : (n,) array
-        What to take the median of.
+        The value of each point.
     width : int
-        Cells a row.
+        Number of cells in a row.
     """
     begin = np.zeros(width * width + 1, np.int64)
     for i in range(len(cell)):
@@ -258,11 +258,11 @@ def medians(  # pragma: no cover - compiled
 
 
 def scan_over_map(store: PointStore, settings: MaskSettings) -> float:
-    """Return the most frequent height of points over the map's roads, NaN where it has no heights.
+    """Return the most frequent height of points over the map's roads, metres; NaN without heights.
 
-    Roads are at one offset to within centimetres, while trees, roofs and other levels spread over
-    many: the mode does not need to know which points are road. Where the middle of the first
-    points is beyond the range of the histogram, that is laid around it.
+    Points on roads have one offset to within centimetres, those of trees, roofs and other levels
+    many: the mode is right without knowing which points are road. The histogram is centred on the
+    median of the first points where that is out of its range.
     """
     blocks = store.blocks
     levels = [level for level in blocks.roads.levels if level.has_heights]
@@ -297,18 +297,18 @@ class RoadCells:
         Centre of each cell and the road's height there, metres; ascending by northing, easting,
         height. Where one road passes over another, a cell may be there once a level.
     used : int
-        How many points are on the road's surface.
+        Number of points on the road's surface.
     area_cells : int
-        How many cells have their centre on a road, each level counted.
+        Number of cells whose centre is on a road, summed over levels.
     missing : (k, 3) array
         South-west corners of the squares of `SQUARE_M` with cells for which there is no point,
-        and how many of them; a square may be there several times.
+        metres, and the number of such cells; a square may be there several times.
     seen : (k, 2) array
-        South-west corners of the squares of `SQUARE_M` that hold points on roads.
+        South-west corners of the squares of `SQUARE_M` that hold points on roads, metres.
     removed : int
-        How many cells were left out as small clusters.
+        Number of cells left out as small clusters.
     offset_m : float
-        How much higher the scan is than the map's own heights; NaN where it has none.
+        Height of the scan over the map's own heights, metres; NaN where the map has none.
     """
 
     points: Floats = field(repr=False)
@@ -342,7 +342,7 @@ def make_cells(
     settings : MaskSettings
         How points become cells.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
     """
     blocks = store.blocks
     margin = round(settings.block_margin_m / CELL_M)
@@ -370,7 +370,7 @@ def _cells_of_level(
     xyz: Floats, ground: Booleans, level: RoadLevel, area: Booleans, corner: Floats,
     offset_m: float, settings: MaskSettings,
 ) -> _Part:  # fmt: skip
-    """Make a level's cells in a block from points of it and of a margin, as `area` has it."""
+    """Make a level's cells in a block; `xyz` and `area` also hold a margin around the block."""
     margin = (len(area) - BLOCK_CELLS) // 2
     grid = Grid(cell_m=CELL_M, west=-margin, south=-margin, columns=len(area), rows=len(area))
     block = np.zeros_like(area)
@@ -414,9 +414,9 @@ def squares_with_cells(cells: Booleans, grid: Grid, corner: Floats, side_m: floa
     Parameters
     ----------
     cells : (rows, columns) array of bool
-        The cells that count.
+        True for the cells to count.
     grid : Grid
-        Of the cells, in metres from the corner.
+        Their grid, in metres from the corner.
     corner : (2,) array
         Easting and northing of the grid's zero, metres.
     side_m : float
@@ -437,11 +437,11 @@ def squares_with_cells(cells: Booleans, grid: Grid, corner: Floats, side_m: floa
 
 
 def _at_height(off: Floats, ground: Booleans, cell: Integers, settings: MaskSettings) -> Booleans:
-    """Choose the points that may be a level's road, by how far off the map's height they are.
+    """Choose the points that may be a level's road, by their distance from the map's height.
 
     Points at another height belong to another level. In a cell without ground at the right height
-    (a bridge that was classified as a building, a ramp that the map draws too straight) the next
-    best points are candidates.
+    (a bridge classified as a building, a ramp drawn too straight in the map), points of any class
+    within `same_level_m` are chosen, else those within `clearance_m`.
     """
     near, clear = off <= settings.same_level_m, off <= settings.clearance_m
     chosen = np.zeros(len(off), bool)

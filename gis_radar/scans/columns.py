@@ -1,4 +1,4 @@
-"""Columns of a scan: over each cell of the plane its highest and lowest points, by class too."""
+"""Columns of a scan: highest and lowest points over each cell, of all points and by class."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gis_radar.scans.scan import Scan
 # ASPRS LAS 1.4, table 17
 PLANTS, BUILDING, DECK, BARE = (3, 4, 5), (6,), (17,), (2, 8, 11)
 UNFIT = (7, 9, 13, 14, 15, 16, 18)  # noise, water, wires and pylons
-Heights: TypeAlias = NDArray[np.float32]  # to 0.03 mm at 400 m; a window has many
+Heights: TypeAlias = NDArray[np.float32]  # exact to 0.03 mm at 400 m, in half the memory
 
 
 @dataclass(kw_only=True)
@@ -32,15 +32,15 @@ class ScanColumns:
     grid : Grid
         The cells.
     from_map : callable
-        Moves (n, 3) points of the map into the grid's frame; as they are, by default.
+        Moves (n, 3) points of the map into the grid's frame; by default that is the map.
     top, low : array
-        Highest and lowest point, metres.
+        Heights of the highest and the lowest point, metres.
     plants, building : array
-        Highest point of these classes.
+        Heights of the highest point of these classes, metres.
     ground, deck : array
-        Lowest point of ground or road surface, and of bridge decks.
+        Heights of the lowest point of ground or road surface, and of bridge decks, metres.
     points : int
-        How many points there are.
+        Number of points so far.
     """
 
     grid: Grid
@@ -61,7 +61,7 @@ class ScanColumns:
             setattr(self, name, np.full(size, np.inf, np.float32))
 
     def add(self, xyz: Floats, category: Any) -> None:
-        """Add (n, 3) points of the map with their classes; those outside do not count."""
+        """Add (n, 3) points of the map with their ASPRS classes; skip those outside the grid."""
         xyz = self.from_map(xyz)
         column, row = self.grid.cells(xyz[:, 0], xyz[:, 1])
         kept = self.grid.holds(column, row) & ~np.isin(category, UNFIT)
@@ -93,13 +93,13 @@ def read_columns(
     scans : sequence of Scan
         Airborne scans; those that do not touch the box are not read.
     windows : sequence of ScanColumns
-        Where the points go.
+        Receive the points.
     box : (float, float, float, float)
         West, south, east, north of all windows in the map, metres.
     crs : CRS
-        Of the map.
+        The map's.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def read_columns(
 
 
 def nearest_known(known: Booleans) -> tuple[Floats, tuple[Integers, Integers]]:
-    """Return the distance to the next known cell, in cells, and which one; inf where none is."""
+    """Return the distance to the nearest known cell, in cells, and its indices; inf if none is."""
     if not known.any():
         nowhere = np.zeros(known.shape, np.int64)
         return np.full(known.shape, np.inf), (nowhere, nowhere)
@@ -131,20 +131,21 @@ def nearest_known(known: Booleans) -> tuple[Floats, tuple[Integers, Integers]]:
 def ground_under(
     low: Any, *, cell_m: float, coarse_cells: int, widest_roof_m: float, classified: bool
 ) -> Floats:
-    """Return the ground from lowest points: of its class, or under what an opening removes.
+    """Return the ground from the lowest points; without classes, an opening removes roofs.
 
     Parameters
     ----------
     low : (n, m) array
-        Lowest points of cells, of the ground's classes where these are there; inf where none is.
+        Heights of the lowest points of cells, metres, of ground's classes where there are classes;
+        inf where a cell has none.
     cell_m : float
         Side of a cell, metres.
     coarse_cells : int
-        The ground is found in squares of so many cells a side.
+        Side, in cells, of the squares in which the ground is found.
     widest_roof_m : float
         Roofs up to this width are removed where there are no classes.
     classified : bool
-        Whether `low` is that of the ground's classes.
+        Whether `low` is of ground's classes.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Select the points on the roads out of the scans, by PDAL or by laspy.
 
-It keeps to stages that PDAL 2.2 and today's PDAL both have. With classified scans all of its
-stages stream, so its memory does not grow with the points.
+The pipeline has only stages that PDAL 2.2 and today's PDAL share. For classified scans all of them
+stream, so memory does not grow with the points.
 """
 
 from __future__ import annotations
@@ -47,25 +47,25 @@ from gis_radar.scans.scan import (
 
 LAYER, COLUMN = "roads", "road"
 LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
-# What PDAL's ground filter reads around a road: wider than its window (SMRF, 18 m).
+# Margin around a road for PDAL's ground filter: wider than its window (SMRF, 18 m).
 FILTER_MARGIN_M = 30.0
 MARK = "UserData"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pipeline:
-    """Scans to points on the roads.
+    """Selection of the points on the roads, as stages of PDAL.
 
     Parameters
     ----------
     scans : tuple of Scan
-        Those that touch the site.
+        Scans that touch the site.
     classified : tuple of bool
-        For each, whether its classes distinguish ground.
+        For each scan, whether its classes distinguish ground.
     roads : Roads
-        The site.
+        Roads of the site.
     margin_m : float
-        What a ground filter reads around a road, metres.
+        Margin around a road for the ground filter, metres.
     """
 
     scans: tuple[Scan, ...]
@@ -74,7 +74,7 @@ class Pipeline:
     margin_m: float = FILTER_MARGIN_M
 
     def document(self, *, roads: Path, points: Path, within: Box | None = None) -> dict[str, Any]:
-        """Return the pipeline as PDAL reads it.
+        """Return the pipeline as a document for PDAL.
 
         Parameters
         ----------
@@ -83,8 +83,8 @@ class Pipeline:
         points : Path
             The LAZ file that the pipeline writes.
         within : Box, optional
-            A part of the site, in the roads' system, without those scans that do not touch it;
-            around it a margin is read for the ground filter and left out again.
+            Part of the site, in the roads' system: only scans that touch it are read. The margin
+            around it, read for the ground filter, is left out again.
         """
         site = box_with_margin(self.roads.area.bounds, self.margin_m)
         area = site if within is None else _common(site, box_with_margin(within, self.margin_m))
@@ -112,7 +112,7 @@ class Pipeline:
         return {"pipeline": stages}
 
     def _group(self, area: Box, *, classified: bool) -> list[dict[str, Any]]:
-        """Return the stages up to the choice of ground, for scans of one kind."""
+        """Return the stages up to the selection by class, for classified or unclassified scans."""
         kind = "classified" if classified else "unclassified"
         stages, ends = [], []
         for number, (scan, status) in enumerate(zip(self.scans, self.classified, strict=True)):
@@ -154,9 +154,9 @@ class Pipeline:
 
 
 def passing_classes(roads: Roads) -> list[int]:
-    """Return the classes that pass: ground, and where the map has heights, what may be it.
+    """Return the classes that pass: road for certain; with heights in the map, all that may be.
 
-    A bridge may have any class; the map's heights select it later.
+    A bridge may have any class; the map's heights select its points later.
     """
     if roads.has_heights:
         return [number for number in range(256) if number not in NEVER_CLASSES]
@@ -173,22 +173,22 @@ def _common(a: Box, b: Box) -> Box:
 
 
 def runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
-    """Return ascending numbers as runs without gaps."""
+    """Return ascending numbers as runs without gaps: (first, last) of each."""
     parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
     return [(int(part[0]), int(part[-1])) for part in parts]
 
 
 def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
-    """Write the layer `roads`, and `outside` with the part of them that the scans miss.
+    """Write the layer `roads`, and the layer `outside` with the part outside the scans.
 
     Parameters
     ----------
     roads : Roads
-        The site.
+        Roads of the site.
     path : Path
         The GeoPackage.
     outside : MultiPolygon, optional
-        What is outside the scans.
+        Part of the roads outside the scans.
     """
     parts = shapely.get_parts(roads.area)
     layers = {LAYER: gpd.GeoDataFrame({COLUMN: [1] * len(parts)}, geometry=parts, crs=roads.crs)}
@@ -203,22 +203,22 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
 
 NAMES = ("auto", "pdal", "laspy")
 STAGE = "reading scans"
-# PDAL holds the points of a ground filter in memory: more than these go tile by tile.
+# PDAL holds the points of a ground filter in memory: more than these are run scan by scan.
 MOST_AT_ONCE = 5_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadStatistics:
-    """Figures of the reading of scans.
+    """Figures about the reading of scans.
 
     Parameters
     ----------
     pipeline : Pipeline
         How the points are selected, as stages of PDAL.
     on_road : int
-        Points on the roads, in classified scans without those whose class is no road's.
+        Number of points on the roads; in classified scans only those of classes that pass.
     flown : (date, date), optional
-        Days of the first and the last point on the roads, where their times give days.
+        Days of the first and the last point on the roads, where GPS times give days.
     """
 
     pipeline: Pipeline
@@ -227,18 +227,16 @@ class ReadStatistics:
 
 
 Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], Reporter], ReadStatistics]
-"""Puts those points of scans that are on the roads into a store."""
+"""A function that puts the points of scans on the roads into a store."""
 
 
 def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
-    """Return the engine of a name: `pdal`, `laspy`, or `auto` for the first of them that is there.
-
-    With it comes what it is, with its version.
+    """Return an engine, after its title with version, by a name of `NAMES`; `auto` prefers PDAL.
 
     Raises
     ------
-    GisRadarError
-        If it is to be PDAL and there is none.
+    UsageError
+        If the name is unknown; GisRadarError if it is `pdal` and there is none.
     """
     if name not in NAMES:
         raise UsageError(
@@ -280,7 +278,7 @@ def _fill_by_pdal(
     classified = tuple(share >= LEAST_GROUND for share in shares)
     roads = store.blocks.roads
     pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=roads)
-    store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
+    store.classified(0, ground=True)  # the pipeline has selected by class
     times: list[float] = []
     with scratch_folder() as folder:
         layer, points = folder / "roads.gpkg", folder / "points.laz"
@@ -303,14 +301,14 @@ def _fill_by_pdal(
 def _parts(pipeline: Pipeline) -> list[Box | None]:
     """Return the parts of the site to run one after the other; one None is the whole site."""
     scans = zip(pipeline.scans, pipeline.classified, strict=True)
-    waiting = sum(scan.points for scan, classified in scans if not classified)
-    if waiting <= MOST_AT_ONCE or len(pipeline.scans) == 1:
+    in_memory = sum(scan.points for scan, classified in scans if not classified)
+    if in_memory <= MOST_AT_ONCE or len(pipeline.scans) == 1:
         return [None]
     return [moved_box(scan.bounds, scan.crs, pipeline.roads.crs) for scan in pipeline.scans]
 
 
 def _keep(store: PointStore, number: int, batch: Points) -> list[float]:
-    """Store the points on the roads; return their earliest and latest time, if any."""
+    """Store the points on the roads; return their earliest and latest GPS time, if any."""
     on_road, block = store.blocks.on_road(batch.x, batch.y)
     xyz = np.column_stack([batch.x[on_road], batch.y[on_road], batch.z[on_road]])
     store.add(xyz, batch.category[on_road], block, number)

@@ -1,9 +1,8 @@
 """Check the headers of scans (LAS, LAZ) before a library acts on what they claim.
 
-laspy checks that the parts of a header agree with each other. It does not compare them with the
-size of the file, and walks through as many records as the header claims, also through 2^31; the
-library below it takes as much memory as the record and the table of the compression ask for, and
-ends the process where there is not as much.
+laspy checks that the parts of a header agree with each other, but not with the size of the file: it
+reads as many records as the header claims, up to 2^31. lazrs below it allocates what the
+compression's record and chunk table claim, and aborts the process where memory is short.
 """
 
 from __future__ import annotations
@@ -35,16 +34,16 @@ _LASZIP_BYTES, _ITEM_BYTES = 34, 6
 # Sizes of the parts of a compressed point by type (laszip 3.4, "laszip.hpp"); bytes have any.
 _ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 _ITEMS_OF_ANY_SIZE = {0, 14}
-# Layers that each part of a point is stored in, by the same types; bytes have one each.
+# Number of layers of each part of a point, by the same types; extra bytes have one each.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-_LAYERED = 3  # the method of point formats 6 to 10
-_OF_ANY_LENGTH = 0xFFFFFFFF  # chunks of as many points as the table says
+_LAYERED = 3  # the method of compression of point formats 6 to 10
+_OF_ANY_LENGTH = 0xFFFFFFFF  # points in a chunk: stated for each chunk by the table
 _MOST_CHUNK = 10_000_000  # points; laszip's own chunks have 50,000, COPC's under 100,000
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e3
 _FARTHEST_M = 1e8  # no projected coordinate on earth is larger
-_ROUNDED_M = 1.0  # by which points may lie outside the header's extent: programs round it
-# A flipped bit of compressed points moves those after it by kilometres; a stale extent is near.
-_FAR_M, _FAR_SHARE = 100.0, 0.1  # of the extent
+_ROUNDED_M = 1.0  # distance of points outside the header's extent that rounding explains
+# A flipped bit moves all later compressed points by kilometres; extents out of date are near.
+_FAR_M, _FAR_SHARE = 100.0, 0.1  # metres, and share of the extent
 
 
 def read_header(path: Path) -> Any:
@@ -58,7 +57,7 @@ def read_header(path: Path) -> Any:
     Returns
     -------
     laspy.LasHeader
-        Of a file that can hold what it claims.
+        The header, of a file that is large enough for what it claims.
 
     Raises
     ------
@@ -90,22 +89,22 @@ def read_header(path: Path) -> Any:
 
 
 def refuse_outside(record: Any, header: Any, path: Path) -> float:
-    """Refuse points far outside the extent that the header states: bits that flipped on the way.
+    """Refuse points far outside the extent that the header states, which flipped bits cause.
 
     Parameters
     ----------
     record : laspy point record
         Some points.
     header : laspy.LasHeader
-        Of their file.
+        Header of their file.
     path : Path
-        For the message.
+        The file, for the message.
 
     Returns
     -------
     float
-        By how many metres points lie outside at most: programs crop, shift and merge without
-        writing the extent anew. Zero for what rounding makes, and where no extent is stated.
+        Largest distance of a point outside the extent, metres: programs crop, shift and merge
+        without updating it. Zero for rounding, and where no extent is stated.
 
     Raises
     ------
@@ -135,7 +134,7 @@ def refuse_outside(record: Any, header: Any, path: Path) -> float:
 
 @contextmanager
 def scan_errors(path: str | Path) -> Iterator[None]:
-    """Turn what libraries raise while they read a scan into an error that names it."""
+    """Turn errors of libraries that read a scan into one that names it."""
     try:
         yield
     except (laspy.LaspyException, *FAULTS) as error:
@@ -148,7 +147,7 @@ def scan_errors(path: str | Path) -> Iterator[None]:
 
 
 def _unfit(head: bytes, size: int) -> str:
-    """Return what in the bytes of a header (ASPRS LAS 1.4, table 3) cannot be, or nothing."""
+    """Return what is impossible in a header's bytes (ASPRS LAS 1.4, table 3), or an empty text."""
     if head[24] != 1 or head[25] > 4:
         return Text("LAS version {}.{} is not known", head[24], head[25])
     begin, points_at, count = struct.unpack_from("<HII", head, 94)
@@ -165,7 +164,7 @@ def _unfit(head: bytes, size: int) -> str:
 
 
 def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
-    """Return what in the record of the compression and in its chunks cannot be, or nothing."""
+    """Return what is impossible in the compression's record or chunks, or an empty text."""
     begin, points_at, count = struct.unpack_from("<HII", head, 94)
     file.seek(begin)
     records = file.read(points_at - begin)
@@ -181,7 +180,7 @@ def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
 
 
 def _unfit_chunks(file: BinaryIO, head: bytes, record: bytes, size: int) -> str:
-    """Return what in the table of the chunks and in their heads cannot be, or nothing."""
+    """Return what is impossible in the table of chunks or in their heads, or an empty text."""
     (points_at,) = struct.unpack_from("<I", head, 96)
     each = struct.unpack_from("<I", record, 12)[0]
     points = struct.unpack_from("<I", head, 107)[0]
@@ -214,7 +213,7 @@ def _unfit_chunks(file: BinaryIO, head: bytes, record: bytes, size: int) -> str:
 def _unfit_layers(
     file: BinaryIO, at: int, lengths: Sequence[int], items: Sequence[tuple[int, int]]
 ) -> str:
-    """Return what in the heads of the chunks cannot be: layers longer than their chunk."""
+    """Return which chunk has layers longer than itself, or an empty text."""
     first = sum(size for _, size in items)  # one point in full, the number of points, the layers
     layers = sum(size if kind in _ITEMS_OF_ANY_SIZE else _LAYERS[kind] for kind, size in items)
     form = struct.Struct(f"<{first + 4}x{layers}I")
@@ -229,7 +228,7 @@ def _unfit_layers(
 
 
 def _unfit_record(record: bytes, point_bytes: int) -> str:
-    """Return what in laszip's record cannot be, or nothing."""
+    """Return what is impossible in laszip's record, or an empty text."""
     if len(record) < _LASZIP_BYTES:
         return "is missing or cut"
     compressor, each, count = (
@@ -259,8 +258,8 @@ def _items(record: bytes) -> list[tuple[int, int]]:
 
 
 def _not_in_file(header: Any, size: int) -> str:
-    """Return what laspy accepts in a header and cannot be, or nothing."""
-    # One point of each chunk is stored in full, and a chunk of any length has one at least.
+    """Return what is impossible in a header although laspy accepts it, or an empty text."""
+    # The first point of each chunk is stored in full: the file has room for so many chunks.
     chunk = _MOST_CHUNK if header.are_points_compressed else 1
     most = (size - header.offset_to_point_data) // header.point_format.size * chunk
     if header.point_count > most:

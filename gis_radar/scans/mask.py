@@ -1,4 +1,4 @@
-"""The mask: from airborne scans to the road in cells of half a metre."""
+"""The road mask: from airborne scans to the road's height in cells of half a metre."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ from gis_radar.scans.settings import DEFAULTS, MaskSettings
 BESIDE = (".roads.gpkg", ".pipeline.json")
 BARE_M2 = 20.0  # a square without a point and with so much road is outside the scans
 WARN_OUTSIDE = 0.001  # share of roads outside the scans from which on a warning is logged
-WARN_OFFSET_M = 2.0  # height of the scan over the map from which on one is: of another level
-DATUM_M = 110.0  # beyond is no vertical datum's: geoid undulations are under 107 m (EGM2008)
+WARN_OFFSET_M = 2.0  # the same for the scan's height over the map: it may be of another level
+DATUM_M = 110.0  # no vertical datums differ by more: geoid undulations are under 107 m (EGM2008)
 # Share of the road's cells inside the scans' extents below which there is no mask, and below which
 # a warning is logged. A scan of 1 point/m2 fills 0.2 of the cells of 0.5 m.
 LEAST_COVERED, WARN_COVERED = 0.02, 0.1
@@ -54,24 +54,24 @@ class RoadMask:
     points : (n, 3) array
         Centres of cells of 0.5 m with the road's height, metres.
     roads : Roads
-        The map they were masked by; its coordinate system is theirs.
+        Roads of the map, in the coordinate system of the points.
     outside : MultiPolygon
         The part of the map's roads outside the scans.
     engine : str
-        What read the scans, with its version.
+        Program that read the scans, with its version.
     pipeline : Pipeline
         How the points were selected, as stages of PDAL.
     vertical : tuple of str
-        Names of the systems of the scans' heights, where these have one.
+        Names of the vertical systems that the scans state.
     flown : (date, date), optional
         First and last day of the scans on the roads: the epoch of what they show.
     points_in, points_on_road : int
-        Points in the scans that touch the site, and those of them on its roads; in classified scans
-        without those whose class is no road's.
+        Number of points in the scans that touch the site, and of those on its roads; in classified
+        scans only those of classes that pass.
     cells : RoadCells
-        How the cells were made.
+        The cells, with figures about their making.
     settings : MaskSettings
-        What was in effect.
+        Settings in effect.
     """
 
     points: Floats = field(repr=False)
@@ -123,13 +123,13 @@ class RoadMask:
         }
 
     def write(self, path: str | Path) -> list[Path]:
-        """Write the road, its pipeline and the layer of its roads.
+        """Write the points of the road, the pipeline, and the map's roads as a layer.
 
         Parameters
         ----------
         path : str or Path
-            The LAZ (or LAS) file; `<stem>.pipeline.json` and `<stem>.roads.gpkg` go beside it. PDAL
-            runs the pipeline in that folder: its names are relative to it where they can be.
+            The LAZ (or LAS) file; `<stem>.pipeline.json` and `<stem>.roads.gpkg` go beside it. The
+            pipeline names files relative to that folder where it can: run PDAL there.
 
         Returns
         -------
@@ -170,19 +170,19 @@ class RoadMask:
 
 
 def relative_name(name: str, folder: Path) -> str:
-    """Return a name relative to a folder; as it is where they share no more than a root.
+    """Return a name relative to a folder; unchanged where they share at most the root.
 
     Parameters
     ----------
     name : str
         An absolute path.
     folder : Path
-        Absolute, too.
+        An absolute path, too.
 
     Returns
     -------
     str
-        With forward slashes where it is relative.
+        A relative name has forward slashes.
     """
     try:
         shared = os.path.commonpath([name, folder])
@@ -192,7 +192,7 @@ def relative_name(name: str, folder: Path) -> str:
 
 
 def require_road_name(path: str | Path) -> None:
-    """Refuse a name that does not end in LAZ or LAS, before the work and not after it."""
+    """Refuse a name that does not end in .laz or .las; called before the work begins."""
     if Path(path).suffix.lower() not in {".laz", ".las"}:
         raise UsageError("{}: a road is written as LAZ", path, hint="end the name in .laz")
 
@@ -219,9 +219,9 @@ def mask_road(
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
     settings : MaskSettings
-        Choices of the algorithm.
+        Settings of the algorithm.
     reporter : Reporter
-        Where progress and remarks go.
+        Receives progress and remarks.
 
     Raises
     ------
@@ -277,7 +277,7 @@ def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
 
 
 def _outside(cells: RoadCells, scans: Sequence[Scan], roads: Roads) -> shapely.MultiPolygon:
-    """Return the roads beyond the scans' extents, and in squares without a single point."""
+    """Return the roads outside the scans' extents, or in squares without a single point."""
     extents = [moved_box(scan.bounds, scan.crs, roads.crs) for scan in scans]
     known = np.isfinite(extents).all()
     boxes = [shapely.box(*extent) for extent in extents] if known else [roads.area]
@@ -293,7 +293,7 @@ def _outside(cells: RoadCells, scans: Sequence[Scan], roads: Roads) -> shapely.M
 
 
 def _strips(squares: Floats, side_m: float) -> Any:
-    """Return squares, numbered and ascending, as boxes: those in a row upwards are one."""
+    """Return squares (column, row; ascending) as boxes: adjacent ones of a column make one."""
     if len(squares) == 0:
         return np.empty(0, object)
     across, up = squares.T
@@ -316,7 +316,7 @@ def _inside_share(mask: RoadMask, scans: Sequence[Scan]) -> float:
 
 
 def _refuse_bare(mask: RoadMask, scans: Sequence[Scan]) -> None:
-    """Refuse a mask with next to nothing of the road that the scans should show."""
+    """Refuse a mask that has points on less than `LEAST_COVERED` of the road inside the scans."""
     share = _inside_share(mask, scans)
     if share < LEAST_COVERED:
         raise NoAnswerError(

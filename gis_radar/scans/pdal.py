@@ -1,4 +1,4 @@
-"""PDAL's program, found on this machine and run in a process of its own, which can be stopped."""
+"""Find PDAL's program on this machine, and run it as a process that can be stopped."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ INSTALL_HINT = Text(
 VARIABLE = "GIS_RADAR_PDAL"
 """The environment variable that names a program to use in place of the one on the PATH."""
 
-# PDAL goes on and ends well after these, but points are not where they should be.
+# Messages after which PDAL goes on and ends without an error, but with points in the wrong place.
 _LOSES_POINTS = re.compile(r"GDAL failure.*(coordinate operation|[Rr]eproject|[Tt]ransform)")
 _START_S = 60.0
 
@@ -62,7 +62,7 @@ class PdalRunner:
 
     @property
     def name(self) -> str:
-        """What it is, with its version: ``PDAL 2.9.3``."""
+        """Name with version, such as ``PDAL 2.9.3``."""
         return f"PDAL {'.'.join(map(str, self.version))}"
 
     def run(self, pipeline: Mapping[str, Any], *, reporter: Reporter = QUIET) -> None:
@@ -71,17 +71,17 @@ class PdalRunner:
         Parameters
         ----------
         pipeline : mapping
-            PDAL's document, ``{"pipeline": [stage, ...]}``, whose last stage is a writer. What
-            the writer has begun stays when the run fails: let it write into a private folder
+            PDAL's document, ``{"pipeline": [stage, ...]}``, whose last stage is a writer. A failed
+            run leaves an unfinished file: let the writer use a private folder
             (:mod:`gis_radar.base.files`).
         reporter : Reporter
-            Where the seconds so far go, and PDAL's warnings.
+            Receives the seconds so far, and PDAL's warnings.
 
         Raises
         ------
         InputError
-            If PDAL refuses the pipeline or what it reads, with PDAL's message, or could not
-            reproject points, which PDAL itself passes over.
+            If PDAL refuses the pipeline or a file, with PDAL's message, or could not reproject
+            points, which PDAL itself only logs.
         OutputError
             If PDAL cannot write.
         GisRadarError
@@ -117,12 +117,12 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
     Parameters
     ----------
     reporter : Reporter
-        Where it goes why a PDAL that is there is of no use: it does not start, or is too old.
+        Receives the reason why a PDAL is passed over: it does not start, or is too old.
 
     Returns
     -------
     PdalRunner or None
-        None where there is none; :data:`INSTALL_HINT` is how to get one.
+        None where there is none; :data:`INSTALL_HINT` says how to get one.
     """
     named = os.environ.get(VARIABLE)
     folders = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
@@ -138,7 +138,7 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
 
 @cache
 def _version_of(path: str) -> str | tuple[int, ...]:
-    """Start a PDAL for its version; return that, or why it is of no use."""
+    """Return the version of a PDAL, or the reason why it cannot be used."""
     try:
         done = subprocess.run(  # noqa: S603 - the program that the user has or names
             [path, "--version"], stdin=subprocess.DEVNULL, capture_output=True, timeout=_START_S,
@@ -161,12 +161,12 @@ def _version_of(path: str) -> str | tuple[int, ...]:
 
 
 def _strip(line: str) -> str:
-    """Remove from a line of PDAL's log what is of no use to a user."""
+    """Return a line of PDAL's log without its technical prefix."""
     return re.sub(r"^(\(.*? \w+\)|PDAL:) *(STDIN: )?(GDAL failure \(\d+\) )?", "", line)
 
 
 def _error(lines: list[str], code: int, pipeline: Mapping[str, Any]) -> GisRadarError:
-    """Return the error of the most informative line."""
+    """Return an error with the most informative line of PDAL's log."""
     final = [line for line in lines if line.startswith("PDAL: ")]
     lost = [line for line in lines if _LOSES_POINTS.search(line)]
     chosen = (final or lost or lines or [f"it ended with exit code {code}"])[0]
@@ -181,7 +181,7 @@ def _error(lines: list[str], code: int, pipeline: Mapping[str, Any]) -> GisRadar
 
 
 def _reads(stage: object) -> object:
-    """Return the file that a stage reads; a bare file name is a reader too."""
+    """Return the file that a stage reads, or None; a stage that is a bare name is a reader."""
     if isinstance(stage, Mapping) and str(stage.get("type", "readers.")).startswith("readers."):
         return stage.get("filename")
     return stage if isinstance(stage, str) else None

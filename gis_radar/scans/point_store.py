@@ -1,4 +1,4 @@
-"""Keep points on the road by block of half-metre cells, in memory or in a folder."""
+"""Store points on roads by blocks of half-metre cells, in memory or in a folder."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from gis_radar.base import CELL_M, Booleans, Box, Floats, Grid, InputError, Inte
 from gis_radar.scans.roads import Roads
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
-BLOCK_CELLS = 512
+BLOCK_CELLS = 512  # side of a block, cells
 BLOCK_M = CELL_M * BLOCK_CELLS
-OUTSIDE, INSIDE, EDGE = 0, 1, 2
-# Roads in more squares are no site: these are a city of 16 by 16 km, without a gap. Each takes
-# 10 ms and more with points.
+OUTSIDE, INSIDE, EDGE = 0, 1, 2  # of a cell, by the roads in its block
+# Roads in more blocks are no site: so many cover a city of 16 by 16 km. Each takes 10 ms, and more
+# with points.
 MOST_BLOCKS = 4_000
 MOST_STATES = 512  # blocks whose cells are kept: 128 MiB
 
@@ -34,13 +34,13 @@ class RoadBlocks:
     Parameters
     ----------
     roads : Roads
-        What is road.
+        The roads.
     grid : Grid
-        Blocks around all roads.
+        Grid of all blocks around them.
     columns, rows : (n,) int64 arrays
-        Which of them hold roads.
+        Place in the grid of each block that holds roads.
     shapes : list of geometry
-        The roads in each block, prepared for asking whether they hold a point.
+        The roads in each block, prepared for tests with points.
     """
 
     roads: Roads
@@ -50,7 +50,7 @@ class RoadBlocks:
     shapes: list[Any] = field(repr=False)
 
     def cells(self, block: int, margin: int = 0) -> Grid:
-        """Return the cells of a block, with a margin of so many."""
+        """Return the grid of a block's cells, with a margin of some cells around it."""
         return Grid(
             cell_m=CELL_M,
             west=(self.grid.west + int(self.columns[block])) * BLOCK_CELLS - margin,
@@ -61,26 +61,26 @@ class RoadBlocks:
 
     @cached_property
     def _states_of(self) -> Callable[[int], NDArray[np.uint8]]:
-        """For a block whether its cells are outside the roads, inside, or on their edge."""
+        """Cached function from a block to its cells' states: `OUTSIDE`, `INSIDE` or `EDGE`."""
         return lru_cache(MOST_STATES)(lambda block: _states(self.shapes[block], self.cells(block)))
 
     @cached_property
     def level_shapes(self) -> list[list[Any]]:
-        """For each level, its part in each block."""
+        """For each level, its roads in each block."""
         if len(self.roads.levels) == 1:
             return [self.shapes]
         boxes = [self.cells(block).bounds for block in range(len(self.shapes))]
         return [_pieces(np.asarray(level.shapes), boxes) for level in self.roads.levels]
 
     def area(self, level: int, block: int, margin: int) -> Booleans:
-        """Return which cells of a block and of a margin have their centre on a level's roads."""
+        """Return which cells of a block and a margin have their centre on roads of a level."""
         shapes = self.level_shapes[level]
         near = [shapes[number] for number in self.neighbours(block).tolist()]
         return centres_in(near, self.cells(block, margin))
 
     @cached_property
     def _lookup(self) -> NDArray[np.int32]:
-        """Number of each block by place, -1 where there is none."""
+        """Number of each block by its place in the grid, -1 where there is none."""
         lookup = np.full((self.grid.columns, self.grid.rows), -1, np.int32)
         lookup[self.columns, self.rows] = np.arange(len(self.columns))
         return lookup
@@ -91,7 +91,7 @@ class RoadBlocks:
         Returns
         -------
         point, block : (k,) int64 arrays
-            Positions in the inputs, ascending, and the number of the block.
+            Indices into the inputs, ascending, and the number of each point's block.
         """
         block = self._block_of(*self.grid.cells(x, y))
         point = np.flatnonzero(block >= 0)
@@ -163,7 +163,7 @@ def cut_into_blocks(roads: Roads) -> RoadBlocks:
 
 
 def _by_block(block: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
-    """Yield each block and the places at which it stands, in their order."""
+    """Yield each block's number with the ascending indices at which `block` holds it."""
     order = np.argsort(block, kind="stable")
     numbers, begins = np.unique(block[order], return_index=True)
     yield from zip(numbers.tolist(), np.split(order, begins)[1:], strict=True)
@@ -195,34 +195,34 @@ def _pieces(shapes: Any, boxes: list[Box]) -> list[Any]:
 def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
     inside = centres_in(shape, cells)
     edge = _burnt([shapely.boundary(shape)], cells, touched=True)
-    # A cell whose neighbour is on the other side is on the edge, however the line was rounded.
+    # Neighbours of which one is inside and one outside are on the edge, despite rounding.
     cross = ndimage.generate_binary_structure(2, 1)
     edge |= ndimage.morphological_gradient(inside.astype(np.uint8), footprint=cross) > 0
     return np.where(edge, EDGE, np.where(inside, INSIDE, OUTSIDE)).astype(np.uint8)
 
 
-MOST_KEPT = 1_000_000
-_MM = 1000.0
-# Equal points are found by sorting one number each: 20 bits north, 20 east, 22 up, 1 for ground.
-_SHIFT, _MOST_TALL = 100_000, 2**22 - 1
-# Millimetres from the block's corner: a third of a float64, and equal points are equal.
+MOST_KEPT = 1_000_000  # points in memory
+_MM = 1000.0  # in a metre
+# Equal points are found by sorting one number each: 20 bits north, 20 east, 22 up, 1 for no ground.
+_SHIFT, _MOST_TALL = 100_000, 2**22 - 1  # mm: added, as a margin has negative places; most height
+# Millimetres from the block's corner: smaller than float64, and exact for equal points.
 RECORD = np.dtype(
     [("x", np.int32), ("y", np.int32), ("z", np.int32), ("category", np.uint8), ("scan", np.uint16)]
 )
 
 
 class PointStore:
-    """Points on the roads of a site.
+    """Store of the points on the roads of a site.
 
-    What comes out depends on the points alone, not on the order or the pieces in which they came.
-    `counts` has for each scan the number of points of each class.
+    What it returns depends on the points alone, not on the order or the batches in which they were
+    added. `counts` has, for each scan, the number of points of each class.
 
     Parameters
     ----------
     blocks : RoadBlocks
         The blocks.
     folder : Path
-        Where points go when they become many; must exist.
+        An existing folder, for points over `MOST_KEPT`.
     """
 
     def __init__(self, blocks: RoadBlocks, folder: Path) -> None:
@@ -235,7 +235,7 @@ class PointStore:
 
     @property
     def total(self) -> int:
-        """How many points were added."""
+        """Number of points added."""
         return sum(int(count.sum()) for count in self.counts.values())
 
     def classified(self, scan: int, *, ground: bool) -> None:
@@ -252,9 +252,9 @@ class PointStore:
         category : (n,) uint8 array
             ASPRS classes.
         block : (n,) int64 array
-            Number of the block of each.
+            Number of each point's block.
         scan : int
-            Which scan they come from.
+            Number of their scan.
         """
         for number, rows in _by_block(block):
             west, south = self.blocks.cells(number).corner
@@ -283,14 +283,14 @@ class PointStore:
         block : int
             Number of the block.
         margin_m : float
-            Up to how far around it, metres; at most a block, and less than 100 m.
+            Width of the margin, metres: at most a block, and less than 100 m.
 
         Returns
         -------
         xyz : (n, 3) array
-            Metres from the block's south-west corner; heights as they are.
+            Metres from the block's south-west corner; heights unchanged.
         ground : (n,) bool array
-            Whether a point is road by its class, or by lack of any.
+            Whether a point may be road: by its class, or because its scan is not classified.
         """
         west, south = self.blocks.cells(block).corner
         low, high = -margin_m * _MM, (BLOCK_M + margin_m) * _MM
@@ -317,7 +317,7 @@ class PointStore:
 
 
 def _each_once(records: Any, ground: Booleans) -> tuple[Floats, Booleans]:
-    """Sort points; of equal ones, as tiles that overlap give them, keep one, rather as ground."""
+    """Return sorted points; of equal ones (of overlapping scans) one, as ground if any is."""
     if len(records) == 0:
         return np.empty((0, 3)), np.empty(0, bool)
     bottom = int(records["z"].min())

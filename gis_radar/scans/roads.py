@@ -1,4 +1,4 @@
-"""Where the roads are: the lanelets of a map or any polygon layer, as one area on its levels."""
+"""Roads from the lanelets of a map or from a polygon layer, as one area and by level."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from gis_radar.base import (
 )
 from gis_radar.hdmap import ON_FOOT_OR_BICYCLE, LaneletMap, at_fractions, bound_length, read_map
 
-SAMPLE_M = 2.0  # spacing of the map's heights, and side of the squares that share one
-# Two lanelets so close belong to one surface, unless their heights differ by more than a step and a
-# slope of 30 %: no road is so steep.
+SAMPLE_M = 2.0  # spacing of samples of the map's heights, and side of the squares that share one
+# Lanelets closer than NEAR_M are one surface, unless their heights differ by more than STEP_M and a
+# slope of 30 %, which no road has.
 NEAR_M, STEP_M, STEEPEST = 6.0, 1.0, 0.3
 SAME_AREA = 1e-3  # share by which mending a polygon may change its area
 MOST_EXTENT_M = 200_000.0  # a wider map has a node in the wrong place
@@ -65,7 +65,7 @@ class RoadLevel:
         return len(self.heights) > 0
 
     def height_near(self, xy: Floats) -> Floats:
-        """Return the map's height of the road nearest to the square of each place, (n,)."""
+        """Return the map's height (m) nearest to the square of `SAMPLE_M` of each place, (n,)."""
         if len(xy) == 0:
             return np.empty(0)
         x, y = xy.T
@@ -97,7 +97,7 @@ def _levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tu
 
 
 def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: float) -> Floats:
-    """Return points on both bounds and between them, (n, 3)."""
+    """Return points on both bounds and half-way between them, (n, 3) metres."""
     bounds = [shapely.get_coordinates(line, include_z=True) for line in (left, right)]
     count = max(2, round(max(bound_length(bound) for bound in bounds) / spacing_m) + 1)
     fractions = np.linspace(0.0, 1.0, count)
@@ -106,7 +106,10 @@ def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: flo
 
 
 def _numbered(conflicts: Integers, points: Floats, owner: Integers, count: int) -> Integers:
-    """Return the level of each lanelet: the lowest that none in conflict with it has taken."""
+    """Return the level of each lanelet: the lowest that no lanelet in conflict with it has.
+
+    Lanelets choose in the order of their mean heights.
+    """
     number = np.zeros(count, np.int64)
     mean = np.bincount(owner, points[:, 2], count) / np.maximum(np.bincount(owner, None, count), 1)
     rivals: defaultdict[int, set[int]] = defaultdict(set)
@@ -122,7 +125,7 @@ def _numbered(conflicts: Integers, points: Floats, owner: Integers, count: int) 
 
 
 def _conflicts(points: Floats, owner: Integers) -> Integers:
-    """Return pairs of lanelets that cannot be one surface, (n, 2)."""
+    """Return pairs of lanelets that cannot be one surface, as (n, 2) numbers."""
     if np.ptp(points[:, 2]) <= STEP_M:
         return np.empty((0, 2), np.int64)
     pairs = scipy.spatial.cKDTree(points[:, :2]).query_pairs(NEAR_M, output_type="ndarray")
@@ -140,8 +143,8 @@ _POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 def _read_polygons(path: Path, crs: Any, layer: str | None, reporter: Reporter) -> gpd.GeoDataFrame:
     """Read the polygons of a layer of a vector file, or of a CSV.
 
-    A polygon that touches itself or repeats points is mended. One that crosses itself, so that
-    it is ambiguous which part of it is meant, is refused.
+    A polygon that touches itself or repeats points is mended. One that crosses itself is refused:
+    its area is ambiguous.
     """
     if not path.is_file():
         raise InputError("{}: no such file", path)
@@ -171,7 +174,7 @@ def _given_crs(crs: Any, path: Path) -> CRS:
 
 
 def _only_layer(layers: Mapping[str, str], path: Path) -> str:
-    """Return the layer of polygons; several of them are for the user to choose from."""
+    """Return the layer of polygons; refuse several, of which the user must choose one."""
     areas = [name for name, kind in layers.items() if "Polygon" in kind]
     if len(areas) > 1:
         raise InputError(
@@ -206,14 +209,14 @@ def _read_csv(path: Path) -> gpd.GeoDataFrame:
     )
 
 
-@np.errstate(over="ignore", invalid="ignore")  # numbers that are none are refused by name
+@np.errstate(over="ignore", invalid="ignore")  # coordinates that are not finite are refused later
 def _polygon(text: str) -> Any:
     return shapely.Polygon(json.loads(text)) if text.startswith("[") else shapely.from_wkt(text)
 
 
 def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> Any:
-    """Mend polygons where that leaves their area as drawn."""
-    # Each corner: a box around others has none that is no number.
+    """Return polygons mended, or refuse one whose area would change by more than a share."""
+    # Each corner is checked: a bounding box would leave out NaN.
     corners, of_shape = shapely.get_coordinates(shapes, return_index=True)
     odd = of_shape[~(np.abs(corners) < _BEYOND_M).all(axis=1)]
     if len(odd):
@@ -225,7 +228,7 @@ def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> An
         return shapes
     mended = shapes.copy()
     mended[invalid] = shapely.make_valid(shapes[invalid])
-    # The signed area of a ring that crosses itself is less than what it encloses.
+    # The signed area of a ring that crosses itself is less than the area it encloses.
     off = np.abs(shapely.area(mended) - shapely.area(shapes))
     unclear = invalid & (off > same_area * shapely.area(mended) + 1e-9)
     unclear |= invalid & ~(shapely.area(mended) > 0.0)
@@ -253,13 +256,13 @@ class Roads:
     Parameters
     ----------
     crs : CRS
-        Projected, metric; that of the result, too.
+        Projected, metric coordinate system, also of the road mask.
     area : MultiPolygon
-        All that is road, in one.
+        Union of all roads.
     levels : tuple of RoadLevel
-        The same by level: roads that pass over each other are on different ones.
+        The roads by level: roads that pass over each other are on different levels.
     source : str
-        The file it came from.
+        Their file.
     """
 
     crs: CRS
@@ -298,11 +301,11 @@ def read_roads(
     map_crs : CRS, str or int, optional
         The system of a polygon layer without one.
     origin : (float, float), optional
-        Of the map's local coordinates, see :func:`read_map`.
+        Position of the map's local (0, 0), see :func:`read_map`.
     layer : str, optional
         Which layer, where a file has several with polygons.
     reporter : Reporter
-        Where progress and remarks go.
+        Receives progress and remarks.
 
     Raises
     ------
@@ -320,7 +323,7 @@ def read_roads(
 
 
 def roads_of_map(roads: LaneletMap, *, source: str = "the map") -> Roads:
-    """Return the roads that the lanelets for vehicles make, as `make_tiles` takes them."""
+    """Return the roads of the lanelets for vehicles, the same as `make_tiles` cuts into tiles."""
     lanelets = roads.lanelets[~roads.lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
     if lanelets.empty:
         raise InputError("{}: has no lanelet for vehicles", source)

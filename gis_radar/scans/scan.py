@@ -37,7 +37,7 @@ from gis_radar.scans.settings import DEFAULTS, MaskSettings
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
 
 Days: TypeAlias = tuple[date, date]
-AT_ONCE = 1_000_000
+AT_ONCE = 1_000_000  # points in a batch
 # ASPRS LAS 1.4, table 17. Road for certain: ground, key points of it, road surface, bridge deck.
 ROAD_CLASSES = (2, 8, 11, 17)
 # Never a road: vegetation, noise, water, wires and pylons, high noise.
@@ -50,9 +50,9 @@ _ADJUSTED_S = 1e9
 
 
 class Points(NamedTuple):
-    """Some points of a scan: coordinates, class, GPS time where it has one.
+    """A batch of points of a scan: coordinates (m), ASPRS class, GPS time (s) if it has one.
 
-    `read` and `ground` count the points they were chosen from, and those of a ground class.
+    `read` is the number of points they were selected from, `ground` the number of ground among it.
     """
 
     x: Floats
@@ -75,11 +75,11 @@ class Scan:
     crs : CRS
         Its projected, metric, horizontal coordinate system.
     vertical : str
-        Name of the system of its heights; empty where the file has none.
+        Name of its vertical system; empty where the file states none.
     points : int
-        How many points it holds.
+        Number of points.
     bounds : (float, float, float, float)
-        West, south, east, north from its header; infinite where that is not credible.
+        West, south, east, north by its header, metres; infinite where these are not credible.
     """
 
     path: Path
@@ -89,15 +89,15 @@ class Scan:
     bounds: Box = field(repr=False)
 
     def touches(self, box: Box, crs: CRS) -> bool:
-        """Return whether the scan, as its header bounds it, may have points in a box of a CRS."""
+        """Return whether the extent in the scan's header meets a box, which is in `crs`."""
         within = moved_box(box, crs, self.crs)
         west, south, east, north = self.bounds
         return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
 
     def batches(self, box: Box, crs: CRS, *, reporter: Reporter = QUIET) -> Iterator[Points]:
-        """Yield the points in and around a box, a bounded number at a time.
+        """Yield the points in and around a box, in batches of bounded size.
 
-        Withheld points are left out. Heights stay as they are in the file.
+        Points marked as withheld are left out. Heights are those of the file.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class Scan:
 
 
 def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
-    """Open a scan and read from its header where it is located.
+    """Open a scan: read its coordinate system and extent from the header.
 
     Parameters
     ----------
@@ -177,9 +177,9 @@ def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings =
     path : Path
         The file.
     crs : CRS
-        Of the points.
+        Coordinate system of the points.
     settings : MaskSettings
-        With which they were made: a record of the header, as JSON.
+        Settings of the mask, which the header holds as JSON.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.creation_date = FILE_DATE
@@ -197,7 +197,7 @@ def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings =
 
 
 def read_road(path: str | Path, crs: CRS) -> Floats:
-    """Read the points of a road, as the mask of an airborne scan leaves them.
+    """Read the points of a road, as :func:`write_road` writes them.
 
     Parameters
     ----------
@@ -242,10 +242,10 @@ def ground_share(scan: Scan, *, reporter: Reporter = QUIET) -> float:
 
 
 def days_flown(times: Sequence[float]) -> Days | None:
-    """Return the days of the earliest and the latest GPS time, where these give days.
+    """Return the days of the earliest and the latest GPS time; None for seconds of a GPS week.
 
-    Seconds of a GPS week do not. Times beyond a week are adjusted standard GPS time (seconds since
-    1980, less 1e9), also where the header's flag for it is not set.
+    Times beyond a week are taken for adjusted standard GPS time (seconds since 1980, less 1e9),
+    also where the header's flag for it is not set.
     """
     if not times or not _WEEK_S < min(times) <= max(times) < 2 * _ADJUSTED_S:
         return None
@@ -290,7 +290,7 @@ def _stated(path: Path, header: Any, *, hint: str = "") -> CRS | None:
 
 
 def _vertical(crs: CRS) -> str:
-    """Return the name of the heights' system, or nothing where only the plane is defined."""
+    """Return the name of the vertical system, empty where only the horizontal one is defined."""
     if crs.is_bound and crs.source_crs is not None:
         return _vertical(crs.source_crs)
     if crs.is_compound:
@@ -300,7 +300,7 @@ def _vertical(crs: CRS) -> str:
 
 
 def _refuse_feet(crs: CRS, path: Path) -> None:
-    """Refuse heights that are stated in another unit than metres."""
+    """Refuse a coordinate system whose heights are in another unit than metres."""
     for axis in crs.axis_info:
         if axis.direction in {"up", "down"} and axis.unit_conversion_factor != 1.0:
             raise CrsError(

@@ -1,4 +1,4 @@
-"""Settings of the road mask: what may be set of its algorithm, with unit and source."""
+"""Settings of the road mask, with their units and sources."""
 
 from __future__ import annotations
 
@@ -10,39 +10,40 @@ class MaskSettings:
     """How points on roads become cells of the road's surface.
 
     Sensitivity (`bench/mask.py --sensitivity`, a simulated town whose classes were removed): with
-    any of the fields halved or doubled, heights move by
-    under 1 mm at the median, and the share of cells by under 0.1 %; only a stricter core removes
-    cells: `core_cells` 10 takes 1.4 %, `core_radius` 1 takes 5 %.
+    any field halved or doubled, heights change by under 1 mm at the median and the share of cells
+    by under 0.1 %; only a stricter core removes cells: 1.4 % with `core_cells` 10, 5 % with
+    `core_radius` 1.
 
     Parameters
     ----------
     block_margin_m : float
-        What the surface of a block of 256 m reads around it; up to 100 m.
+        Margin around a block of 256 m whose points its surface is fitted to, too; up to 100 m.
     offset_bin_m, offset_max_m : float
-        Bins and range of the histogram in which the scan's heights over the map's are found: geoid
-        undulations are under 110 m.
+        Width of bins, and range to either side, of the histogram of the scan's heights over the
+        map's: geoid undulations are under 110 m.
     offset_points : int
-        Points of a block that enter it.
+        Points of a block that are counted in it.
     same_level_m : float
-        Points farther from the map's height are of another level (the contract's).
+        Points farther from the map's height are of another level (the contract).
     clearance_m : float
-        The same for cells without such points; less than what passes under a bridge (4.5 m).
+        The same for cells without points within `same_level_m`; less than the clearance under a
+        bridge (4.5 m).
     node_m : float
         Distance of the nodes of the ground surface.
     low_m : float
-        Side of the squares whose lowest point pulls the surface.
+        Side of the squares to whose lowest points the surface is fitted.
     stiffness : tuple of float
-        Weight of bending by round: bends shorter than some 40 m, then 20 m, are flattened.
+        Weight of bending in each round: bends shorter than some 40 m, then 20 m, are flattened.
     object_m : float
-        Points higher over the surface are objects: tyres, kerbs and bonnets are.
+        Points higher over the surface are objects, such as tyres, kerbs and bonnets.
     pull_m : float
-        Points farther below it pull with bounded force (Huber 1964).
+        Points farther below the surface have bounded weight (Huber 1964).
     surface_m : float
         Points nearer to the surface are the road's; six times the noise of a scan (0.03 m).
     core_radius, core_cells : int
-        DBSCAN (Ester et al. 1996) on cells: a core has so many cells within so many.
+        DBSCAN (Ester et al. 1996) on cells: a core has `core_cells` cells within `core_radius`.
     least_cells : int
-        Smaller clusters are left out; 5 m2 are less than a car's outline.
+        Smaller clusters are left out; 20 cells are 5 m2, less than a car's outline.
     """
 
     block_margin_m: float = 32.0

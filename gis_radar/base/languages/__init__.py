@@ -1,4 +1,4 @@
-"""The words that people read in their language: English in the code, others from a catalogue.
+"""Translations: texts are English in the code, other languages come from a catalogue.
 
 There is one catalogue a language for the package and the QGIS plugin, in gettext's format:
 `de/LC_MESSAGES/gis_radar.po`, by English text and sorted. Errors, hints and warnings have a hole
@@ -27,7 +27,7 @@ def catalogue(language: str) -> Mapping[str, str]:
 
 
 def users_language(*, chosen_only: bool = False) -> str:
-    """Return the language that the environment names; English where there are no words of it.
+    """Return the language that the environment names; English where it has no catalogue.
 
     Parameters
     ----------

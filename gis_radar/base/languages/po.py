@@ -1,4 +1,4 @@
-"""Catalogues of gettext, read as they are: no step of building lies between a text and its use.
+"""Read gettext's catalogues as text (PO): they need not be compiled before use.
 
 The QGIS plugin reads its catalogue by this file, too, in a Python that has no gis_radar.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def read_catalogue(path: Path) -> dict[str, str]:
-    """Return the translations in a catalogue (PO) by text; one and many are entries of their own.
+    """Return the translations in a catalogue by text; singular and plural are separate entries.
 
     Parameters
     ----------

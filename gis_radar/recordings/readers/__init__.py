@@ -1,1 +1,1 @@
-"""The formats, one module each; a module here that has a `FORMAT` is found by itself."""
+"""Formats, one module for each: `recordings/formats.py` finds every module with a `FORMAT`."""

@@ -21,7 +21,7 @@ from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 from gis_radar.recordings.unpacking import limit_rosbags
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-# Messages that list their detections one by one: where, and of which type.
+# Messages that list detections one by one: the field of the list, and the type of its items.
 LISTS = {
     "radar_msgs/msg/RadarScan": ("returns", "radar_msgs/msg/RadarReturn"),
     "continental_msgs/msg/ContinentalArs548DetectionList": (
@@ -29,7 +29,7 @@ LISTS = {
         "continental_msgs/msg/ContinentalArs548Detection",
     ),
 }
-# Messages that carry datagrams as they came.
+# Messages that carry the sensor's datagrams unchanged.
 PACKETS = (
     "nebula_msgs/msg/NebulaPackets",
     "nebula_msgs/msg/NebulaPacket",
@@ -38,7 +38,7 @@ PACKETS = (
     "std_msgs/msg/UInt8MultiArray",
 )
 KNOWN = (CLOUD, *LISTS, ars430.PACKET, *PACKETS)
-# ROS 2 bags up to Humble do not say what their messages hold.
+# ROS 2 bags up to Humble do not hold the definitions of their messages.
 DEFINITIONS = {
     "radar_msgs/msg/RadarReturn": "float32 range\nfloat32 azimuth\nfloat32 elevation\n"
     "float32 doppler_velocity\nfloat32 amplitude",
@@ -66,7 +66,7 @@ DEFINITIONS = {
 
 
 def typestore(connection: Any) -> Any:
-    """Return what the messages of a topic hold: as the bag describes it, else as is usual.
+    """Return the definitions of a topic's messages: the bag's, else the usual ones.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def typestore(connection: Any) -> Any:
 STORAGE = (".bag", ".db3", ".mcap")
 MENDED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
 MESSAGES_A_REPORT = 256  # between two reports of progress
-# What the library lets through when it meets bytes that cannot be.
+# Errors that the library does not catch when it meets damaged bytes.
 DAMAGE = (
     ValueError, LookupError, AssertionError, RuntimeError, EOFError, MemoryError, OverflowError,
     TypeError, SyntaxError, struct.error,
@@ -154,7 +154,7 @@ def _opened(source: str) -> Iterator[Any]:
     reader = kind.Reader(source)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", YAMLWarning)  # of a style that YAML allows
+            warnings.simplefilter("ignore", YAMLWarning)  # about style
             reader.open()
         if odd := [each.topic for each in reader.connections if not _is_count(each.msgcount)]:
             raise ValueError(Text("the number of messages of {} is no number", odd[0]))
@@ -195,7 +195,7 @@ def _messages(
 
 
 def _unreadable() -> tuple[type[Exception], ...]:
-    """Return what the library raises when it meets a bag that it cannot read."""
+    """Return the errors that the library raises for a bag that it cannot read."""
     from rosbags import rosbag1, rosbag2  # noqa: PLC0415
 
     kinds = [rosbag1.ReaderError, rosbag2.ReaderError, sqlite3.Error, *DAMAGE]
@@ -203,7 +203,7 @@ def _unreadable() -> tuple[type[Exception], ...]:
         from apsw import Error  # noqa: PLC0415
 
         kinds.append(Error)
-    with suppress(ImportError, AttributeError):  # of Python from 3.14 on, of a package before
+    with suppress(ImportError, AttributeError):  # Python's own from 3.14 on, else a package's
         from rosbags.rosbag2.storage_mcap import zstd  # type: ignore[attr-defined]  # noqa: PLC0415
 
         kinds.append(zstd.ZstdError)
@@ -221,7 +221,7 @@ def _damaged(source: str, error: Exception) -> InputError:
 
 
 class _Topic:
-    """Reader of one topic of a bag: from its messages to frames."""
+    """Turns the messages of one topic into frames."""
 
     def __init__(self, source: str, connection: Any, reader: Any, context: ReaderContext) -> None:
         self._name, self._kind = connection.topic, connection.msgtype
@@ -231,7 +231,7 @@ class _Topic:
         self._group = ars430.PacketGroup(sensor=connection.topic)
 
     def finish(self) -> Iterator[Frame]:
-        """Yield the frame whose packets wait for more of it."""
+        """Yield the frame whose packets are still being collected."""
         yield from self._group.finish()
 
     def frames(self, raw: bytes, recorded: float) -> Iterator[Frame]:
@@ -246,7 +246,7 @@ class _Topic:
             else:
                 rows = message_rows(message) if self._kind == CLOUD else _rows(message, self._kind)
                 yield from self._from_rows(rows, message, recorded)
-        # A type of a known name may be of another make, and lack what we look for.
+        # A type of a known name may be of another version, and lack fields.
         except (DamagedError, AttributeError) as error:
             if not self._context.counts["damaged_frames"]:
                 self._context.reporter.warn("{}: {}", self._name, error)
@@ -264,7 +264,7 @@ class _Topic:
             sensor_time=stamp,
             recorder_time=recorded,
             stamp="header stamp",
-            # Without a stamp, empty clouds are all alike.
+            # Empty clouds without a stamp are all equal, but not doubles.
             identity=(stamp, hash(rows.tobytes())) if stamp else None,
         )
         yield _without_invalid(frame, rows)
@@ -300,7 +300,7 @@ class _Topic:
 
 
 def _decoder(source: str, connection: Any, reader: Any) -> Decode:
-    """Return how messages of a topic are read."""
+    """Return a function that decodes messages of a topic."""
     from rosbags.serde import SerdeError  # noqa: PLC0415
     from rosbags.typesys import TypesysError  # noqa: PLC0415
 
@@ -331,7 +331,7 @@ def _rows(message: Any, kind: str) -> Any:
 
 
 def _without_invalid(frame: Frame, rows: Any) -> Frame:
-    """Replace values that the sensor marks as invalid by NaN."""
+    """Replace, in place, values that the sensor marks as invalid by NaN."""
     for name in ("invalid_distance", "invalid_azimuth", "invalid_elevation"):
         if name in rows.dtype.names:
             frame.points[rows[name] != 0] = np.nan
@@ -341,7 +341,7 @@ def _without_invalid(frame: Frame, rows: Any) -> Frame:
 
 
 def _packet_time(packet: Any, recorded: float) -> float:
-    """Return when a packet was received, as far as its message states it."""
+    """Return when a packet was received, UNIX seconds: by its message, else by the bag."""
     stamped = packet if hasattr(packet, "stamp") else getattr(packet, "header", None)
     stamp = getattr(stamped, "stamp", None)
     return recorded if stamp is None else _seconds(stamp)

@@ -1,9 +1,9 @@
 """ARS548 detection lists in captures of network traffic: pcap and pcapng, also gzipped.
 
-Read here and not by a library: dpkt and python-pcapng, last released in 2022, read as many bytes as
-a damaged length states, 4 GiB; dpkt hands on the begin of a cut packet as a whole one and takes the
-clock and the link of the first interface for all (its issue 681); python-pcapng reads no pcap, and
-pcapng at a tenth of the speed. scapy is large and GPL. Both write what the tests read.
+No library is used: dpkt and python-pcapng, last released in 2022, read as many bytes as a damaged
+length states, up to 4 GiB; dpkt yields the begin of a cut packet as a whole one and takes the clock
+and link type of the first interface for all (its issue 681); python-pcapng reads no pcap, and
+pcapng at a tenth of our speed. scapy is large and GPL. The tests read files written by libraries.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PCAP = {
 }
 BUFFER_BYTES = 1 << 20
 LARGEST_BLOCK = 1 << 24  # bytes; more is damage
-BYTES_A_REPORT = 1 << 22  # between two reports of progress: some a second
+BYTES_A_REPORT = 1 << 22  # between two reports of progress, some of them a second
 
 _SECTION, _INTERFACE, _PACKET, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 2, 3, 6
 _RESOLUTION, _OFFSET = 9, 14
@@ -55,9 +55,9 @@ class Packet(NamedTuple):
     Parameters
     ----------
     time : float or None
-        UNIX seconds of the capturing computer; None where the file has no time for it.
+        UNIX seconds by the clock of the capturing computer; None where the file has none.
     link : int
-        Link type: how the bytes begin.
+        Link type, which states the kind of link header.
     data : bytes
         The packet from its link header on.
     whole : bool
@@ -78,7 +78,7 @@ class _Interface(NamedTuple):
 
 
 def is_capture(path: Path) -> bool:
-    """Return whether a file begins like a capture, also inside gzip."""
+    """Return whether a file, unpacked if gzipped, begins like a capture."""
     try:
         with _opened(path) as stream:
             magic = stream.read(4)
@@ -100,13 +100,12 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
     packet : Packet
         The packet.
     position : int
-        How many bytes of the (uncompressed) capture are read.
+        Bytes of the (uncompressed) capture read so far.
 
     Raises
     ------
     DamagedError
-        After the last whole packet, where the file ends in the middle of one or goes on with
-        what cannot be.
+        After the last whole packet, if the file ends in the middle of one or goes on damaged.
     """
     with _opened(path) as stream:
         magic = stream.read(4)
@@ -121,7 +120,7 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
             raise DamagedError(Text("cut off in the middle of a packet")) from error
         except (zlib.error, ExplodingError) as error:
             raise DamagedError(Text("damaged gzip: {}", error)) from error
-        except (struct.error, ValueError, ArithmeticError) as error:  # a block too short for itself
+        except (struct.error, ValueError, ArithmeticError) as error:  # too short for its fields
             raise DamagedError(Text("a block that cannot be: {}", error)) from error
 
 
@@ -243,9 +242,9 @@ _IPV4 = 0x0800
 _VLAN = (0x8100, 0x88A8, 0x9100)
 _UDP, _TCP = 17, 6
 _MORE, _FRAGMENT_OFFSET = 0x2000, 0x1FFF
-# A sender has few datagrams on the way at a time; what is older will not be completed.
+# Most incomplete datagrams that are held: senders have few under way, the oldest is given up.
 PENDING = 64
-# Identifications come round again; RFC 791 gives a datagram no longer to arrive.
+# Seconds a datagram may take to arrive (RFC 791); later its identification may be used again.
 PATIENCE_S = 15.0
 LONGEST = 65_535  # bytes of an IPv4 packet
 
@@ -258,9 +257,9 @@ class Datagram(NamedTuple):
     source : str
         IPv4 address of the sender.
     port : int
-        Where it went.
+        UDP port of the receiver.
     payload : bytes
-        What it carries.
+        Content without the UDP header.
     """
 
     source: str
@@ -270,7 +269,7 @@ class Datagram(NamedTuple):
 
 @dataclass(slots=True)
 class _Parts:
-    """The fragments of one datagram that have come so far."""
+    """Fragments of one datagram that have arrived so far."""
 
     begun: float
     fragments: dict[int, bytes] = field(default_factory=dict)
@@ -278,7 +277,7 @@ class _Parts:
     size: int = -1
 
     def add(self, at: int, fragment: bytes, *, last: bool) -> bytes | None:
-        """Take a fragment; return all of them in order once none is missing."""
+        """Take a fragment at byte `at`; return the whole datagram once no fragment is missing."""
         if at not in self.fragments:
             self.fragments[at] = fragment
             self.held += len(fragment)
@@ -327,7 +326,7 @@ class Datagrams:
         return seen + self._others
 
     def take(self, packet: Packet) -> Datagram | None:
-        """Return the datagram that a packet completes, if it does."""
+        """Take a packet; return the datagram that it completes, if any."""
         if not packet.whole:
             self.cut += 1
         data = packet.data
@@ -338,7 +337,7 @@ class Datagrams:
         total, _, flags, kind = struct.unpack_from(">HHHxB", data, start + 2)
         begin, end = start + (data[start] & 0x0F) * 4, start + total
         if total == 0:
-            end = len(data)  # the network card did the segmentation
+            end = len(data)  # captured before the network card cut it into segments
         if kind not in (_UDP, _TCP):
             self._others[f"IP protocol {kind}"] += 1
             return None
@@ -361,7 +360,7 @@ class Datagrams:
         at = (flags & _FRAGMENT_OFFSET) * 8
         if at + len(fragment) > LONGEST:
             return None
-        # Who to whom, which protocol, which identification.
+        # Addresses, protocol and identification.
         head = packet.data[start : start + 20]
         key = head[12:20] + head[9:10] + head[4:6]
         now = packet.time or 0.0
@@ -383,7 +382,7 @@ class Datagrams:
 
 
 def _network_layer(packet: Packet) -> int | None:
-    """Return where the IP header begins, or None where there is none."""
+    """Return the byte at which the IPv4 header begins, or None without one."""
     data, link = packet.data, packet.link
     if link in _BARE:
         return _BARE[link]

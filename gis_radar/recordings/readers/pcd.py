@@ -1,7 +1,7 @@
 """Folders of PCD files, one file a frame, the time in its name; or one such file.
 
-Read here and not by pypcd4, which takes a text with too few points as whole, reads a header line of
-any length, and allocates what a damaged header states.
+pypcd4 is not used: it takes a text with too few points as whole, reads a header line of any length,
+and allocates what a damaged header states.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def read_folder(place: Path, sensor: str, context: ReaderContext) -> Generator[F
 def time_in_name(path: Path) -> float:
     """Return the time in the name of a file, UNIX seconds.
 
-    Known are seconds (`1708578204.202`), seconds and nanoseconds (`1708578204_202447652`), whole
-    milli-, micro- and nanoseconds, and dates in UTC (`2024-02-22T05-03-24.202Z`), anywhere in it.
+    It may be seconds (`1708578204.202`), seconds and nanoseconds (`1708578204_202447652`), whole
+    milli-, micro- or nanoseconds, or a date in UTC (`2024-02-22T05-03-24.202Z`), anywhere in it.
 
     Raises
     ------
@@ -138,12 +138,12 @@ def read_pcd(path: Path) -> Column:
     Raises
     ------
     DamagedError
-        If the header is none, or points are missing.
+        If it has no valid header, or points are missing.
     """
     with path.open("rb") as file:
         header = _header(file)
         need = header.points * header.dtype.itemsize
-        # A number in text has at most LONGEST_NUMBER letters, a byte at least one to itself.
+        # The most that a text, or packed data, of so many points can take: the rest is not read.
         body = file.read(need * (LONGEST_NUMBER if header.data == "ascii" else 2) + 8)
     if header.data == "ascii":
         return _from_text(body, header)
@@ -169,7 +169,7 @@ def _header(file: Any) -> _Header:
     try:
         names, counts = words["FIELDS"], words.get("COUNT", ["1"] * len(words["FIELDS"]))
         kinds = [_KINDS[each] for each in zip(words["TYPE"], words["SIZE"], strict=True)]
-        # Gaps are fields named _, several of them.
+        # Gaps are fields named _, which may be several.
         unique = [f"_{i}" if name == "_" else name for i, name in enumerate(names)]
         fields = [
             (name, f"<{kind}", (int(count),)) if count != "1" else (name, f"<{kind}")
@@ -226,7 +226,7 @@ def _from_fields(body: bytes, header: _Header) -> Column:
 
 
 def decompress(packed: bytes, size: int) -> bytes:
-    """Return what LZF packed: literals, and copies of what came before.
+    """Unpack LZF: literals, and copies of earlier bytes.
 
     Raises
     ------
@@ -248,7 +248,7 @@ def decompress(packed: bytes, size: int) -> bytes:
             if start < 0:
                 break
             copy = plain[start : start + length + 2]
-            while len(copy) < length + 2:  # it runs into its own copy
+            while len(copy) < length + 2:  # it overlaps the bytes that it makes: a repetition
                 copy += copy[: length + 2 - len(copy)]
             plain += copy
     except IndexError:

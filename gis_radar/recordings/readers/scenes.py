@@ -11,8 +11,8 @@ from gis_radar.recordings.readers.pcd import read_folder
 
 
 def _radars(place: Path) -> list[Path]:
-    """Return the folders of clouds `radar_NN/radar_NN__data` of a scene."""
-    # Archives of single scenes hold the scene's folder in one of the same name.
+    """Return the folders of clouds of a scene: `radar_NN/radar_NN__data`."""
+    # Archives of single scenes hold the scene in a folder within one of the same name.
     for scene in (place, place / place.resolve().name):
         if found := sorted(scene.glob("radar_*/radar_*__data")):
             return [folder for folder in found if folder.name == f"{folder.parent.name}__data"]

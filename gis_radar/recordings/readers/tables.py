@@ -1,4 +1,4 @@
-"""Tables of detections, CSV or Parquet, a row a detection; rows of one time are a frame."""
+"""Tables of detections, CSV or Parquet: a row a detection; rows of one time make a frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gis_radar.recordings.recording import open_table
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ENDINGS = (".parquet", ".csv")
-SENSOR = "table"  # several tables are one sensor's, hour by hour
+SENSOR = "table"  # of all tables: several are parts of one sensor's recording
 
 
 def _accepts(source: str) -> bool:
@@ -103,7 +103,7 @@ def _batches(path: Path, layout: Layout) -> Iterator[pa.RecordBatch]:
 
 
 def _runs_of_one_time(path: Path, layout: Layout, context: ReaderContext) -> Iterator[Frame]:
-    """Yield runs of rows of one time, batch by batch."""
+    """Yield a frame for each run of rows of one time in a batch."""
     done = 0
     try:
         for batch in _batches(path, layout):
@@ -130,7 +130,7 @@ def _runs(
 
 
 def _part(whole: Frame, rows: slice, time: float) -> Frame:
-    # A row of NaN alone stands for a frame without detections.
+    # A single row of NaN stands for a frame without detections.
     blank = rows.stop - rows.start == 1 and np.isnan(whole.points[rows]).all()
     if blank and np.isnan(whole.range_rate[rows]).all():
         rows = slice(rows.start, rows.start)
@@ -152,7 +152,7 @@ def _joined(one: Frame, other: Frame) -> Frame:
 
 
 def _seconds(column: pa.Array, path: Path, unit: str) -> Floats:
-    """Return times as UNIX seconds: numbers in `unit`, or ISO 8601 text, which is UTC."""
+    """Return times as UNIX seconds; they are numbers in `unit`, or ISO 8601 text in UTC."""
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
         try:
             column = pc.cast(column, pa.timestamp("us", tz="UTC"))
@@ -169,7 +169,7 @@ def _seconds(column: pa.Array, path: Path, unit: str) -> Floats:
 
 
 def _numpy(column: pa.Array) -> Column:
-    """Return a column as numbers where it has some, else as text."""
+    """Return a column as numbers if its type is numeric, else as text."""
     if pa.types.is_boolean(column.type) or pa.types.is_decimal(column.type):
         column = pc.cast(column, pa.float64())
     values: Any = column.to_numpy(zero_copy_only=False)

@@ -1,7 +1,7 @@
-"""Detection lists of the Continental ARS548 RDI: a UDP datagram each, and from the network.
+"""Detection lists of the Continental ARS548 RDI: decoding (a UDP datagram each), and reception.
 
-Layout after the public struct declarations of robotics-upo/ars548_ros and tier4/nebula; big-endian
-throughout, without padding. An address is such as `udp://224.0.2.2:42102`.
+The layout follows the public structs of robotics-upo/ars548_ros and tier4/nebula: big-endian, no
+padding. An address looks like `udp://224.0.2.2:42102`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from gis_radar.recordings.frames import (
     counted,
 )
 
-PORT = 42102  # of the sensor by default, as GROUP
+PORT = 42102  # the sensor's default, like GROUP
 GROUP = "224.0.2.2"
 SLOTS = 800  # detections in a list
 SIZE = 35_336  # bytes of a datagram with a detection list
@@ -69,9 +69,9 @@ KEPT = ("probability", "multi_target", "ambiguity", "classification", "object_id
 
 
 def method_of(payload: bytes) -> int | None:
-    """Return the method of an ARS548 message, or None where the payload is none.
+    """Return the method of an ARS548 message, or None for any other payload.
 
-    The header of a message states its length, which must be that of the datagram.
+    The length in the header of a message must be that of the datagram.
     """
     if len(payload) < _HEAD.size:
         return None
@@ -86,18 +86,18 @@ def read_detections(payload: bytes, *, sensor: str, recorder_time: float | None)
     Parameters
     ----------
     payload : bytes
-        What :func:`method_of` calls a detection list (336).
+        A datagram for which :func:`method_of` returns `METHOD`.
     sensor : str
-        Who sent it.
+        Address of the sender.
     recorder_time : float or None
-        When it was received, UNIX seconds.
+        Time of reception, UNIX seconds.
 
     Returns
     -------
     Frame or None
-        None where the list counts more detections than it has slots. `further` has, in percent,
+        None where the list states more detections than it has slots. `further` has the percentages
         `probability` (that the detection exists), `multi_target` and `ambiguity` (that the speed is
-        the right one of several), and `classification` and `object_id`.
+        the right one of several), then `classification` and `object_id`.
     """
     (count,) = struct.unpack_from(">I", payload, _COUNT_AT)
     if len(payload) != SIZE or count > SLOTS:
@@ -129,9 +129,9 @@ def _native(rows: Column, name: str) -> Column:
 
 
 SCHEME = "udp://"
-# A second of frames, should the disk keep the writer waiting.
+# A second of frames, in case writing to disk blocks.
 RECEIVE_BUFFER_BYTES = 1 << 23
-LOOK_UP_S = 0.2  # between two looks at the clock and at Ctrl-C
+LOOK_UP_S = 0.2  # between two checks of the clock and of Ctrl-C
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
@@ -155,12 +155,12 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
 
 
 def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str, float]]:
-    """Yield payload, sender and time of what comes in until the time is up or the user stops it."""
+    """Yield payload, sender and time (UNIX s) of datagrams until time is up or Ctrl-C."""
     group, port, interface = _address(source)
     waiting: Queue[tuple[bytes, str, float]] = Queue()
     end = time.monotonic() + (context.duration_s or float("inf"))
     with _listening(source, group, port, interface) as listener, stopped_by_signals() as stop:
-        # A thread of its own: the system drops what waits while the disk keeps us.
+        # In a thread of its own: the system would drop datagrams while writing to disk blocks.
         receiver = Thread(target=_receive, args=(listener, waiting, stop), daemon=True)
         receiver.start()
         context.reporter.log(Text("listening to {}, port {}; Ctrl-C ends it", group, port))
@@ -186,7 +186,7 @@ def _receive(
 
 
 def _address(source: str) -> tuple[str, int, str]:
-    """Return group or local address, port and interface of `udp://[GROUP][:PORT][?interface=IP]`."""
+    """Return address, port and interface of `udp://[GROUP][:PORT][?interface=IP]`."""
     parts = urlsplit(source)
     query = parse_qs(parts.query)
     try:

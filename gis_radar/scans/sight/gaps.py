@@ -1,8 +1,8 @@
-"""Stretches of a lane on which nothing ever moves although vehicles pass before and behind them.
+"""Find stretches of a lane without any movement although vehicles pass before and behind them.
 
-Who drives along a lanelet passes all of it. Where a sensor is said to see a stretch on which it
-never met anything, while it did on both sides, something is wrong: a house hides it that no scan
-shows, the map is wrong there, or the view is too wide. It reads as observed and empty.
+A vehicle that drives along a lanelet passes all of it. A stretch in sight without movement between
+stretches with movement shows an error: a house hides it that no scan shows, the map is wrong there,
+or the view is too wide. Uncorrected, such a stretch counts as observed and empty.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from gis_radar.base import Booleans, Floats, Integers, Text
 from gis_radar.scans.sight.recorded import MovingHits
 from gis_radar.scans.sight.sight import IN_SIGHT, SightTiles
 
-# Lanelets are looked at in pieces of this length: a car's, so that the radar meets a vehicle
-# several times on each.
+# Lanelets are divided into pieces of this length, a car's: a vehicle is detected several times on
+# each.
 PIECE_M = 5.0
-# A piece is empty where less than this share of the expected movement is there. Who queues on one
-# side and drives freely past the piece is met ten times less often there.
+# A piece is empty below this share of the expected movement. It must be small: vehicles that queue
+# on one side and pass the piece freely are detected ten times less often on it.
 SHARE = 0.01
-# Frames with movement on a tile expected on such a stretch before it counts: some fifty vehicles on
-# a car's length.
+# Least sum over the stretch of expected frames with movement on a tile: some fifty vehicles on a
+# car's length.
 LEAST_FRAMES = 100.0
-SHARED = 0.05  # a tile covered by another lanelet's by this share tells nothing of its own lane
+SHARED = 0.05  # share of a tile under another lanelet's from which on its movement may be of either
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +38,9 @@ class Gap:
     lanelet_id : int
         The lanelet.
     tiles : int
-        How many tiles it is.
+        Number of its tiles.
     expected : float
-        Frames with movement on one of them that its lanelet's other tiles let expect.
+        Sum over its tiles of the frames with movement to expect from the rest of the lanelet.
     """
 
     lanelet_id: int
@@ -54,7 +54,7 @@ def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
     Parameters
     ----------
     hits : sequence of MovingHits
-        Of each sensor and pose; they count together.
+        Movement by sensor and pose; they are added up.
     tiles : SightTiles
         The tiles of all sights, in the order of lanelets and places in them.
 
@@ -75,7 +75,7 @@ def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
     empty = _empty(counted, _expected(counted, looked, moved, bins))
     if not empty.any():
         return []
-    # Less is expected of own pieces alone: no other stretch can have an empty piece then.
+    # Without shared pieces less is expected, so only stretches with an empty piece need the check.
     asked = moved & np.isin(bins.stretch, bins.stretch[empty])
     moved &= ~_shared(tiles, bins, asked)
     return list(_gaps(bins, counted, _expected(counted, looked, moved, bins)))
@@ -83,18 +83,18 @@ def find_gaps(hits: Sequence[MovingHits], tiles: SightTiles) -> list[Gap]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Bins:
-    """Pieces of lanelets, some metres long, of tiles that follow each other and are all in sight.
+    """Pieces of lanelets, `PIECE_M` long, of consecutive tiles that are all in sight.
 
     Parameters
     ----------
     of_tile : (n,) int64 array
-        The piece of each tile; -1 where it is in nobody's sight.
+        Number of each tile's piece; -1 where the tile is in no sensor's sight.
     known : (n,) bool array
-        Tiles in sight.
+        Tiles in a sensor's sight.
     stretch : (b,) int64 array
-        For each piece the stretch of lanelet, without a gap in sight, that it is of.
+        For each piece, the number of its stretch: a run of tiles of a lanelet all in sight.
     lanelet : (b,) int64 array
-        Its lanelet.
+        Lanelet of each piece.
     """
 
     of_tile: Integers
@@ -103,7 +103,7 @@ class _Bins:
     lanelet: Integers
 
     def sums(self, values: Floats) -> Floats:
-        """Return the sum of values a tile over each piece."""
+        """Return the sums over each piece of values by tile."""
         number = len(self.lanelet)
         sums = np.bincount(self.of_tile[self.known], values[self.known], minlength=number)
         return np.asarray(sums, np.float64)
@@ -127,14 +127,17 @@ def _bins(tiles: SightTiles, known: Booleans) -> _Bins:
 
 
 def _expected(counted: Floats, looked: Floats, moved: Booleans, bins: _Bins) -> Floats:
-    """Return the movement that each piece should have, as the busiest on its quieter side has."""
+    """Return the frames with movement to expect on each piece.
+
+    Its rate is the greatest one before or behind it, whichever is less.
+    """
     rate = np.where(moved, counted / np.maximum(looked, 1.0), 0.0)
     before, behind = _most_before(rate, bins.stretch), _most_behind(rate, bins.stretch)
     return np.asarray(np.minimum(before, behind) * looked)
 
 
 def _most_before(rate: Floats, stretch: Integers) -> Floats:
-    """Return the greatest rate of the pieces before each in its stretch."""
+    """Return, for each piece, the greatest rate of the earlier ones in its stretch."""
     found = np.zeros(len(rate))
     for k in range(1, len(rate)):
         if stretch[k] == stretch[k - 1]:
@@ -143,7 +146,7 @@ def _most_before(rate: Floats, stretch: Integers) -> Floats:
 
 
 def _most_behind(rate: Floats, stretch: Integers) -> Floats:
-    """Return the greatest rate of the pieces behind each in its stretch."""
+    """Return, for each piece, the greatest rate of the later ones in its stretch."""
     return _most_before(rate[::-1], stretch[::-1])[::-1]
 
 
@@ -152,7 +155,7 @@ def _empty(counted: Floats, expected: Floats) -> Booleans:
 
 
 def _shared(tiles: SightTiles, bins: _Bins, asked: Booleans) -> Booleans:
-    """Return those of some pieces that have a tile which overlaps one of another lanelet."""
+    """Return which of the asked pieces have a tile that overlaps one of another lanelet."""
     found = np.zeros(len(asked), np.bool_)
     mine = bins.known & np.append(asked, False)[bins.of_tile]
     low, high = tiles.quads.min(axis=1), tiles.quads.max(axis=1)
@@ -169,7 +172,7 @@ def _shared(tiles: SightTiles, bins: _Bins, asked: Booleans) -> Booleans:
 
 
 def _gaps(bins: _Bins, counted: Floats, expected: Floats) -> Iterator[Gap]:
-    """Yield runs of empty pieces that are long enough, and from which enough is expected."""
+    """Yield the runs of empty pieces on which at least `LEAST_FRAMES` are expected."""
     empty = _empty(counted, expected)
     begins = empty.copy()
     begins[1:] &= ~(empty[:-1] & (np.diff(bins.stretch) == 0))

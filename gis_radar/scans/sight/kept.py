@@ -1,4 +1,4 @@
-"""Sight kept in a folder: what a sensor sees from a pose is found once for all that ask for it."""
+"""A cache of sight in a folder: what a sensor sees from a pose is computed once."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ _DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.er
 
 
 class KeptSight:
-    """Sight by a scan, of which each pose is looked from once.
+    """Sight by a scan, with a cache of the sights of poses.
 
     Parameters
     ----------
     scan : SightScan
-        What stands around.
+        The scans.
     folder : Path
-        Where sights are kept, a file for each pose; several processes may use it at a time.
+        Holds a file for each pose; several processes may use it at a time.
     """
 
     def __init__(self, scan: SightScan, folder: Path) -> None:
         self.scan, self.folder = scan, folder
 
     def read(self, poses: Sequence[Pose]) -> None:
-        """Read of the scan what those poses need that are not kept."""
+        """Read what the scan has around the poses that are not in the cache."""
         self.scan.read([pose for pose in poses if not self._path(pose).exists()])
 
     def find(self, pose: Pose) -> Sight:
-        """Return what a sensor sees from a pose: as it is kept, or found now.
+        """Return what a sensor sees from a pose, from the cache or by the scan.
 
         Raises
         ------
@@ -58,11 +58,11 @@ class KeptSight:
         return sight
 
     def describe(self) -> dict[str, Any]:
-        """Return what a manifest holds: the same as of the scan."""
+        """Return the description of the scan for a manifest."""
         return self.scan.describe()
 
     def _kept(self, path: Path, pose: Pose) -> Sight | None:
-        """Return a sight that is kept; None where there is none, or it is damaged."""
+        """Return a sight from the cache; None where it is missing or damaged."""
         try:
             with path.open("rb") as file, np.load(file) as arrays:
                 found = {name: arrays[name] for name in _ARRAYS}
@@ -82,7 +82,7 @@ class KeptSight:
 
     @cached_property
     def _origin(self) -> bytes:
-        """A digest of scan, tiles and method."""
+        """Digest of scan, tiles and method."""
         tiles = self.scan.tiles
         found = hashlib.blake2b(f"{self.scan.digest} {METHOD}".encode())
         found.update(tiles.fingerprint.encode() + tiles.height.tobytes())

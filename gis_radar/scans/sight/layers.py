@@ -1,4 +1,4 @@
-"""Sight as a file: written as layers that QGIS styles by itself, read back in place of a scan."""
+"""Write sight as a GeoPackage that QGIS styles by itself, and read it back in place of a scan."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from gis_radar.scans.sight.sight import (
 SIGHT_LAYER, CONTRADICTED_LAYER = "sight", "contradicted"
 COLUMNS = ("sensor", "pose", "tile_id", "state", "hidden_by", "hidden_at_m", "covered")
 MAKE_ONE = Text("make one with: gis-radar sight")
-# A file of sight serves poses so near the one it was made for: a tile, and half a metre at 60 m.
+# Farthest pose that a file of sight may be used for: a tile away, or half a metre at 60 m.
 POSE_APART_M, POSE_APART_DEG = 0.5, 0.5
 
 
@@ -60,7 +60,7 @@ def write_sights(
     *,
     contradictions: Sequence[Contradiction] = (),
 ) -> None:
-    """Write what sensors see, a row a pose and tile in its view; QGIS loads the styles by itself.
+    """Write what sensors see, a row for each pose and tile in its view; QGIS loads the styles.
 
     Layer `sight`: `sensor`, `pose` (its number in the layer's metadata), `tile_id`, `state` (`in
     sight` or `hidden`), `hidden_by`, `hidden_at_m` (distance from the sensor in the plane, metres),
@@ -72,9 +72,9 @@ def write_sights(
     Parameters
     ----------
     sights : sequence of Sight
-        From :func:`find_sight`, or corrected.
+        From :func:`find_sight`, or corrected by recordings.
     tiles : GeoDataFrame
-        The tiles that they were found for.
+        The tiles that the sights are of.
     path : str or Path
         The GeoPackage; it appears whole or not at all.
     contradictions : sequence of Contradiction
@@ -192,7 +192,7 @@ class SightFile:
 
     @cached_property
     def digest(self) -> str:
-        """A text that only sight of this content has, whatever the file's name and time."""
+        """Digest of tiles, poses and states, independent of the file's name and time."""
         found = hashlib.blake2b(self.tiles.fingerprint.encode(), digest_size=16)
         for sight in self.sights:
             found.update(json.dumps(sight.pose.as_dict(), sort_keys=True).encode())
@@ -245,7 +245,7 @@ class SightFile:
 
 
 def _apart(one: Pose, other: Pose) -> tuple[float, float]:
-    """Return how far two poses are apart, metres and degrees."""
+    """Return the distance (m) and the angle (deg) between two poses."""
     rotation = scipy.spatial.transform.Rotation
     turn = rotation.from_quat(one.quaternion).inv() * rotation.from_quat(other.quaternion)
     away_m = float(np.linalg.norm(one.position - other.position))
@@ -295,7 +295,7 @@ def open_sight(
     cache: str | Path | None = None,
     reporter: Reporter = QUIET,
 ) -> SightSource | None:
-    """Open what sight comes from: scans, a file of sight, or neither.
+    """Open the source of sight: scans, a file of sight, or neither.
 
     Parameters
     ----------
@@ -308,9 +308,9 @@ def open_sight(
     sight : str or Path, optional
         A file of :func:`write_sights`, in place of scans.
     cache : str or Path, optional
-        A folder in which what each pose sees by these scans is kept, for others that ask for it.
+        A folder for the sights of poses by these scans, so that each is computed once.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What hides: solid bodies, ground and decks over each cell, from a scan and the tiles' heights."""
+"""Obstacles to sight: solid bodies, ground and decks over each cell, from a scan and tiles."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from gis_radar.base import Booleans, Floats, Grid, Integers
 from gis_radar.scans.columns import Heights, ScanColumns, ground_under, nearest_known
 
 CELL_M = 1.0  # of the cells in which the scan is gathered
-TALL_M = 2.5  # what is lower over the ground does not hide: parked cars, hedges, rails
-# Something stands solid where no return from below lies in a square of this side: crowns let pulses
+TALL_M = 2.5  # things up to this height over the ground do not hide: parked cars, hedges, rails
+# A body is solid where no return from below it lies in a square of this side: crowns let pulses
 # through, roofs do not.
 CROWN_M = 3.0
-GROUND_M = 12.0  # what is narrower is no ground: cars, hedges
-# Opening that removes roofs from the ground in scans without classes, on squares of so many cells.
+GROUND_M = 12.0  # narrower surfaces are not ground: cars, hedges
+# Width of the opening that removes roofs from the ground in scans without classes, and side, in
+# cells, of the squares on which it runs.
 WIDEST_ROOF_M, GROUND_CELLS = 40.0, 2
-# A ray may pass so far under the ground's surface: noise of scan and map. With 0.4 rays from below
-# reach the far side of ramps: 13 % of two levels wrongly seen, not 4 %.
+# Depth under the ground's surface down to which a ray is free: noise of scan and map. With 0.4,
+# rays from below reach the far side of ramps: 13 % of two levels wrongly seen, not 4 %.
 SUNK_M = 0.1
-CLEAR_M = 4.5  # over a road it is free up to here: the least clearance of bridges and gates
+CLEAR_M = 4.5  # height over a road up to which rays are free: the least clearance of bridges
 LEVELS_APART_M = 3.0  # tiles at one place farther apart in height are on two levels
-SHOULDER_M = 4.0  # kerbs, shoulders and parapets beside an upper level's tiles belong to it
-OPENING_M = 8.0  # under a deck it is free so far beside the lower level's tiles
+SHOULDER_M = 4.0  # width of kerbs, shoulders and parapets beside an upper level's tiles
+OPENING_M = 8.0  # width beside the lower level's tiles in which rays under a deck are free
 DECK_M = 1.5  # thickness of a deck
-GAP_M = 3.0  # cells without points take the heights of ones so near
+GAP_M = 3.0  # cells without points take the heights of the nearest cell within this distance
 
 
 @dataclass(frozen=True, kw_only=True)
 class Obstacles:
-    """What hides over the cells of a window; arrays are (columns, rows), metres.
+    """Obstacles over the cells of a window; arrays are (columns, rows), heights in metres.
 
     A ray at height z is blocked over a cell where `z < floor`, `z < solid` or
     `slab_low < z < slab_high`.
@@ -42,11 +43,11 @@ class Obstacles:
     grid : Grid
         The cells, in the map.
     floor : array
-        The ground, less the tolerance; -inf where the scan covers nothing.
+        Height of the ground, less `SUNK_M`; -inf where the scan covers nothing.
     solid : array
-        Top of what stands on the ground; -inf where nothing does.
+        Top of the solid body that stands on the ground; -inf where none does.
     slab_low, slab_high : array
-        Lower and upper side of a deck or of what spans a road; inf and -inf where none is.
+        Lower and upper side of a deck or of a body that spans a road; inf and -inf without one.
     known : (n, m) bool array
         Which cells the scan covers.
     ground : array
@@ -69,7 +70,7 @@ class RoadHeights:
     Parameters
     ----------
     lowest, highest : (columns, rows) array
-        Of the tiles that touch a cell, metres.
+        Height of the lowest and of the highest tile that touches a cell, metres.
     """
 
     lowest: Floats = field(repr=False)
@@ -87,9 +88,9 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
     Parameters
     ----------
     quads : (n, 4, 2) array
-        Vertices of the tiles.
+        Vertices of the tiles in the map, metres.
     height : (n,) array
-        Of the road, metres; tiles with NaN do not count.
+        Height of the road, metres; tiles with NaN are left out.
     grid : Grid
         The cells.
     """
@@ -114,12 +115,12 @@ def road_heights(quads: Floats, height: Floats, grid: Grid) -> RoadHeights:
 
 
 def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool) -> Obstacles:
-    """Find what hides over the cells of a window.
+    """Find the obstacles over the cells of a window.
 
-    Solid is what the lowest returns show over a square of `CROWN_M`: an opening of the lowest
-    surface, which crowns do not survive, as pulses reach the ground under them, nor poles, hedges
-    and cars. The road itself is free up to `CLEAR_M`, whatever stood on it when the scan was
-    flown. Over a lower level's tiles, and some metres beside them, an upper level is a slab.
+    Solid is what remains of the lowest returns after an opening over `CROWN_M`. It removes crowns,
+    as pulses reach the ground under them, and poles, hedges and cars. Over the road, rays are free
+    up to `CLEAR_M`, whatever stood on it when the scan was flown. An upper level is a slab over a
+    lower level's tiles and some metres beside them.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool
     roads : RoadHeights
         Heights of the tiles.
     classified : bool
-        Whether the classes distinguish the ground.
+        Whether the scan's classes distinguish ground.
     """
     away, index = nearest_known(np.isfinite(columns.low))
     known = away * CELL_M <= GAP_M
@@ -145,7 +146,8 @@ def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool
     ground = _opened(low, GROUND_M / CELL_M)
     stands = surface - wide > TALL_M
     by_class = np.isfinite(columns.deck)
-    # banks and the decks between them may bear the class of ground: bare of them, levels differ
+    # Banks and the decks between them may have the class of ground. For decks the ground must lie
+    # below them, so it is found without classes, too.
     bare = np.fmin(wide, ask(columns.low, classified=False)) if classified else wide
     level, deck, below = _decks(top, np.where(by_class, columns.deck, np.nan), roads, bare)
     slab_low, slab_high = _slabs(level, deck, roads, surface)
@@ -166,7 +168,7 @@ def find_obstacles(columns: ScanColumns, roads: RoadHeights, *, classified: bool
 
 
 def _opened(low: Floats, cells: float) -> Floats:
-    """Return the surface without what is narrower than some cells; NaN where not known."""
+    """Return the surface without bodies narrower than some cells; NaN where unknown."""
     size = max(1, 2 * round((cells - 1) / 2) + 1)
     known = np.isfinite(low)
     eroded = scipy.ndimage.minimum_filter(np.where(known, low, np.inf), size)
@@ -178,7 +180,7 @@ def _opened(low: Floats, cells: float) -> Floats:
 def _slabs(
     level: Floats, deck: Booleans, roads: RoadHeights, surface: Floats
 ) -> tuple[Floats, Floats]:
-    """Return lower and upper side of decks, and of what spans a road; inf and -inf elsewhere."""
+    """Return lower and upper side of decks and of bodies that span a road; else inf and -inf."""
     low, high = np.full(surface.shape, np.inf), np.full(surface.shape, -np.inf)
     spans = roads.road & (surface - roads.lowest > CLEAR_M)
     low[spans] = roads.lowest[spans] + CLEAR_M
@@ -191,10 +193,10 @@ def _slabs(
 def _decks(
     highest: Floats, by_class: Floats, roads: RoadHeights, wide: Floats
 ) -> tuple[Floats, Booleans, Floats]:
-    """Return the nearest upper road's height, the cells of decks free below, and the road there.
+    """Return the upper road's height (m), the cells of decks, and the height of the road below (m).
 
-    A deck is free below where a lower level's tiles are under it and some metres beside them, and
-    where the scan has the class of decks; an upper road is an embankment elsewhere.
+    Rays pass under a deck where a lower level's tiles are under it, some metres beside them, and
+    where the scan has the class of decks; elsewhere an upper road is an embankment.
     """
     crossing = roads.highest - roads.lowest > LEVELS_APART_M
     known = np.isfinite(by_class)

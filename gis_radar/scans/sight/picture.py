@@ -10,7 +10,7 @@ from gis_radar.base import Floats, tr
 from gis_radar.poses import draw_sensor
 from gis_radar.scans.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight, SightTiles
 
-# Of the palette of Okabe and Ito, as the layer `sight` has them.
+# From the palette of Okabe and Ito; the style of the layer `sight` has the same.
 SIGHT_COLOURS = {OUT_OF_VIEW: "#d8dade", HIDDEN: "#753d28", IN_SIGHT: "#56b4e9"}
 SIGHT_NAMES = {IN_SIGHT: "in sight", HIDDEN: "hidden", OUT_OF_VIEW: "outside the view"}
 MARGIN_M = 15.0
@@ -26,9 +26,9 @@ def draw_sight(ax: Any, sight: Sight, tiles: SightTiles) -> None:
     sight : Sight
         From :func:`find_sight`.
     tiles : SightTiles
-        The tiles that it was found for.
+        The tiles that it is of.
     """
-    from matplotlib.collections import PolyCollection  # noqa: PLC0415 - only who draws waits for it
+    from matplotlib.collections import PolyCollection  # noqa: PLC0415 - slow, only for drawing
 
     low, high = _extent(sight, tiles)
     near = (tiles.quads.max(axis=1) > low).all(axis=1) & (tiles.quads.min(axis=1) < high).all(
@@ -49,7 +49,10 @@ def draw_sight(ax: Any, sight: Sight, tiles: SightTiles) -> None:
 
 
 def _extent(sight: Sight, tiles: SightTiles) -> tuple[Floats, Floats]:
-    """Return what is shown: the sensor, and the tiles in its view, or all where there are none."""
+    """Return south-west and north-east corner (m) around the sensor and the tiles in its view.
+
+    Without tiles in view, all tiles are shown.
+    """
     in_view = sight.state != OUT_OF_VIEW
     shown = tiles.quads[in_view if in_view.any() else slice(None)].reshape(-1, 2)
     places = np.vstack([shown, sight.pose.position[:2]])

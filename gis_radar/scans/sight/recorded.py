@@ -1,11 +1,11 @@
 """Compare sight with what moves in a recording, and correct what the recording contradicts.
 
-A scan shows what stood when it was flown. Two things contradict it: directions in which nothing
-ever moves although vehicles pass there (a wall since the flight), and hidden tiles on which as much
-moves as on others (a house pulled down). How much is expected on a tile follows from its distance
-and from how much moves elsewhere on its lanelet, seen by any sensor: the counts are fitted as the
-product of a profile of range a sensor and a flow a lanelet. Ghosts of facades and lorries that look
-over a wall come to a small share of that.
+A scan shows what stood when it was flown. Two findings contradict it: directions in which nothing
+ever moves although vehicles pass there (a wall built since), and hidden tiles with as much movement
+as others (a house pulled down). The movement to expect on a tile follows from its distance and from
+the movement elsewhere on its lanelet, seen by any sensor: counts are fitted as the product of a
+range profile of each sensor and a flow of each lanelet. Ghosts of facades, and lorries visible over
+a wall, amount to a small share of that.
 """
 
 from __future__ import annotations
@@ -34,40 +34,40 @@ from gis_radar.scans.sight.sight import (
 NO_MOVEMENT, MOVEMENT = "nothing moves in sight", "moves where hidden"
 Table: TypeAlias = Floats  # sums by direction and distance from a sensor
 REFLECTION_M = 1.0  # over the road: between the sills and the roof of a car
-# Least absolute range rate of what moves: leaves and walkers stay below; what is farther from
-# REFLECTION_M over a tile's road is of another level.
+# Least absolute range rate of movement, over that of leaves and most walkers; and farthest height
+# from REFLECTION_M over a tile's road: detections beyond are of another level.
 MOVEMENT_MPS, MOVEMENT_LEVEL_M = 1.0, 2.5
-# Recorded movement is compared with sight in cells of this direction and distance: wider than a
-# radar's error of bearing, narrower than a house; the least driveway between two walls.
+# Size of the cells in which recorded movement is compared with sight: a sector is wider than a
+# radar's bearing error and narrower than a house, a ring is as long as the least driveway.
 SECTOR_DEG, RING_M = 1.0, 10.0
-SECTORS_IN_ROW = 3  # width of a contradiction: one alone is an edge, smeared by bearing errors
-# A cell is empty where less than this share of the expected movement is there, as ghosts of facades
-# come to a tenth at most; and where so many frames with movement are expected from it on outwards.
+SECTORS_IN_ROW = 3  # least width of a contradiction: a single one is an edge with bearing errors
+# A cell is empty below this share of the expected movement (ghosts of facades are a tenth at most),
+# if so many frames with movement are expected in it and beyond.
 EMPTY_SHARE, LEAST_IN_SECTOR = 0.1, 2.0
-# Frames of movement missed, or seen though hidden, in a run of sectors before it counts: half a
+# Least frames with movement that are missing, or seen though hidden, in a run of sectors: half a
 # dozen vehicles, each seen in several frames of several sectors.
 LEAST_FRAMES = 100.0
-# A recording is compared from so many frames from one place on: five minutes at 20 Hz, three cycles
-# of a signal. In less time ways stay empty by chance.
+# Least frames from one place for a comparison: five minutes at 20 Hz, three cycles of a signal. In
+# less time lanes stay empty by chance.
 JUDGED_FRAMES = 6000
-# Least share of the expected movement where hidden: ghosts and lorries that look over a wall give
-# less.
+# Least share of the expected movement that contradicts `hidden`: ghosts, and lorries visible over a
+# wall, give less.
 MOVING_SHARE = 0.3
 ROUNDS = 8  # of the fit of profiles and flows; four give the same tiles
 
 
 @dataclass(frozen=True, kw_only=True)
 class MovingHits:
-    """In how many frames something moved on each tile, as a sensor saw it from one pose.
+    """Numbers of frames with movement on each tile, by one sensor from one pose.
 
     Parameters
     ----------
     sight : Sight
-        What the sensor sees from there.
+        What the sensor sees from that pose.
     count : (n,) int64 array
-        Frames with a moving detection on a tile, in the order of the tiles.
+        Number of frames with a moving detection on each tile, in the order of the tiles.
     frames : int
-        All frames from there.
+        Number of all frames from that pose.
     """
 
     sight: Sight
@@ -76,14 +76,14 @@ class MovingHits:
 
     @classmethod
     def of(cls, sight: Sight, counters: Sequence[MovementCounter]) -> Self:
-        """Add up what was counted from one place, at least once."""
+        """Return the sums of counters (one at least) from one place."""
         count = np.sum([each.count for each in counters], axis=0)
         return cls(sight=sight, count=count, frames=sum(each.frames for each in counters))
 
 
 @dataclass(kw_only=True)
 class MovementCounter:
-    """Counts the frames in which something moves on each tile, as batches of a recording come.
+    """Counts the frames with movement on each tile, batch by batch of a recording.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ class MovementCounter:
     engine : TileGrid or TileTree
         Finds the tiles that points fall in.
     count : (n,) int64 array
-        Frames with a moving detection on a tile.
+        Number of frames with a moving detection on each tile.
     frames : int
-        All frames.
+        Number of all frames.
     """
 
     tiles: SightTiles
@@ -113,23 +113,23 @@ class MovementCounter:
         place = pose.to_map(batch.points[moves], road_m=road_m)
         point, tile = self.engine.assign(place[:, 0], place[:, 1])
         over_m = place[point, 2] - self.tiles.height[tile] - REFLECTION_M
-        kept = ~(np.abs(over_m) > MOVEMENT_LEVEL_M)  # not known: it counts
+        kept = ~(np.abs(over_m) > MOVEMENT_LEVEL_M)  # an unknown height (NaN) is kept
         pairs = np.unique(frame[moves][point[kept]] * len(self.count) + tile[kept])
         self.count += np.bincount(pairs % len(self.count), minlength=len(self.count))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Tiles of which a recording and sight say different things.
+    """Tiles on which a recording contradicts sight.
 
     Parameters
     ----------
     sight : Sight
-        As it was.
+        Sight before correction.
     no_movement, movement : (n,) bool array
-        Tiles in sight where nothing moves although it should; hidden ones where something does.
+        Tiles in sight without the expected movement; hidden tiles with movement.
     count, expected : (n,) array
-        Frames with something moving on a tile, as recorded and as expected of one in sight.
+        Number of frames with movement on each tile: as recorded, and to expect if it is in sight.
     """
 
     sight: Sight
@@ -139,7 +139,7 @@ class Contradiction:
     expected: Floats = field(repr=False)
 
     def corrected(self, sight: Sight | None = None) -> Sight:
-        """Return sight as the recording shows it; also that of another pose of the same place."""
+        """Return sight corrected by the recording; also another sight, from the same place."""
         sight = self.sight if sight is None else sight
         hides = self.no_movement & (sight.state == IN_SIGHT)
         frees = self.movement & (sight.state == HIDDEN)
@@ -154,7 +154,7 @@ class Contradiction:
 
     @property
     def tiles(self) -> int:
-        """How many tiles there are."""
+        """Number of tiles with a contradiction."""
         return int(np.count_nonzero(self.no_movement | self.movement))
 
 
@@ -164,7 +164,7 @@ def find_contradictions(hits: Sequence[MovingHits], tiles: SightTiles) -> list[C
     Parameters
     ----------
     hits : sequence of MovingHits
-        Of each sensor and pose; those of all sensors together give the flow on the lanelets.
+        Movement by sensor and pose; that of all sensors gives the flow on lanelets.
     tiles : SightTiles
         The tiles of all sights.
 
@@ -177,7 +177,7 @@ def find_contradictions(hits: Sequence[MovingHits], tiles: SightTiles) -> list[C
     polar = [_Polar.of(each.sight, tiles) for each in hits]
     kept = [each.sight.state == IN_SIGHT for each in hits]
     found: list[Contradiction] = []
-    for _ in range(2):  # shadows make the flow too low at first
+    for _ in range(2):  # in the first round, tiles that are hidden in fact make the flow too low
         expected = _expected(hits, polar, kept, lanelet)
         found = [
             _compare(each, place, wanted)
@@ -215,7 +215,10 @@ def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) ->
 
 @dataclass(frozen=True, kw_only=True)
 class _Polar:
-    """Direction and distance of all tiles from a sensor, as positions in a table."""
+    """Cells of a polar table around a sensor: sector and ring of all tiles.
+
+    `turn` is the sector, `away` the ring, `hidden` the ring in which the obstacle begins.
+    """
 
     away: Integers
     turn: Integers
@@ -240,7 +243,7 @@ class _Polar:
         )
 
     def table(self, values: Integers | Floats, ring: Integers) -> Table:
-        """Return the sums of values by direction and ring."""
+        """Return the sums of values by sector and `ring`."""
         key = self.turn * self.shape[1] + ring
         sums = np.bincount(key, values.astype(np.float64), minlength=math.prod(self.shape))
         return np.asarray(sums.reshape(self.shape), np.float64)
@@ -249,7 +252,7 @@ class _Polar:
 def _expected(
     hits: Sequence[MovingHits], polar: Sequence[_Polar], kept: Sequence[Booleans], lanelet: Integers
 ) -> list[Floats]:
-    """Return how many frames with something moving each tile in view of each sensor should have."""
+    """Return, by sensor, the number of frames with movement to expect on each tile in view."""
     lanelets = int(lanelet.max(initial=-1)) + 1
     flow = np.ones(lanelets)
     profiles = [np.ones(place.shape[1]) for place in polar]
@@ -275,7 +278,7 @@ def _share(part: Any, whole: Any) -> Floats:
 
 
 def _compare(hits: MovingHits, polar: _Polar, expected: Floats) -> Contradiction:
-    """Return the tiles of one sensor where counted and expected movement contradict sight."""
+    """Return the tiles on which the movement counted by one sensor contradicts sight."""
     in_sight, hidden = hits.sight.state == IN_SIGHT, hits.sight.state == HIDDEN
     empty = _empty_beyond(
         polar.table(hits.count * in_sight, polar.away),
@@ -295,7 +298,7 @@ def _compare(hits: MovingHits, polar: _Polar, expected: Floats) -> Contradiction
 
 
 def _empty_beyond(counted: Table, wanted: Table) -> Booleans:
-    """Return the rings of each direction beyond which nothing moves although much should."""
+    """Return the cells from which outwards the expected movement is missing."""
     left, missed = _from_far(counted), _from_far(wanted)
     empty = (counted <= EMPTY_SHARE * wanted) & (wanted > 0)
     empty &= (left <= EMPTY_SHARE * missed) & (missed >= LEAST_IN_SECTOR)
@@ -303,15 +306,15 @@ def _empty_beyond(counted: Table, wanted: Table) -> Booleans:
 
 
 def _from_far(table: Table) -> Table:
-    """Return the sums over a ring and all beyond it."""
+    """Return, for each cell, the sum over its ring and all farther ones of its sector."""
     return np.asarray(np.cumsum(table[:, ::-1], axis=1)[:, ::-1])
 
 
 def _in_wide_runs(cells: Booleans, weight: Table) -> Booleans:
-    """Return the cells in runs of directions that are wide enough and weigh enough."""
+    """Return the cells in runs of sectors of `SECTORS_IN_ROW` at least, and enough weight."""
     some: Booleans = np.any(cells, axis=1)
     turns = len(some)
-    first = int(np.argmin(some))  # a run may go on over the last direction
+    first = int(np.argmin(some))  # begin outside a run, which may go on past the last sector
     order = (first + np.arange(turns)) % turns
     number = np.cumsum(~some[order])
     weighs = np.where(cells, weight, 0.0).sum(axis=1)[order]

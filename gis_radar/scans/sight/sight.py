@@ -1,8 +1,8 @@
 """Sight: which tiles a sensor sees from one pose, and what hides the others.
 
-Sight depends on pose, tiles and scan alone. A ray goes from the sensor to each tile in its view,
-over the cells of the scan, and is hidden where it runs inside what stands, through the ground or
-through a deck. Without a scan, all that is in the view counts as seen: `view only`.
+Sight depends on pose, tiles and scan alone. A ray runs from the sensor to each tile in its view,
+over the cells of the scan, and is blocked where it runs through a body that stands, the ground or a
+deck. Without a scan, all tiles in the view count as in sight: `view only`.
 """
 
 from __future__ import annotations
@@ -55,43 +55,42 @@ HIDERS = ("", "something that stands", "the ground", "a deck", "something not in
 VIEW_ONLY = "view only"
 
 METHOD = 1  # raised whenever the same scan, tiles and pose would give another sight
-TARGET_M = 0.6  # over the road, at which a tile counts as seen (the contract)
-# Windows of the scan begin at multiples of this: poses of a track share them; so many are kept in
-# memory, 10 MB each.
+TARGET_M = 0.6  # height over the road of the point of a tile that must be seen (the contract)
+# Windows of the scan begin at multiples of WINDOW_M, so that poses of a track share them;
+# WINDOWS_KEPT of them stay in memory, 10 MB each.
 WINDOW_M, WINDOWS_KEPT = 64.0, 8
 LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of ground is not classified
-# Length of a ray inside what stands from which on it is hidden; 1 or 1.5 move the shares wrongly
-# seen by 0.4 %. Distance of its samples.
+# Length inside obstacles from which on a ray is blocked (1 or 1.5 change the shares wrongly seen by
+# 0.4 %), and distance of samples along it.
 BLOCKED_M, STEP_M = 0.5, 0.5
-# Ends of a ray that do not count: a mast stands at a wall or in a crown.
+# Ends of a ray that are not sampled: the sensor's mast may stand at a wall or in a crown.
 SKIP_NEAR_M, SKIP_FAR_M = 2.0, 0.5
-# A ray that is not hidden and passes so far over what the scan does not cover: the tile counts as
-# in sight, and is counted as not covered.
+# Length over places without scan from which on a ray that is not blocked is uncertain: the tile is
+# in sight, but not covered.
 UNKNOWN_M = 10.0
 # Warn where the scan decides less than this share of the tiles in the view: the rim of a view
 # reaches beyond most scans, and a tenth of it hardly changes a map.
 LEAST_COVERED = 0.9
-# Median difference of the scan's and the tiles' road heights above which the two are not of one
-# vertical system.
+# Median difference of road heights, scan against tiles, above which their vertical systems differ.
 OFFSET_M = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class SightTiles:
-    """Tiles as sight needs them.
+    """Tiles as arrays, for sight.
 
     Parameters
     ----------
     tile_id, lanelet_id : (n,) int64 array
-        Their ids, and of what they are slices.
+        Ids of the tiles and of their lanelets.
     quads : (n, 4, 2) array
         Their vertices in the map, metres.
     height : (n,) array
-        Of the road, metres; NaN where not known.
+        Height of the road, metres; NaN where unknown.
     crs : CRS
-        Of the map.
+        Coordinate system of the map.
     fingerprint : str
-        Of the tiles.
+        Fingerprint of the tile layer.
     """
 
     tile_id: Integers = field(repr=False)
@@ -103,7 +102,7 @@ class SightTiles:
 
     @classmethod
     def of(cls, tiles: gpd.GeoDataFrame) -> SightTiles:
-        """Take them from a table as :func:`gis_radar.read_tiles` returns it."""
+        """Return the tiles of a table from :func:`gis_radar.read_tiles`."""
         return cls(
             tile_id=tiles["tile_id"].to_numpy(np.int64),
             lanelet_id=tiles["lanelet_id"].to_numpy(np.int64),
@@ -136,9 +135,9 @@ class Sight:
         What hides a tile: `NOTHING`, `STANDING`, `GROUND`, `DECK`, or `NOT_IN_SCAN`, as a
         recording shows.
     hidden_at_m : (n,) array
-        Distance from the sensor in the plane at which that begins, metres; NaN where nothing does.
+        Horizontal distance from the sensor to the obstacle's begin, metres; NaN without one.
     uncovered : (n,) bool array
-        Tiles in sight whose ray passes far over what the scan does not cover.
+        Tiles in sight whose ray passes more than `UNKNOWN_M` over places without scan.
     scan : str
         Digest of the scan; `view only` without one.
     """
@@ -153,7 +152,7 @@ class Sight:
 
     @property
     def seen(self) -> Integers:
-        """Ids of the tiles in sight, ascending as the tiles are."""
+        """Ids of the tiles in sight, in the order of the tiles."""
         return np.asarray(self.tile_id[self.state == IN_SIGHT])
 
     @property
@@ -185,17 +184,17 @@ class SightSource(Protocol):
     """Where sight comes from: a scan, or a file of sight."""
 
     def read(self, poses: Sequence[Pose]) -> None:
-        """Read in one go what these poses need."""
+        """Read, in one pass, what the sights of these poses need."""
 
     def find(self, pose: Pose) -> Sight:
         """Return what a sensor sees from a pose."""
 
     def describe(self) -> dict[str, Any]:
-        """Return what a manifest holds about it."""
+        """Return its description for a manifest."""
 
 
 class SightScan:
-    """Airborne scans of a place, and what stands in them around sensors.
+    """Airborne scans of a place, and the obstacles in them around sensors.
 
     Each window around a sensor is read once; the scans are streamed, and a bounded number of
     windows is kept.
@@ -205,11 +204,11 @@ class SightScan:
     scans : sequence of paths
         LAS, LAZ or COPC, whole and not masked; classified or not.
     tiles : SightTiles
-        Whose heights distinguish the levels of the road.
+        Tiles; their heights distinguish the levels of roads.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
 
     Raises
     ------
@@ -232,7 +231,7 @@ class SightScan:
 
     @cached_property
     def digest(self) -> str:
-        """A text that only scans of this content, in any order, have."""
+        """Digest of the content of the scans, independent of their order."""
         contents = []
         for scan in self.scans:
             with scan.path.open("rb") as file:
@@ -247,7 +246,7 @@ class SightScan:
             self._read(group, poses)
 
     def around(self, pose: Pose) -> Obstacles:
-        """Return what hides around a pose; the same for all poses of a window.
+        """Return the obstacles around a pose; all poses of a window share them.
 
         Raises
         ------
@@ -270,7 +269,7 @@ class SightScan:
         return _find(pose, self.tiles, self.around(pose), self.digest)
 
     def describe(self) -> dict[str, Any]:
-        """Return digest and files of the scans, and the method, as a manifest holds them."""
+        """Return digest and files of the scans, and the method, for a manifest."""
         return {
             "scan": self.digest,
             "files": sorted(each.path.name for each in self.scans),
@@ -278,7 +277,7 @@ class SightScan:
         }
 
     def _window(self, pose: Pose) -> Grid:
-        """Return the cells around a pose that its view may reach."""
+        """Return the grid of the cells that a pose's view may reach."""
         view, side = pose.view or View(), WINDOW_M
         east, north = pose.position[:2]
         reach_m = view.max_range_m + WIDEST_ROOF_M
@@ -354,12 +353,12 @@ def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None)
     Parameters
     ----------
     pose : Pose
-        Where the sensor stands and looks; without a view, the usual one counts.
+        Pose of the sensor; without a view, the default one counts.
     tiles : SightTiles
-        The tiles, in the pose's CRS. Where the road's height is not known, that of the scan's
-        ground counts; without a scan, any elevation is in view.
-    source : SightScan or SightFile, optional
-        What stands around, or a file that holds sight; without it, sight is the view alone.
+        The tiles, in the pose's CRS. Where the road's height is unknown, that of the scan's ground
+        counts; without a scan, any elevation is in view.
+    source : SightScan, KeptSight or SightFile, optional
+        Scans, or a file that holds sight; without it, sight is the view alone.
 
     Returns
     -------
@@ -376,7 +375,7 @@ def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None)
 
 
 def _find(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str) -> Sight:
-    """Return what a sensor sees among obstacles; without them, all that is in the view."""
+    """Return what a sensor sees among obstacles; without them, all tiles in the view."""
     place = tiles.centres.copy()
     unknown = np.isnan(place[:, 2])
     if obstacles is not None and unknown.any():
@@ -402,7 +401,7 @@ def _find(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str)
 
 
 def report_uncovered(sights: Iterable[Sight], reporter: Reporter) -> None:
-    """Report what a scan does not cover of each sensor's views; as a warning where it is much."""
+    """Report the share of each sensor's view that a scan covers, as a warning if it is small."""
     worst: dict[str, float] = {}
     for sight in sights:
         if sight.scan != VIEW_ONLY and sight.uncovered.any():
@@ -419,7 +418,7 @@ def report_uncovered(sights: Iterable[Sight], reporter: Reporter) -> None:
 
 
 def _hide(sight: Sight, rows: Integers, place: Floats, obstacles: Obstacles) -> None:
-    """Enter into a new sight which of its rows something hides."""
+    """Change, in place, a new sight: set which of its `rows` an obstacle hides."""
     targets = np.where(np.isnan(place[rows]), sight.pose.height, place[rows])
     west, south = obstacles.grid.corner
     begin_m, hider, unknown_m = _follow_rays(
@@ -450,7 +449,11 @@ def _follow_rays(
     slab_high: Any,
     known: Booleans,
 ) -> tuple[Floats, Any, Floats]:
-    """Return for each target where its ray is first blocked, by what, and how far not covered."""
+    """Follow rays from `eye` to `targets`, all in metres from the corner of the cells.
+
+    Returns, for each target, the distance at which its ray is first blocked (m; NaN if it is not),
+    the hider's number, and the length over cells without scan (m).
+    """
     count = len(targets)
     begin_m, unknown_m = np.full(count, np.nan), np.zeros(count)
     hider = np.zeros(count, np.uint8)
@@ -486,5 +489,5 @@ def _follow_rays(
 
 
 def describe_sight(source: SightSource | None) -> dict[str, Any] | str:
-    """Return what a manifest holds about sight: `view only`, or where it comes from."""
+    """Return the description of sight for a manifest: `view only`, or that of its source."""
     return VIEW_ONLY if source is None else source.describe()
