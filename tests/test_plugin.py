@@ -484,6 +484,7 @@ def test_the_wizard_knows_every_key_that_it_can(drafts):
         "tiles",  # half a metre is the unit of all statistics
         "subtypes", "road", "engine", "min_speed", "min_rcs", "elevation_error",  # for specialists
         "live",  # a server runs it, not QGIS
+        "lane",  # numbers of lanes are known once tiles are made
         "accept",  # asked for by the check that refuses a sensor, and decided in the file
         "method", "tied", "convert", "compass", "min_range_m",  # the defaults serve; a drag is one
     }  # fmt: skip

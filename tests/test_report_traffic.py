@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from base64 import b64decode
@@ -232,3 +233,21 @@ def test_ways_of_vehicles_can_be_left_out(folder, tmp_path, without_pdf):
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "it shows no single vehicle" in text
     assert "way of one vehicle" not in text
+
+
+def test_lanes_have_the_names_of_the_site_file(folder, tmp_path, without_pdf):
+    """Of the run that is reported, though its dataset was measured with the map's."""
+    for name in ("dataset", "heatmap"):
+        shutil.copytree(folder / name, tmp_path / name)
+    lane = {"id": APPROACH, "name": "Ring, bus lane", "speed_kmh": 72.0}
+    site = {"title": "Fork", "timezone": "Europe/Berlin", "lane": [lane], "sensor": [],
+            "map": {"file": "fork.osm", "speed_kmh": None}}  # fmt: skip
+    (tmp_path / "run.json").write_text(json.dumps({"site": site, "stages": []}))
+    gr.write_report(tmp_path)
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert volumes(page)[APPROACH]["Lane"] == "Ring, bus lane"
+    rows = pd.read_csv(tmp_path / "traffic.csv").set_index("lane").loc[APPROACH]
+    free = pd.read_csv(folder / "en" / "traffic.csv").set_index("lane").loc[APPROACH]
+    known = free["delay_s"] > 0  # 60 m at 36 km/h took 6 s, at 72 km/h 3
+    assert known.any()
+    assert (rows["delay_s"] - free["delay_s"])[known].tolist() == pytest.approx([3.0] * known.sum())

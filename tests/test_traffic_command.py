@@ -244,3 +244,23 @@ def test_the_same_in_python(dataset, tmp_path):
     made.write(tmp_path / "two", language="de")
     for name in FILES:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_a_site_file_names_lanes(run, dataset, tmp_path):
+    (tmp_path / "map.osm").touch()
+    (tmp_path / "R1.parquet").touch()
+    (tmp_path / "R1.json").touch()
+    site = (
+        'title = "Fork"\n[map]\nfile = "map.osm"\n[[lane]]\nid = 10\nname = "Ring, left"\n'
+        '[[sensor]]\nname = "R1"\n'
+    )
+    (tmp_path / "SITE.toml").write_text(site + 'recordings = ["R1.parquet"]\npose = "R1.json"\n')
+    options = ("--site", tmp_path / "SITE.toml")
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
+    assert code == 0, err
+    rows = pd.read_csv(tmp_path / "out" / "traffic.csv")
+    assert set(rows.loc[rows["lane"] == 10, "name"]) == {"Ring, left"}
+    (tmp_path / "SITE.toml").write_text((tmp_path / "SITE.toml").read_text().replace("10", "11"))
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
+    assert code == 3
+    assert "has no lane 11" in err

@@ -35,14 +35,15 @@ TOO_SHORT = Text(
     "--counts", "hand_counts", type=FILE,
     help="CSV of counts by hand to put beside: section or lane, direction, begin, end, volume.",
 )  # fmt: skip
+@click.option("--site", type=FILE, help="SITE.toml with names and free speeds of lanes.")
 @click.option(
     "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
     help="Of the lanes' names and the titles.",
 )  # fmt: skip
 @csv_locale
 def traffic(
-    *, folder: Path, output: Path, language: str, csv_locale: str, reporter: Reporter,
-    **options: Any,
+    *, folder: Path, output: Path, site: Path | None, language: str, csv_locale: str,
+    reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
@@ -50,6 +51,10 @@ def traffic(
     given = [options[name] for name in ("sections", "hand_counts") if options[name] is not None]
     refuse_inputs(output, folder, *given)
     measured = gr.open_dataset(folder, reporter=reporter)
+    if site is not None:
+        stated = gr.read_site(site)
+        lanes = [each.model_dump() for each in stated.lane]
+        measured = measured.with_lanes(lanes, stated.map.speed_kmh)
     made = gr.make_traffic(measured, language=language, **options)
     with csv_for(csv_locale):
         outputs = made.write(output, language=language, reporter=reporter)

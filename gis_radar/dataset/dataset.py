@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from gis_radar.dataset.manifest import TILES, Manifest
 from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
 from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, read_hours
+from gis_radar.dataset.stated_lanes import stated_lanes
 from gis_radar.dataset.tables import (
     CONTINUED,
     DAY_TABLES,
@@ -408,6 +409,28 @@ class Dataset(TrafficTables):
             tiles = self._tiles()  # no layer of a file with other tiles
             self._layers[name] = tiles if name == TILES_LAYER else self._other_layer(name)
         return self._layers[name].copy()
+
+    def with_lanes(
+        self, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None = None
+    ) -> Dataset:
+        """Return the dataset with names and free speeds of lanes as stated; nothing is written.
+
+        Parameters
+        ----------
+        lanes : sequence of mapping
+            Of each lane its number `id`, and `name` and `speed_kmh`, each None where not stated.
+        speed_kmh : float, optional
+            Free speed of lanes that have none by the map.
+
+        Raises
+        ------
+        InputError
+            If a lane is none of the dataset's.
+        """
+        if not lanes and speed_kmh is None:
+            return self
+        layer = stated_lanes(self.layer(LANES_LAYER), lanes, speed_kmh, self.folder)
+        return replace(self, _layers={**self._layers, LANES_LAYER: layer})
 
     def _tiles(self) -> gpd.GeoDataFrame:
         tiles = read_tiles(self.folder / TILES)

@@ -34,6 +34,7 @@ from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_text
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.shifts import OtherLanes, shifts_of
+from gis_radar.dataset.stated_lanes import delays
 from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS, TableSchema
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
@@ -217,6 +218,7 @@ class TrafficReader:
             left_open = self._left_open(table, "lane", name)
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self._layer(LANES_LAYER)
+        table["delay_s"] = delays(table, layer, network)
         with self._speaking():
             names = lane_names(layer, network)
         at = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
@@ -239,7 +241,7 @@ class TrafficReader:
     def turns(self) -> gpd.GeoDataFrame:
         """Return a row a turn and interval, as of :meth:`gis_radar.Dataset.turns`."""
         table, network = self._rows(TURNS), self.traffic.network
-        if self.whole:
+        if self.whole and not table.empty:
             table = _like_approaches(table, self._rows(LANE_MEASURES))
         ways, layer = network.turns(), self._layer(LANES_LAYER)
         with self._speaking():
@@ -304,14 +306,15 @@ class TrafficReader:
         for name in ("counted", "stops"):
             if name in rows:
                 rows[name] = rows[name].astype("Int64")
-        if self.whole:
+        whole = self.whole and not rows.empty
+        if whole:
             hours = rows["begin"].nunique() * part_h
             rows = rows.assign(begin=rows["begin"].min(), end=rows["end"].max(), hours=hours)
         elif steps > STEPS_PER_QUARTER:
             rows = rows.assign(**_local_intervals(rows["begin"], steps, zone))
             rows["hours"] = (rows["end"] - rows["begin"]).dt.total_seconds() / 3600.0
-        if self.whole or steps > STEPS_PER_QUARTER:
-            weight = rows["visible_share"] if self.whole else 1.0
+        if whole or steps > STEPS_PER_QUARTER:
+            weight = rows["visible_share"] if whole else 1.0
             rows = _rolled_up(rows.assign(weight=weight), part_h, self.traffic.network)
         rows = rows.assign(**{name: rows[name].dt.tz_convert(zone) for name in ("begin", "end")})
         keys = _WITH_LANE if table is LANE_MEASURES else _WITH_TURN

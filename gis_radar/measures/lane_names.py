@@ -42,7 +42,8 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     Parameters
     ----------
     lanes : GeoDataFrame
-        The layer `lanes`, with all lanes of the network; it may have more.
+        The layer `lanes`, with all lanes of the network; it may have more. A column `name` holds
+        names of their own, where they have some.
     network : LaneNetwork
         Network of the site.
     """
@@ -55,6 +56,9 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     beside = [line for line, inside in zip(lines, connector, strict=True) if not inside]
     names = []
     for k, (_, row) in enumerate(known.iterrows()):
+        if isinstance(own := row.get("name"), str) and own:
+            names.append(own)
+            continue
         if connector[k]:
             way, place = place_on(lines[k], 0.0)[1], tr("in the junction")
         else:

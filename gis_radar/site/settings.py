@@ -39,6 +39,8 @@ from gis_radar.site.values import (  # fmt: skip
     within,
 )
 
+SpeedKmh = Annotated[float, Meaning("km/h, 1 to 300"), within(1.0, 300.0)]
+
 _HINT = Text("begin with: gis-radar run --template > SITE.toml")
 
 
@@ -59,6 +61,19 @@ class MapTable(TomlTable):
     """Their column of names."""
     source: TextValue | None = key('"City of Example, CC BY 4.0"', None, "none")
     """Where the map is from, and its licence."""
+    speed_kmh: SpeedKmh | None = key("50", None, "none")
+    """Free speed of lanes of which the map states none, km/h: delays count against it."""
+
+
+class LaneTable(TomlTable):
+    """A lane's own name and free speed, in place of those that follow from the map."""
+
+    id: Annotated[int, Meaning("a whole number")] = key("553")
+    """Its number, as in the column `lane` of traffic.csv."""
+    name: TextValue | None = key('"Ringstraße to the centre, left"', None, "by the map")
+    """What people call it."""
+    speed_kmh: SpeedKmh | None = key("50", None, "by the map")
+    """Its speed without other traffic, against which delays count, km/h."""
 
 
 class ScanTable(TomlTable):
@@ -237,6 +252,8 @@ class Site(TomlTable):
     """Whom to name beside the results."""
     map: MapTable
     """The lanes."""
+    lane: tuple[LaneTable, ...] = ()
+    """Names and free speeds of single lanes, a table each."""
     scan: ScanTable | None = None
     """The road from the air; needed where a pose is to be found."""
     tiles: TilesTable = TilesTable()
@@ -265,6 +282,12 @@ class Site(TomlTable):
                     at=("sensor", place, "name"),
                 )
             names[name.casefold()] = name
+        numbers = [each.id for each in self.lane]
+        for place, number in enumerate(numbers):
+            if number in numbers[:place]:
+                raise Unfit(
+                    message=Text("lane {} has two tables", number), at=("lane", place, "id")
+                )
         lost = [each.name for each in self.sensor if each.guess is not None]
         if lost and self.scan is None:
             raise Unfit(

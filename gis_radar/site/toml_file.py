@@ -20,7 +20,7 @@ Root = TypeVar("Root", bound=TomlTable)
 LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
 MOST_SENSORS = 200  # of a site: more than any town has at its junctions
 _WIDTH = 96
-OPTIONAL = ("live",)  # tables that a template shows, and that few files have
+OPTIONAL = ("live", "lane")  # tables that a template shows, and that few files have
 
 
 def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root:

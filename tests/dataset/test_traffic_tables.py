@@ -254,6 +254,26 @@ def test_the_whole_time_is_its_intervals_by_what_was_seen_of_them(measured):
     assert whole["visible_share"] == pytest.approx(quarters["visible_share"].mean())
     assert whole["volume_se"] > np.sqrt((known["volume_se"] ** 2).sum())
     assert whole["speed_kmh"] == pytest.approx(36.0, rel=1e-3)
+    assert measured.turns(whole=True).empty  # one lane has none
+
+
+def test_names_and_free_speeds_that_a_site_states_are_those_of_earlier_measures(dataset):
+    update(dataset)
+    before = dataset.traffic()
+    stated = [{"id": 7, "name": "Main Street, bus lane", "speed_kmh": 72.0}]
+    after = dataset.with_lanes(stated).traffic()
+    assert after["name"].unique().tolist() == ["Main Street, bus lane"]
+    assert before["delay_s"].dropna().tolist() == pytest.approx([0.0] * 3, abs=1e-3)
+    # 60 m at 36 km/h take 6 s, at 72 km/h 3
+    assert after["delay_s"].dropna().tolist() == pytest.approx([3.0] * 3, abs=0.01)
+    hours = dataset.with_lanes(stated).traffic("1h")
+    assert hours["delay_s"].dropna().tolist() == pytest.approx([3.0], abs=0.01)
+    pd.testing.assert_frame_equal(dataset.traffic(), before)
+    speed = dataset.with_lanes([{"id": 7, "name": None, "speed_kmh": None}], 18.0)
+    assert speed.traffic()["name"].tolist() == before["name"].tolist()
+    assert speed.traffic()["delay_s"].dropna().tolist() == pytest.approx([0.0] * 3, abs=1e-3)
+    with pytest.raises(InputError, match="has no lane 8"):
+        dataset.with_lanes([{"id": 8}])
 
 
 def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):

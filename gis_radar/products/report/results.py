@@ -182,6 +182,10 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
         )
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
+    if measured is not None and measured.has_vehicles:
+        site = run.get("site") or {}
+        free_kmh = (site.get("map") or {}).get("speed_kmh")
+        measured = measured.with_lanes(site.get("lane") or (), free_kmh)
     poses = _poses(folder, measured)
     missing += [
         Text(

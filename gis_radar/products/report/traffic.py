@@ -474,6 +474,6 @@ _OF_QUEUES = {
     "queue_max_m": (Text("Longest queue"), Text("m")),
     "queue_mean_m": (Text("Mean queue"), Text("m")),
     "stops": (Text("Stops"), Text("vehicles")),
-    "delay_s": (Text("Delay"), Text("s a vehicle, against free speed")),
+    "delay_s": (Text("Delay"), Text("s a vehicle")),
     "speed_kmh": (Text("Mean speed"), Text("km/h, waiting included")),
 }
