@@ -261,7 +261,7 @@ class LaneField:
 
     @cached_property
     def arrays(self) -> FieldArrays:
-        """All that :func:`lanes_at` needs."""
+        """Arguments of :func:`lanes_at`."""
         size = np.array([self.columns, self.rows], np.int64)
         samples = np.column_stack(
             [

@@ -85,12 +85,12 @@ class Layout:
 
     @property
     def placed(self) -> bool:
-        """Whether there are positions."""
+        """Whether the fields hold positions."""
         return self._has(CARTESIAN[:2]) or self._has(POLAR[:2])
 
     @property
     def is_radar(self) -> bool:
-        """Whether there are positions and range rates, which only clouds of radars have."""
+        """Whether the fields hold positions and range rates, as only clouds of radars do."""
         return self.placed and "range_rate" in self.sources
 
     @np.errstate(over="ignore", invalid="ignore")
@@ -112,7 +112,7 @@ class Layout:
         return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)
 
     def explain(self, sensor: str, context: ReaderContext) -> None:
-        """Report a field whose name does not say what it is read as."""
+        """Report a field that is read as something else than its name."""
         if self.rcs_from_intensity:
             context.remark(
                 Text(

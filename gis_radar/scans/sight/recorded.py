@@ -63,7 +63,7 @@ class MovingHits:
     Parameters
     ----------
     sight : Sight
-        What the sensor sees from that pose.
+        Sight of the sensor from that pose.
     count : (n,) int64 array
         Number of frames with a moving detection on each tile, in the order of the tiles.
     frames : int
@@ -83,7 +83,7 @@ class MovingHits:
 
 @dataclass(kw_only=True)
 class MovementCounter:
-    """Counts the frames with movement on each tile, batch by batch of a recording.
+    """Counter of the frames with movement on each tile, batch by batch of a recording.
 
     Parameters
     ----------
