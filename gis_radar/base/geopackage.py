@@ -271,7 +271,6 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
 
     A layer's default style stays its default; a style of ours that nobody changed is not copied.
 
-
     Parameters
     ----------
     path : Path

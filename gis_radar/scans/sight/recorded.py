@@ -195,14 +195,11 @@ def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) ->
         both[0] += int(np.count_nonzero(each.no_movement))
         both[1] += int(np.count_nonzero(each.movement))
     for sensor, (still, moving) in counts.items():
-        parts = [
-            *(
-                [Text("nothing moves on {} tiles in sight where vehicles pass", still)]
-                if still
-                else []
-            ),
-            *([Text("something moves on {} hidden tiles", moving)] if moving else []),
-        ]
+        parts = []
+        if still:
+            parts.append(Text("nothing moves on {} tiles in sight where vehicles pass", still))
+        if moving:
+            parts.append(Text("something moves on {} hidden tiles", moving))
         if parts:
             reporter.warn(
                 "the recording of {} contradicts its sight: {}; was it built or pulled "

@@ -451,8 +451,7 @@ def _follow_rays(
 ) -> tuple[Floats, Any, Floats]:
     """Follow rays from `eye` to `targets`, all in metres from the corner of the cells.
 
-    Returns, for each target, the distance at which its ray is first blocked (m; NaN if it is not),
-    the hider's number, and the length over cells without scan (m).
+    Returns, by target, distance (m, else NaN) and kind of the first block, and length over no scan.
     """
     count = len(targets)
     begin_m, unknown_m = np.full(count, np.nan), np.zeros(count)
