@@ -1,4 +1,4 @@
-"""What all rooms stand on: errors and texts, time, coordinate systems, files and processes.
+"""The base of all rooms: errors and texts, time, coordinate systems, files and processes.
 
 What the room offers is listed in `__init__.pyi` and loaded when it is first used.
 """

@@ -22,7 +22,7 @@ class GisRadarError(Exception):
     hint : str, optional
         One line: what to do about it.
     parts : sequence of GisRadarError
-        Where it is about several things: an error for each of them, with its own hint.
+        For an error about several things: one for each of them, with its own hint.
 
     Examples
     --------
@@ -47,7 +47,7 @@ class GisRadarError(Exception):
 
     @property
     def hint(self) -> str:
-        """What to do about it, or nothing; tracebacks and notebooks show it below the message."""
+        """Advice to the user, or empty; tracebacks and notebooks show it below the message."""
         return self._hint
 
     @hint.setter

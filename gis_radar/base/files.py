@@ -37,7 +37,7 @@ FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Libraries that write our files. Their errors are recognised by module: importing takes a second.
 _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"}
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
-LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
+LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
 
 _unfinished: set[Path] = set()
 _CLEARING_FILES = 4  # file descriptors that the removal of a nested folder needs
@@ -95,7 +95,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     Parameters
     ----------
     path : Path
-        Where the file shall be; an existing file is replaced in one move.
+        Final path of the file; an existing file is replaced in one move.
 
     Yields
     ------
@@ -160,9 +160,9 @@ def atomic_folder(
     Parameters
     ----------
     path : Path
-        Where the folder shall be. An earlier result there is replaced as a whole.
+        Final path of the folder. An earlier result there is replaced as a whole.
     owned : tuple of str
-        What the names of our own files begin with. A folder that holds anything else is not
+        Prefixes of the names of our own files. A folder that holds anything else is not
         replaced.
     reporter : Reporter
         Receives a warning where the file system has no locks; the folder is then written without.

@@ -39,13 +39,13 @@ DAMAGE = (
     shapely.errors.ShapelyError, pa.ArrowException, OSError, ValueError, TypeError, LookupError,
     OverflowError, RecursionError, ProjError,
 )  # fmt: skip
-"""What libraries raise when they read a damaged file."""
+"""Errors that libraries raise for a damaged file."""
 _LOCKED = "database is locked"  # in SQLite's message
 _HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
 PATIENCE_S = 2.0  # wait for a program that is about to end its writing
 _OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
 
-# As QGIS itself makes it; GDAL and QGIS look for it by this name.
+# The table as QGIS makes it; GDAL and QGIS look for it by this name.
 _TABLE = """
 CREATE TABLE layer_styles (
     id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
@@ -89,9 +89,9 @@ def opened_package(path: str | Path, *, what: str, hint: str = "") -> Iterator[P
     path : str or Path
         The file.
     what : str
-        What it should be, for the message: `a heat map`.
+        Expected content, for the message: `a heat map`.
     hint : str
-        How to come by one.
+        How to get one, for the message.
 
     Yields
     ------
@@ -215,7 +215,7 @@ def describe_layers(database: sqlite3.Connection, notes: Mapping[str, LayerNotes
     database : sqlite3.Connection
         A GeoPackage that GDAL has written with metadata of its layers.
     notes : mapping
-        By layer; fields that the layer does not have are left out.
+        Notes by layer; fields that the layer does not have are left out.
     """
     database.execute(_FIELDS)
     database.execute(_EXTENSION)
@@ -270,7 +270,6 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
     """Copy the styles that somebody has saved in the file that a new one replaces.
 
     A layer's default style stays its default; a style of ours that nobody changed is not copied.
-
 
     Parameters
     ----------
@@ -389,7 +388,7 @@ def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -
     path : Path
         The file, which need not be there.
     layer : str
-        Its name.
+        Name of the layer.
     **options
         As for :func:`pyogrio.write_dataframe`.
     """

@@ -40,9 +40,9 @@ def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
     path : str or Path
         The file, in UTF-8.
     what : str
-        What it should be, for the message: `a pose`.
+        Expected content, for the message: `a pose`.
     hint : str
-        How to come by one.
+        How to get one, for the message.
 
     Raises
     ------

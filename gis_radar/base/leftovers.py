@@ -112,9 +112,9 @@ def clear_abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False
     Parameters
     ----------
     folder : Path
-        Where outputs are, absolute.
+        Folder of outputs, absolute.
     named : re.Pattern
-        Which private folders in it: those of one output, or :data:`PRIVATE` for all.
+        Names of the private folders: those of one output, or :data:`PRIVATE` for all.
     alone : bool
         Whether the caller holds the lock of the output: then no other run is making one.
     """

@@ -30,7 +30,7 @@ def card(title: str, figures: Mapping[str, Any], *, picture: bytes = b"") -> str
     Parameters
     ----------
     title : str
-        What it is.
+        Title of the result.
     figures : mapping
         Values by name; underscores in names become spaces.
     picture : bytes
@@ -47,7 +47,7 @@ def table_card(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]
     Parameters
     ----------
     title : str
-        What it is.
+        Title of the result.
     columns : sequence of str
         The head.
     rows : sequence of sequences

@@ -84,7 +84,7 @@ def run_child(
     command : sequence of str
         The program and its arguments.
     stdin, stderr : file
-        What it reads, and where its messages go; its standard output is dropped.
+        Its standard input, and a file for its messages; its standard output is dropped.
     environment : mapping of str to str
         The environment it is started in.
     waiting : callable
@@ -214,7 +214,7 @@ def stop_workers(workers: Iterable[BaseProcess]) -> None:
     Parameters
     ----------
     workers : iterable of multiprocessing.process.BaseProcess
-        Those of a pool. They get SIGTERM, and are killed with their groups soon after.
+        Workers of a pool. They get SIGTERM, and are killed with their groups soon after.
     """
     workers = list(workers)
     for worker in workers:

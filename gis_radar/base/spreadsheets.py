@@ -15,7 +15,7 @@ import pandas as pd
 
 from gis_radar.base.errors import UsageError
 
-# What makes a spreadsheet take a cell for a formula (OWASP), in ASCII and in full width.
+# First characters of formulas in spreadsheets (OWASP), in ASCII and in full width.
 FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 
 

@@ -147,11 +147,11 @@ def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
     Parameters
     ----------
     value : str, datetime or numpy.datetime64
-        Such as `2025-06-12 07:30`, or `2025-06-12T05:30Z`; 24:00 is the end of a day.
+        A time such as `2025-06-12 07:30`, or `2025-06-12T05:30Z`; 24:00 is the end of a day.
     zone : ZoneInfo
         Zone of a time without an offset.
     what : str
-        What the time is, for messages.
+        Name of the time, for messages.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def zone_of(name: str) -> ZoneInfo:
 
 
 def utc_offsets(zone: ZoneInfo, begin: datetime, end: datetime) -> list[tuple[datetime, int]]:
-    """Return the times from which an offset from UTC (seconds) holds; the first is `begin`."""
+    """Return (time, offset from UTC in seconds) wherever the offset changes, first at `begin`."""
 
     def offset_at(moment: datetime) -> int:
         return round((moment.astimezone(zone).utcoffset() or timedelta()).total_seconds())
@@ -262,7 +262,7 @@ def utc_offsets(zone: ZoneInfo, begin: datetime, end: datetime) -> list[tuple[da
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """Writes times as local times of a site.
+    """Formatter of times as local times of a site.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ class Clock:
         return short_day(self._local(moment))
 
     def stamp(self, moment: datetime) -> str:
-        """Return day and time to the minute, also where all times are of one day."""
+        """Return day (always), time to the minute, and the offset where it changes."""
         local = self._local(moment)
         return f"{short_day(local)} {local:%H:%M}" + (f" {_offset(local)}" if self._changes else "")
 

@@ -43,12 +43,12 @@ def read_vector(
     path : str or Path
         The file, on this machine.
     what : str
-        What it should be, for messages: `map`.
+        Expected content, for messages: `map`.
     choose : str or callable, optional
         The layer; or a function that chooses it, given the kind of geometry of each layer, and
         the path. By default the first.
     columns : sequence of str, optional
-        Which to read beside the geometry; None for all.
+        Columns to read beside the geometry; None for all.
     reporter : Reporter
         Receives what the libraries warn of.
 

@@ -69,9 +69,9 @@ class Result:
     summary : mapping
         Figures worth a look, by name; a mapping of mappings is a table.
     failure : GisRadarError, optional
-        What is missing, reported as an error after the result.
+        Error about missing parts, reported after the result.
     advice : str
-        What to do next; for people only.
+        Advice on the next step; for people only.
     timezone : str
         IANA zone of the times that people read in the summary; JSON keeps UTC.
     rows : sequence of mappings, optional
@@ -112,7 +112,7 @@ class Console(Reporter):
 
 
 class JsonConsole(Console):
-    """Writes a JSON object a line to standard output; English unless the environment chooses."""
+    """Console of JSON objects, one a line on standard output; English unless set otherwise."""
 
     def __init__(self) -> None:
         self.language = users_language(chosen_only=True)
@@ -152,7 +152,7 @@ class JsonConsole(Console):
 
 
 class TerminalConsole(Console):
-    """Writes bars and remarks to standard error, the result to standard output."""
+    """Console of bars and remarks on standard error, and of the result on standard output."""
 
     def __init__(self) -> None:
         self.language = users_language()
@@ -273,7 +273,7 @@ TRACEBACK = "GIS_RADAR_TRACEBACK"
 """The environment variable that shows the traceback of an unforeseen error."""
 UNFORESEEN = "unforeseen"
 NO_MEMORY = Text("there is not enough memory")
-LEAST_FREE_BYTES = 64 << 20  # with 100 MiB the commands work or say so; with 30 GDAL aborts
+LEAST_FREE_BYTES = 64 << 20  # with 100 MiB commands work or end with an error; with 30 GDAL aborts
 # In errors of the loader, of threads and of LLVM, which raise no MemoryError.
 _NO_MEMORY_TEXTS = (
     "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",

@@ -26,7 +26,7 @@ class Parsed(click.ParamType):  # type: ignore[type-arg]
     Parameters
     ----------
     name : str
-        What the text looks like, as shown in the help: `E,N`.
+        Form of the text, as shown in the help: `E,N`.
     parse : callable
         Returns the value; where it raises a ValueError or a UsageError, the usage is wrong.
     """

@@ -114,10 +114,7 @@ def lane_headings(
 
 
 def _straightest(turns: dict[float, int]) -> int | None:
-    """Return the lane that continues most straight; None at a fork of two as straight, or a corner.
-
-    `turns` holds a lane by its turn, radians.
-    """
+    """Return the lane (by turn, rad) that continues straightest; None at a corner or even fork."""
     least, *others = sorted(turns, key=abs) or [np.inf]
     parts = any(
         abs(each - least) > ALIKE_RAD and abs(each) - abs(least) < ALIKE_RAD for each in others

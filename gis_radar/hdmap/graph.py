@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TypeAlias
 
 import geopandas as gpd
@@ -71,12 +72,8 @@ class LaneGraph:
 
     def reversed(self) -> LaneGraph:
         """Return the graph as it is driven when time runs backward."""
-        order = np.concatenate(
-            [
-                np.arange(b - 1, a - 1, -1)
-                for a, b in zip(self.first[:-1], self.first[1:], strict=True)
-            ]
-        )
+        spans = pairwise(self.first.tolist())
+        order = np.concatenate([np.arange(end - 1, begin - 1, -1) for begin, end in spans])
         lane = np.repeat(np.arange(len(self.lanelet_id)), np.diff(self.first))
         before: list[list[int]] = [[] for _ in self.lanelet_id]
         for index, following in enumerate(self.successors):
@@ -261,17 +258,10 @@ class LaneField:
 
     @cached_property
     def arrays(self) -> FieldArrays:
-        """All that :func:`lanes_at` needs."""
+        """Arguments of :func:`lanes_at`."""
         size = np.array([self.columns, self.rows], np.int64)
-        samples = np.column_stack(
-            [
-                self.points,
-                self.s_m,
-                self.heading,
-                self.half_width_m,
-                np.full(len(self.s_m), self.shift),
-            ]
-        )
+        shift = np.full(len(self.s_m), self.shift)
+        samples = np.column_stack([self.points, self.s_m, self.heading, self.half_width_m, shift])
         return self.first, self.segment, size, self.lane_of, samples
 
     def lanes(self, points: Floats) -> pd.DataFrame:

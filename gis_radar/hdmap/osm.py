@@ -72,7 +72,7 @@ class OsmMap:
     elevation : (n,) array
         The tag `ele` in metres; NaN where missing.
     ways, relations : dict
-        By id.
+        Ways and relations by id.
     doubled : tuple of (str, int)
         Kind and id of each element whose id an earlier one has; the first one counts.
     odd_heights : tuple of (int, str)
@@ -158,7 +158,7 @@ def _not_xml(path: str | Path, error: Exception, line: int) -> str:
 
 
 class _Collector:
-    """Collects elements as the parser meets them; one node, way or relation is open at a time."""
+    """Collector of elements as the parser meets them; one node, way or relation is open."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

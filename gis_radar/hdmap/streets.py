@@ -44,7 +44,7 @@ def name_streets(
     streets : GeoDataFrame, str or Path, optional
         Lines of streets.
     field : str, optional
-        Their column of names.
+        Column of their names.
     reporter : Reporter
         Receives remarks on lanes without a name and streets of one name.
 

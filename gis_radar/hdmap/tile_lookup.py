@@ -50,10 +50,7 @@ def _visit(  # pragma: no cover - compiled
     cursor: Integers,
     tiles: Numbers,
 ) -> None:
-    """Store each tile at the cursor of each cell that it touches, and advance that cursor.
-
-    A first run with empty `tiles` only advances the cursors, which then are counts.
-    """
+    """Advance the cursors of cells that a tile touches; store it there unless `tiles` is empty."""
     for tile in range(len(quads)):
         quad = quads[tile]
         low_column = max(int((quad[:, 0].min() - SLACK_M) / cell_m), 0)

@@ -66,7 +66,7 @@ class HashedFrames:
 
 @dataclass(kw_only=True)
 class FrameHasher:
-    """Hashes the frames of a recording, batch by batch."""
+    """Hasher of the frames of a recording, batch by batch."""
 
     _time: Floats = field(default_factory=lambda: np.array([math.nan]))
     _state: Hashes = field(default_factory=lambda: np.zeros(3, np.uint64))

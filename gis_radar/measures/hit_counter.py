@@ -58,7 +58,7 @@ class Counted:
 
 
 class HitCounter:
-    """Finds the tiles that the frames of one sensor hit, batch by batch.
+    """Counter of the tiles that the frames of one sensor hit, batch by batch.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class CountedFrame:
 
 
 class FrameCounter:
-    """Finds the tiles that single frames hit, for a sensor's program in the live system.
+    """Counter of the tiles that single frames hit, for a sensor's program in the live system.
 
     Parameters
     ----------

@@ -196,10 +196,7 @@ def sorted_hits(
 
 
 def _packed_runs(sensor: SensorHour, frames: ValidFrames, window: HourWindow) -> Numbers:
-    """Return, packed into a number for each frame, its step and its length of validity.
-
-    Steps count from `LENGTHS` before the hour's begin.
-    """
+    """Return each frame's step, from `LENGTHS` before the hour on, packed with its validity."""
     step = sensor.counted[:, TIME_US] // STEP_US
     valid = frames.until_of(step) - step
     return ((step - window.begin + LENGTHS) * LENGTHS + valid).astype(np.int32)

@@ -154,7 +154,7 @@ class LaneNetwork:
 
     @property
     def connector(self) -> Booleans:
-        """Which lanes lead from a branch to a merge, and have no stop line."""
+        """Mask of the connectors: from a branch to a merge, without a stop line."""
         before = self.before
         return np.array(
             [

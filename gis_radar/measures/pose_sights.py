@@ -121,7 +121,7 @@ class PlacedRecording:
 
 @dataclass(frozen=True, kw_only=True)
 class SightBook:
-    """Finds and keeps the sights of poses, by tiles and scan.
+    """Collection of the sights of poses, found by tiles and scan.
 
     Parameters
     ----------

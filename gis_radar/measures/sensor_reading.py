@@ -238,7 +238,7 @@ class _Reading:
 
 
 class _Counter:
-    """Counts the hits of a recording."""
+    """Counter of the hits of a recording."""
 
     def __init__(self, reading: _Reading) -> None:
         self._reading, target = reading, reading.target

@@ -64,10 +64,7 @@ class PoseTrack:
         return np.maximum(np.searchsorted(self.since, time, side="right") - 1, 0)
 
     def runs(self, time: Floats) -> Iterator[tuple[int, int, int]]:
-        """Yield (index of the pose, begin, end) of each run of ascending times with one pose.
-
-        `begin` and `end` are indices into `time` (UNIX seconds), which is not empty.
-        """
+        """Yield each pose's index, with begin and end of its run in ascending times (UNIX s)."""
         first, last = self.at(time[[0, -1]]).tolist()
         borders = np.searchsorted(time, self.since[first + 1 : last + 1]).tolist()
         for index, (begin, end) in enumerate(pairwise([0, *borders, len(time)]), start=first):

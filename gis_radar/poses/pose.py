@@ -96,12 +96,12 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """Where a sensor stands and looks: rotation and translation sensor -> map.
+    """Position and orientation of a sensor: rotation and translation sensor -> map.
 
     Parameters
     ----------
     sensor : str
-        Its name.
+        Name of the sensor.
     crs : CRS
         The map frame: projected, metric, z up.
     easting, northing, height : float
@@ -112,7 +112,7 @@ class Pose:
     view : View, optional
         Its field of view; None where not stated.
     evidence : dict
-        What else the pose file holds (sigma, covariance, time, method, ...), kept as read.
+        Further fields of the pose file (sigma, covariance, time, method, ...), kept as read.
     """
 
     sensor: str
@@ -307,7 +307,7 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
     record : mapping
         Fields of a pose file. Angles count; a quaternion beside them must agree.
     what : str
-        Where the record comes from; begins error messages.
+        Source of the record; begins error messages.
 
     Raises
     ------
@@ -392,7 +392,7 @@ def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:
     centre : (2,) array
         Easting, northing, metres.
     covariance : (2, 2) array
-        Of easting and northing, m^2.
+        Covariance of easting and northing, m^2.
     """
     values, axes = np.linalg.eigh(covariance)
     half_m = np.sqrt(np.maximum(values, 0.0) * _CHI2_95)

@@ -13,8 +13,7 @@ from gis_radar.recordings.frames import Column, DamagedError, Frame, ReaderConte
 from gis_radar.recordings.recording import COLUMNS
 from gis_radar.recordings.units import refuse_degrees
 
-# Names that radar drivers and data sets use, in any case, with or without underscores; the first
-# one that a file has counts.
+# Names in radar drivers and data sets, compared without case and underscores; the first one counts.
 NAMES: dict[str, tuple[str, ...]] = {
     "time": ("time", "timestamp", "t", "stamp"),
     "x": ("x", "x_m", "pos_x"),
@@ -85,20 +84,17 @@ class Layout:
 
     @property
     def placed(self) -> bool:
-        """Whether there are positions."""
+        """Whether the fields hold positions."""
         return self._has(CARTESIAN[:2]) or self._has(POLAR[:2])
 
     @property
     def is_radar(self) -> bool:
-        """Whether there are positions and range rates, which only clouds of radars have."""
+        """Whether the fields hold positions and range rates, as only clouds of radars do."""
         return self.placed and "range_rate" in self.sources
 
     @np.errstate(over="ignore", invalid="ignore")
     def points(self, values: Values) -> Column:
-        """Return the positions in the sensor frame, (n, 3) float32, metres.
-
-        z is NaN without height or elevation.
-        """
+        """Return positions, sensor frame, (n, 3) float32, m; z is NaN without elevation."""
         if self._has(CARTESIAN[:2]):
             axes = [self._read(axis, values) for axis in CARTESIAN]
             return np.column_stack(axes).astype(np.float32, copy=False)
@@ -112,7 +108,7 @@ class Layout:
         return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)
 
     def explain(self, sensor: str, context: ReaderContext) -> None:
-        """Report a field whose name does not say what it is read as."""
+        """Report a field that is read as something else than its name."""
         if self.rcs_from_intensity:
             context.remark(
                 Text(
@@ -260,10 +256,7 @@ def message_rows(message: Any) -> Column:
 
 
 def values_of(rows: Column) -> Values:
-    """Return a function that reads a field of structured rows in native byte order.
-
-    Of a field with several numbers a row it reads the first.
-    """
+    """Return a function that reads the first number of a field in each row, in native order."""
 
     def read(name: str) -> Column:
         column = rows[name]

@@ -30,7 +30,7 @@ from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
 
-# What readers and their libraries raise on damaged bytes.
+# Errors that readers and their libraries raise for damaged bytes.
 DAMAGE = (
     struct.error, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
     MemoryError, RuntimeError, TypeError, ValueError,
@@ -80,7 +80,7 @@ class Conversion:
     recordings : tuple of SensorRecording
         One a sensor.
     left_out : mapping of str to int
-        What was dropped or mended, by kind.
+        Numbers of what was dropped or mended, by kind.
     remarks : tuple of str
         How unclear fields were read, and what is not known.
     """
@@ -175,7 +175,7 @@ class Tracks:
     place : Path
         Final path of the recording; those of several sensors are named after it.
     clock : str
-        Whose times count: `auto`, `sensor` or `recorder`.
+        Clock that counts: `auto`, `sensor` or `recorder`.
     context : ReaderContext
         Options and counts of the readers.
     """
@@ -294,9 +294,9 @@ def convert(
     time_unit : str
         Unit of times in tables: `s`, `ms`, `us` or `ns` since 1970.
     clock : str
-        Whose times count: `auto` takes the sensor's where they are right, else the recorder's.
+        Clock that counts: `auto` takes the sensor's if it is right, else the recorder's.
     duration_s : float, optional
-        How long to listen to an address; without it until Ctrl-C.
+        Seconds to listen to an address; without it until Ctrl-C.
     reporter : Reporter
         Receives progress and remarks.
 

@@ -48,7 +48,7 @@ class CsvTable:
         Parameters
         ----------
         columns : sequence of str, optional
-            Which; by default all.
+            Columns to read; by default all.
 
         Raises
         ------

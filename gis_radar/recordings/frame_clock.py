@@ -37,7 +37,7 @@ TAI_AHEAD_S = 37.0
 
 
 class FrameClock:
-    """Chooses the clock for the times of one sensor's frames, in order of arrival.
+    """Choice of the clock for the times of one sensor's frames, in order of arrival.
 
     The first frames decide; where the sensor's clock goes wrong later, the recorder's counts from
     there on, for good: two clocks in turn would shuffle the frames. A sensor's clock is right if

@@ -15,7 +15,7 @@ def time_warnings(recorded: Mapping[str, Sequence[tuple[float, float, Path]]]) -
     Parameters
     ----------
     recorded : mapping of str to sequence of (float, float, Path)
-        By sensor, first and last time of each recording, UNIX seconds, and its file.
+        First and last time of each recording, UNIX seconds, and its file, by sensor.
     """
     for sensor, spans in recorded.items():
         ordered = sorted(spans)

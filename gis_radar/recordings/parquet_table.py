@@ -29,7 +29,7 @@ def parquet_batches(
     path : Path
         The file.
     columns : sequence of str, optional
-        Which; by default all.
+        Columns to read; by default all.
     first_group : int
         The row group to begin with.
 

@@ -65,7 +65,7 @@ class Detections:
 
     @property
     def present(self) -> Booleans:
-        """Which rows are detections; the others stand for frames without detections."""
+        """Mask of the rows that are detections; other rows are frames without detections."""
         return ~np.isnan(self.points[:, 0])
 
     @property
@@ -288,7 +288,7 @@ def _require_columns(names: list[str], path: Path) -> None:
 
 @dataclass(kw_only=True)
 class RowChecks:
-    """Checks the rows of a recording, batch by batch.
+    """Checks of the rows of a recording, batch by batch.
 
     Parameters
     ----------

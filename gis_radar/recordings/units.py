@@ -67,7 +67,7 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
     Parameters
     ----------
     angles : (n,) array
-        Of one frame or more.
+        Angles of one frame or more, radians.
     field, name : str
         The file's field, and what it is read as: `azimuth` or `elevation`.
 

@@ -25,7 +25,7 @@ class LimitedStream:
     stream : binary file
         Yields the unpacked bytes.
     packed_bytes : int
-        How many bytes the packed file has.
+        Size of the packed file, bytes.
     """
 
     def __init__(self, stream: BinaryIO, packed_bytes: int) -> None:

@@ -68,7 +68,7 @@ class RollingWindow:
 
     @property
     def full(self) -> bool:
-        """Whether it has its whole length."""
+        """Whether the window has its whole length."""
         return len(self._times) == self._times.maxlen
 
     @property

@@ -25,7 +25,7 @@ FAULTS = (
     lazrs.LazrsError, MemoryError, OSError, OverflowError, RuntimeError, ValueError, KeyError,
     IndexError, TypeError, struct.error,
 )  # fmt: skip
-"""What reading a damaged scan raises, beside laspy's own errors."""
+"""Errors that reading a damaged scan raises, beside laspy's own."""
 
 _VLR_BYTES, _EVLR_BYTES = 54, 60
 _LASZIP = b"laszip encoded"

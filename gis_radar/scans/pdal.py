@@ -35,7 +35,7 @@ INSTALL_HINT = Text(
     "conda-forge pdal`, with QGIS on Windows, or by `apt-get install pdal` on systems "
     "with that package"
 )
-"""How to come by PDAL, in one line."""
+"""Advice on installing PDAL, in one line."""
 
 VARIABLE = "GIS_RADAR_PDAL"
 """The environment variable that names a program to use in place of the one on the PATH."""
@@ -52,7 +52,7 @@ class PdalRunner:
     Parameters
     ----------
     path : str
-        Its program.
+        Path of the program.
     version : tuple of int
         Major, minor, patch.
     """
@@ -122,7 +122,7 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
     Returns
     -------
     PdalRunner or None
-        None where there is none; :data:`INSTALL_HINT` says how to get one.
+        None where there is none; :data:`INSTALL_HINT` is advice on installing one.
     """
     named = os.environ.get(VARIABLE)
     folders = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])

@@ -106,10 +106,7 @@ def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: flo
 
 
 def _numbered(conflicts: Integers, points: Floats, owner: Integers, count: int) -> Integers:
-    """Return the level of each lanelet: the lowest that no lanelet in conflict with it has.
-
-    Lanelets choose in the order of their mean heights.
-    """
+    """Return the level of each lanelet, by mean height: the lowest free of conflicts with it."""
     number = np.zeros(count, np.int64)
     mean = np.bincount(owner, points[:, 2], count) / np.maximum(np.bincount(owner, None, count), 1)
     rivals: defaultdict[int, set[int]] = defaultdict(set)

@@ -1,4 +1,4 @@
-"""A site as one file, and the whole way from its raw data to its heat maps.
+"""Sites: the site file, its check, and the run from raw data to heat maps.
 
 What the room offers is listed in `__init__.pyi` and loaded when it is first used.
 """

@@ -1,4 +1,4 @@
-"""Check a site before its run: open what its file names, and see whether it fits together."""
+"""Check a site before its run: open the files that it names, and compare them with each other."""
 
 from __future__ import annotations
 
@@ -43,30 +43,30 @@ from gis_radar.scans import open_scan, read_road, road_crs
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
 
-# A sensor farther from all lanes is not of this map: no radar that sees a road stands so far beside
-# it (the farthest of the view).
+# Farthest distance of a sensor from the nearest lane: the default range of a view. Beyond it, the
+# map is of another place.
 NEAR_MAP_M = 300.0
-# Shorter recordings of a sensor whose pose is to be found are named: 100 s of traffic are a good
-# length, half of it rarely does.
+# Recordings shorter than this are reported if the pose must be found: 100 s of traffic are a good
+# length, half of that rarely suffices.
 LEAST_S = 60.0
-# A time zone so many hours from the sun's time at the site is probably another place's: the widest
-# of the world, China's in its west, is 3.2 off.
+# Greatest difference, hours, of a time zone from the sun's time at the site; the greatest in the
+# world, in the west of China, is 3.2. With more, the zone is probably that of another place.
 ZONE_HOURS = 3.5
-ANGLE_SHARE = 0.999  # of the detections within the measured view, as its range has it
+ANGLE_SHARE = 0.999  # share of the detections within the measured view, as for its range
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorCheck:
-    """What the recordings of a sensor hold.
+    """Times, detections and measured view of a sensor's recordings.
 
     Parameters
     ----------
     begin, end : float
-        UNIX seconds; NaN where all are converted first.
+        First and last time, UNIX seconds; NaN where all recordings must be converted first.
     detections : int
-        How many there are.
+        Number of detections.
     view : dict
-        Measured: `azimuth_deg`, `elevation_deg`, `max_range_m`; empty without detections.
+        Measured `azimuth_deg`, `elevation_deg`, `max_range_m`; empty without detections.
     """
 
     begin: float
@@ -84,22 +84,22 @@ class SensorCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class SiteCheck:
-    """What a check found: nothing stands in the way of a run, or it had failed.
+    """Result of a check of a site.
 
     Parameters
     ----------
     site : Site
         The site.
     crs : str
-        The map frame.
+        Name of the map frame.
     lanelets : int
-        How many lanelets the map has.
+        Number of lanelets in the map.
     sensors : dict
-        What each sensor recorded, by name.
+        Check of each sensor's recordings, by name.
     findings : tuple of Finding
         Whether the given poses fit recordings and map, by sensor.
     warnings : tuple of str
-        What to know before the run.
+        Warnings to read before the run.
     """
 
     site: Site
@@ -125,7 +125,7 @@ class SiteCheck:
 
     @property
     def failure(self) -> NoAnswerError | None:
-        """What stands in the way of a run: sensors that do not fit and are not accepted."""
+        """Error that stops a run: sensors that do not fit and are not accepted; else None."""
         accepted = [each.name for each in self.site.sensor if each.accept]
         try:
             refuse_implausible(self.findings, accepted, SILENT)
@@ -143,12 +143,12 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     path : str or Path
         The site file, see :func:`read_site`.
     reporter : Reporter
-        Receives progress, and a warning for each thing that is odd.
+        Receives progress, and all warnings.
 
     Returns
     -------
     SiteCheck
-        With what each sensor recorded, and the view that its detections show.
+        The result, with the view that the detections of each sensor show.
 
     Raises
     ------
@@ -162,8 +162,8 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     for sensor in site.sensor:
         _check_place(sensor, roads)
     warnings = list(_zone_warning(site, roads))
-    told = _Warnings(warnings)
-    lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=told)
+    collector = _WarningCollector(warnings)
+    lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=collector)
     found: dict[str, SensorCheck] = {}
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for done, sensor in enumerate(site.sensor):
@@ -179,7 +179,7 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     findings = _check_poses(site, roads, reporter)
     accepted = {each.name for each in site.sensor if each.accept}
     warnings += [f.doubt for f in findings if f.doubt and (not f.refused or f.sensor in accepted)]
-    folder = site.path.absolute().parent  # as in remarks of a run
+    folder = site.path.absolute().parent  # files are named from it, as in a run
     warnings = [in_site_words(line, site.timezone, folder) for line in warnings]
     for line in warnings:
         reporter.warn(line)
@@ -234,7 +234,7 @@ def _check_place(sensor: Sensor, roads: LaneletMap) -> None:
 
 
 def _check_poses(site: Site, roads: LaneletMap, reporter: Reporter) -> tuple[Finding, ...]:
-    """Check whether given poses fit recordings and map; a run checks what it converts or finds."""
+    """Check given poses against recordings and map; a run checks those it converts or finds."""
     given, clocks = {}, read_clocks(site.measure.clocks) if site.measure.clocks else {}
     for each in site.sensor:
         ours = [path for path in each.recordings if path not in each.foreign]
@@ -272,7 +272,7 @@ def _sensor_check(
     sensor: Sensor, spans: list[tuple[float, float, Path]], counts: _ViewCounts,
     warnings: list[str],
 ) -> SensorCheck:  # fmt: skip
-    """Return what the recordings of a sensor hold; what is odd goes to the warnings."""
+    """Return the check of a sensor's recordings; add warnings to `warnings`."""
     if not spans:
         return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
     longest = max(each[1] - each[0] for each in spans)
@@ -291,14 +291,14 @@ def _sensor_check(
     )  # fmt: skip
 
 
-class _Warnings(Reporter):
-    """Adds warnings to a list."""
+class _WarningCollector(Reporter):
+    """A receiver that adds warnings to a list."""
 
     def __init__(self, lines: list[str]) -> None:
         self._lines = lines
 
     def log(self, message: str, level: Level = "info") -> None:
-        """Keep a warning; the run repeats what else there is."""
+        """Keep a warning; drop a remark, which the run makes again."""
         if level == "warning":
             self._lines.append(message)
 
@@ -308,12 +308,12 @@ class _ViewCounts:
 
     def __init__(self) -> None:
         self._range = RangeCounts()
-        self._azimuth = np.zeros(181, np.int64)  # degrees off the x axis, a bin each
+        self._azimuth = np.zeros(181, np.int64)  # by whole degrees from the x axis
         self._elevation = np.zeros(181, np.int64)
         self.detections = 0
 
     def add(self, recording: Recording) -> tuple[float, float]:
-        """Count a recording, and return its first and last time."""
+        """Count a recording; return its first and last time, UNIX seconds."""
         first, last = math.nan, math.nan
         for batch in recording.read():
             first = float(batch.time[0]) if math.isnan(first) else first
@@ -327,7 +327,7 @@ class _ViewCounts:
 
     @property
     def view(self) -> dict[str, float]:
-        """Return full angles and the range that hold nearly all detections."""
+        """Full angles (degrees) and range (m) that hold nearly all detections."""
         if not self.detections:
             return {}
         seen = {
@@ -346,5 +346,5 @@ def _degrees(across: Any, along: Any) -> Any:
 
 
 def _reached(counts: Any, share: float) -> float:
-    """Return within how many whole degrees a share of the detections is."""
+    """Return the angle, in whole degrees, that holds a share of the detections."""
     return min(180.0, float(np.searchsorted(np.cumsum(counts) / counts.sum(), share)) + 1.0)

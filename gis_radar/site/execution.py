@@ -1,4 +1,4 @@
-"""The execution of stages: in order of need, several at once, none that is done already."""
+"""Execute the stages of a run: in their order, several at once, and none that is done already."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from gis_radar.site.worker import Event, Pool, carry_out
 
 ALL = Text("all stages")
 
-_POLL_S = 0.1  # how late a bar may move
-_CHUNK = 1 << 20
-_SETTLED_S = 2.0  # file systems tell times no finer: a younger file may yet change unnoticed
+_POLL_S = 0.1  # longest delay of a bar
+_CHUNK = 1 << 20  # bytes
+_SETTLED_S = 2.0  # resolution of file times: a younger file may change without a new time
 _LEFT_BY_VIEWERS = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd")
 
 Stamp = tuple[int, int, int, int]
 
 
 @dataclass(kw_only=True)
-class _Begun:
-    """A stage that is being done."""
+class _RunningStage:
+    """A stage that has been submitted to the pool."""
 
     stage: Stage
     key: str
@@ -61,17 +61,17 @@ class Execution:
     Parameters
     ----------
     stages : list of Stage
-        What is to be done; the order follows from what each reads and makes.
+        The stages; their order follows from the files that each reads and makes.
     state : RunState
-        Of earlier runs; this one adds its own.
+        Records of earlier runs, to which this one adds its own.
     pool : Pool
-        Where the work is done.
+        The workers.
     reporter : Reporter
-        Shows progress: a bar for each stage, and one for all.
+        Receives progress: of each stage, and of all.
     timezone : str
-        The site's, for times in messages.
+        Time zone of the site, for times in messages.
     folder : Path, optional
-        The site's: remarks name its files from there on.
+        Folder of the site: messages name its files relative to it.
     """
 
     stages: list[Stage]
@@ -81,7 +81,7 @@ class Execution:
     timezone: str = "UTC"
     folder: Path | None = None
     outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _begun: dict[Future[Mapping[str, Any]], _Begun] = field(default_factory=dict)
+    _begun: dict[Future[Mapping[str, Any]], _RunningStage] = field(default_factory=dict)
     _logged: set[str] = field(default_factory=set)
 
     def run(self, last: int | None = None) -> list[Outcome]:
@@ -90,12 +90,13 @@ class Execution:
         Parameters
         ----------
         last : int, optional
-            Only those before this one, as an index; by default all.
+            Index of the first stage that is left out; by default all are done.
 
         Raises
         ------
         GisRadarError
-            What went wrong with a stage that all depends on, with writing, or with a worker.
+            If a stage that all others depend on fails, a result cannot be written, or a worker
+            ends.
         """
         stages = self.stages[:last]
         self.reporter.progress(ALL, len(self.outcomes), len(self.stages))
@@ -132,12 +133,12 @@ class Execution:
         future = self.pool.executor.submit(
             carry_out, stage.name, stage.work, stage.arguments, stage.outputs, self.pool.send
         )
-        self._begun[future] = _Begun(stage=stage, key=key, since=time.monotonic())
+        self._begun[future] = _RunningStage(stage=stage, key=key, since=time.monotonic())
         self.reporter.progress(stage.name, 0, 100)
         return None
 
     def _lacking(self, stage: Stage) -> GisRadarError | None:
-        """Return why a stage cannot be done: the error of a stage that it needs."""
+        """Return the error of a stage that this one needs, or None if it can be done."""
         made = {path: each for each in self.outcomes.values() for path in each.stage.outputs}
         for path in stage.needs:
             if path in made and not made[path].has_result:
@@ -149,14 +150,14 @@ class Execution:
         return None
 
     def _ended(self) -> Iterator[Outcome]:
-        """Wait for a moment, pass events on, and yield the outcomes of stages that have ended."""
+        """Wait up to `_POLL_S`, pass events on, and yield outcomes of stages that have ended."""
         done, _ = wait(self._begun, timeout=_POLL_S, return_when=FIRST_COMPLETED)
         self._relay_events()
         for future in done:
             yield self._outcome(future)
 
     def _crash(self) -> GisRadarError:
-        """Return the error of a worker that ended in the midst of its work."""
+        """Return the error for a worker that ended during its work."""
         self._relay_events()
         at_work = [each for each in self._begun.values() if each.at_work]
         return GisRadarError(
@@ -166,22 +167,22 @@ class Execution:
         )
 
     def _relay_events(self) -> None:
-        """Pass on what the workers have sent."""
+        """Pass on the events that workers have sent."""
         begun = {each.stage.name: each for each in self._begun.values()}
         while not self.pool.events.empty():
             event = self.pool.events.get()
             if (stage := begun.get(event["stage"])) is not None:
                 self._relay(event, stage)
 
-    def _relay(self, event: Event, begun: _Begun) -> None:
-        """Pass on progress and remarks of a stage."""
+    def _relay(self, event: Event, begun: _RunningStage) -> None:
+        """Pass on progress or a remark of a stage."""
         if "worker" in event:
             begun.at_work = True
         elif "message" in event:
             message = in_site_words(event["message"], self.timezone, self.folder)
             if event["level"] == "warning":
                 begun.warnings.append(message)
-            if message not in self._logged:  # each stage that reads the map repeats it
+            if message not in self._logged:  # each stage that reads the map sends the same
                 self._logged.add(message)
                 self.reporter.log(Text("{}: {}", event["stage"], message), event["level"])
         else:
@@ -193,7 +194,7 @@ class Execution:
             self.reporter.progress(begun.stage.name, begun.percent, 100)
 
     def _outcome(self, future: Future[Mapping[str, Any]]) -> Outcome:
-        """Return how a stage ended, and record what need not be done again."""
+        """Return how a stage ended; record it if it need not be done again."""
         begun = self._begun[future]
         figures: Mapping[str, Any] = {}
         state: Ending = "done"
@@ -224,12 +225,12 @@ class Execution:
         stage = outcome.stage
         self.outcomes[stage.name] = outcome
         if not outcome.has_result:
-            # What an earlier run left would look like an answer of this one.
+            # Results of an earlier run would look like those of this one.
             discard(stage.outputs)
         if outcome.error is not None and outcome.state != "skipped":
             if not stage.sensor:
                 raise outcome.error
-            if outcome.error.message not in self._logged:  # of two that contradict each other
+            if outcome.error.message not in self._logged:  # two sensors may have the same error
                 self.reporter.warn("{}: {}", stage.name, outcome.error.message)
             self._logged.add(outcome.error.message)
         if outcome.state != "skipped":
@@ -238,9 +239,9 @@ class Execution:
 
 
 def discard(paths: Sequence[Path]) -> None:
-    """Remove results that hold no longer, files or folders, and folders that are left empty.
+    """Remove results that are out of date, files or folders, and folders that are left empty.
 
-    A QGIS project that somebody has edited is not ours any more and stays.
+    A QGIS project that somebody has edited stays.
     """
     for path in paths:
         if path.suffix == ".qgz" and path.exists():
@@ -256,11 +257,11 @@ def discard(paths: Sequence[Path]) -> None:
             path.parent.rmdir()
 
 
-# What earlier runs have left: hashes of files, and records of stages.
+# The state of earlier runs: hashes of files, and records of stages.
 
 
-# The input of which stages read the tiles only, and the layers beside them: names of streets that
-# come later change no count.
+# The argument whose file is hashed without these layers: stages only count by its tiles, so names
+# of streets may change later.
 _TILES, _BESIDE_TILES = "tile_file", ("lanes", "stop_lines", "problems")
 
 
@@ -268,33 +269,33 @@ class _Record(BaseModel):
     """A stage that ended, with a result or with a refusal."""
 
     key: str  # hash of all that its result depends on
-    outputs: dict[str, str | None]  # what it made, and the hash of each; empty for a refusal
+    outputs: dict[str, str | None]  # hash of each output; empty for a refusal
     figures: dict[str, Any]
     warnings: tuple[str, ...]
-    refusal: tuple[str, str] | None  # message and hint, where there was no trustworthy answer
-    parts: tuple[tuple[str, str], ...] = ()  # of the refusal
-    texts: dict[str, Any] = {}  # of figures, warnings, refusal and parts
+    refusal: tuple[str, str] | None  # message and hint, if there was no trustworthy answer
+    parts: tuple[tuple[str, str], ...] = ()  # message and hint of each part of the refusal
+    texts: dict[str, Any] = {}  # templates of figures, warnings, refusal and parts
     seconds: float
 
 
 class _Memory(BaseModel):
-    """What the file holds: hashes by file, records by stage."""
+    """Content of the state file: hashes by file, records by stage."""
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
     files: dict[str, tuple[Stamp, str]] = {}
-    packages: dict[str, tuple[str, str]] = {}  # the hashes of a GeoPackage's bytes and tables
+    packages: dict[str, tuple[str, str]] = {}  # hashes of a GeoPackage's bytes and of its tables
     stages: dict[str, _Record] = {}
 
 
 class RunState:
-    """Hashes of files, remembered by size and times, and records of stages.
+    """State of earlier runs: hashes of files, valid while size and times stay; records of stages.
 
     Parameters
     ----------
     path : Path
-        The file (JSON); a damaged or missing one only costs time.
+        The state file (JSON); without a readable one, all is done again.
     root : Path
-        The folder of the run: it may be moved.
+        The folder of the run. Names are relative to it, so it may be moved.
     """
 
     def __init__(self, path: Path, root: Path) -> None:
@@ -317,9 +318,9 @@ class RunState:
         Parameters
         ----------
         path : Path
-            A file, or a folder of which all files count but those that viewers leave beside.
+            A file, or a folder, whose files count except those that viewers leave there.
         progress : callable
-            Called with the bytes of each chunk that was read.
+            Called with the number of bytes of each chunk that was read.
         """
         if path.is_dir():
             files = (each for each in path.rglob("*") if each.is_file())
@@ -347,7 +348,7 @@ class RunState:
         return found
 
     def _hash_of_package(self, path: Path, name: str, of_bytes: str) -> str:
-        """Return the hash of what a GeoPackage's tables hold, 15 times as slow as that of bytes."""
+        """Return the hash of a GeoPackage's tables; it takes 15 times as long as that of bytes."""
         from gis_radar.base import content_digest  # noqa: PLC0415 - 1 s, needed rarely
 
         if name not in self._packages or self._packages[name][0] != of_bytes:
@@ -355,7 +356,7 @@ class RunState:
         return self._packages[name][1]
 
     def _hash_of_tiles(self, path: Path) -> str | None:
-        """Return the hash of a file of tiles but for layers that stages do not count by."""
+        """Return the hash of a file of tiles without the layers that no stage counts by."""
         from gis_radar.base import content_digest  # noqa: PLC0415 - 1 s, needed rarely
 
         whole, name = self.hash_of(path), f"{path.resolve()}: tiles"
@@ -364,12 +365,12 @@ class RunState:
         return None if whole is None else self._packages[name][1]
 
     def _hash_for(self, stage: Stage, path: Path) -> str | None:
-        """Return the hash of what a stage reads of a file."""
+        """Return the hash of the part of a file that a stage reads."""
         of_tiles = stage.inputs.get(_TILES) == path
         return self._hash_of_tiles(path) if of_tiles else self.hash_of(path)
 
     def key_of(self, stage: Stage) -> str:
-        """Return the hash of all that a stage's result depends on; its inputs must be there."""
+        """Return the hash of all that a stage's result depends on; missing inputs are left out."""
         return _digest(
             {
                 "work": stage.work.__name__,
@@ -383,24 +384,24 @@ class RunState:
         )
 
     def kept(self, stage: Stage) -> Outcome | None:
-        """Return the outcome of a stage that need not be done again; None where it must be."""
+        """Return the recorded outcome of a stage; None if it must be done again."""
         record = self.records.get(stage.name)
         if record is None or record.key != self.key_of(stage.asking(record.figures.get("asked"))):
             return None
         if record.refusal is None and record.outputs != self._held(stage):
             return None
         names = {"figures", "warnings", "refusal", "parts", "texts"}
-        told = restored(record.model_dump(include=names))
+        recorded = restored(record.model_dump(include=names))
         error = None
-        if told["refusal"] is not None:
-            message, hint = told["refusal"]
-            parts = [NoAnswerError(each, hint=what_to_do) for each, what_to_do in told["parts"]]
+        if recorded["refusal"] is not None:
+            message, hint = recorded["refusal"]
+            parts = [NoAnswerError(text, hint=advice) for text, advice in recorded["parts"]]
             error = NoAnswerError(message, hint=hint, parts=parts)
         return Outcome(
             stage=stage,
             state="refused" if error else "kept",
-            figures=told["figures"],
-            warnings=told["warnings"],
+            figures=recorded["figures"],
+            warnings=recorded["warnings"],
             error=error,
             seconds=record.seconds,
         )
@@ -408,7 +409,7 @@ class RunState:
     def keep(self, outcome: Outcome) -> None:
         """Record a stage that has ended with a result or a refusal."""
         stage, error = outcome.stage, outcome.error
-        told = {
+        document = {
             "figures": dict(outcome.figures),
             "warnings": tuple(outcome.warnings),
             "refusal": (error.message, error.hint) if error else None,
@@ -418,12 +419,12 @@ class RunState:
             key=self.key_of(stage.asking(outcome.figures.get("asked"))),
             outputs={} if error else self._held(stage),
             seconds=outcome.seconds,
-            **with_texts(told),
+            **with_texts(document),
         )
         self.save()
 
     def outdate(self) -> None:
-        """Discard all records, so that everything is done again."""
+        """Invalidate all records, so that everything is done again."""
         for record in self.records.values():
             record.key = ""
 
@@ -441,7 +442,7 @@ class RunState:
 
 
 def stamp_of(path: Path) -> Stamp:
-    """Return size and times of a file; while they stay, so do its bytes."""
+    """Return size, times and inode of a file; while these stay, its bytes are taken to stay."""
     status = path.stat()
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 

@@ -1,6 +1,6 @@
-"""Messages of a run in the words of its site file: keys for options, the site's clock for UTC.
+"""Messages of a run in the terms of its site file: keys for options, local times for UTC.
 
-The library speaks of options, as its commands are used alone; a run's reader knows its site file.
+The library's messages name options of commands; readers of a run's messages know its site file.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 from gis_radar.base import Clock, GisRadarError, Text, zone_of
 
-# What stands for a value, or for a text by its template.
+# Replacements of values, such as options, and of templates of texts.
 KEYS = {
     "--accept": "accept = true in [[sensor]]",
     "--clock": "clock in [sensor.convert]",
@@ -37,13 +37,13 @@ KEYS = {
     "--cycle {}={}ms": 'cycle = "{1}ms" in [[sensor]] {0}',
     "the view's max_range_m or {}": "max_range_m in [sensor.view]",
 }
-_PATH_BEGIN = r"""(?<![^\s'"`(\[,;:=])"""  # else a folder would be cut from amid another path
+_PATH_BEGIN = r"""(?<![^\s'"`(\[,;:=])"""  # so that no folder is cut out of a longer path
 
 
 def in_site_words(text: str, timezone: str, folder: Path | None = None) -> Text:
-    """Return a message with keys of the site file for options, and times of the site for UTC.
+    """Return a message with keys of the site file for options, and local times for UTC.
 
-    Files are named from the folder of the site on, where it is given.
+    Files are named relative to the folder of the site, if it is given.
 
     Examples
     --------
@@ -56,22 +56,22 @@ def in_site_words(text: str, timezone: str, folder: Path | None = None) -> Text:
     clock = Clock(zone=zone_of(timezone), first=any_time, last=any_time)
     inside = re.compile(_PATH_BEGIN + re.escape(f"{folder}{os.sep}"))
 
-    def told(value: Any) -> Any:
+    def reworded(value: Any) -> Any:
         if isinstance(value, Text) and value.values:
-            return Text(KEYS.get(value.template, value.template), *map(told, value.values))
+            return Text(KEYS.get(value.template, value.template), *map(reworded, value.values))
         if not isinstance(value, str | PurePath):
             return value
         shown = KEYS.get(str(value)) or clock.localised(str(value))
         shown = shown if folder is None else inside.sub("", shown)
-        return value if shown == value else shown  # a text of one word stays one
+        return value if shown == value else shown  # unchanged, so that a Text keeps its template
 
-    return Text(told(Text(text)))
+    return Text(reworded(Text(text)))
 
 
 def error_in_site_words(
     error: GisRadarError, timezone: str, folder: Path | None = None
 ) -> GisRadarError:
-    """Translate an error into the words of the site file, as :func:`in_site_words` does."""
+    """Change an error's texts, in place, as :func:`in_site_words` does; return the error."""
     error.message = in_site_words(error.message, timezone, folder)
     error.hint = in_site_words(error.hint, timezone, folder)
     error.args = (error.message, *error.args[1:])

@@ -1,4 +1,4 @@
-"""The stages of a site as data: what each reads and makes, in what function."""
+"""The stages of a site as data: for each its function, the files that it reads, and its outputs."""
 
 from __future__ import annotations
 
@@ -30,26 +30,27 @@ class Stage:
     Parameters
     ----------
     name : str
-        Shown to the user, and the name of its record.
+        Name for the user and for the stage's record.
     work : callable
         A function of :mod:`gis_radar.site.stages`.
     inputs : mapping
         Files and folders, one or a tuple, by the function's arguments; all are needed.
     parts : mapping
-        The same, of which those are taken that are there: at least one a tuple.
+        Tuples of files by argument, of which only existing ones are passed: one at least.
     beside : tuple of tuple of Path
-        What the function finds by itself beside its outputs: of each tuple at least one is there.
+        Files that the function finds by itself beside its outputs; of each tuple, one at least
+        exists.
     options : mapping
-        The function's other arguments; what JSON can hold.
+        The function's other arguments, which JSON can hold.
     outputs : tuple of Path
-        What it makes, in the order in which the function takes them.
+        Files and folders that it makes, in the order of the function.
     phases : int
-        How many bars its work would show by itself.
+        Number of progress bars that its work would show by itself.
     sensor : str
-        The sensor it works for: if it fails, other sensors go on. Empty where all depends on it.
+        Name of its sensor: if it fails, other sensors go on. Empty if all depends on the stage.
     in_turn : str
-        The input of which files are read in turn until one gives a result; its figures have as
-        `asked` how many were. What is added behind these changes nothing.
+        Name of the input whose files are read one after the other until one gives a result; the
+        figure `asked` is the number read. Files added after these do not change the result.
     """
 
     name: str
@@ -65,22 +66,22 @@ class Stage:
 
     @property
     def reads(self) -> tuple[Path, ...]:
-        """All that it may read."""
+        """All files and folders that it may read."""
         return (*self.needs, *(path for paths in self.choices for path in paths))
 
     @property
     def choices(self) -> tuple[tuple[Path, ...], ...]:
-        """Of each of these at least one must be there."""
+        """Tuples of which each must have one existing file at least."""
         return (*self.parts.values(), *self.beside)
 
     @property
     def needs(self) -> tuple[Path, ...]:
-        """All that must be there."""
+        """All files and folders that must exist."""
         given = self.inputs.values()
         return tuple(p for each in given for p in ([each] if isinstance(each, Path) else each))
 
     def asking(self, number: int | None) -> Stage:
-        """Return the stage as if it had no more than so many of the files that are read in turn."""
+        """Return the stage with at most `number` of the files that are read in turn."""
         if number is None or not self.in_turn:
             return self
         files = self.inputs[self.in_turn]
@@ -89,30 +90,30 @@ class Stage:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """The function's arguments but its outputs; of the parts those that are there."""
+        """The function's arguments without its outputs; of the parts, those that exist."""
         there = {name: [p for p in paths if p.exists()] for name, paths in self.parts.items()}
         return {**self.inputs, **there, **self.options}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """End of a stage.
+    """Outcome of a stage.
 
     Parameters
     ----------
     stage : Stage
         The stage.
     state : str
-        `done` now, `kept` from an earlier run, `refused` for want of a trustworthy answer, `failed`
-        for bad data, `skipped` because what it needs is missing.
+        `done` now, `kept` from an earlier run, `refused` without a trustworthy answer, `failed` for
+        bad data, `skipped` because a file that it needs is missing.
     figures : mapping
-        What is worth a look.
+        Key figures of the result.
     warnings : sequence of str
         The warnings of its work.
     error : GisRadarError, optional
-        Why there is no result.
+        The reason why there is no result.
     seconds : float
-        How long it took, now or then.
+        Duration of its work, in this run or the earlier one.
     """
 
     stage: Stage
@@ -124,32 +125,32 @@ class Outcome:
 
     @property
     def has_result(self) -> bool:
-        """Whether its outputs are there."""
+        """Whether there is a result, of this run or an earlier one."""
         return self.state in {"done", "kept"}
 
     @property
     def made(self) -> list[Path]:
-        """The outputs that are there: of a sensor its pose, or those that it cannot tell apart."""
+        """The outputs that exist: a stage may make only some, such as a pose or candidates."""
         return [path for path in self.stage.outputs if self.has_result and path.exists()]
 
 
 def stages_of(site: Site, folder: Path) -> list[Stage]:
     """Return the stages of a run, each after those that it needs.
 
-    The last is the report: it reads the record of the others, so it is made once they have ended.
+    The last one is the report: it reads the record of the others, after they have ended.
 
     Parameters
     ----------
     site : Site
         From :func:`gis_radar.read_site`.
     folder : Path
-        Where the results go.
+        Folder for the results.
     """
     sensors = site.sensor
     return [
         *_road(site, folder),
         *(_conversion(each, folder) for each in sensors if each.foreign),
-        # Poses take longest, so they come as early as they can.
+        # Poses take longest, so they come as early as possible.
         *(_localization(site, each, folder) for each in sensors if each.pose is None),
         *_together(site, folder),
         *(_pose(site, each, folder) for each in sensors),
@@ -193,7 +194,7 @@ def _conversion(sensor: Sensor, folder: Path) -> Stage:
 
 
 def _recordings(sensor: Sensor, folder: Path) -> tuple[Path, ...]:
-    """Return a sensor's recordings as the stages read them, once what is foreign is converted."""
+    """Return the recordings of a sensor for later stages: converted ones in place of foreign."""
     foreign = set(sensor.foreign)
     ours = (path for path in sensor.recordings if path not in foreign)
     return (*ours, *(_conversion(sensor, folder).outputs if foreign else ()))
@@ -229,9 +230,9 @@ def _view(sensor: Sensor) -> dict[str, float] | None:
 
 
 def _tied(site: Site) -> list[Sensor]:
-    """Return the sensors whose poses are found together; none where there is but one."""
-    lost = [each for each in site.sensor if each.pose is None]
-    tied = [each for each in lost if each.tied and each.method == "lane"]
+    """Return the sensors whose poses are found together: two at least, or none."""
+    unplaced = [each for each in site.sensor if each.pose is None]
+    tied = [each for each in unplaced if each.tied and each.method == "lane"]
     return tied if len(tied) > 1 else []
 
 
@@ -264,7 +265,7 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
 def _all_recordings(
     sensors: Sequence[Sensor], folder: Path
 ) -> tuple[dict[str, list[Path]], list[Path]]:
-    """Return the recordings of sensors that are ours by name, and those that are converted."""
+    """Return recordings that need no conversion, by sensor, and all converted recordings."""
     ours = {each.name: [p for p in each.recordings if p not in each.foreign] for each in sensors}
     foreign = [each for each in sensors if each.foreign]
     return ours, [path for each in foreign for path in _conversion(each, folder).outputs]
@@ -317,7 +318,7 @@ def _tiles(site: Site, folder: Path) -> Stage:
 
 
 def _measure(site: Site, folder: Path) -> Stage:
-    """Return the stage that measures what all sensors with a pose see."""
+    """Return the stage that measures the recordings of all sensors with a pose."""
     filters = site.measure.model_dump()
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
@@ -361,12 +362,12 @@ def _scans(site: Site) -> dict[str, tuple[Path, ...]]:
 
 
 def _view_of_track(sensor: Sensor, pose: Path) -> dict[str, float] | None:
-    """Return the view to give a pose track; a pose has its view already."""
+    """Return the view for a pose track; None for a pose, which has its view already."""
     return _view(sensor) if pose.suffix == ".csv" else None
 
 
 def _products(site: Site, folder: Path) -> Iterator[Stage]:
-    """Yield the stages of all sensors together: heat maps, project, report."""
+    """Yield the stages after measuring: heat maps, QGIS project, report."""
     dataset = folder / "dataset"
     for number, interval in enumerate(site.heatmap.intervals or (None,)):
         end = f"_{interval}" if number else ""

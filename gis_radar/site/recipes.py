@@ -1,7 +1,7 @@
-"""Recipes that commands share with the stages of a site, from files to files.
+"""Recipes from files to files, which commands share with the stages of a site.
 
-Further options go to the function of the library that has them. Each recipe imports what it calls,
-so that a command waits for its own rooms only.
+Further options are passed to the library's function named in each docstring. Each recipe imports
+what it calls, so that a command loads only the rooms that it uses.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from gis_radar.dataset import Dataset
     from gis_radar.scans import MovingHits, Sight, SightSource, SightTiles
 
-AUTO = "auto"  # clocks: as the recordings themselves show
+AUTO = "auto"  # offsets of clocks are measured in the recordings
 
 
 def split_map(
@@ -39,11 +39,10 @@ def split_map(
     crs: str | None = None, origin: tuple[float, float] | None = None,
     streets: Path | None = None, street_field: str | None = None, **options: Any,
 ) -> dict[str, Any]:  # fmt: skip
-    """Split the lanes into tiles, at the heights of the scanned road where there is one.
+    """Split the lanes of a map into tiles and write them; return figures.
 
-    Lanes take the names of streets that the map has none of from a layer of the city's.
-
-    The figures are returned; options are those of :func:`gis_radar.make_tiles`.
+    Tiles take their heights from the scanned road, if given; lanes without a street's name take it
+    from the layer `streets`. Options are those of :func:`gis_radar.make_tiles`.
     """
     from gis_radar.hdmap import (
         fingerprint,
@@ -85,10 +84,9 @@ def mask_scans(
     scans: Sequence[Path], map_file: Path, output: Path, *, reporter: Reporter,
     engine: str, scan_crs: str | None, **options: Any,
 ) -> tuple[list[Path], dict[str, Any]]:  # fmt: skip
-    """Mask the road out of the scans.
+    """Mask the road out of the scans and write it; return the files written, and figures.
 
-    What was written and the figures are returned; options are those of
-    :func:`gis_radar.read_roads`.
+    Options are those of :func:`gis_radar.read_roads`.
     """
     from gis_radar.scans import mask_road, read_roads, require_road_name
 
@@ -102,10 +100,10 @@ def measure_site(
     sensors: Mapping[str, tuple[Sequence[Path], PoseTrack]], tile_file: Path, map_file: Path,
     output: Path, *, reporter: Reporter, accept: Sequence[str] = (), **options: Any,
 ) -> tuple[Dataset, dict[str, GisRadarError]]:  # fmt: skip
-    """Measure the recordings of several sensors, by name; leave out those that are refused.
+    """Measure the recordings of several sensors, by name, without sensors that are refused.
 
-    Those to `accept` that are left out are no longer named. The dataset is returned, and by sensor
-    why it was left out. Options are those of :func:`measure_recordings`.
+    It returns the dataset, and the error of each sensor that was left out. Options are those of
+    :func:`measure_recordings`.
     """
     from gis_radar.calibration import ImplausibleError
 
@@ -124,7 +122,7 @@ def measure_site(
                 kept = next((each for each in found if each.is_of_clocks), None)
                 if kept is None:
                     raise
-                # a map of one sensor is right whatever its clock shows
+                # without other sensors, the offset of a clock does not matter: keep one
                 found = tuple(each for each in found if each is not kept)
             for each in found:
                 reporter.warn("{} is left out: {}", each.sensor, each.told_with_advice)
@@ -142,7 +140,7 @@ def measure_site(
 
 
 def _names_one(message: str, paths: Sequence[Path]) -> bool:
-    """Return whether a message begins with one of some files."""
+    """Return whether a message begins with the name of one of some files."""
     return any(message.startswith(f"{name}:") for path in paths for name in (path, path.resolve()))
 
 
@@ -151,9 +149,9 @@ def measure_recordings(
     map_file: Path | None, output: Path, *, filters: Mapping[str, Any],
     clocks: str | Path | None, reporter: Reporter, processes: int | None = None, **options: Any,
 ) -> Dataset:  # fmt: skip
-    """Measure recordings; clocks are those of a file, or `auto`.
+    """Measure recordings, with the clocks of a file or, for `auto`, measured here.
 
-    Options are those of :func:`gis_radar.measure`.
+    It returns the dataset. Options are those of :func:`gis_radar.measure`.
     """
     from gis_radar.base import workers_here
     from gis_radar.dataset import measure
@@ -173,15 +171,14 @@ def see_tiles(
     tracks: Sequence[PoseTrack], tile_file: Path, output: Path, *, scans: Sequence[Path],
     scan_crs: str | None, recordings: Sequence[Path], reporter: Reporter,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write what sensors see, corrected by recordings where there are any.
+    """Write the sights of sensors, corrected by recordings if given; return figures by sensor.
 
-    Recordings with equal poses are taken together. The figures are returned, by sensor those of its
-    last pose.
+    Recordings with equal poses are added up. The figures of a sensor are those of its last pose.
 
     Raises
     ------
     UsageError
-        If there are recordings, but not one a pose.
+        If recordings are given, but not as many as poses.
     """
     from gis_radar.hdmap import read_tiles
     from gis_radar.scans import (
@@ -221,7 +218,7 @@ def see_tiles(
         by_place[id(place)].corrected(sight) if id(place) in by_place else sight
         for sight, place in zip(found, place_of, strict=True)
     ]
-    written.sort(key=lambda sight: sight.pose.sensor)  # in whatever order they were given
+    written.sort(key=lambda sight: sight.pose.sensor)  # equal files for any order of the input
     write_sights(written, tiles, output, contradictions=compared)
     figures = {each.pose.sensor: each.figures() for each in written}
     for each in compared:
@@ -232,7 +229,7 @@ def see_tiles(
 def _sights(
     tracks: Sequence[PoseTrack], road: SightTiles, source: SightSource | None
 ) -> tuple[list[Sight], list[Pose]]:
-    """Return what sensors see from each of their views, and the first pose of its place."""
+    """Return the different sights of tracks, and for each the first pose at its place."""
     from gis_radar.measures import places_of, standing_for
     from gis_radar.scans import find_sight
 
@@ -249,7 +246,7 @@ def _moving_hits(
     recordings: Sequence[Path], track: PoseTrack, sights: Mapping[int, Sight], road: SightTiles,
     reporter: Reporter,
 ) -> list[MovingHits]:  # fmt: skip
-    """Return what moves on the tiles, of each place where the sensor stood for long enough."""
+    """Return the movement on tiles for each place of the sensor with enough frames."""
     from gis_radar.hdmap import TileGrid
     from gis_radar.measures import places_of, road_near, rows_of, standing_for, whole_frames
     from gis_radar.recordings import open_recording
@@ -286,16 +283,16 @@ def _clocks(
     source: str | Path, recordings: Sequence[Path], tracks: Sequence[PoseTrack],
     tiles: gpd.GeoDataFrame, reporter: Reporter,
 ) -> dict[str, SensorClock]:  # fmt: skip
-    """Return the clocks of a file, or compare them; warn of those that are not corrected."""
+    """Return clocks from a file, or measured in recordings; warn of sensors without one."""
     from gis_radar.calibration import measure_clocks, read_clocks
 
     if source == AUTO:
         found = measure_clocks(recordings, tracks, tiles, reporter=reporter)
         for sensor, text in found.figures().items():
-            told = Text("clock of {}: {}", sensor, text)
+            line = Text("clock of {}: {}", sensor, text)
             if sensor == "reference":
-                told = Text("clocks are corrected to that of {}", text)
-            reporter.log(told)
+                line = Text("clocks are corrected to that of {}", text)
+            reporter.log(line)
         clocks = dict(found.clocks)
     else:
         clocks = read_clocks(source)

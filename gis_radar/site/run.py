@@ -1,6 +1,6 @@
-"""A run of a site: the whole way from its raw data to heat maps, taken up where one ended.
+"""Run a site from its raw data to heat maps; a run continues where an earlier one ended.
 
-Its record stands beside the results: `run.json` for programs, `summary.md` to read.
+Its record is written beside the results: `run.json` for programs, `summary.md` to read.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class SiteRun:
     site : Site
         The site.
     folder : Path
-        Where the results are.
+        Folder of the results.
     outcomes : sequence of Outcome
-        How each stage ended.
+        Outcome of each stage.
     """
 
     site: Site
@@ -69,7 +69,7 @@ class SiteRun:
 
     @property
     def outputs(self) -> list[Path]:
-        """What is there now, as paths below `folder`."""
+        """Results that exist now, as paths below `folder`."""
         root = self.folder.resolve()
         made = [p for each in self.outcomes for p in each.made]
         made = [p.resolve().relative_to(root) for p in made]
@@ -78,7 +78,7 @@ class SiteRun:
 
     @property
     def missing(self) -> dict[str, GisRadarError]:
-        """The sensors without a result, and why."""
+        """The error of each sensor without a result."""
         return refused_sensors(self.outcomes, self.site.timezone) | {
             each.stage.sensor: each.error
             for each in reversed(self.outcomes)
@@ -87,10 +87,10 @@ class SiteRun:
 
     @property
     def failure(self) -> GisRadarError | None:
-        """What a program should know if not every sensor has a result; else None.
+        """Error about the sensors without a result; None if there are none.
 
-        An :class:`InputError` where data were bad, a :class:`NoAnswerError` where no trustworthy
-        answer was found.
+        It is an :class:`InputError` if any data are bad, else a :class:`NoAnswerError`: there is no
+        trustworthy answer.
         """
         missing = self.missing
         if not missing:
@@ -103,15 +103,15 @@ class SiteRun:
             rest = Text("the heat maps show {} only", ", ".join(made_of))
         kind = InputError if bad else NoAnswerError
         lost = ", ".join(sorted(missing))
-        told = {name: _named(name, error) for name, error in missing.items()}
-        parts = [kind("no result for {}; {}", lost, rest), *told.values()]
+        named = {name: _named(name, error) for name, error in missing.items()}
+        parts = [kind("no result for {}; {}", lost, rest), *named.values()]
         return kind(
-            "no result for {}; {}; {}", lost, rest, told[first].message, hint=told[first].hint,
-            parts=parts if len(told) > 1 else (),
+            "no result for {}; {}; {}", lost, rest, named[first].message, hint=named[first].hint,
+            parts=parts if len(named) > 1 else (),
         )  # fmt: skip
 
     def figures(self) -> Mapping[str, Any]:
-        """Return figures worth a look, by name."""
+        """Return key figures by name."""
         by_work = {e.stage.work: e.figures for e in reversed(self.outcomes) if e.has_result}
         unsure = doubts_of(self.outcomes)
         heat, tiles = by_work.get(work.heatmap_stage), by_work.get(work.tiles_stage)
@@ -152,8 +152,8 @@ def run_site(
 ) -> SiteRun:
     """Run all stages for all sensors of a site: road, poses, tiles, dataset, heat maps.
 
-    Stages that an earlier run into the same folder has done are not done again, unless what they
-    read, their settings or the software changed. A sensor without a trustworthy answer, or with bad
+    Stages done by an earlier run into the same folder are not done again, unless their inputs,
+    their settings or the software have changed. A sensor without a trustworthy answer, or with bad
     data, does not stop the others.
 
     Parameters
@@ -161,13 +161,13 @@ def run_site(
     path : str or Path
         The site file, see :func:`read_site`.
     folder : str or Path
-        Where the results go.
+        Folder for the results.
     jobs : int, optional
-        How many stages at once; by default as many as the machine has cores and memory for.
+        Number of stages at once; by default as many as the machine has cores and memory for.
     fresh : bool
-        Do all again, whatever is there.
+        Do all stages again, also those that are done.
     reporter : Reporter
-        Shows how far the work is.
+        Receives progress and remarks.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def _prepared(root: Path) -> Path:
 
 
 def _cleared(root: Path, state: Path) -> Path:
-    """Remove what a killed run left half-made; return an empty folder for temporary files."""
+    """Remove unfinished files of a killed run; return an empty folder for temporary files."""
     scratch = state / "scratch"
     halves = [each for pattern in (".*.part", ".*.before") for each in root.rglob(pattern)]
     for leftover in (*halves, scratch):
@@ -236,14 +236,14 @@ def _cleared(root: Path, state: Path) -> Path:
 
 
 def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
-    """Forget stages that are no more, and remove their results.
+    """Drop the records of stages that the site no longer has, and remove their results.
 
     Parameters
     ----------
     state : RunState
-        What earlier runs made.
+        State of earlier runs.
     stages : sequence of Stage
-        Those that there are; what they make stays.
+        Stages of the site; their outputs stay.
     reporter : Reporter
         Receives a line for each stage that had results.
     """
@@ -257,7 +257,7 @@ def forget_stages_gone(state: RunState, stages: Sequence[Stage], reporter: Repor
 
 
 def _hash_inputs(site: Site, state: RunState, reporter: Reporter) -> None:
-    """Hash what the run reads; what was read before and has not changed takes no time."""
+    """Hash the inputs of a run, with progress; known hashes of unchanged files take no time."""
     files = list(dict.fromkeys(site.inputs))
     total, done = sum(path.stat().st_size for path in files), 0
 
@@ -277,10 +277,10 @@ def _hash_inputs(site: Site, state: RunState, reporter: Reporter) -> None:
 def _write_record(
     site: Site, root: Path, outcomes: Sequence[Outcome], state: RunState, *, finished: bool
 ) -> None:
-    """Write `run.json`, and `summary.md` of a run that is finished.
+    """Write `run.json`, and for a finished run `summary.md`.
 
-    They hold neither time nor duration: a run that was resumed writes the same as one that was
-    not. The report reads the record of the stages before it.
+    They hold neither times nor durations, so that a resumed run writes the same as any other. The
+    report reads the record of the stages before it.
     """
     base = site.path.parent.resolve()
     document = {
@@ -303,7 +303,7 @@ def _write_record(
 
 
 def _named(name: str, error: GisRadarError) -> GisRadarError:
-    """Return why a sensor has no result, with its name."""
+    """Return the error of a sensor without a result, with the sensor's name."""
     if name in error.message.partition(":")[0].split():  # it names the sensor itself
         return error
     return type(error)("{}: {}", name, error.message, hint=error.hint)

@@ -16,9 +16,9 @@ LIBRARIES = (
 
 @cache
 def software() -> dict[str, str]:
-    """Return the versions of all that has a part in the results.
+    """Return the versions of all software that results depend on.
 
-    The entry `code` is the hash of our own modules: a checkout changes without a new version.
+    The entry `code` is the hash of our own modules, as a checkout changes without a new version.
     """
     code = hashlib.blake2b(digest_size=8)
     package = Path(__file__).parents[1]

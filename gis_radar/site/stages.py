@@ -1,8 +1,8 @@
-"""The stages of a run as functions, each a call or two of the library, from files to files.
+"""The stages of a run as functions from files to files, each a call or two of the library.
 
-Their arguments are lists of paths and small settings, which every executor can send to a worker;
-options that a stage does not use itself go to the function of the library that has them. Each stage
-imports what it calls: a worker waits for the rooms of its own stages only.
+Their arguments are paths and small settings, which any executor can send to a worker; options that
+a stage does not use itself are passed to the library's function. Each stage imports what it calls,
+so that a worker loads only the rooms that its stages use. They return figures by name.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from gis_radar.dataset import Dataset
 
 STATE = ".gis-radar"
-SIGHTS = "sights"  # in there: what sensors see by the scans, which is asked for again
+SIGHTS = "sights"  # folder in STATE: a cache of the sights of poses
 Figures = dict[str, Any]
 Paths = Sequence[Path]
 
@@ -50,7 +50,7 @@ def mask_stage(*, map_file: Path, scans: Paths, outputs: Paths, **options: Any) 
 
 
 def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
-    """Take a road that was masked before."""
+    """Copy a road that was masked before, after a check."""
     from gis_radar.scans import read_road, road_crs
 
     crs = road_crs(road)
@@ -62,14 +62,14 @@ def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
 
 
 def tiles_stage(*, map_file: Path, outputs: Paths, **options: Any) -> Figures:
-    """Split the lanes into tiles, at the heights of the scanned road where there is one."""
+    """Split the lanes into tiles, at the heights of the scanned road if there is one."""
     from gis_radar.site.recipes import split_map
 
     return split_map(map_file, outputs[0], **options)
 
 
 def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figures:
-    """Make one recording of what a sensor's own programs have written."""
+    """Convert the files of a sensor, of any known format, to one recording."""
     from gis_radar.recordings import convert
 
     with scratch_folder() as folder:
@@ -90,15 +90,15 @@ def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figur
 def localize_stage(
     *, recordings: Paths, map_file: Path, road: Path, outputs: Paths, **options: Any
 ) -> Figures:
-    """Find a pose from the first recording that gives one; whole scans check it.
+    """Find a pose from the first recording that gives one, and check it by whole scans.
 
-    Where several poses fit, these are kept: other sensors may know which.
+    If several poses fit, all are written: other sensors may decide among them.
     """
     from gis_radar.calibration import AmbiguousError, localize_files
 
     pose, picture, several = outputs
     for before in outputs:
-        before.unlink(missing_ok=True)  # a pose and several are never there both
+        before.unlink(missing_ok=True)  # so that a pose and candidates never exist together
     try:
         found = localize_files(recordings, map_file, road, figure=picture, **options)
     except AmbiguousError as refusal:
@@ -113,10 +113,10 @@ def together_stage(
     *, recordings: Paths, sensors: dict[str, int], map_file: Path, road: Path, outputs: Paths,
     reporter: Reporter, clocks: Path | None = None, **options: Any,
 ) -> Figures:  # fmt: skip
-    """Tie the poses of sensors by the vehicles that two of them see.
+    """Adjust the poses of sensors together, by the vehicles that they share.
 
-    `recordings` are those of all sensors, of each as many as `sensors` has; what was converted is
-    beside the sensors' poses.
+    `recordings` lists those of all sensors, as many for each as `sensors` states; converted ones
+    lie in the sensors' folders.
     """
     folder = outputs[0].parent / "sensors"
     paths = _by_sensor(recordings, sensors, folder)
@@ -130,7 +130,7 @@ def together_stage(
 
 
 def _by_sensor(recordings: Paths, numbers: dict[str, int], folder: Path) -> dict[str, list[Path]]:
-    """Return the recordings of each sensor, of which so many are given, with what was converted."""
+    """Return the recordings of each sensor: the next `numbers` of the list, and converted ones."""
     left, paths = list(recordings), {}
     for name, number in numbers.items():
         paths[name], left = left[:number], left[number:]
@@ -143,7 +143,7 @@ def tied_pose_stage(
     *, together: Path, outputs: Paths, reporter: Reporter, sensor: str,
     view: dict[str, float] | None,
 ) -> Figures:  # fmt: skip
-    """Take the pose that was found with those of other sensors, with the view of the site file."""
+    """Write the pose that was found together with others, with the view of the site file."""
     pose, line = read_together(together, sensor)
     if view is not None:
         pose = replace(pose, view=View(**view))
@@ -156,17 +156,17 @@ def pose_stage(
     *, pose: Path, outputs: Paths, reporter: Reporter, sensor: str, view: dict[str, float] | None,
     given: bool, candidates: Path | None = None,
 ) -> Figures:  # fmt: skip
-    """Take a pose or a pose track that was given or found, with the view of the site file.
+    """Write a pose or a pose track that was given or found, with the view of the site file.
 
-    The view of a given pose counts; that of a found one is but the range that its recording shows.
+    The view of a given pose comes before that of the site file. That of a found pose does not: it
+    is only the range that its recording shows.
     """
     if candidates is not None:
         refuse_candidates(candidates)
     track = read_track(pose)
-    track.poses[-1].plane_covariance()  # refused here, a bad one stops this sensor alone
+    track.poses[-1].plane_covariance()  # checked here, a bad one stops this sensor only
     if not given and view is not None:
-        seeing = tuple(replace(each, view=View(**view)) for each in track.poses)
-        track = replace(track, poses=seeing)
+        track = replace(track, poses=tuple(replace(p, view=View(**view)) for p in track.poses))
     elif given and track.sensor != sensor:
         reporter.log(Text("{}: is the pose of {}, taken for {}", pose, track.sensor, sensor))
     if given and view is not None and any(each.view is not None for each in track.poses):
@@ -175,7 +175,7 @@ def pose_stage(
         with atomic_write(outputs[0]) as part:
             shutil.copyfile(pose, part)
         return {"poses": len(track.poses)}
-    only = _seeing(track, sensor, view).poses[0]
+    only = _named_with_view(track, sensor, view).poses[0]
     write_pose(only, outputs[0])
     return _pose_figures(only)
 
@@ -188,8 +188,8 @@ def _pose_figures(pose: Pose) -> Figures:
     }
 
 
-def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> PoseTrack:
-    """Return a track under the sensor's name at this site, with its view where it has none."""
+def _named_with_view(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> PoseTrack:
+    """Return a track with the sensor's name of this site, and with `view` where it has none."""
     named = replace(track, poses=tuple(replace(each, sensor=sensor) for each in track.poses))
     return named if view is None else named.with_view(View(**view))
 
@@ -198,18 +198,18 @@ def measure_stage(
     *, recordings: Paths, poses: Paths, sensors: dict[str, dict[str, Any]], map_file: Path,
     tile_file: Path, outputs: Paths, reporter: Reporter, **options: Any,
 ) -> Figures:  # fmt: skip
-    """Measure what all sensors of a site see: make its dataset, or the hours that are missing.
+    """Measure the recordings of all sensors: make the site's dataset, or its missing hours.
 
-    `recordings` are those of all sensors, of each as many as `sensors` says beside its view and
-    cycle; what was converted is beside the poses. Sensors without a pose or a recording are left
-    out, as are those whose recordings are refused.
+    `recordings` lists those of all sensors, as many for each as `sensors` states; converted ones
+    lie in the sensors' folders. Sensors without a pose or a recording are left out, as are those
+    whose recordings are refused.
     """
     from gis_radar.site.recipes import measure_site
 
     numbers = {name: each["recordings"] for name, each in sensors.items()}
     paths = _by_sensor(recordings, numbers, outputs[0].parent / "sensors")
     given = {
-        name: (paths[name], _seeing(read_track(pose), name, sensors[name]["view"]))
+        name: (paths[name], _named_with_view(read_track(pose), name, sensors[name]["view"]))
         for pose in poses
         if paths[name := pose.parent.name]
     }
@@ -230,7 +230,7 @@ def measure_stage(
 
 
 def _findings(made: Dataset, refused: Mapping[str, GisRadarError]) -> Figures:
-    """Return what the check found of each sensor, measured or left out."""
+    """Return the findings of the plausibility check by sensor, also of those left out."""
     from gis_radar.calibration import ImplausibleError
 
     left_out = (each for each in refused.values() if isinstance(each, ImplausibleError))
@@ -244,7 +244,7 @@ def heatmap_stage(
     *, dataset: Path, outputs: Paths, reporter: Reporter, interval: str | None,
     labels: dict[str, Any],
 ) -> Figures:  # fmt: skip
-    """Make a heat map of what was measured."""
+    """Make a heat map of the dataset."""
     from gis_radar.dataset import open_dataset
     from gis_radar.products import MapLabels, make_heatmap
 
@@ -258,7 +258,7 @@ def heatmap_stage(
 
 
 def project_stage(*, outputs: Paths, **options: Any) -> Figures:
-    """Write sensors, and vehicles where asked, as layers; and the project that shows them."""
+    """Write sensors, sight and, if asked, vehicles as layers, and the project that shows them."""
     from gis_radar.products import write_site_project
 
     write_site_project(outputs[0].parent, **options)
@@ -266,7 +266,7 @@ def project_stage(*, outputs: Paths, **options: Any) -> Figures:
 
 
 def report_stage(*, outputs: Paths, csv_locale: str, reporter: Reporter) -> Figures:
-    """Write the report of all that was made; what it says first, the summary says, too."""
+    """Write the report of all results; return the figures that the summary shows, too."""
     from gis_radar.products import write_report
 
     made = write_report(outputs[0].parent, csv_locale=csv_locale, reporter=reporter)

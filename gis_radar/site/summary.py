@@ -1,4 +1,4 @@
-"""The summary of a run, to read: what was found of each sensor, and what the report says first."""
+"""The summary of a run in Markdown: key facts of the report, and the pose of each sensor."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def refused_sensors(outcomes: Sequence[Outcome], timezone: str) -> dict[str, GisRadarError]:
-    """Return the sensors whose recordings are not in the dataset, and why."""
+    """Return the error of each sensor whose recordings are not in the dataset."""
     measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
     return {
         name: error_in_site_words(
@@ -59,13 +59,13 @@ def refused_sensors(outcomes: Sequence[Outcome], timezone: str) -> dict[str, Gis
 
 
 def doubts_of(outcomes: Sequence[Outcome]) -> dict[str, str]:
-    """Return by sensor what the check of poses and recordings doubts."""
+    """Return, by sensor, the doubt of the check of poses and recordings."""
     measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
     return {name: line for each in measured for name, line in each.get("doubts", {}).items()}
 
 
 def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
-    """Return the pose of each sensor, or why there is none."""
+    """Return pose and `state` of each sensor; the state is `ok`, or the reason against it."""
     found: dict[str, dict[str, Any]] = {sensor.name: {} for sensor in site.sensor}
     for each in outcomes:
         if not each.stage.sensor:
@@ -75,7 +75,7 @@ def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, A
             reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
             facts.setdefault("state", reason)
         elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
-            # how a pose was found comes first; the pose in use counts
+            # figures of the localization come first; the pose in use replaces them
             found[each.stage.sensor] = {**facts, **each.figures}
     for name, error in refused_sensors(outcomes, site.timezone).items():
         found[name]["state"] = Text(error.message).removeprefix(f"{name}: ")
@@ -85,7 +85,7 @@ def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, A
 
 
 def _together(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return what sensors gained by each other, or why they are not tied."""
+    """Return a line for each sensor that was adjusted together with others, or could not be."""
     solved = (e.figures for e in outcomes if e.has_result and e.stage.work is work.together_stage)
     return [f"{name}: {tr(line)}" for each in solved for name, line in each.items()]
 
@@ -96,18 +96,18 @@ def warnings_of(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 _NUMBERS = "|".join(rf"(?<=^{digits})[.)](?=\s|$)" for digits in (r"\d", r"\d\d", r"\d\d\d"))
-_MARKS = re.compile(  # what Markdown takes for markup; no underscore within a word
+_MARKS = re.compile(  # characters that are markup in Markdown; no underscore within a word
     r"[\\`*\[\]<>|~]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)|^[#+=-]|" + _NUMBERS
 )
 
 
 def markdown_escaped(value: object) -> object:
-    """Return a text as Markdown prints it: names and titles are no markup and no HTML.
+    """Return a text with markup and HTML escaped, so that Markdown shows it unchanged.
 
     Parameters
     ----------
     value : object
-        Escaped where it is a text; anything else stays as it is.
+        A text to escape, or any other value, which stays as it is.
 
     Returns
     -------
@@ -125,14 +125,14 @@ def _escaped(found: re.Match[str]) -> str:
 
 
 def summary_page(site: Site, outcomes: Sequence[Outcome]) -> str:
-    """Return the summary of a run, to read: what the report says first, in its language.
+    """Return the summary of a run, in the language of its report.
 
     Parameters
     ----------
     site : Site
-        With title, time zone and language.
+        The site, with title, time zone and language.
     outcomes : sequence of Outcome
-        Of the run's stages.
+        Outcomes of the run's stages.
 
     Returns
     -------
@@ -140,20 +140,20 @@ def summary_page(site: Site, outcomes: Sequence[Outcome]) -> str:
         Markdown.
     """
     by_work = {each.stage.work: each.figures for each in outcomes if each.has_result}
-    heat, told = by_work.get(work.heatmap_stage, {}), by_work.get(work.report_stage, {})
+    heat, report = by_work.get(work.heatmap_stage, {}), by_work.get(work.report_stage, {})
     text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
     plain = Environment(  # noqa: S701 - Markdown, escaped by `finalize`
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=markdown_escaped
     )
     template = plain.from_string(text)
     with speaking(site.language):
-        heard = told.get("remarks") or [tr(each) for each in warnings_of(outcomes)]
+        remarks = report.get("remarks") or [tr(each) for each in warnings_of(outcomes)]
         shown: str = template.render(
             tr=tr, title=site.title, span=_span(site, heat), shown=listed(sensors_in(outcomes)),
-            facts=told.get("facts") or {}, heard=heard, version=software()["gis_radar"],
+            facts=report.get("facts") or {}, remarks=remarks, version=software()["gis_radar"],
             tables=[
-                (tr("What this rests on"), told.get("basis")),
-                (tr("Lanes by occupancy"), told.get("lanes_named")),
+                (tr("What this rests on"), report.get("basis")),
+                (tr("Lanes by occupancy"), report.get("lanes_named")),
                 (tr("Sensors"), _pose_rows(outcomes, site)),
             ],
             lists={
@@ -165,7 +165,7 @@ def summary_page(site: Site, outcomes: Sequence[Outcome]) -> str:
 
 
 def _span(site: Site, heat: Mapping[str, Any]) -> str:
-    """Return the time of the heat maps by the site's clock, with its zone."""
+    """Return the time of the heat maps as local times, with their zone."""
     if not {"begin", "end"} <= set(heat):
         return ""
     begin, end = (datetime.fromisoformat(heat[name]) for name in ("begin", "end"))
@@ -174,7 +174,7 @@ def _span(site: Site, heat: Mapping[str, Any]) -> str:
 
 
 def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
-    """Return the poses as a table is read: its head, and a row a sensor; bearings as the report."""
+    """Return the table of poses: its head, and a row a sensor; bearings count as in the report."""
     rows = [[
         tr("Sensor"), f"{tr('Easting')}, m", f"{tr('Northing')}, m", f"{tr('Height')}, m",
         f"{tr('Looks to')}, {tr('from grid north')}", tr("Pitch, roll"),

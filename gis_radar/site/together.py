@@ -1,4 +1,4 @@
-"""Poses of a site's sensors found together: what each alone may be, and the answer for all."""
+"""Poses of a site's sensors found together: candidates of each sensor, and the common answer."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ Record = dict[str, Any]
 
 
 def write_candidates(refusal: AmbiguousError, sensor: str, path: Path) -> None:
-    """Write the poses that a sensor cannot tell apart, and why it is refused alone."""
+    """Write the candidate poses of a sensor, and the reason why it is refused alone."""
     poses = [replace(each.pose, sensor=sensor).as_dict() for each in refusal.answers]
     _write(path, {"message": refusal.message, "hint": refusal.hint, "poses": poses})
 
 
 def refuse_candidates(path: Path) -> None:
-    """Refuse a sensor of which there are several poses.
+    """Refuse a sensor with several candidate poses.
 
     Raises
     ------
     NoAnswerError
-        If there are.
+        If the file of candidates exists.
     """
     if path.exists():
         record = _read(path)
@@ -50,28 +50,28 @@ def solve_together(
     sensors: Mapping[str, Sequence[Path]], folder: Path, map_file: Path, road: Path, *,
     clocks: Path | None, reporter: Reporter, **options: Any,
 ) -> Record:  # fmt: skip
-    """Tie the poses of a site's sensors, as far as they have one or several.
+    """Adjust the poses of a site's sensors together, of those that have one or several.
 
     Parameters
     ----------
     sensors : mapping of str to sequence of Path
-        Their recordings.
+        Recordings by sensor.
     folder : Path
-        Of the sensors' folders.
+        Holds the folders of the sensors.
     map_file, road : Path
         The lanes, and the scanned road.
     clocks : Path or None
-        How far clocks are ahead, where that was measured.
+        File of clocks' offsets, if they were measured.
     reporter : Reporter
         Receives progress and remarks.
     **options
-        Of :func:`gis_radar.read_map`.
+        As for :func:`gis_radar.read_map`.
 
     Returns
     -------
     dict
-        By sensor its `pose`, or the `message` and `hint` of its refusal; `line` is what it gained,
-        or why it is not tied.
+        For each sensor its `pose`, or the `message` and `hint` of its refusal; and `line`, a text
+        on what the adjustment gained, or why the sensor is not part of it.
     """
     from gis_radar.calibration import Solved, adjust_poses, read_clocks
     from gis_radar.hdmap import read_map
@@ -94,7 +94,7 @@ def solve_together(
 
 
 def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
-    """Return the poses that a sensor may have by itself, and its refusal where it has several."""
+    """Return the poses that a sensor may have by itself, and its refusal if these are several."""
     if (place / FOUND).exists():
         return (read_pose(place / FOUND),), {}
     if not (place / SEVERAL).exists():
@@ -105,7 +105,7 @@ def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
 
 
 def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) -> Record:
-    """Return what became of a sensor."""
+    """Return the record of a sensor, as :func:`solve_together` returns it."""
     from gis_radar.calibration import CLASH_HINT, gain_line
 
     if name in solved.refused:
@@ -126,12 +126,12 @@ def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) 
 
 
 def write_together(record: Record, path: Path) -> None:
-    """Write what became of all sensors."""
+    """Write the record of all sensors, from :func:`solve_together`."""
     _write(path, {"sensors": record})
 
 
 def read_together(path: Path, sensor: str) -> tuple[Pose, str]:
-    """Return the pose of a sensor, and what it gained or why it is not tied.
+    """Return the pose of a sensor, and the line about its adjustment.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files in TOML that are described by models: read with an error's line, template, reference."""
+"""TOML files described by models: reading with the lines of errors, template, and reference."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from gis_radar.site.values import Steps, TomlTable, Unfit, is_repeated, lines_of
 Root = TypeVar("Root", bound=TomlTable)
 LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
 MOST_SENSORS = 200  # of a site: more than any town has at its junctions
-_WIDTH = 96
-OPTIONAL = ("live", "lane")  # tables that a template shows, and that few files have
+_WIDTH = 96  # characters of a line of the template
+OPTIONAL = ("live", "lane")  # tables that a template comments out, as few files have them
 
 
 def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root:
@@ -35,7 +35,7 @@ def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root
     of_site : bool
         Whether it is a site file, for messages.
     hint : str
-        How to come by one.
+        How to get such a file, for messages.
 
     Raises
     ------
@@ -70,16 +70,16 @@ def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root
         raise _first_error(path, lines, raw, error, root, of_site=of_site) from None
 
 
-# What is wrong, in one line with file, line and key.
+# Errors as one line with file, line and key.
 
 
 def _first_error(
     path: Path, lines: Mapping[Steps, int], raw: Any, error: ValidationError,
     root: type[TomlTable], *, of_site: bool,
 ) -> InputError:  # fmt: skip
-    """Return the first error by line; an unknown key comes first, as others may follow from it."""
+    """Return the first error by line; an unknown key comes first, as it may cause others."""
     errors = error.errors(include_url=False)
-    # a list whose only item is wrong is also called too short, which hides why
+    # A list whose only item is wrong is also reported as too short: only the inner error counts.
     inner = [
         each for each in errors
         if not any(
@@ -102,7 +102,7 @@ def _first_error(
 def _described(
     error: ErrorDetails, raw: Any, root: type[TomlTable], *, of_site: bool
 ) -> tuple[Steps, bool, str, str]:
-    """Return the place of an error, whether it is a known key's, its message and its hint."""
+    """Return the place of an error, whether its key is known, its message, and its hint."""
     table, field, steps = _found(error["loc"], root)
     if error["type"] == "extra_forbidden":
         name, known = str(steps[-1]), list(table.model_fields)
@@ -129,11 +129,11 @@ def _described(
 def _shown(value: Any) -> str:
     if isinstance(value, dict):
         return Text("a table")
-    return "true" if value is True else "false" if value is False else repr(value)
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def _found(loc: Steps, root: type[TomlTable]) -> tuple[type[TomlTable], FieldInfo | None, Steps]:
-    """Return the innermost table and key of a place, and the way to that key."""
+    """Return the innermost table and key of a place, and the steps to that key."""
     table: type[TomlTable] = root
     field: FieldInfo | None = None
     for depth, step in enumerate(loc):
@@ -158,9 +158,10 @@ def toml_template(
     root : type
         The model of the whole file.
     head : str
-        What stands first.
+        First lines of the file.
     given : collection of (str, str)
-        Tables and keys to fill in although they are not required: one of several will do.
+        Tables and keys that are not commented out although not required: one of several keys that
+        suffice.
     """
     return "\n".join([head, *_template(root, "", given)]).rstrip() + "\n"
 

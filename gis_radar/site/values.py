@@ -1,4 +1,4 @@
-"""Types of values and tables in a site file: what each looks like, and how it is checked."""
+"""Types of values and tables in a site file, with their descriptions and checks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Steps = tuple[str | int, ...]
 
 
 class Unfit(ValueError):  # noqa: N818 - becomes an error where file and line are known
-    """A value that does not fit: what was expected, or a whole message of its own."""
+    """An error about a value: the expected kind of value, or a whole message of its own."""
 
     def __init__(
         self, expected: str = "", *, message: str = "", hint: str = "", at: Steps = ()
@@ -54,7 +54,7 @@ class Unfit(ValueError):  # noqa: N818 - becomes an error where file and line ar
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a value of a type is, in a few words."""
+    """Description of the values of a type, in a few words."""
 
     text: str
 
@@ -89,8 +89,8 @@ def _ascending(numbers: tuple[float, float]) -> tuple[float, float]:
     return numbers
 
 
-def _parsed(parse: Callable[[str], object], text: str) -> None:
-    """Check a text by its parser, whose message becomes the hint."""
+def _require_parsed(parse: Callable[[str], object], text: str) -> None:
+    """Check a text by a parser, whose message becomes the hint of the error."""
     try:
         parse(text)
     except GisRadarError as error:
@@ -106,14 +106,14 @@ def _crs(text: str) -> str:
 
 
 def _zone(text: str) -> str:
-    _parsed(zone_of, text)
+    _require_parsed(zone_of, text)
     return text
 
 
 def _intervals(texts: tuple[str, ...]) -> tuple[str, ...]:
     found = tuple(each.strip().lower() for each in texts)
     for each in found:
-        _parsed(interval_steps, each)
+        _require_parsed(interval_steps, each)
     if len({interval_steps(each) for each in found}) < len(found):
         raise Unfit(Text("lengths that differ from each other"))
     return found
@@ -123,7 +123,7 @@ def _cycle(value: Any) -> float:
     text = _text(value)
     if text == "auto":
         raise Unfit(hint=CYCLE_HINT)
-    _parsed(duration_s, text)
+    _require_parsed(duration_s, text)
     if not SHORTEST_CYCLE_S <= duration_s(text) <= LONGEST_CYCLE_S:
         raise Unfit(Text("{:g} to {:g} s", SHORTEST_CYCLE_S, LONGEST_CYCLE_S))
     return duration_s(text)
@@ -150,7 +150,7 @@ def _file(value: Any, info: ValidationInfo, *, folders: bool = False) -> Path:
 
 
 def _files(value: Any, info: ValidationInfo, *, folders: bool = False) -> tuple[Path, ...]:
-    """Return the files of names and patterns, each once, those of a pattern by name."""
+    """Return the files of names and patterns, each once; those of a pattern are sorted by name."""
     patterns = [value] if isinstance(value, str) else value
     if not isinstance(patterns, list) or not patterns:
         raise Unfit
@@ -164,7 +164,7 @@ def _files(value: Any, info: ValidationInfo, *, folders: bool = False) -> tuple[
 
 
 def _expanded(text: str) -> Path:
-    """Return a path with the home of its user; the name itself where there is no such user."""
+    """Return a path with `~` replaced by the user's home; unchanged for an unknown user."""
     return Path(os.path.expanduser(text))  # noqa: PTH111 - pathlib raises
 
 
@@ -185,7 +185,7 @@ def _matches(pattern: str, folder: Path, *, folders: bool) -> list[Path]:
 
 
 def within(low: float = -math.inf, high: float = math.inf) -> Any:
-    """Return the constraint of numbers from `low` to `high`."""
+    """Return a constraint for numbers from `low` to `high`."""
     return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
 
 
@@ -223,7 +223,7 @@ Zone = Annotated[
     TextValue, Meaning(Text("an IANA time zone such as Europe/Berlin")), AfterValidator(_zone)
 ]
 File = Annotated[Path, Meaning(Text("the name of a file")), PlainValidator(_file)]
-# Of a file that may still have to be made.
+# The name of a file that may not exist yet.
 Place = Annotated[Path, Meaning(Text("the name of a file")), PlainValidator(_place)]
 Files = Annotated[
     tuple[Path, ...],
@@ -240,18 +240,18 @@ Pairs = Annotated[
 ]
 
 
-# Tables of the file, their keys, and where these stand.
+# Tables of the file, their keys, and the lines of these.
 
 
 def key(example: str | float, default: Any = ..., shown: str | None = None) -> Any:
-    """Declare a field of a table as a key of the site file; its docstring is what it is.
+    """Declare a field of a table as a key of the site file; the field's docstring describes it.
 
     Parameters
     ----------
     example : str
         A value as TOML, for the template; a number is the default as well.
     default : object
-        What holds without it; a key without a default is required.
+        Value if the key is missing; a key without a default is required.
     shown : str, optional
         The default in words; by default the value itself.
     """
@@ -260,13 +260,13 @@ def key(example: str | float, default: Any = ..., shown: str | None = None) -> A
 
 
 class TomlTable(BaseModel):
-    """A table of the site file: unknown keys are refused, and nothing changes afterwards."""
+    """A table of the site file, immutable; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 def table_of(field: FieldInfo) -> type[TomlTable] | None:
-    """Return the table that a key stands for; None where its value is none."""
+    """Return the table that is the value of a key; None for any other value."""
     kinds = _kinds(field.annotation)
     return next(
         (each for each in kinds if isinstance(each, type) and issubclass(each, TomlTable)), None
@@ -274,12 +274,12 @@ def table_of(field: FieldInfo) -> type[TomlTable] | None:
 
 
 def is_repeated(field: FieldInfo) -> bool:
-    """Return whether a table may be there several times: `[[name]]`."""
+    """Return whether a table may be repeated: `[[name]]`."""
     return get_origin(field.annotation) is tuple
 
 
 def value_of(field: FieldInfo) -> str:
-    """Return what a value of a key is, in a few words."""
+    """Return the description of a key's value, in a few words."""
     inner = table_of(field)
     if inner is not None:
         return Text("one or more tables: [[sensor]]") if is_repeated(field) else Text("a table")
@@ -303,7 +303,7 @@ _KEY = re.compile(r"\s*[\"']?([A-Za-z0-9_.-]+)[\"']?\s*=")
 def lines_of(text: str) -> dict[Steps, int]:
     """Return the line, from 1, of each table and key of a TOML text.
 
-    Found by the look of a line, for messages only: inside a text of several lines it may err.
+    They are found by patterns, for messages only; within a text of several lines they may be wrong.
     """
     lines: dict[Steps, int] = {}
     counts: dict[str, int] = {}
@@ -320,7 +320,7 @@ def lines_of(text: str) -> dict[Steps, int]:
 
 
 def _steps_to(name: str, counts: dict[str, int], *, repeated: bool) -> Steps:
-    """Return the way to a table; below a repeated one, to its latest."""
+    """Return the steps to a table; below a repeated table, to its latest one."""
     if repeated:
         counts[name] = counts.get(name, -1) + 1
     steps: list[str | int] = []

@@ -1,4 +1,4 @@
-"""Carry out a stage in a worker, and send its progress to the run."""
+"""Carry out stages in worker processes, and send their progress to the run."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from gis_radar.base import (
     watch_parent,
 )
 
-_REPORT_S = 0.05  # bars move 20 times a second at most: faster is not seen, and costs both ends
-_ENDED = 128 + signal.SIGTERM  # exit code of a worker that was asked to end
+_REPORT_S = 0.05  # least time between reports: faster bars are not seen, and cost both ends
+_ENDED = 128 + signal.SIGTERM  # exit code of a worker that SIGTERM ended
 
 Event = dict[str, Any]
 Send = Callable[[Event], None]
 
 
 class _Sender(Reporter):
-    """Send progress and remarks of a stage to the run."""
+    """A receiver that sends progress and remarks of a stage to the run."""
 
     def __init__(self, stage: str, send: Send) -> None:
         self._stage, self._send = stage, send
         self._last: tuple[str, float] = ("", 0.0)
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
-        """Send how far a part of the stage is; the first and the last value always."""
+        """Send the progress of a phase of the stage; its first and last value always."""
         now = time.monotonic()
         phase, before = self._last
         if phase != stage or done == total or now - before > _REPORT_S:
@@ -64,18 +64,18 @@ def carry_out(
     outputs: Sequence[Path],
     send: Send,
 ) -> Mapping[str, Any]:
-    """Carry out a stage; return what is worth a look.
+    """Carry out a stage; return its figures.
 
     Parameters
     ----------
     name : str
-        The stage, as its events name it.
+        Name of the stage, for its events.
     work : callable
-        A function of a module, so that every executor can send it.
+        A function of a module, so that any executor can send it.
     arguments : mapping
-        What it takes beside `outputs` and `reporter`.
+        Its arguments except `outputs` and `reporter`.
     outputs : sequence of Path
-        What it makes; their folders are made here.
+        Files and folders that it makes; the folders around them are made here.
     send : callable
         Takes the events to the run, each with its `stage`: the process that begins it (`worker`),
         progress (`phase`, `done`, `total`) and remarks (`message`, `level`).
@@ -83,9 +83,9 @@ def carry_out(
     Raises
     ------
     GisRadarError
-        Why there is no result; an OutputError for what the system refuses.
+        If there is no result; an OutputError if the operating system refuses something.
     RuntimeError
-        With the traceback of an error that is ours: its class may not pass to another process.
+        For a fault in gis_radar, with its traceback: its class may not pass to another process.
     """
     send({"stage": name, "worker": os.getpid()})
     try:
@@ -97,7 +97,7 @@ def carry_out(
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         raise OutputError("{}{}", where, error.strerror or error) from error
-    except SystemExit:  # by _end: what was half-written is gone
+    except SystemExit:  # raised by _end; unfinished files have been removed
         os._exit(_ENDED)
     except Exception as error:
         raise RuntimeError(f"{name}: fault in gis_radar\n{traceback.format_exc()}") from error
@@ -105,14 +105,14 @@ def carry_out(
 
 @dataclass(frozen=True, kw_only=True)
 class Pool:
-    """An executor of stages, with the way of their events back to the run.
+    """An executor of stages, with a queue of their events for the run.
 
     Parameters
     ----------
     executor : Executor
-        Any that can call a function of a module.
+        Any executor that can call a function of a module.
     send : callable
-        Puts an event into `events`; the executor takes it to the workers.
+        Puts an event into `events`; it is sent to the workers with their tasks.
     events : queue
         Events of all stages, read by the run.
     """
@@ -124,16 +124,16 @@ class Pool:
 
 @contextmanager
 def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Pool]:
-    """Provide processes for stages; when the block ends, they and what they started are gone.
+    """Provide worker processes; at the end of the block they and all they started are ended.
 
     Parameters
     ----------
     jobs : int
-        How many there may be.
+        Greatest number of workers.
     scratch : Path
-        Where their temporary files go.
+        Folder for their temporary files.
     language : str
-        Of the pictures that they draw.
+        Language of the pictures that they draw.
     """
     context = _WorkerContext()
     events: SimpleQueue[Event] = context.SimpleQueue()
@@ -149,10 +149,10 @@ def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Poo
 
 
 class _Worker(SpawnProcess):
-    """A process that does not run the caller's script again, and no terminal interrupts."""
+    """A process that does not run the caller's script again, and ignores Ctrl-C."""
 
     def start(self) -> None:
-        """Start it with `__main__` hidden and interruptions blocked, which it inherits."""
+        """Start the process with `__main__` hidden, and with interruptions blocked in it."""
         main: dict[str, Any] = vars(sys.modules["__main__"])
         shown = {"__spec__": main.get("__spec__"), "__file__": main.pop("__file__", None)}
         main["__spec__"] = None
@@ -167,7 +167,7 @@ class _Worker(SpawnProcess):
 
 
 class _WorkerContext(SpawnContext):
-    """The way a pool starts workers, which remembers them."""
+    """A context of multiprocessing that keeps the workers it makes, so that all can be stopped."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -183,7 +183,7 @@ _events: SimpleQueue[Event] | None = None  # of this worker
 
 
 def _begin(events: SimpleQueue[Event], scratch: str, language: str) -> None:
-    """Begin a worker: it ends with the run, and keeps what libraries print off standard output."""
+    """Prepare a worker: it ends with the run, and libraries' output goes to standard error."""
     global _events  # noqa: PLW0603 - an initializer has no other way
     watch_parent()
     go_offline()
@@ -201,5 +201,5 @@ def _send(event: Event) -> None:
 
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
-    """End the worker: files that are half-written go first."""
+    """End the worker; on the way, `SystemExit` has unfinished files removed."""
     raise SystemExit(_ENDED)

@@ -221,7 +221,7 @@ def _damaged(source: str, error: Exception) -> InputError:
 
 
 class _Topic:
-    """Turns the messages of one topic into frames."""
+    """Reader of one topic of a bag, from messages to frames."""
 
     def __init__(self, source: str, connection: Any, reader: Any, context: ReaderContext) -> None:
         self._name, self._kind = connection.topic, connection.msgtype

@@ -127,10 +127,7 @@ def _bins(tiles: SightTiles, known: Booleans) -> _Bins:
 
 
 def _expected(counted: Floats, looked: Floats, moved: Booleans, bins: _Bins) -> Floats:
-    """Return the frames with movement to expect on each piece.
-
-    Its rate is the greatest one before or behind it, whichever is less.
-    """
+    """Return the frames with movement to expect on each piece, by the rates on its quieter side."""
     rate = np.where(moved, counted / np.maximum(looked, 1.0), 0.0)
     before, behind = _most_before(rate, bins.stretch), _most_behind(rate, bins.stretch)
     return np.asarray(np.minimum(before, behind) * looked)

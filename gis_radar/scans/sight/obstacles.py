@@ -49,7 +49,7 @@ class Obstacles:
     slab_low, slab_high : array
         Lower and upper side of a deck or of a body that spans a road; inf and -inf without one.
     known : (n, m) bool array
-        Which cells the scan covers.
+        Whether the scan covers each cell.
     ground : array
         Height of the ground or road, NaN where not known.
     """

@@ -49,10 +49,7 @@ def draw_sight(ax: Any, sight: Sight, tiles: SightTiles) -> None:
 
 
 def _extent(sight: Sight, tiles: SightTiles) -> tuple[Floats, Floats]:
-    """Return south-west and north-east corner (m) around the sensor and the tiles in its view.
-
-    Without tiles in view, all tiles are shown.
-    """
+    """Return both corners (m) around the sensor and the tiles in its view, else all tiles."""
     in_view = sight.state != OUT_OF_VIEW
     shown = tiles.quads[in_view if in_view.any() else slice(None)].reshape(-1, 2)
     places = np.vstack([shown, sight.pose.position[:2]])

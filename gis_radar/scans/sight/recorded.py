@@ -63,7 +63,7 @@ class MovingHits:
     Parameters
     ----------
     sight : Sight
-        What the sensor sees from that pose.
+        Sight of the sensor from that pose.
     count : (n,) int64 array
         Number of frames with a moving detection on each tile, in the order of the tiles.
     frames : int
@@ -83,7 +83,7 @@ class MovingHits:
 
 @dataclass(kw_only=True)
 class MovementCounter:
-    """Counts the frames with movement on each tile, batch by batch of a recording.
+    """Counter of the frames with movement on each tile, batch by batch of a recording.
 
     Parameters
     ----------
@@ -195,14 +195,11 @@ def report_contradictions(found: Iterable[Contradiction], reporter: Reporter) ->
         both[0] += int(np.count_nonzero(each.no_movement))
         both[1] += int(np.count_nonzero(each.movement))
     for sensor, (still, moving) in counts.items():
-        parts = [
-            *(
-                [Text("nothing moves on {} tiles in sight where vehicles pass", still)]
-                if still
-                else []
-            ),
-            *([Text("something moves on {} hidden tiles", moving)] if moving else []),
-        ]
+        parts = []
+        if still:
+            parts.append(Text("nothing moves on {} tiles in sight where vehicles pass", still))
+        if moving:
+            parts.append(Text("something moves on {} hidden tiles", moving))
         if parts:
             reporter.warn(
                 "the recording of {} contradicts its sight: {}; was it built or pulled "

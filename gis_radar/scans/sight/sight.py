@@ -121,18 +121,18 @@ class SightTiles:
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """What a sensor sees of each tile from one pose.
+    """The sight of a sensor from one pose: the state of each tile.
 
     Parameters
     ----------
     pose : Pose
-        Where the sensor stands and looks.
+        Pose of the sensor.
     tile_id : (n,) int64 array
         Ids of all tiles.
     state : (n,) uint8 array
         `OUT_OF_VIEW`, `IN_SIGHT` or `HIDDEN` for each.
     hider : (n,) uint8 array
-        What hides a tile: `NOTHING`, `STANDING`, `GROUND`, `DECK`, or `NOT_IN_SCAN`, as a
+        Obstacle that hides a tile: `NOTHING`, `STANDING`, `GROUND`, `DECK`, or `NOT_IN_SCAN`, as a
         recording shows.
     hidden_at_m : (n,) array
         Horizontal distance from the sensor to the obstacle's begin, metres; NaN without one.
@@ -181,7 +181,7 @@ class Sight:
 
 
 class SightSource(Protocol):
-    """Where sight comes from: a scan, or a file of sight."""
+    """A source of sight: scans, or a file of sight."""
 
     def read(self, poses: Sequence[Pose]) -> None:
         """Read, in one pass, what the sights of these poses need."""
@@ -451,8 +451,7 @@ def _follow_rays(
 ) -> tuple[Floats, Any, Floats]:
     """Follow rays from `eye` to `targets`, all in metres from the corner of the cells.
 
-    Returns, for each target, the distance at which its ray is first blocked (m; NaN if it is not),
-    the hider's number, and the length over cells without scan (m).
+    Returns, by target, distance (m, else NaN) and kind of the first block, and length over no scan.
     """
     count = len(targets)
     begin_m, unknown_m = np.full(count, np.nan), np.zeros(count)
