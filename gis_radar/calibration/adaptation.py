@@ -1,4 +1,4 @@
-"""Adaptation: estimates of a recording's radar and vehicles, near a fit."""
+"""Adaptation of prior and model to a recording's radar and vehicles, estimated near a fit."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from gis_radar.calibration.solver import Fit, Prior
 from gis_radar.calibration.state import REFLECTION
 from gis_radar.calibration.traces import SPELL_S, Samples
 
-# Bumpers, sills and wheels end that far over the road (ground clearance 0.12 to 0.3 m).
+# Height over the road at which bumpers, sills and wheels end (ground clearance 0.12 to 0.3 m).
 EDGE_M = 0.2
 EDGE_SIGMA_M = 0.07
 NODES = 16  # of the quadrature over the gamma distribution of heights above the edge
-# Share of bodies, and between which heights above the edge they reflect.
+# Share of reflections that come from bodies, and their lowest and highest height above the edge.
 TALL_SHARE = 0.2
 TALL_M = (0.2, 2.8)
-# Share of strays, and over which height.
+# Share of stray reflections, and the range of heights over which they spread evenly.
 STRAY_HEIGHTS = 0.05
 STRAY_M = 8.0
 NEAR_M = 80.0  # farther samples fix no heights: 0.6 degrees are 0.8 m
@@ -41,24 +41,24 @@ START = (0.2, 0.2, math.radians(0.5))
 LOWEST = (-1.5, 0.05, math.radians(0.1))
 HIGHEST = (2.0, 0.6, math.radians(2.0))
 LEAST_SAMPLES = 200  # near enough; with fewer no heights are estimated
-# Factors on the side strength that are tried, up and down: how many, and the largest.
+# Number of factors on the side strength that are tried, from 1 / MOST_FACTOR to MOST_FACTOR.
 FACTORS = 17
 MOST_FACTOR = 4.0
 FACTOR_SIGMA = math.log(2.0)  # 1 sigma of the logarithm of such a factor in the prior
 DERIVATIVE_STEP = 1e-4  # of numerical derivatives
-# Shares of the elevation's variance that may last, and rounds in which the effects settle.
+# Shares of the elevation's variance tried as a lasting error; iterations of the random effects.
 BENT_SHARES: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
 BENT_ROUNDS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Heights:
-    """At which heights vehicles reflect.
+    """Heights at which vehicles reflect.
 
     Parameters
     ----------
     mean_m, sigma_m : float
-        Mean height of reflections from bumpers, sills and wheels over the road, and its error.
+        Mean height of reflections from bumpers, sills and wheels over the road, and its 1 sigma.
     elevation : float
         One standard deviation of the radar's elevation angles, radians.
     """
@@ -76,9 +76,9 @@ def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, 
     scene : Scene
         The map and the traces.
     fit : Fit
-        Near the answer.
+        A fit near the answer.
     prior, model : Prior, Model
-        Before.
+        Those with which it was found.
     """
     model = replace(model, side_strength=side_strength(scene, fit, model))
     found = heights(scene, fit)
@@ -95,11 +95,11 @@ def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, 
 
 
 def bent(scene: Scene, fit: Fit, model: Model) -> Model:
-    """Return the model with that part of the elevation's noise set apart that lasts for seconds.
+    """Split a model's elevation noise into an independent part and one that lasts for seconds.
 
-    The variance is split as is likeliest with the random effects of the vehicles integrated out
-    (by Laplace's method): where the detections of one agree better than those of different ones,
-    they share an error, and do not count as many.
+    The likeliest split is taken, with the random effects of the vehicles integrated out (Laplace's
+    method): where the detections of one vehicle agree better than those of different vehicles,
+    they share an error, and count less.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
     fit : Fit
         Near the answer.
     model : Model
-        With the elevation's noise in all.
+        Its `elevation` is the whole noise of the elevation angles.
     """
     placed = place(scene.samples, fit.state)
     models = [
@@ -138,12 +138,12 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
 
 
 def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> LaneComparison:
-    """Return what residuals of a model compare, near an answer."""
+    """Return placed samples with their lanes, from which a model's residuals follow."""
     return LaneComparison(lanes=scene.lanes, placed=placed, matches=fit.matches, model=model)
 
 
 def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
-    """Return how strongly sides reflect against fronts: the likeliest, by where samples lie.
+    """Estimate how strongly sides reflect relative to fronts (a ratio) from where samples lie.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     fit : Fit
         Near the answer.
     model : Model
-        Its strength is the prior's mean, within a factor of two.
+        Its side strength is the prior's mean, with 1 sigma of a factor of two.
     """
     placed = place(scene.samples, fit.state)
 
@@ -168,7 +168,7 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
 
 
 def _alone(samples: Samples, model: Model) -> Floats:
-    """Return how much each sample counts beside those of its vehicle with the same error."""
+    """Return each sample's weight, up to 1, among those of its vehicle that share its error."""
     longest, together = samples.spell_reach.shape[1], round(model.lasting / SPELL_S)
     spell = samples.spells % longest // max(together, 1)
     key = samples.track * longest + spell
@@ -179,11 +179,11 @@ def _alone(samples: Samples, model: Model) -> Floats:
 
 
 def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights | None:
-    """Estimate at which heights vehicles reflect, from the shape of what a fit shows.
+    """Estimate at which heights vehicles reflect, from the distribution of heights in a fit.
 
-    The height of a sensor and that of the reflections look alike but for one thing: no vehicle
-    reflects from below its bumpers, sills and wheels, and those end 0.2 m over the road whatever
-    the radar. The lower edge of the reflections is therefore known; their spread over it, and the
+    A sensor placed higher looks like reflections that lie higher, but no vehicle reflects from
+    below its bumpers, sills and wheels, and these end 0.2 m over the road whatever the
+    radar. The lower edge of the reflections is therefore known; their spread over it, and the
     noise that blurs it with the range, follow by maximum likelihood: a gamma distribution of
     shape 2 over the edge, bodies above, strays.
 
@@ -194,7 +194,7 @@ def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights |
     fit : Fit
         Near the answer.
     alone : (n,) array, optional
-        How much each sample counts; without it one.
+        Weight of each sample; by default 1.
 
     Returns
     -------

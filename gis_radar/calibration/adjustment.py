@@ -21,21 +21,21 @@ from gis_radar.calibration.correspondences import (
 )
 from gis_radar.calibration.solver import at_most
 
-HALF_LENGTH_SIGMA_M = 0.25  # how well the mean of vehicles' half length is known
-HALF_WIDTH_SIGMA_M = 0.1  # the same of the mean half width
-SIDE_SIGMA = math.log(1.5)  # and of the strength of sides, logarithm
-# What is alike for all vehicles on a stretch of a lane, as both radars see them from there, one
-# standard deviation along and across: 0.2 to 0.3 and 0.1 m at the true poses of two simulators.
+HALF_LENGTH_SIGMA_M = 0.25  # 1 sigma of the mean half length of vehicles
+HALF_WIDTH_SIGMA_M = 0.1  # 1 sigma of their mean half width
+SIDE_SIGMA = math.log(1.5)  # 1 sigma of the logarithm of the side strength
+# 1 sigma, along and across, of the gap that all vehicles on a stretch of a lane have in common
+# between two radars: 0.2 to 0.3 and 0.1 m at the true poses of two simulators.
 STRETCH_SIGMA_M = (0.3, 0.1)
 CLOCK_S = 0.02  # offset of a sensor's clock, one standard deviation: NTP on a local network
-# The same where it is asked whether clocks are off: at more, no vehicle finds its pair.
+# The same for unsynchronised clocks: at a larger offset no vehicle finds its pair.
 FREE_CLOCK_S = 1.0
 # Degrees of freedom of Student's t for a pair's misfit: every tenth pair or so is wrong.
 FREEDOM_T = 4.0
 
 STEPS = 8  # of weights and poses in turn; they settle after three or four
-OWN = 2 * PLANE  # of a pair of sensors
-SHARED = OWN + FACES + 2  # with the constants of the faces and both clocks
+OWN = 2 * PLANE  # unknowns of a pair's poses
+SHARED = OWN + FACES + 2  # these with the constants of the faces and both clocks: eleven
 Edge = tuple[int, int]
 
 
@@ -46,12 +46,12 @@ class Correspondences:
     Parameters
     ----------
     information : (pairs, 13, 13) array
-        About the poses of both (6), the constants of the faces (3), both clocks (2), and what is
-        alike on a stretch of road (2).
+        About 13 unknowns: the poses of both (6), the constants of the faces (3), both clocks (2),
+        and the gap common to a stretch of road (2).
     gradient : (pairs, 13) array
-        Of the cost by these, at the poses as they are.
+        Of the cost by these unknowns, at the present poses.
     gap, slope, covariance : (pairs, 2), (pairs, 2, 13), (pairs, 2, 2) arrays
-        The mean gap, its derivative, and how it scatters from vehicle to vehicle.
+        The mean gap in metres, its derivative, and its covariance among vehicles.
     stretch : (pairs,) array
         Number of the stretch of road.
     """
@@ -64,21 +64,21 @@ class Correspondences:
     stretch: Integers
 
     def chi2(self, step: Floats) -> Floats:
-        """Return the misfit of each pair after a step of the first eleven."""
+        """Return the misfit (chi-square) of each pair after a step of the first 11 unknowns."""
         gap = self.gap + self.slope[:, :, :SHARED] @ step
         return np.asarray(np.einsum("pi,pij,pj->p", gap, np.linalg.inv(self.covariance), gap))
 
     def summed(self, weight: Floats, step: Floats) -> tuple[Floats, Floats]:
-        """Return the information about the eleven, and each pair's part of the gradient by them.
+        """Return the information about the first 11 unknowns, and each pair's part of the gradient.
 
-        What is alike on a stretch is eliminated.
+        The gap common to a stretch is eliminated.
 
         Parameters
         ----------
         weight : (pairs,) array
-            Of each pair.
+            Weight of each pair.
         step : (11,) array
-            At which the gradient is taken.
+            Step from the present poses at which the gradient is taken.
         """
         known = weight[:, None, None] * self.information
         gradient = weight[:, None] * self.gradient + known[:, :, :SHARED] @ step
@@ -94,7 +94,7 @@ class Correspondences:
 
 
 def sum_correspondences(rows: Rows) -> Correspondences:
-    """Sum up the moments of each pair; what a vehicle adds to all of them is eliminated."""
+    """Sum up the moments of each pair, with the random effects of its vehicle eliminated."""
     alike = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     slope = np.concatenate([rows.poses, rows.constants, rows.clocks, alike], axis=2)
     by_effect, variances = effects(rows)
@@ -126,16 +126,16 @@ class Adjusted:
     Parameters
     ----------
     step : (n, 3) array
-        From the poses as they were to the adjusted ones: easting, northing, yaw.
+        From the poses before to the adjusted ones: easting, northing (m), yaw (radians).
     covariance : (3 n, 3 n) array
-        Of the adjusted ones.
+        Of the adjusted poses.
     clocks_s : (n,) array
         How far each clock is ahead.
     clock_covariance : (n, n) array
-        Of these.
+        Of the clocks, s^2.
     misfit : dict
-        By pair of sensors, how far the single answers are from what the correspondences say,
-        chi-square of three degrees of freedom.
+        By pair of sensors, the chi-square (three degrees of freedom) of the difference between
+        the single answers and the correspondences.
     """
 
     step: Floats
@@ -146,7 +146,7 @@ class Adjusted:
 
     @property
     def clock_gap(self) -> tuple[float, float]:
-        """By how much the second sensor's clock is ahead of the first one's; sigma, seconds."""
+        """By how much the second clock is ahead of the first, and 1 sigma, both in seconds."""
         gap = np.array([-1.0, 1.0])
         variance = gap @ self.clock_covariance[:2, :2] @ gap
         return float(gap @ self.clocks_s[:2]), float(np.sqrt(variance))
@@ -162,8 +162,8 @@ def adjust(
 ) -> Adjusted:
     """Adjust the poses of sensors, and their clocks, by correspondences and single answers.
 
-    Traffic in opposite directions separates an error of a clock from one of a place; where all of
-    it goes one way, the sigma of a clock becomes large. Pairs are weighted as by Student's t. The
+    Traffic in opposite directions separates an error of a clock from one of a place; where all
+    traffic goes one way, the sigma of a clock becomes large. Pairs have Student's t weights. The
     covariance is cluster-robust with the vehicles as clusters, never below the model's and never
     above that of the single answers.
 
@@ -172,7 +172,7 @@ def adjust(
     correspondences : mapping
         By pair of sensors.
     away : (n, 3) array
-        The poses as they are less the single answers.
+        The present poses less the single answers.
     covariances : sequence of (3, 3) arrays
         Of the single answers.
     clocks_s : sequence of float, optional
@@ -225,8 +225,8 @@ def adjust(
 def shared_covariance(covariances: Sequence[Floats]) -> Floats:
     """Return the covariance of several single answers, which have map and model in common.
 
-    How much is not known. What is taken for common is the parallel sum of their covariances in the
-    plane: half of it where two are alike, all of the better one's where the other is far worse,
+    How much they have in common is not known. The parallel sum of their covariances in the plane is
+    taken: half of each where two are alike, all of the better one's where the other is far worse,
     so that a sensor placed by another is no surer than that one.
     """
     n = len(covariances)
@@ -264,7 +264,7 @@ def _misfit(
     covariances: Sequence[Floats],
     nuisance: Floats,
 ) -> float:
-    """Return chi-square of what correspondences and single answers of two sensors differ by."""
+    """Return the chi-square of the difference of correspondences and single answers of a pair."""
     information, parts = matched.summed(weight, np.zeros(SHARED))
     gradient = parts.sum(axis=0) - information[:, :OWN] @ away.ravel()
     inner = np.linalg.inv(information[OWN:, OWN:] + np.diag(nuisance))

@@ -1,14 +1,14 @@
 """The alarm: small moves of a sensor, noticed against what it saw in its own first hour.
 
-Where drivers keep in their lanes and where the map is off is not known to better than some
-decimetres, but it is the same before and after. So the mean place of vehicles in each cell of the
-lanes is learnt as the sensor sees it, and the newest minutes are compared with that: a move shifts
-all lanes together, a habit or an obstacle one of them.
+Where in their lanes drivers keep, and the map's own error, are known to some decimetres only, but
+are the same before and after a move. So the mean place of vehicles in each cell of the lanes is
+learnt as the sensor sees it, and the newest minutes are compared with it: a move shifts all lanes
+together, a change of habit or an obstacle one of them.
 
-What vehicles show of the cells' means `m` is kept as normal equations `A m = b`, in which each
+The evidence about the cells' means `m` is kept as normal equations `A m = b`, in which each
 vehicle's own place in the lane is eliminated (a random effect, so vehicles are the units and not
-their detections); sums of these are all that is stored. Reference (A, b) and newest blocks (A', b')
-together state the move: `A m = b`, `A' (m + K x) = b'`, with `x` the move and what changes anyway.
+their detections); only sums of these are stored. Reference (A, b) and newest blocks (A', b') give
+the move: `A m = b`, `A' (m + K x) = b'`, where `x` is the move and the change of drivers' habits.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from gis_radar.calibration.lane_places import WITHIN_M, Cells, LanePlaces
 
 # *Measured* is on two hours of the sample junction, simulated as recorded (`bench/alarm.py`).
 BLOCK_S = 60.0  # traffic is summed by blocks, and tested at the end of each
-SETTLE_S = 7.0  # a vehicle counts in the block so long after its last detection: none may follow
+SETTLE_S = 7.0  # a vehicle counts in the block that holds this time after its last detection
 # Newest blocks that are tested: five for a strong move, nine for a small one (with SETTLE_S within
 # ten minutes), thirty for light traffic.
 BLOCKS = (5, 9, 30)
-# The tested blocks are at most that share of all there are: no alarm before 15 minutes, nine blocks
-# are tested from 27 on, thirty from 90 on.
+# Largest share of all blocks that is tested: five blocks are tested from 15 minutes on, nine from
+# 27 on, thirty from 90 on.
 SHARE = 0.34
-# The reference is the first hour; then it forgets within an hour or so many vehicles, whichever
-# takes longer, to follow what changes slowly.
+# The reference is the first hour; then it forgets with a time constant of an hour or of
+# REFERENCE_VEHICLES, whichever is longer, to follow slow changes.
 REFERENCE_H, REFERENCE_VEHICLES = 1.0, 1000
-# Ratio of the scatter between blocks to what independent vehicles make (broken tracks, platoons;
-# measured 1.4 to 2.1) before it is measured at the sensor, and how many blocks that counts for.
+# Scatter between blocks over that of independent vehicles, a ratio of variances (broken tracks,
+# platoons; measured 1.4 to 2.1): its prior mean, and the blocks that this prior counts for.
 DISPERSION, DISPERSION_BLOCKS = 2.0, 20.0
-# Standard deviations of drivers' habit on a stretch from which on it is no habit but an obstacle,
-# which weighs less and less.
+# Standard deviations of drivers' habit on a stretch beyond which a change is taken for an obstacle
+# and weighs less and less.
 OUTLIER = 2.0
 # Score beyond which a move is noticed: 0.2 false alarms a month, 95 % under 2.0, by the tail of 240
 # hours of changing traffic (`bench/alarm.py`).
@@ -51,35 +51,35 @@ TAPER_M = 1.3  # farther from the middle of its lane a vehicle counts less and l
 DRIVER_M = 0.35
 SWAY_M = 0.46
 HIT_M = 0.5
-# The same of heights over the road, and what grows with range; measured.
+# The same for heights over the road; ELEVATION_RAD grows with range; measured.
 TALL_M = 0.55
 BUMP_M = 0.3
 ELEVATION_HIT_M = 1.0
 ELEVATION_RAD = 0.014
 WARM_UP = 10  # blocks of reference with which the dispersion can be measured
 LEAST_VEHICLES = 12  # fewer in the tested blocks contradict nothing
-# Cells of which the reference holds less than so many vehicles do not measure dispersion.
+# Cells with less than so many vehicles in the reference do not measure dispersion.
 KNOWN_VEHICLES = 3.0
-# Combinations of moves and habits that blocks show less than so well do not, either.
+# Nor do combinations of moves and habits with a smaller (scaled) eigenvalue of information.
 LEAST_SEEN = 0.05
 # How far drivers change their habit on a stretch within an hour, one standard deviation.
 STRETCH_HABIT_M = 0.05
-# The same of all drivers at once (rain, night), and of where vehicles reflect, seen from the
-# sensor (trucks are broader).
+# The same for all drivers at once (rain, night), and for where vehicles reflect across the sight
+# (trucks are broader).
 COMMON_M = 0.05
 BREADTH_M = 0.02
-# The same of heights over the road: of a stretch, of all vehicles.
+# The same for heights over the road: on a stretch, of all vehicles at once.
 HEIGHT_HABIT_M = 0.08
 TALLER_M = 0.15
 ROUNDS = 4  # reweightings of stretches
 
-FREE = RIDGE = 1e-6  # information on what is not known beforehand, 1/m^2
+FREE = RIDGE = 1e-6  # information of a prior that knows nothing, 1/m^2
 MOVE = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Habits:
-    """What some vehicles show of the mean place in each cell, as normal equations.
+    """Evidence of some vehicles about the mean place in each cell, as normal equations.
 
     Parameters
     ----------
@@ -90,9 +90,9 @@ class Habits:
     gradient : (c,) array
         b, 1/m.
     vehicles : float
-        How many there were, forgotten ones counted in part.
+        Number of vehicles, forgotten ones counted in part.
     time : float
-        UNIX seconds, their mean.
+        Mean time of the vehicles, UNIX seconds.
     """
 
     cell: Integers
@@ -102,7 +102,7 @@ class Habits:
     time: float = 0.0
 
     def __add__(self, other: Habits) -> Habits:
-        """Return both together."""
+        """Return the evidence of both together."""
         cell = np.union1d(self.cell, other.cell)
         (weight, gradient), (more, steeper) = self.over(cell), other.over(cell)
         vehicles = self.vehicles + other.vehicles
@@ -126,7 +126,7 @@ class Habits:
         return weight, gradient
 
     def kept(self, share: float) -> Habits:
-        """Return what is left when the rest is forgotten."""
+        """Return a share of the evidence; the rest is forgotten."""
         return replace(
             self,
             weight=share * self.weight,
@@ -135,7 +135,7 @@ class Habits:
         )
 
     def where(self, good: Booleans) -> Habits:
-        """Return what is shown of some cells, whatever the means of the others are."""
+        """Return the evidence about some cells, with the means of the others eliminated."""
         if good.all():
             return self
         cut = self.weight[np.ix_(good, ~good)]
@@ -155,14 +155,14 @@ NOTHING = Habits(cell=np.empty(0, dtype=np.int64), weight=np.empty((0, 0)), grad
 def habits_of(
     seen: LanePlaces, value: Floats, *, sigma: tuple[float, Floats, float], time: float
 ) -> Habits:
-    """Return what vehicles show; the rows of one have `V = driver^2 11' + diag(sway^2 + hit^2/n)`.
+    """Sum up vehicles; the rows of one have `V = driver^2 11' + diag(sway^2 + hit^2/n)`.
 
     Parameters
     ----------
     seen : LanePlaces
-        Of some vehicles.
+        Places of some vehicles, a row a vehicle and cell.
     value : (n,) array
-        Their place, metres; rows with NaN are left out.
+        The coordinate that is averaged (place in the lane or height), metres; NaN is left out.
     sigma : (float, (c,) array, float)
         Standard deviations between vehicles, between a vehicle's cells (by cell), and of one
         detection.
@@ -192,10 +192,10 @@ class Displacement:
     Parameters
     ----------
     score : float
-        How far it is beyond chance: like chi2 of the moved components, tails of few vehicles or
-        targets taken off.
+        How far it is beyond chance: the chi-square of the moved components, reduced for the heavy
+        tails of few vehicles or targets.
     seconds : float
-        How much of the newest time shows it.
+        Length of the newest time that was tested, seconds.
     move : (6,) array
         Metres, and a turn about the map's axes in radians; zeros where nothing is known.
     covariance : (6, 6) array
@@ -208,7 +208,7 @@ class Displacement:
     covariance: Floats
 
     def turned(self, turn: Floats) -> Displacement:
-        """Return a displacement in a sensor's axes in those of the map, by `R_map_sensor`."""
+        """Turn a displacement in the sensor's axes into the map's, by `turn` = `R_map_sensor`."""
         both = np.kron(np.eye(2), turn)
         return replace(self, move=both @ self.move, covariance=both @ self.covariance @ both.T)
 
@@ -224,18 +224,18 @@ class ChangeDetector:
     by_move : (c, d) array
         By how much each of them changes the mean of each cell.
     by_habit : (c, k) array
-        The same of what changes anyway for all vehicles at once.
+        The same for habits that change for all vehicles at once.
     habit_m : (k,) array
-        How far that changes, one standard deviation.
+        Change of these habits within an hour, one standard deviation.
     stretch : (c,) array
         The stretch of each cell.
     stretch_m : float
-        How far a stretch changes, one standard deviation.
+        Change of the habit on a stretch, one standard deviation.
     sigma : (float, (c,) array, float)
         As for :func:`habits_of`.
     edge_m : (float, float)
-        Up to where a place counts fully, and from where on not at all; infinite where it always
-        does.
+        Distances from the middle of the lane up to which a place counts fully, and from which on
+        not at all; infinite where every place counts fully.
     """
 
     moved: tuple[int, ...]
@@ -248,11 +248,11 @@ class ChangeDetector:
     edge_m: tuple[float, float]
 
     def counted(self, value: Floats) -> tuple[Floats, Floats]:
-        """Return what a place counts, and by how much that changes with it (Hampel's function).
+        """Return places tapered towards the lane's edge, and the slope (Hampel's function).
 
         A vehicle beyond the edge of its lane is taken for one in the next, on the other side of its
-        middle. So what is near an edge counts less and less; by how much smaller that makes a move
-        is known from the slope.
+        middle. So places near an edge are tapered; the slope tells by how much smaller that makes
+        a move look.
         """
         full_m, edge_m = self.edge_m
         slope = np.where(np.isfinite(value), 1.0, np.nan)
@@ -266,10 +266,10 @@ class ChangeDetector:
 
 
 def detectors(cells: Cells, place: Floats) -> tuple[ChangeDetector, ChangeDetector]:
-    """Return the place in the lane, for moves in the plane; and the height, for tilts.
+    """Return the detectors of place in the lane (moves in the plane) and of height (tilts).
 
-    A sensor that has moved by `d` and turned by `w` puts what is at `a` from it at
-    `a - d - w x a`, as long as the old pose is used.
+    With the old pose, a sensor that has moved by `d` and turned by `w` shows a point at the
+    offset `a` from it at `a - d - w x a`.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ class Memory:
     Parameters
     ----------
     detector : ChangeDetector
-        Of what.
+        The coordinate that is followed.
     """
 
     def __init__(self, detector: ChangeDetector) -> None:
@@ -328,12 +328,12 @@ class Memory:
 
     @property
     def dispersion(self) -> float:
-        """By how much blocks scatter more than independent vehicles would, a ratio of variances."""
+        """Scatter of blocks over that of independent vehicles, a ratio of variances, at least 1."""
         squares, blocks = DISPERSION_BLOCKS * DISPERSION, DISPERSION_BLOCKS
         return float(max((squares + self._scatter[0]) / (blocks + self._scatter[1]), 1.0))
 
     def push(self, seen: LanePlaces, value: Floats, time: float) -> None:
-        """Take the newest block; one that is no longer new joins the reference."""
+        """Add the newest block; blocks that are no longer tested join the reference."""
         value, slope = self.detector.counted(value)
         self._slope += [np.nansum(slope), np.isfinite(slope).sum()]
         self._recent.append(habits_of(seen, value, sigma=self.detector.sigma, time=time))
@@ -374,7 +374,7 @@ class Memory:
         self._scatter += [np.mean(np.square(score[seen]) / values[seen]), 1.0]
 
     def displacements(self, now: float) -> list[Displacement]:
-        """Return the likeliest move behind each number of newest blocks."""
+        """Return the likeliest move for each tested number of newest blocks."""
         found = []
         newest, tested = NOTHING, {}
         every = self.learnt + len(self._recent)
@@ -405,7 +405,7 @@ class Memory:
         return Displacement(score=score, seconds=seconds, move=move, covariance=every)
 
     def _solved(self, whole: Habits, newest: Habits) -> tuple[Floats, Floats]:
-        """Return the move and its covariance, cells and habits eliminated."""
+        """Return the move and its covariance, with cells and habits eliminated."""
         detector = self.detector
         there = np.flatnonzero(np.any(self._effects[newest.cell] != 0.0, axis=0))
         slope = self._slope[0] / self._slope[1]
@@ -432,26 +432,26 @@ def _factor(weight: Floats) -> tuple[Floats, bool]:
 
 
 class Alarm:
-    """Notices small moves of a sensor from where vehicles drive in their lanes.
+    """Alarm of small moves of a sensor, from where vehicles drive in their lanes.
 
     Parameters
     ----------
     cells : Cells
-        The lanes around it.
+        Cells of the lanes around the sensor.
     place : (2,) array
-        Where it stands, local coordinates.
+        The sensor's place, local coordinates.
     """
 
     def __init__(self, cells: Cells, place: Floats) -> None:
         self.memories = [Memory(each) for each in detectors(cells, place)]
 
     def push(self, seen: LanePlaces, time: float) -> Displacement | None:
-        """Take the vehicles of a block that ended at a time; return the likeliest move, if any.
+        """Add the vehicles of a block that ended at a time; return the likeliest move, if any.
 
         Parameters
         ----------
         seen : LanePlaces
-            Of the block.
+            Places of the block's vehicles.
         time : float
             UNIX seconds.
         """

@@ -17,22 +17,22 @@ from gis_radar.calibration.state import LEVER_M, POSE, SIZE, State
 from gis_radar.calibration.traces import Samples
 from gis_radar.poses import COMPONENTS, Pose
 
-# 1 sigma of the map's place, to the east and to the north: maps and tracks that were recorded apart
+# 1 sigma of the map's place, to the east and to the north: maps and tracks recorded independently
 # lay 0.3 to 0.5 m off each other.
 MAP_SIGMA_M = 0.15
-# Sigmas from which on a scene does not fix easting, northing, height; roll, pitch, yaw: one metre
-# is the paper's accuracy; with 2 degrees a far trace is a lane off.
+# Sigmas of easting, northing, height (m), roll, pitch, yaw from which on a scene does not fix them:
+# one metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
 UNFIXED = (1.0, 1.0, 0.5, math.radians(2.0), math.radians(2.0), math.radians(1.0))
-# How far along the least-known direction the profile of the likelihood is taken.
+# Distances along the least-known direction at which the likelihood's profile is taken.
 VALLEY_STEPS_M: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
-# Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
+# Rise of the cost at one standard deviation, and at ten, from which on a place is excluded.
 LEAST_RISE = 0.5
 CLEAR_RISE = 50.0
 
 FINE = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)  # fit to all samples
-LOOKS = 4  # how often better optima are looked for, at most, each time around the last best one
-LOOK_GAIN = 1.0  # what a look around an optimum must gain: a sigma costs 0.5
+LOOKS = 4  # most searches for a better optimum, each around the last best one
+LOOK_GAIN = 1.0  # least gain in cost of a better optimum: one sigma costs 0.5
 
 PLACE = [0, 1]  # of the state: easting, northing
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
@@ -49,9 +49,9 @@ class Certainty:
     covariance : (6, 6) array
         Order easting, northing, height, roll, pitch, yaw; metres and radians.
     noise : (6, 6) array
-        The part of it that other vehicles would draw anew; the rest, from map and model, stays.
+        The part of it that is independent in another recording; the rest is of map and model.
     sigma : (6,) array
-        Its standard deviations.
+        Standard deviations of the covariance.
     eigenvalues : (6,) array
         Of the data's information about the pose, a turn counted as metres at 50 m, ascending.
         Small ones are directions that the scene does not fix.
@@ -81,9 +81,9 @@ def certainty(
     fit : Fit
         A local optimum.
     map_sigma_m : float
-        Of the map's place; none among windows of one recording.
+        1 sigma of the map's place; 0 where windows of one recording are compared.
     rival : State, optional
-        Another optimum, so near that both are one answer; it is as likely as not the right one.
+        Another optimum, so near that both are one answer; either may be the right one.
     """
     inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     noise = _widened(inverse, fit)
@@ -112,7 +112,7 @@ def pose_covariance(information: Floats, state: State) -> Floats:
 
 
 def eigenvalues(information: Floats) -> Floats:
-    """Return the eigenvalues of a (6, 6) information about the pose, ascending, 1/m^2."""
+    """Return the eigenvalues, ascending, of a (6, 6) pose information, 1/m^2, turns at 50 m."""
     lever = np.diag([1.0] * 3 + [1.0 / LEVER_M] * 3)
     return np.asarray(np.linalg.eigvalsh(lever @ information @ lever), dtype=np.float64)
 
@@ -142,7 +142,7 @@ def cluster_robust(inverse: Floats, clusters: Floats, prior: Floats, *, unknowns
     prior : (n, n) array
         Information of the prior, which is no cluster.
     unknowns : int
-        How many the clusters fix, for the correction of few clusters.
+        Number of unknowns that the clusters fix, for the correction of few clusters.
     """
     root: Floats = np.asarray(np.linalg.cholesky((inverse + inverse.T) / 2.0), dtype=np.float64)
     few = len(clusters) / max(len(clusters) - unknowns, 1)
@@ -153,17 +153,17 @@ def cluster_robust(inverse: Floats, clusters: Floats, prior: Floats, *, unknowns
 def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     """Return by how many standard deviations the traffic prefers one fit to another.
 
-    The vehicles are clusters, each with the difference of its losses as score, its own place in the
-    lane included: a pose that is off makes up for it by vehicles that all drive aside. The sum is
-    compared with its standard error (Vuong 1989). To that comes what the habits of all drivers on
-    a street may do to the loss of either fit.
+    The vehicles are clusters, each with the difference of its losses as score, the loss of its own
+    place in the lane included: with a wrong pose all vehicles seem to drive aside. The sum is
+    compared with its standard error (Vuong 1989), to which the variance is added that the habits
+    of all drivers on a street give to the loss of either fit.
 
     Parameters
     ----------
     fit, other : Fit
-        To the same samples.
+        Two fits to the same samples.
     samples : Samples
-        Those.
+        The samples.
     """
     lost = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
     gain: Floats = (lost + other.aside - fit.aside)[np.unique(samples.track)]
@@ -176,9 +176,9 @@ def z_score(gain: Floats, *, shared: float = 0.0) -> float:
     Parameters
     ----------
     gain : (n,) array
-        What each vehicle, one cluster, gains in log likelihood.
+        Gain in log likelihood of each vehicle, which is a cluster.
     shared : float
-        Variance of what all of them share.
+        Variance of the part that all vehicles share.
     """
     drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
     spread, total = float(np.sqrt(drawn + shared)), float(gain.sum())
@@ -190,13 +190,11 @@ def z_score(gain: Floats, *, shared: float = 0.0) -> float:
 def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     """Widen sigma along the least-known direction in the plane by profile likelihood.
 
-    Where the cost is lower there, the fit had come to rest on a bump, whose curvature shows no
-    sigma: it is begun again from the lowest place.
-
-    Along a bend of constant curvature, or a straight road, a recording slides with hardly a
-    change of cost, over small dimples that each look like an answer. Several metres away along
-    the valley, all else fitted anew, the cost must have risen as the curvature says (profile
-    likelihood); where it has not, sigma follows from the least rise.
+    Along a bend of constant curvature, or a straight road, the pose can slide with hardly a change
+    of cost, over small local optima. Several metres away along this valley, all else fitted anew,
+    the cost must have risen as the curvature predicts (profile likelihood); where it has not, sigma
+    follows from the least rise. Where the cost is lower there, the fit was such a local optimum,
+    whose curvature gives no sigma: it is fitted again from the lowest place.
 
     Parameters
     ----------
@@ -205,9 +203,9 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     fit : Fit
         A local optimum for these samples.
     prior, model : Prior, Model
-        With which it was found.
+        Those with which the fit was found.
     """
-    for look in range(LOOKS + 1):  # the last one only measures
+    for look in range(LOOKS + 1):  # the last turn only measures sigma
         hold, way = _weakest(fit)
         curved_m = float(np.sqrt(hold @ way))
         sides = [
@@ -230,21 +228,21 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
 
 
 def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
-    """Return a fit with other information along a combination of the state's parts.
+    """Change a fit's information along a linear combination of the state's components.
 
     Parameters
     ----------
     fit : Fit
         The fit.
     hold : (n,) array
-        Weight of each part of the state in the combination.
+        Weight of each component of the state in the combination.
     before, after : float
-        Information along it until now and from now on, 1/m^2.
+        Present and new information along it, 1/m^2.
 
     Returns
     -------
     Fit
-        With the difference added to both of its matrices.
+        With the difference added to both information matrices.
     """
     more = (after - before) * np.outer(hold, hold)
     return replace(
@@ -257,19 +255,19 @@ def with_information_along(fit: Fit, hold: Floats, before: float, after: float) 
 def narrowed_by_exclusion(fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]) -> Fit:
     """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
 
-    Curvature holds near the optimum. Where what is not estimated would move the pose farther than
-    to places from which on all are out of the question, these decide: their least rise counts as
-    curvature, and the sigma that it leaves must be no longer than the way there.
+    Curvature holds near the optimum only. Where sigma reaches beyond a distance from which on the
+    cost excludes every place, the least rise there counts as curvature; the sigma that follows
+    is taken where it is no longer than that distance.
 
     Parameters
     ----------
     fit : Fit
-        At the optimum.
+        The fit at the optimum.
     hold : (n,) array
-        Weight of each part of the state in the combination along the valley.
+        Weight of each component of the state in the combination along the valley.
     sides : list of two lists of (float, Rest)
-        By side of the optimum: the way in metres, growing, and the fit there. The ways are those
-        of the first side.
+        By side of the optimum: distances in metres, ascending and the same on both sides, and the
+        fit there.
 
     Returns
     -------
@@ -290,14 +288,14 @@ def narrowed_by_exclusion(fit: Fit, hold: Floats, sides: list[list[tuple[float, 
 
 
 def sigma_along(fit: Fit, hold: Floats) -> float:
-    """Return one standard deviation along a combination of the pose's parts.
+    """Return one standard deviation along a linear combination of the pose's components.
 
     Parameters
     ----------
     fit : Fit
         The fit.
     hold : (n,) array
-        Weight of each part of the state in the combination.
+        Weight of each component of the state in the combination.
 
     Returns
     -------
@@ -310,7 +308,7 @@ def sigma_along(fit: Fit, hold: Floats) -> float:
 
 
 def _weakest(fit: Fit) -> tuple[Floats, Floats]:
-    """Return the least-known combination, metres, and its covariance with the state."""
+    """Return the weights of the least-known combination (m), and its covariance with the state."""
     covariance: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     lever_m = np.array([1.0, 1.0, LEVER_M])
     _, vectors = np.linalg.eigh(lever_m[:, None] * covariance[np.ix_(PLANE, PLANE)] * lever_m)
@@ -338,13 +336,13 @@ def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
     for step_m, here in side:
         rise = max(here.cost - fit.cost, LEAST_RISE)
         if rise > CLEAR_RISE:
-            continue  # this place is out of the question, however far it is
+            continue  # this place is excluded, however far it is
         sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
     return sigma_m
 
 
 def stated(covariance: Floats) -> dict[str, Any]:
-    """Return a covariance, and its sigmas in m and degrees, as a pose's evidence states them."""
+    """Return a covariance, and its sigmas in m and degrees, as entries of a pose's evidence."""
     sigma = np.sqrt(np.diag(covariance)) * UNITS
     named = {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)}
     return {"sigma": named, "covariance": covariance.tolist()}
@@ -374,12 +372,12 @@ def stated_covariance(pose: Pose) -> Floats:
 
 
 def longest_m(covariance: Floats) -> float:
-    """Return the standard deviation along the direction that is known worst."""
+    """Return the standard deviation, metres, along the worst-known direction in the plane."""
     return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
 
 
 def moved(pose: Pose, step: Floats) -> Pose:
-    """Return a pose after a step of easting, northing, yaw; the rest follows its covariance."""
+    """Move a pose by easting, northing (m), yaw (rad); the rest follows by its covariance."""
     covariance = stated_covariance(pose)
     known = covariance[np.ix_(PLANE, PLANE)]
     whole = covariance[:, PLANE] @ np.linalg.solve(known, step)
@@ -398,7 +396,7 @@ def moved(pose: Pose, step: Floats) -> Pose:
 
 
 def with_gain(pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int]) -> Pose:
-    """Return a pose with its new covariance, and what it gained by whom."""
+    """Return a pose with a new covariance in the plane, and the evidence of what it gained."""
     before = stated_covariance(pose)
     known = before[np.ix_(PLANE, PLANE)]
     share = before[:, PLANE] @ np.linalg.inv(known)

@@ -24,20 +24,20 @@ from gis_radar.calibration.lanes import UNLIMITED_MPS
 
 # Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
 # search does not change the offset.
-# Largest offset looked for, beyond what the begins of the times differ by: over an hour, the usual
-# mistake of a time zone.
+# Largest offset looked for, beyond the difference of the recordings' begins: over an hour, the
+# usual mistake of a time zone.
 MAX_OFFSET_S = 4000.0
 BIN_S = 0.25  # width of the bins of time in which agreement is counted
 # Cells in which agreement is counted: in a bin a vehicle moves by about a cell.
 CELL_M = 4.0
 CELL_MPS = 3.0
 # Width of a peak (1.25 s, a vehicle's time in a cell), of its surroundings (40 s, within a cycle
-# of signals), and how far off a second peak is another one (5 s).
+# of signals), and least distance of another peak (5 s).
 PEAK_BINS = 5
 AROUND_BINS = 161
 APART_BINS = 20
-# Least height of the best lag in robust standard deviations over the agreement at other lags, of
-# which there are tens of thousands; and least cells that both saw: fewer are chance.
+# Least height of the best lag in robust standard deviations above the agreement at the tens of
+# thousands of other lags; and least number of cells in which both saw a vehicle.
 ROUGH_SCORE, ROUGH_PAIRS = 8.0, 20
 ROUGH_RATIO = 1.25  # least height of the best lag over that of the next best
 # Largest differences of time and speed of a pair: the rough offset's error, and a turn.
@@ -60,34 +60,34 @@ FACE_SIGMA_M = 1.0
 PLACE_SIGMA_M = 0.7
 VEHICLE_SIGMA_M = 0.5
 DRIFT_SIGMA = 100e-6  # prior sigma of a drift: quartz clocks of radars keep within 100 ppm
-# Of a clock that is no quartz: a drift over ODD_DRIFT, and over so many of its sigmas under the
-# wide prior ODD_DRIFT_SIGMA, is fitted with that prior. An ARS430 was 0.8 % slow; over
-# MOST_DRIFT a unit is mistaken.
+# A drift over ODD_DRIFT, and over ODD_DRIFT_SIGMAS of its sigmas under the wide prior
+# ODD_DRIFT_SIGMA, is not a quartz clock's and is fitted with that prior. An ARS430 was 0.8 % slow;
+# over MOST_DRIFT a unit is mistaken.
 ODD_DRIFT = 1e-3
 ODD_DRIFT_SIGMAS = 5.0
 ODD_DRIFT_SIGMA = 0.01
 MOST_DRIFT = 0.012
 HUBER = 1.5  # residuals over so many standard deviations weigh less (Huber 1964)
-# Most pairings of the fit, and reweightings in each; pairings end below CONVERGED_S.
+# Most rounds of pairing in the fit, and reweightings in each.
 PAIRING_ROUNDS = 12
 WEIGHT_ROUNDS = 8
-CONVERGED_S = 2e-4  # a change of the offset below it ends the fit, seconds: far under any sigma
-MAX_CHANGE_S = 2.0  # a fit that leaves the rough offset by more is of another lag, seconds
-# Both saw a vehicle where place, time and speed differ by less.
+CONVERGED_S = 2e-4  # a smaller change of the offset ends the fit: far under any sigma
+MAX_CHANGE_S = 2.0  # a fit farther from the rough offset belongs to another lag
+# Two detections are of one vehicle where place, time and speed differ by less.
 NEAR_M = 8.0
 NEAR_S = 0.2
 NEAR_MPS = 1.0
-# Lags, seconds off the answer, at which far less may agree.
+# Lags off the answer at which far fewer vehicles must agree.
 DECOYS_S: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
 LEAST_SHARE = 0.45  # least share of vehicles that both saw at the answer
 LEAST_RATIO = 1.3  # least share seen by both at the answer over that at any decoy
 LEAST_CHECKED = 50  # least detections of a sensor where and while the other one recorded
 
-VALUES_AT_ONCE = 1 << 22  # 16 MiB
+VALUES_AT_ONCE = 1 << 22  # float32 values of a block of cells: 16 MiB
 
 
 class NoCommonTrafficError(NoAnswerError):
-    """Two sensors that share no traffic: nothing can be measured between them."""
+    """Error of two sensors that see no common traffic: nothing can be measured between them."""
 
 
 def measured_offset(
@@ -98,9 +98,9 @@ def measured_offset(
     Parameters
     ----------
     one, other : LaneDetections
-        Of two sensors.
+        Detections of two sensors.
     max_offset_s : float
-        Largest offset looked for, beyond what the begins of the times differ by.
+        Largest offset looked for, beyond the difference of the begins of both.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def measured_offset(
 def rough_offset(
     one: LaneDetections, other: LaneDetections, *, max_offset_s: float = MAX_OFFSET_S
 ) -> float:
-    """Return by how much the clock of `other` is ahead of that of `one`, to about half a second.
+    """Estimate how many seconds the clock of `other` is ahead of that of `one`, to half a second.
 
     Counts in which cells of the lanes both saw a vehicle of the same speed, lag by lag, and
     compares the best lag with all others.
@@ -178,7 +178,7 @@ def _agreement(
     key_one: Integers, bins_one: Integers, key_other: Integers, bins_other: Integers,
     common: Integers,
 ) -> Floats:  # fmt: skip
-    """Return for each lag in how many cells both had a detection; lag 0 at `bins_one.max()`."""
+    """Count the cells in which both had a detection, by lag; lag 0 is at `bins_one.max()`."""
     room = int(bins_one.max() + bins_other.max() + 1)
     length = scipy.fft.next_fast_len(room, real=True)
     total = np.zeros(length // 2 + 1, np.complex128)
@@ -210,9 +210,9 @@ class ClockOffset:
     Parameters
     ----------
     offset_s, sigma_s : float
-        At the time `at`, with one standard deviation.
+        Offset at the time `at`, with one standard deviation.
     drift, drift_sigma : float
-        Seconds a second.
+        Drift with one standard deviation, seconds a second.
     at : float
         UNIX seconds of the other clock.
     vehicles : int
@@ -244,7 +244,7 @@ def fine_offset(one: LaneDetections, other: LaneDetections, rough_s: float) -> C
     """
     one, at = _common(one, other, rough_s, MOST_FITTED)
     values, sigma, pairs = _fit(one, other, np.array([rough_s, 0.0]), at, DRIFT_SIGMA)
-    # A clock that runs slow by a percent is no quartz that keeps the prior.
+    # A clock that runs slow by a percent is far outside the prior of quartz clocks.
     change, wide_sigma = _solve(pairs, values[1], ODD_DRIFT_SIGMA)
     drift = abs(values[1] + change[1])
     if drift > max(ODD_DRIFT, ODD_DRIFT_SIGMAS * wide_sigma[1]):
@@ -266,7 +266,7 @@ def fine_offset(one: LaneDetections, other: LaneDetections, rough_s: float) -> C
 def _fit(
     one: LaneDetections, other: LaneDetections, values: Floats, at: float, drift_sigma: float
 ) -> tuple[Floats, Floats, _Pairs]:
-    """Pair and solve in turn; return offset and drift, their sigmas, and the last pairs."""
+    """Pair and solve alternately; return offset and drift, their sigmas, and the last pairs."""
     gaps_m = PAIR_M
     for turn in range(PAIRING_ROUNDS):
         pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)])
@@ -282,7 +282,7 @@ def _fit(
 def _common(
     one: LaneDetections, other: LaneDetections, rough_s: float, most: int
 ) -> tuple[LaneDetections, float]:
-    """Return up to `most` detections of `one` while `other` recorded, and their median time."""
+    """Return up to `most` detections of `one` from while `other` recorded, and a median time."""
     time = one.time + rough_s
     keep = np.flatnonzero((time >= other.time[0] - 1.0) & (time <= other.time[-1] + 1.0))
     if len(keep) > most:
@@ -342,8 +342,8 @@ def _pairs(
 def _solve(pairs: _Pairs, drift: float, drift_sigma: float) -> tuple[Floats, Floats]:
     """Return the changes of offset and drift, and their standard deviations.
 
-    The unknowns: offset, drift, a displacement of opposite sides, and a bias a place; each vehicle
-    weighs the same.
+    The unknowns are the offset, the drift, the distance of front and rear reflections, and a bias a
+    place; each vehicle has the same weight.
     """
     places = int(pairs.place.max()) + 1
     share = 1.0 / np.bincount(pairs.vehicle)[pairs.vehicle]
@@ -386,8 +386,8 @@ def _normal(
 def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float) -> None:
     """Refuse an offset that is not trustworthy.
 
-    Where both look at the same road, most of what one sees the other sees at the same time, and
-    far less of it a moment before or after. Traffic that follows a signal is alike from
+    On a road that both see, each sees most of the vehicles that the other sees at the same time,
+    and far fewer of those a moment before or after. Traffic that follows a signal is alike from
     cycle to cycle, but not vehicle by vehicle.
 
     Parameters
@@ -415,7 +415,7 @@ def validate_offset(one: LaneDetections, other: LaneDetections, offset_s: float)
 
 
 def _share_seen(one: LaneDetections, other: LaneDetections, offset_s: float) -> float:
-    """Return the share of what `one` sees, where and while `other` sees too, that both see."""
+    """Return the share of detections of `one`, where and while `other` sees, that both see."""
     time = other.time - offset_s
     within = (one.time > time[0] + NEAR_S) & (one.time < time[-1] - NEAR_S)
     common = np.isin(one.places, other.places)

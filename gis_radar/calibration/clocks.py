@@ -39,12 +39,12 @@ from gis_radar.calibration.lane_detections import (
 from gis_radar.poses import Pose, PoseTrack, as_track
 from gis_radar.recordings import Recording, as_recording
 
-CONTRADICTION_SIGMAS = 4.0  # pairs of sensors that differ by more are warned of
+CONTRADICTION_SIGMAS = 4.0  # a warning names a larger contradiction between pairs of sensors
 # A drift below so many of its sigmas counts as none: over hours it would only carry noise.
 DRIFT_SIGMAS = 3.0
 
 MOST_DRIFT_PPM = 12_000.0  # a hundred times that of a bad quartz: a unit is mistaken
-NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock, in its file
+NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock in a file of clocks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class SensorClock:
     at : float
         UNIX seconds on its own clock at which the offset holds.
     sigma_s, drift_sigma_ppm : float
-        One standard deviation of both; NaN where not known.
+        One standard deviation of offset and drift; NaN where not known.
     """
 
     offset_s: float
@@ -83,12 +83,12 @@ class SensorClock:
         return np.asarray(time - ahead, dtype=np.float64)
 
     def shown(self, time: Floats) -> Floats:
-        """Return right times (UNIX seconds) as this clock stamps them."""
+        """Return times (UNIX seconds) of the reference as this clock would have stamped them."""
         drift = self.drift_ppm * 1e-6
         return np.asarray((time + self.offset_s - drift * self.at) / (1.0 - drift), np.float64)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return its entry in a file of clocks; unknown values are left out."""
+        """Return the clock's entry in a file of clocks; unknown values are left out."""
         moment = datetime.fromtimestamp(self.at, UTC).isoformat(timespec="milliseconds")
         numbers = {name: getattr(self, name) for name in NUMBERS}
         known = {name: value for name, value in numbers.items() if math.isfinite(value)}
@@ -110,9 +110,9 @@ class Clocks:
     clocks : dict
         By sensor, the reference too; sensors without an answer are left out.
     refused : dict
-        Of the others: why there is no answer.
+        By sensor without an answer: the reason.
     pairs : dict
-        What was found by pairs of sensors.
+        By pair of sensors: the offset measured between them.
     """
 
     reference: str
@@ -121,7 +121,7 @@ class Clocks:
     pairs: Edges
 
     def figures(self) -> dict[str, str]:
-        """Return a line a sensor."""
+        """Return one line of text for each sensor."""
         lines = {"reference": self.reference}
         for sensor, clock in self.clocks.items():
             if sensor != self.reference:
@@ -140,7 +140,7 @@ class Clocks:
         return lines | {sensor: Text("no answer: {}", why) for sensor, why in self.refused.items()}
 
     def write(self, path: str | Path) -> Path:
-        """Write a file of clocks (JSON), which `measure` corrects times by."""
+        """Write a file of clocks (JSON), by which `measure` corrects times."""
         pairs = [
             {"one": one, "other": other, "offset_s": offset.offset_s, "sigma_s": offset.sigma_s,
              "vehicles": offset.vehicles}
@@ -211,14 +211,14 @@ def measure_clocks(
     Moving detections are matched to the lanes, with the speed that their Doppler implies there. The
     lag at which two sensors agree best gives the offset to half a second, the places of the
     vehicles in both at that lag to milliseconds; the pairs are adjusted by least squares. An offset
-    that fails validation is refused. (The paper, "Global Occupancy Heat Map", names the offsets
+    that fails validation is refused. (The paper, "Global Occupancy Heat Map", mentions the offsets
     that remain between synchronised sensors.)
 
     Parameters
     ----------
     recordings : sequence
-        Files, or what :func:`gis_radar.open_recording` returns; of long ones about
-        an hour in which all record is used.
+        Files, or what :func:`gis_radar.open_recording` returns; of long recordings about an hour
+        is used in which all recorded.
     poses : sequence of Pose or PoseTrack
         As many as recordings, in order.
     tiles : GeoDataFrame
@@ -287,7 +287,7 @@ def _read_all(
     lanelets: gpd.GeoDataFrame,
     reporter: Reporter,
 ) -> dict[str, LaneDetections]:
-    """Read what each sensor saw, around the begin of the last recording."""
+    """Read each sensor's detections on lanes around the begin of the last recording."""
     begins = [float(next(recording.read()).time[0]) for recording in recordings]
     parts: dict[str, list[LaneDetections]] = {}
     order = sorted(range(len(begins)), key=lambda i: (begins[i], str(recordings[i].path)))
@@ -317,7 +317,7 @@ def _compare(seen: dict[str, LaneDetections], reporter: Reporter) -> tuple[Edges
 
 
 def why_not_compared(sensor: str, reasons: Reasons) -> str:
-    """Return why a sensor could not be compared, with the other one that it shares most with.
+    """Return why a sensor could not be compared with the sensor that shares most with it.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def why_not_compared(sensor: str, reasons: Reasons) -> str:
     Returns
     -------
     str
-        Of a pair with common traffic where there is one: its reason says more.
+        The reason of a pair with common traffic where there is one, as it is more specific.
     """
     mine = {pair: why for pair, why in reasons.items() if sensor in pair}
     pair = max(mine, key=lambda each: not isinstance(mine[each], NoCommonTrafficError))
@@ -350,7 +350,7 @@ def adjust_network(edges: Edges, reference: str) -> tuple[dict[str, SensorClock]
     Returns
     -------
     clocks : dict
-        The clock of each sensor linked with the reference, whose own has offset 0.
+        The clock of each sensor linked with the reference; the reference's offset is 0.
     misfit : float
         The largest misfit of a pair, in its standard deviations; 0 without loops.
     """
@@ -387,19 +387,19 @@ def adjust_network(edges: Edges, reference: str) -> tuple[dict[str, SensorClock]
 
 
 def best_linked(edges: Edges, sensors: list[str]) -> str:
-    """Return the first of the sensors that pairs link with the most others."""
+    """Return the sensor that pairs link with the most others; of equals the first."""
     return max(sensors, key=lambda sensor: len(_linked(edges, sensor)))
 
 
 def reached(pairs: Mapping[tuple[str, str], float], reference: str) -> dict[str, float]:
-    """Return the sensors that pairs link with the reference, and how far they are ahead.
+    """Return how many seconds each sensor that pairs link with the reference is ahead of it.
 
     Parameters
     ----------
     pairs : mapping
-        By (one, other): how far the other one is ahead of the one.
+        By (one, other): seconds by which the clock of `other` is ahead of that of `one`.
     reference : str
-        Where to begin.
+        The sensor with 0.
     """
     ahead = {reference: 0.0}
     waiting = [reference]

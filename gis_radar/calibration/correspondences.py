@@ -16,39 +16,39 @@ from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, Moving, Samples
 
-MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle goes 2-3 m
-LEAST_MOMENTS = 5  # two tracks with fewer common moments are no pair: a second of common sight
-# Cosine between sight and lane below which the Doppler gives no speed (70 degrees).
+MOMENT_S = 0.2  # length of a moment: two or more frames of each radar; a vehicle moves 2 to 3 m
+LEAST_MOMENTS = 5  # two tracks with fewer common moments (a second) are no pair
+# Cosine between line of sight and lane below which the Doppler gives no speed (70 degrees).
 LEAST_COSINE = math.cos(math.radians(70.0))
-# Mean of the unit vectors of travel of a moment; below, its detections lie on several lanes.
+# Least length of the mean unit vector of travel of a moment; below it, its detections lie on
+# several lanes.
 LEAST_STRAIGHT = 0.95
-# Detections of one moment farther apart along the lane are of several vehicles, or a lorry.
-LONGEST_M = 7.0
+LONGEST_M = 7.0  # detections of a moment farther apart along the lane: several vehicles, or a lorry
 # Cosine between the directions of travel (30 degrees: a bend, and a guess's yaw).
 LEAST_ALIKE = math.cos(math.radians(30.0))
 SPEED_MPS = 2.5  # largest difference of speeds: wheels, noise of the Doppler over the cosine
 LEVEL_M = 3.0  # largest difference of heights: bridges are higher
-# Of the moments that two tracks have in common, in which speed and direction must agree.
+# Least share of two tracks' common moments in which speed, direction and height agree.
 LEAST_ALIKE_SHARE = 0.7
-FARTHEST_M = 60.0  # pairs farther apart than a pose may be wrong are not looked at
-# From the middle of vehicles to what reflects at their ends, and how they differ: half of 4.5 m,
-# less 0.1 to 0.35 m, as wheels and the underbody reflect from behind a face (1.9 and 2.0 m at the
-# true poses of two simulators).
+FARTHEST_M = 60.0  # tracks farther apart are not compared: no pose is that far off
+# Distance from the middle of a vehicle to the reflections at its ends, and 1 sigma among vehicles:
+# half of 4.5 m, less 0.1 to 0.35 m, as wheels and the underbody reflect from behind a face (1.9 and
+# 2.0 m at the true poses of two simulators).
 HALF_LENGTH_M = 2.05
 HALF_LENGTH_SPREAD_M = 0.6
-# How far off its mean place, along and across, a vehicle shows for one radar against the other
-# for all of its way: mirrors, wheels, rounded corners, hidden ends.
+# 1 sigma, along and across, of a vehicle's offset between two radars that lasts for all of its way:
+# mirrors, wheels, rounded corners, hidden ends.
 SPOT_M = (0.7, 0.35)
-STRETCH_M = 30.0  # length of a stretch of a lane, on which what is alike for all vehicles lasts
-# Of one moment by itself beside its faces: the radar's range, and its speed times lateness.
+STRETCH_M = 30.0  # length of a stretch of a lane, on which all vehicles share an offset
+# 1 sigma of one moment beside its faces: error of range, and of the time within the moment.
 MOMENT_SIGMA_M = 0.3
 # Moments closer than this share their error: places that reflect change as aspects do.
 MEMORY_S = 1.0
 SHARE = min(MOMENT_S / MEMORY_S, 1.0)  # weight of a moment among those that share their error
 LEAST_PAIRS = 4  # fewer pairs neither place a sensor nor contradict a pose
 
-PLANE = 3  # easting, northing, yaw of a sensor
-FLAT, FACES = slice(0, 2), 3  # of the constants: half length, half width, strength of sides (log)
+PLANE = 3  # number of unknowns of a pose in the plane: easting, northing, yaw
+FLAT, FACES = slice(0, 2), 3  # plane; constants: half length, half width, log of the side strength
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,15 +62,15 @@ class Moments:
     moment : (m,) array
         Number of the moment, the same for all sensors.
     arm : (m, 3) array
-        From the sensor to what it sees of the vehicle, in the map's axes, metres.
+        From the sensor to the vehicle's visible point, in the map's axes, metres.
     place : (3,) array
-        Of the sensor, local coordinates.
+        The sensor's place, local coordinates.
     along : (m, 2) array
         Unit vectors of travel.
     speed : (m,) array
-        Along them, m/s.
+        Speed along them, m/s.
     count : (m,) array
-        Detections in the moment.
+        Number of detections in the moment.
     """
 
     track: Integers
@@ -86,11 +86,11 @@ class Moments:
 
     @property
     def points(self) -> Floats:
-        """What it sees, local coordinates."""
+        """The visible points of the vehicles, (m, 3), local coordinates."""
         return np.asarray(self.arm + self.place)
 
     def later(self, moments: int) -> Moments:
-        """Return them as if they had been seen so many moments later."""
+        """Return the moments as if they had been seen `moments` later."""
         return replace(self, moment=self.moment + moments)
 
 
@@ -100,13 +100,13 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     Parameters
     ----------
     moving : Moving
-        What moved.
+        Moving detections.
     tracks : (n,) array
         As from :func:`gis_radar.calibration.traces.link_tracks`.
     state : State
         Where the sensor is thought to be, in the lanes' local coordinates.
     lanes : Lanes
-        The map; directions of travel are theirs.
+        The map, from which directions of travel are taken.
     """
     on = tracks != NONE
     samples = Samples(
@@ -136,7 +136,7 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
     pace = np.where(np.isnan(pace), typical.reindex(number).to_numpy(), pace)
     way = found[["e", "n"]].to_numpy()
     straight = np.hypot(*way.T)
-    # a queue in one track, or lanes that cross: no place of one vehicle
+    # a queue linked to one track, or crossing lanes, would give a place of no vehicle
     good = (extent < LONGEST_M) & np.isfinite(pace) & (straight > LEAST_STRAIGHT)
     way = way / np.maximum(straight, LEAST_STRAIGHT)[:, None]
     arm = found[list("xyz")].to_numpy(copy=True)
@@ -148,14 +148,14 @@ def read_moments(moving: Moving, tracks: Integers, state: State, lanes: Lanes) -
 
 
 def faces(seen: Moments) -> tuple[Floats, Floats, Floats]:
-    """Return the visible points of vehicles, relative to their middles.
+    """Return which faces of vehicles a sensor sees, and how strongly.
 
     Returns
     -------
     (m,), (m,) array
         Sign of the direction of sight along and across the lane.
     (m,) array
-        Share of the side against front or rear.
+        Share of the side in the reflections, 0 to 1; the rest is of front or rear.
     """
     sight = seen.arm[:, FLAT] / np.maximum(np.hypot(*seen.arm[:, FLAT].T), 1e-9)[:, None]
     cosine = np.sum(sight * seen.along, axis=1)
@@ -175,17 +175,17 @@ class Rows:
     tracks : (pairs, 2) array
         Which tracks of the one and of the other sensor.
     gap : (r, 2) array
-        The one less the other, metres.
+        Middle by the first sensor less that by the other, metres.
     poses : (r, 2, 6) array
-        Its derivative by easting, northing, yaw of the one and of the other.
+        Derivative of the gap by easting, northing, yaw of the first and of the other sensor.
     constants : (r, 2, 3) array
-        By the half length, half width, and the logarithm of the sides' strength.
+        Derivative by the half length, half width, and the logarithm of the side strength.
     clocks : (r, 2, 2) array
-        By how far the clocks of the one and the other are ahead, m/s.
+        Derivative by how far the clocks of the first and the other are ahead, m/s.
     bearings : (r, 2, 2) array
-        By an error of bearing of the one and the other.
+        Derivative by an error of bearing of the first and of the other, m/rad.
     variance : (r, 2) array
-        Of each moment by itself, m^2.
+        Variance of the gap that is independent in each moment, m^2.
     place : (r, 2) array
         Where the vehicle is, local coordinates.
     """
@@ -202,11 +202,11 @@ class Rows:
 
     @cached_property
     def first(self) -> Integers:
-        """The first row of each pair."""
+        """Index of the first row of each pair."""
         return np.flatnonzero(np.diff(self.pair, prepend=-1))
 
     def means(self, values: Floats) -> Floats:
-        """Return the mean over the moments of each pair."""
+        """Return the mean of values over the rows of each pair."""
         number = np.diff(np.append(self.first, len(self.pair)))
         total = np.add.reduceat(values, self.first, axis=0) if len(values) else values
         return np.asarray(total / number.reshape(-1, *[1] * (values.ndim - 1)))
@@ -228,7 +228,7 @@ def compare_moments(one: Moments, other: Moments) -> Rows:
     Parameters
     ----------
     one, other : Moments
-        Of two sensors.
+        Vehicles of two sensors.
     """
     a, b = np.empty((2, 0), np.int64)
     if _in_reach(one, other):  # sensors of a large site may never meet
@@ -253,7 +253,7 @@ def compare_moments(one: Moments, other: Moments) -> Rows:
 
 
 def _in_reach(one: Moments, other: Moments) -> bool:
-    """Return whether detections of two sensors may be near each other."""
+    """Return whether the extents of two sensors' vehicles come within `FARTHEST_M`."""
     if not len(one) or not len(other):
         return False
     a, b = one.points[:, FLAT], other.points[:, FLAT]
@@ -294,7 +294,7 @@ def _rows(
         constants[:, 0, 2] -= sign * mixed * ahead * half[0]
         constants[:, 1, 2] += sign * mixed * left * half[1]
         clocks[:, 0, k] = sign * seen.speed[at]
-        # a side is seen anywhere along it, an end anywhere across: evenly
+        # reflections spread evenly along a side, and evenly across an end
         share = np.column_stack([side, 1.0 - side])
         variance += half**2 * (share / 3.0 + mixed[:, None]) / seen.count[at][:, None]
     return Rows(
@@ -304,7 +304,7 @@ def _rows(
 
 
 def stretches(rows: Rows) -> Integers:
-    """Return of each pair a number of the stretch of road and the direction it is driven in."""
+    """Return for each pair the number of its stretch of road in its direction of travel."""
     place = np.floor(rows.means(rows.place) / STRETCH_M)
     along = rows.means(rows.poses[:, 0, FLAT])
     quarter = np.round(np.arctan2(along[:, 1], along[:, 0]) / (np.pi / 2.0)) % 4
@@ -315,7 +315,7 @@ def stretches(rows: Rows) -> Integers:
 def effects(rows: Rows) -> tuple[Floats, Floats]:
     """Return the random effects of a pair: (r, 2, 5) derivatives and (5,) variances.
 
-    Which part of it each radar sees best, along and across; its length; both bearings.
+    The effects are the offset between both radars along and across, the length, both bearings.
     """
     spots = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
     derivatives = np.concatenate([spots, rows.constants[:, :, :1], rows.bearings], axis=2)
@@ -324,7 +324,7 @@ def effects(rows: Rows) -> tuple[Floats, Floats]:
 
 
 def mean_gaps(rows: Rows, covariance: Floats) -> tuple[Floats, Floats]:
-    """Return each pair's mean gap, (pairs, 2), and its covariance, (pairs, 2, 2).
+    """Return each pair's mean gap, (pairs, 2) in m, and its covariance, (pairs, 2, 2) in m^2.
 
     Parameters
     ----------
@@ -346,16 +346,16 @@ def mean_gaps(rows: Rows, covariance: Floats) -> tuple[Floats, Floats]:
 
 
 def assign(chi2: Floats, tracks: Integers, most: float) -> Integers:
-    """Return which pairs are taken: each track once, the least misfit in all, none above `most`.
+    """Choose pairs, each track at most once, of the least total misfit, none above `most`.
 
     Parameters
     ----------
     chi2 : (pairs,) array
         Mean misfit of each pair.
     tracks : (pairs, 2) array
-        The tracks of each.
+        The tracks of each pair.
     most : float
-        What a wrong pair costs.
+        Misfit from which on a track is left without a pair.
     """
     near = np.flatnonzero(chi2 < most)
     if not len(near):

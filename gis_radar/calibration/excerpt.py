@@ -24,44 +24,44 @@ from gis_radar.calibration.traces import (
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
-PIECE_S = 20.0  # in which a vehicle crosses the view
-PIECES = 5  # together as long as the window of a localization
-MOST_PIECES = 33  # of a quiet night; 5, 9, 17, 33: the earlier ones are among the later
-ENOUGH = 30  # vehicles
-LEAST_VEHICLES = 10  # fewer tell nothing
+PIECE_S = 20.0  # length of a piece: a vehicle crosses the view in it
+PIECES = 5  # least number of pieces: together as long as the window of a localization
+MOST_PIECES = 33  # for quiet nights; of 5, 9, 17, 33 pieces the earlier ones are among the later
+ENOUGH = 30  # vehicles from which on no further pieces are read
+LEAST_VEHICLES = 10  # with fewer vehicles nothing is concluded
 CYCLING_MPS = 7.0  # 25 km/h: cyclists go at 5 and 1, pedelecs are held to that
-CORRECTED_M = 1.0  # poses of a track that are farther apart are of two places
-PER_TRACK = 40  # detections of each that are compared: more are alike
+CORRECTED_M = 1.0  # poses of a pose track that are farther apart are different places
+PER_TRACK = 40  # most detections of a track that are kept: more add nothing
 WILD_MPS, LEAST_WILD = 300.0, 30  # no unit that is m/s or km/h shows so many so fast
-LEAST_REPEATED = 2  # detections of a frame that cannot come again by chance
+LEAST_REPEATED = 2  # least detections of a frame that cannot be repeated by chance
 
 
 @dataclass(frozen=True, kw_only=True)
 class Excerpt:
-    """What moved in pieces of a sensor's recordings.
+    """Traffic in pieces of a sensor's recordings.
 
     Parameters
     ----------
     moving : Moving
-        All that moved, times by a clock that is right.
+        All moving detections, their times corrected by the clock.
     track : (m,) array
-        The moving object of each of these, `NONE` for detections of none.
+        The track of each moving detection, `NONE` for those of none.
     held : (m,) array
-        Which pose was in force at each of these, by number.
+        Index in `poses` of the pose in force at each moving detection.
     frozen : (begin, end, frames) or None
-        The longest time in which all frames are the same, UNIX seconds, and how many these are.
+        The longest run of equal frames: its begin and end, UNIX seconds, and number of frames.
     stays : Stays or None
-        Whether what stands around the sensor stays where it is.
+        Whether the stationary surroundings of the sensor stay the same.
     wild : int
-        How many detections are impossibly fast; with some, nothing is followed.
+        Number of impossibly fast detections; where it is not 0, no tracks are linked.
     time, points, range_rate : arrays
-        Detections of moving objects, thinned.
+        Detections on tracks, thinned: UNIX seconds, (n, 3) metres in the sensor frame, m/s.
     vehicle : (n,) array
         Number of the vehicle of each, from 0.
     pose : (n,) array
-        Which pose was in force, by number.
+        Index in `poses` of the pose in force.
     poses : tuple of Pose
-        These.
+        The poses that were in force.
     """
 
     moving: Moving
@@ -87,20 +87,20 @@ class Excerpt:
 
     @cached_property
     def reach_m(self) -> float:
-        """How far off what moves is, but for one in two hundred detections, metres."""
+        """Range that 99.5 % of the moving detections stay below, metres."""
         off_m = np.linalg.norm(np.nan_to_num(self.moving.points), axis=1)
         return float(np.percentile(off_m, 99.5)) if len(off_m) else 0.0
 
     @property
     def usual(self) -> Pose:
-        """The pose that was in force for most of what moved."""
+        """The pose that was in force for most of the moving detections."""
         return self.poses[int(np.bincount(self.held).argmax())]
 
     @property
     def as_usual(self) -> tuple[Moving, Integers]:
-        """What moved, and its objects, as seen from the usual pose.
+        """The moving detections as seen from the usual pose, and their tracks.
 
-        What was seen from another place, farther off than poses are corrected, is left out; objects
+        Detections from another place, farther off than poses are corrected, are left out; tracks
         are numbered anew, from 0 without gaps.
         """
         usual, points = self.usual, self.moving.points.copy()
@@ -118,7 +118,7 @@ class Excerpt:
         return moving, track
 
     def parted(self, when: float) -> tuple[Excerpt, Excerpt]:
-        """Return what moved before a moment and since; vehicles belong to where they appear."""
+        """Split the excerpt at a time (UNIX seconds); a vehicle belongs to where it appears."""
         first = np.full(int(self.vehicle.max(initial=-1)) + 1, np.inf)
         np.minimum.at(first, self.vehicle, self.time)
         late, since = first[self.vehicle] >= when, self.moving.time >= when
@@ -148,18 +148,18 @@ def read_excerpts(
 ) -> Iterator[Excerpt]:
     """Yield excerpts of a sensor's recordings, with more and more pieces, as far as there are any.
 
-    The first shows vehicles enough, where there are; the others are for whom that does not do.
-    Which pieces they hold follows from the first and last times of the recordings and from their
-    traffic alone.
+    The first has `ENOUGH` vehicles where the recordings do; the next ones are for callers to whom
+    that is too little. Which pieces they hold follows from the first and last times of the
+    recordings and from their traffic alone.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        Of one sensor.
+        The recordings of one sensor.
     tracks : sequence of PoseTrack
         As many, in order.
     clock : SensorClock, optional
-        How far its clock is ahead.
+        How far the sensor's clock is ahead.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def read_excerpts(
         last = PIECE_S * count >= length_s or count >= MOST_PIECES
         if last or found.vehicles >= ENOUGH or found.wild:
             found = replace(found, stays=_stays(rows, tracks))
-            del rows  # who asks for more may wait long
+            del rows  # the caller may keep this generator for long before asking for more
             yield found
         if last:
             return
@@ -182,7 +182,7 @@ def read_excerpts(
 
 
 def _begins(spans: Sequence[tuple[float, float]], count: int) -> list[Floats]:
-    """Return when the pieces of each recording begin, spread evenly over the time recorded."""
+    """Return the begins (UNIX seconds) of each recording's pieces, spread evenly over its time."""
     length = np.array([end - begin for begin, end in spans])
     until = np.cumsum(length)
     step = max(PIECE_S, (until[-1] - PIECE_S) / (count - 1))
@@ -192,7 +192,7 @@ def _begins(spans: Sequence[tuple[float, float]], count: int) -> list[Floats]:
     found = [spans[k][0] + at[of == k] - (until[k] - length[k]) for k in range(len(spans))]
     if step == PIECE_S:
         return found
-    # on one grid of time, so that sensors with a common view are compared in it
+    # on a common grid of time, so that pieces of sensors with a common view coincide
     return [np.unique(np.floor(each / PIECE_S) * PIECE_S) for each in found]
 
 
@@ -212,7 +212,7 @@ def _rows(recordings: Sequence[Recording], begins: Sequence[Floats], clock: Sens
 
 def _pieces(recording: Recording, begins: Floats) -> Iterator[Detections]:
     """Yield the rows of some pieces of a recording."""
-    if recording.batches_from is None:  # no piece is found without reading all before it
+    if recording.batches_from is None:  # such a format is read from its begin only
         for rows in recording.read() if len(begins) else ():
             at = np.maximum(np.searchsorted(begins, rows.time, side="right") - 1, 0)
             yield rows.take((rows.time >= begins[at]) & (rows.time < begins[at] + PIECE_S))
@@ -257,10 +257,10 @@ def _thinned(track: Integers) -> Integers:
 
 
 def _cycling(moving: Moving, track: Integers, vehicle: Integers) -> Booleans:
-    """Return which tracks are left out, as they may be of cyclists or walkers, who need no lane.
+    """Return which tracks may be of cyclists or walkers, who need not keep to lanes.
 
-    Those of vehicles that never go faster, where these are many and enough others drive: in a jam
-    all creep.
+    These are the tracks of objects never faster than `CYCLING_MPS`, where such are many and enough
+    others drive: in a jam all vehicles creep.
     """
     if len(vehicle) == 0:
         return np.zeros(0, dtype=bool)
@@ -274,7 +274,7 @@ def _cycling(moving: Moving, track: Integers, vehicle: Integers) -> Booleans:
 def _in_force(
     time: Floats, source: Integers, tracks: Sequence[PoseTrack]
 ) -> tuple[tuple[Pose, ...], Integers]:
-    """Return the poses in force, and their numbers."""
+    """Return the poses in force, and for each time the index of its pose."""
     poses, number = list[Pose](), np.zeros(len(time), np.int64)
     for k, track in enumerate(tracks):
         mine = np.flatnonzero(source == k)
@@ -286,7 +286,7 @@ def _in_force(
 
 
 def _stays(rows: _Rows, tracks: Sequence[PoseTrack]) -> Stays | None:
-    """Return whether what stands around a sensor stays where it is, by the poses in force."""
+    """Return whether the stationary surroundings stay the same in the map, given the poses."""
     poses, held = _in_force(rows.time, rows.source, tracks)
     places = np.full((len(rows.time), 2), np.nan)
     for number, pose in enumerate(poses):
@@ -297,7 +297,7 @@ def _stays(rows: _Rows, tracks: Sequence[PoseTrack]) -> Stays | None:
 
 
 def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
-    """Return the longest time in which all frames are the same, and how many these are."""
+    """Return begin, end and number of frames of the longest run of equal frames, or None."""
     present = np.isfinite(rows.points[:, 0])
     time = rows.time[present]
     frames, first, count = np.unique(time, return_index=True, return_counts=True)
@@ -317,5 +317,5 @@ def _frozen(rows: _Rows) -> tuple[float, float, int] | None:
 
 
 def iso(time: float) -> str:
-    """Return a time (UNIX seconds) as a message has it."""
+    """Format a time (UNIX seconds) as ISO 8601 text for a message."""
     return iso_from_step(int(step_of(np.array(time))))

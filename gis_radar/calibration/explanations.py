@@ -1,4 +1,4 @@
-"""Which explanation of where vehicles drive is likeliest, and whether what is given is."""
+"""Compare explanations of where vehicles drive: the pose as given, and its rivals."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from gis_radar.calibration.rivals import (
 from gis_radar.poses import Pose
 
 FITTING = 0.75  # share of vehicles on lanes from which a pose fits; right ones show 0.85 and more
-# A rival explains so many more of the vehicles (a fifth: what rests off the lanes of right poses),
-# so many of all, clearly (standard errors) more; rivals within BESIDE of it are as likely, and
-# causes that are estimated are so much better.
+# A rival must explain MORE of the vehicles than the given pose (a fifth of them is off the lanes at
+# right poses too), LEAST_SHARE of all, and be CLEAR standard errors better. Rivals within BESIDE
+# standard errors of it are as likely; a searched pose must beat a named mistake by as much.
 MORE, LEAST_SHARE, CLEAR, BESIDE = 0.2, 0.65, 4.0, 3.0
-# A pose that is searched explains some of any traffic: it has to explain so much, and so much more
-# than a mistake that has a name.
+# A searched pose explains a part of any traffic: it must explain FOUND_SHARE of the vehicles, and
+# FITTED_MORE of them more than a named mistake.
 FOUND_SHARE, FITTED_MORE = 0.8, 0.05
-# Where no rival fits, a pose is wrong whose lanes explain no more than any yaw's do by chance, or
-# less than is asked of a rival; up to FITTING it is doubted, as maps lack lanes.
+# Where no rival fits, a pose is wrong if it explains hardly more (OVER_CHANCE) than random yaws do,
+# or less than LEAST_SHARE; up to FITTING it is doubted, as maps lack lanes.
 OVER_CHANCE = 0.1
-# Share of the vehicles that right poses put on lanes at least, and the standard errors by which it
-# is missed with few vehicles.
+# Least share of the vehicles that right poses put on lanes, and the standard errors by which a
+# right pose with few vehicles may fall short of it.
 RIGHT_SHARE, BELOW = 0.84, 3.0
-MOST_CAUSES = 2  # that are as likely: of more, none is named
-HIGH_M = 1.5  # median height over the road that is off by more: vehicles, poles, bridges differ so
-# So many vehicles more, and such a share of all, drive along lanes with range rates of the other
-# sign, where all are given with one: who rides against a lane is seldom, and has the other sign.
+MOST_CAUSES = 2  # most equally likely causes that are named; of more, none is
+HIGH_M = 1.5  # error of the median height over the road from which a height or tilt may be wrong
+# Number and share of vehicles that drive along lanes only with range rates of the other sign, from
+# which on signs are lost, where all are of one sign: few vehicles drive against a lane.
 BACKWARDS, BACKWARDS_SHARE = 5, 0.1
 
 BESIDE_LANES = Text("many vehicles drive beside the lanes")
@@ -59,7 +59,7 @@ def by_lanes(
     Parameters
     ----------
     excerpt : Excerpt
-        What moved.
+        The sensor's traffic.
     lanes : LaneMap
         The map.
     others : mapping of str to Pose
@@ -107,14 +107,14 @@ def by_lanes(
 
 
 def least_share(vehicles: int, by_chance: float = 0.0) -> float:
-    """Return the share of so many vehicles on lanes under which no pose fits.
+    """Return the least share of vehicles on lanes at which a pose may still fit.
 
     Parameters
     ----------
     vehicles : int
-        How many there are: few miss the usual share by more.
+        Number of vehicles: the fewer, the farther a right pose may fall short of the usual share.
     by_chance : float
-        Share that another yaw would explain, and a little.
+        Share that random yaws explain, plus a margin.
     """
     drawn = RIGHT_SHARE - BELOW * np.sqrt(RIGHT_SHARE * (1.0 - RIGHT_SHARE) / vehicles)
     return float(min(max(LEAST_SHARE, min(by_chance, FITTING)), drawn))
@@ -131,28 +131,28 @@ def _backwards(excerpt: Excerpt, lanes: LaneMap, given: Score) -> bool:
 
 
 def scored(excerpt: Excerpt, lanes: LaneMap, rivals: Iterable[Rival]) -> Tried:
-    """Return rivals with how well lanes bear each of them out."""
+    """Return rivals, each with its score on the lanes."""
     return [(rival, score(excerpt, lanes, rival)) for rival in rivals]
 
 
 def _clearly_better(fitted: Score, named: Score) -> bool:
-    """Return whether what was searched explains more than a mistake with a name can."""
+    """Return whether a searched pose explains clearly more than a named mistake."""
     return fitted.share >= named.share + FITTED_MORE and fitted.ahead_of(named) > BESIDE
 
 
 def likeliest(excerpt: Excerpt, given: Score, tried: Tried, least: float) -> Tried:
-    """Return the rivals that explain most, clearly more than what is given, and their equals.
+    """Return the rivals that explain the traffic best and clearly better than what is given.
 
     Parameters
     ----------
     excerpt : Excerpt
-        What moved.
+        The sensor's traffic.
     given : Score
-        Of what is given.
+        The score of what is given.
     tried : list of (Rival, Score)
         The rivals.
     least : float
-        Share of the vehicles that one has to explain.
+        Least share of the vehicles that a rival has to explain.
     """
     good = [
         one
@@ -163,7 +163,7 @@ def likeliest(excerpt: Excerpt, given: Score, tried: Tried, least: float) -> Tri
     alike = [one for one in good if one is good[0] or good[0][1].ahead_of(one[1]) < BESIDE]
     alike.sort(key=lambda one: (one[0].twofold(excerpt.usual), one[0].fitted))
     kept: Tried = []
-    for one in alike:  # of two that are the same, the simpler; two mistakes at once only for want
+    for one in alike:  # of equal rivals the simplest; two mistakes at once only if no single one
         if kept and one[0].twofold(excerpt.usual):
             break
         if not any(one[0].same_as(other, excerpt.usual) for other, _ in kept):
@@ -172,7 +172,7 @@ def likeliest(excerpt: Excerpt, given: Score, tried: Tried, least: float) -> Tri
 
 
 def _by_chance(excerpt: Excerpt, best: tuple[Rival, Score], yaws: Tried) -> bool:
-    """Return whether a yaw that nobody asked for explains as much: then neither is the cause."""
+    """Return whether a random yaw explains as much as the best rival, so that it is chance."""
     rival, explains = best
     yaw = rival.turned(excerpt.usual).yaw
     return any(

@@ -1,4 +1,4 @@
-"""What the check of poses and recordings found of each sensor, and how it is refused."""
+"""Findings of the check of poses and recordings, one for each sensor, and their refusal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RECORD = ("verdict", "evidence", "cause", "advice")
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What the check found of a sensor.
+    """Finding of the check about one sensor.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Finding:
     verdict : str
         `FITS`, `WRONG` or `UNKNOWN`.
     evidence : str
-        The numbers that it rests on.
+        The numbers behind the verdict.
     cause, advice : str
         What is probably wrong and what to do; empty where nothing is.
     """
@@ -41,7 +41,7 @@ class Finding:
 
     @property
     def record(self) -> dict[str, str]:
-        """All but the sensor's name, as a dataset keeps it."""
+        """All fields but the sensor's name, as a dataset stores them."""
         return {name: getattr(self, name) for name in RECORD}
 
     @property
@@ -51,17 +51,17 @@ class Finding:
 
     @property
     def refused(self) -> bool:
-        """Whether nothing goes on but where it is accepted."""
+        """Whether the sensor is refused unless the user accepts it."""
         return self.verdict == WRONG
 
     @property
     def is_of_clocks(self) -> bool:
-        """Whether its clock alone contradicts another sensor's: without that one it may go on."""
+        """Whether the only fault is a clock that contradicts another sensor's."""
         return isinstance(self.cause, Text) and self.cause.template == CLOCKS_APART
 
     @property
     def doubt(self) -> str:
-        """What results say that go on anyway; empty where all fits."""
+        """The remark that results carry if the run goes on; empty where all fits."""
         if self.refused:
             return Text("{}; it is accepted anyway", self.line)
         return self.line if self.verdict != FITS or self.cause else ""
@@ -106,12 +106,12 @@ def is_record(value: object) -> bool:
 
 
 def wrong(evidence: str, cause: str, advice: str) -> Finding:
-    """Return that a sensor does not fit, which is still to be named."""
+    """Return the finding that a sensor does not fit; the caller adds the sensor's name."""
     return Finding(sensor="", verdict=WRONG, evidence=evidence, cause=cause, advice=advice)
 
 
 def either(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
-    """Return mistakes that are as likely as one cause, and what to do about each of them.
+    """Join equally likely mistakes to one cause and one advice.
 
     Parameters
     ----------
@@ -126,17 +126,17 @@ def either(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
 
 
 class ImplausibleError(NoAnswerError):
-    """Sensors whose poses and recordings do not fit each other or the map.
+    """Error of sensors whose poses and recordings do not fit each other or the map.
 
     Parameters
     ----------
     template, *values, hint
         As for every error.
     findings : tuple of Finding
-        What was found of these sensors.
+        The findings about these sensors.
     """
 
-    def __init__(  # by the message alone, too: so errors come back from worker processes
+    def __init__(  # callable with the message alone: that is how errors are unpickled
         self, template: str, /, *values: Any, hint: str = "", findings: tuple[Finding, ...] = ()
     ) -> None:
         parts = [each.refusal for each in findings] if len(findings) > 1 else []
@@ -147,14 +147,14 @@ class ImplausibleError(NoAnswerError):
 def refuse_implausible(
     findings: Sequence[Finding], accepted: Collection[str], reporter: Reporter
 ) -> None:
-    """Refuse sensors that do not fit; warn of those that are accepted, or show too little.
+    """Refuse sensors that do not fit; warn of those that are accepted, or have too little traffic.
 
     Parameters
     ----------
     findings : sequence of Finding
         As from :func:`check_plausibility`.
     accepted : collection of str
-        Sensors to go on with anyway.
+        Names of sensors that are used although they do not fit.
     reporter : Reporter
         Receives the warnings.
 

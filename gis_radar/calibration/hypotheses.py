@@ -1,4 +1,4 @@
-"""Hypotheses: starts from a search over places and headings, fitted and compared by vehicles."""
+"""Hypotheses of a pose, found by a search over places and headings, fitted and compared."""
 
 from __future__ import annotations
 
@@ -29,46 +29,45 @@ from gis_radar.calibration.state import LEVER_M, POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Samples
 
 GUESS_M = 15.0  # how far a guess may be off (contract)
-HEADING_TOLERANCE = math.radians(30.0)  # either way of a heading: 25 degrees (contract) and slack
-# First fit of every candidate, and fit of each finalist, to a part of the samples.
+HEADING_TOLERANCE = math.radians(30.0)  # to either side of a heading: 25 degrees (contract) + slack
+# Schedules of the first fit of every candidate, and of each finalist, to a part of the samples.
 ROUGH = Schedule(scales_m=(1.5, 0.75, 0.3), rounds=4)
 SETTLE = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=4)
 FINALISTS = 4  # hypotheses that are fitted to the end, at most
-# Standard deviations behind the first that earn a full look, which brings a hypothesis nearer by
-# about half of one; more than the z score of a clear answer.
+# Hypotheses within so many standard deviations of the best are fitted in full, which improves them
+# by about half of one; more than the z score of a clear answer.
 RIVAL = 3.5
-BEYOND_GUESS_M = 2.0  # searched beyond how far a guess may be off
-TILT = math.radians(6.0)  # 1 sigma of how far masts and roads lean, radians
+BEYOND_GUESS_M = 2.0  # margin of the search beyond the largest error of a guess
+TILT = math.radians(6.0)  # 1 sigma of the tilt of masts and roads
 # 1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
 LEVEL_SPREAD_M = 0.5
 LEVEL_ELEVATION = math.radians(0.6)
 LEVEL_ROUNDS = 12  # reweighted fits of the plane; it settles in five to eight
-SCORED = 900  # traces scored; cost in proportion
+SCORED = 900  # samples scored; cost in proportion
 SIGHTS = 64  # bins of the direction of sight, 5.6 degrees
-# Bell across a lane, grid of places, grid of headings (radians). Steps are at most one spread, or
-# 50 m off half of one.
+# Spread (1 sigma) across a lane; steps of the grids of places, and of headings (1.7 m at 50 m).
 SPREAD_M = 2.0
 STEP_M = 2.0
 YAW_STEP = math.radians(2.0)
 # Cosine by which a lane's direction may disagree with the Doppler's sign (15 degrees).
 BESIDE = 0.25
-# Closer peaks are one.
+# Peaks closer than this are one.
 NEAR_M = 3.0
 NEAR_RAD = math.radians(5.0)
 # Prior of the mean height of reflections: between wheel hubs and belt lines.
 REFLECTION_M = 0.6
 REFLECTION_SIGMA_M = 0.25
 ROUGH_SAMPLES = 1000  # enough to rank hypotheses; cost in proportion
-GONE = 5.0  # standard deviations behind the first, beyond which none is a finalist
-# Closer fits are one: easting, northing, height; turns about the axes.
+GONE = 5.0  # hypotheses farther behind the best (standard deviations) are no finalists
+# Fits closer than this are one: easting, northing, height; turns about the axes.
 TWIN_M = (0.3, 0.3, 0.5)
 TWIN_RAD = (math.radians(0.5), math.radians(0.5), math.radians(0.3))
-# Grid around an optimum on which better ones are looked for: half a vehicle's width apart, and so
-# many steps to all sides and turns, which count at LEVER_M.
+# Grid around an optimum on which better ones are looked for: its step, half a vehicle's width, and
+# the number of steps to every side and of turns to either side (a turn in metres at LEVER_M).
 LOOK_M = 0.5
 LOOK_STEPS = (3, 2)
-# Widening of the spreads there (drivers differ by as much), samples that are looked at, and how
-# many of the lowest places are fitted.
+# Widening of the spreads on this grid (drivers differ by as much), number of samples scored, and
+# number of the lowest places that are fitted.
 LOOK_SCALE_M = 0.3
 LOOK_SAMPLES = 400
 LOOK_PLACES = 4
@@ -84,10 +83,10 @@ class Levelling:
     Parameters
     ----------
     R_level_sensor : (3, 3) array
-        Turns the sensor frame so that the road's plane is level and below; the heading of the
-        x axis stays.
+        Rotation from the sensor frame to one in which the road's plane is level and below; the
+        heading of the x axis stays.
     depth_m : float
-        From the sensor down to the plane of the reflections.
+        Height of the sensor over the plane of the reflections.
     """
 
     R_level_sensor: Floats
@@ -95,7 +94,7 @@ class Levelling:
 
 
 def level(scene: Scene) -> Levelling:
-    """Fit a plane to the traces, robustly; a sensor over which the road lies hangs upside down.
+    """Fit a plane to the traces, robustly; where it lies above the sensor, that is upside down.
 
     Parameters
     ----------
@@ -182,7 +181,7 @@ def _places(radius_m: float, step_m: float) -> Floats:
 
 
 def closeness(lanes: Lanes) -> NDArray[np.uint8]:
-    """Return for each direction of sight how close a cell is to lanes that lead away along it.
+    """Return for each direction of sight how close each cell is to lanes that lead away along it.
 
     Parameters
     ----------
@@ -192,8 +191,8 @@ def closeness(lanes: Lanes) -> NDArray[np.uint8]:
     Returns
     -------
     (sights, rows, columns) uint8 array
-        255 on a centre line. What comes towards the sensor is what leads away along the
-        opposite sight.
+        255 on a centre line. For approaching traffic the layer of the opposite direction of sight
+        is looked up.
     """
     near = np.exp(-0.5 * (lanes.distance / SPREAD_M) ** 2)
     sights, bins = SIGHTS, len(near)
@@ -263,16 +262,16 @@ def _score(
 
 @dataclass(frozen=True, kw_only=True)
 class Hypothesis:
-    """One way to lay the recording on the map.
+    """One way to place the recording on the map.
 
     Parameters
     ----------
     fit : Fit
         The local optimum.
     prior : Prior
-        With which it was found.
+        The prior with which it was found.
     score : float
-        How well the search alone laid the samples on the lanes there, 0 to 1.
+        Score of the search at its candidate, 0 to 1.
     model : Model
         How vehicles drive and reflect.
     rival : State or None
@@ -292,7 +291,7 @@ class Hypothesis:
 
 
 def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> list[Hypothesis]:
-    """Return hypotheses that differ, the best first, fitted to a part of the samples.
+    """Find hypotheses that differ, the best first, fitted to a part of the samples.
 
     Parameters
     ----------
@@ -309,7 +308,7 @@ def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> lis
 
 
 def search_score(scene: Scene, *, heading: tuple[float, float] | None) -> float:
-    """Return how well the search alone can lay samples on the lanes, 0 to 1.
+    """Return the best score of the search over places and headings, 0 to 1.
 
     Parameters
     ----------
@@ -344,7 +343,8 @@ def _settled(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first.
 
-    The best one is looked at in full, and so is each that could still overtake it.
+    The best one, and each that could still overtake it, is improved by :func:`look_around` and
+    fitted with prior and model adapted to the recording.
     """
     part, best = rough(scene), hypotheses[0]
     near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < GONE]
@@ -364,10 +364,10 @@ def _with_rivals(
 
 
 def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
-    """Look for better optima around one: by the likelihood on a grid, and from its best places.
+    """Look for better optima around one: score a grid of places, and fit from its best ones.
 
-    Which face of which vehicle a trace shows, and to which lane it belongs, make the cost bumpy in
-    the small where drivers keep off the middle of their lanes.
+    The choice of face and lane for each sample gives the cost many local optima within a metre,
+    where drivers keep off the middle of their lanes.
     """
     aside, turned = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
     few = _part(scene, LOOK_SAMPLES)
@@ -407,7 +407,7 @@ def widen_by_profile(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
 
 
 def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
-    """Return the state at a candidate, at the height that puts the traces over the road."""
+    """Return the state at a candidate, at the height at which the traces lie over the road."""
     lanes = scene.lanes
     turn = Rotation.from_euler("Z", candidate.yaw).as_matrix()
     state = State(
@@ -426,12 +426,12 @@ def _start(scene: Scene, levelling: Levelling, candidate: Candidate) -> State:
 
 
 def prior_at(state: State) -> Prior:
-    """Return what is known before looking: about where the guess is, a mast that hardly leans.
+    """Return the prior of a start: a place near the guess, and a mast that hardly leans.
 
     Parameters
     ----------
     state : State
-        A start; its tilt is the levelled one, the guess is the local (0, 0).
+        A start, with the tilt of the levelling; the guess is the local (0, 0).
     """
     information = np.zeros((SIZE, SIZE))
     sigma = np.array([GUESS_M / 2, GUESS_M / 2, GUESS_M, TILT, TILT, np.pi])
@@ -448,7 +448,7 @@ def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
 
 
 def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses the best first, without what another, better one has found as well."""
+    """Return hypotheses the best first, without those that are near a better one."""
     twin = np.array([*TWIN_M, *TWIN_RAD])
     kept: list[Hypothesis] = []
     for h in sorted(hypotheses, key=lambda h: h.loss):
@@ -459,6 +459,6 @@ def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def mirrored(samples: Samples) -> Samples:
-    """Return the samples of a sensor whose y axis points to the other side."""
+    """Return the samples with the sign of y changed, as if left and right were swapped."""
     points: Floats = samples.points * [1.0, -1.0, 1.0]
     return replace(samples, points=points)

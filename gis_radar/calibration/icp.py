@@ -17,17 +17,17 @@ from gis_radar.calibration.solver import FLOOR, at_least
 from gis_radar.calibration.state import LEVER_M, State
 from gis_radar.calibration.traces import CROWD_M, Moving
 
-# How far the pose is moved to measure how well the road fixes it: farther than the slack between
-# traces and kerb, in which the cost is flat.
+# Step of the pose by which the information is measured: longer than the slack between traces and
+# kerb, in which the cost is flat.
 PROFILE_M = 2.0
 MAST_M = 5.0  # height of a usual mast, where the guess has none
-HEADINGS = 8  # tried where none is given, evenly around
+HEADINGS = 8  # number of start headings where none is given, evenly spaced
 VOXEL_M = 0.5  # edge of the voxels of traces and road (the paper)
 # DBSCAN of the traces' voxels: gaps between the lanes of a street stay closed.
 EPS_M, MIN_POINTS = 2.0, 10
-DISTANCES_M = (10.0, 1.0, 0.5)  # of correspondences: large, then two voxels and one (the paper)
-ITERATIONS = 60  # most at each distance
-FARTHEST = 2.0  # an answer farther off than so many times the error of a guess is refused
+DISTANCES_M = (10.0, 1.0, 0.5)  # largest of correspondences: 10 m, two voxels, one (the paper)
+ITERATIONS = 60  # most iterations at each distance
+FARTHEST = 2.0  # an answer farther off than so many times GUESS_M is refused
 
 
 def voxels(points: Floats, size_m: float) -> Floats:
@@ -47,7 +47,7 @@ def voxels(points: Floats, size_m: float) -> Floats:
 def source_voxels(moving: Moving) -> Floats:
     """Return the traces as the paper makes them: the voxels of the largest cluster.
 
-    The paper clusters first; of voxels DBSCAN stores bounded lists of neighbours.
+    The paper clusters the detections; clustering voxels bounds the memory of DBSCAN's neighbours.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> tuple[Sta
     road : (m, 3) array
         Cells of the road, local map coordinates, metres.
     starts : list of State
-        Where to begin; the best end wins.
+        Starts; the best result counts.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> tuple[Sta
 
 
 def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
-    """Return starts at a place: the given heading, or so many evenly around."""
+    """Return starts at a place (local, m): the given yaw (radians), or `count` evenly spaced."""
     yaws = [yaw] if yaw is not None else (np.arange(count) * 2.0 * np.pi / count).tolist()
     return [
         State(
@@ -133,12 +133,12 @@ def _register(o3d: Any, source: Any, target: Any, start: State) -> Any:
 
 
 def pose_information(source: Floats, road: Floats, state: State) -> Floats:
-    """Return the (6, 6) information of a registration about its pose, order as a state's step.
+    """Return the (6, 6) information of a registration about its pose, in the order of a step.
 
-    Point-to-point correspondences hold a trace even along a road on which it slides. The curvature
-    is therefore measured over steps of `PROFILE_M` (or a voxel up and down) with the nearest road
-    sought anew at each: what the traces cost off the road, in errors of a voxel. Traces within
-    `crowd_m` of each other count as one.
+    Fixed point-to-point correspondences would hold a trace even along a road on which it slides.
+    The curvature of the cost is therefore measured over steps of `PROFILE_M` (or a voxel up and
+    down), with the nearest road point looked up anew at each; the cost is the squared distance from
+    the road, over a voxel squared. Traces within a cell of `CROWD_M` count as one.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _open3d() -> Any:
 
 
 def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
-    """Lay the traces on the road's surface, as the paper does."""
+    """Register the traces to the road's surface, as the paper does."""
     reporter.progress(STAGE, 1, 3)
     source = source_voxels(moving)
     local = problem.road - [*problem.guess[:2], 0.0]

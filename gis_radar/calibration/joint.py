@@ -1,4 +1,4 @@
-"""Several sensors of a site together: vehicles that two of them see relate their poses."""
+"""Joint calibration of a site's sensors: vehicles that two of them see relate their poses."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from gis_radar.calibration.traces import Moving
 from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import Pose, write_pose
 
-# Of the recordings of several days, the seconds in which most sensors recorded: 2000 frames.
+# Length of the time, in which most sensors recorded, that is used of long recordings: 2000 frames.
 COMMON_S = 100.0
 
 STAGE = "finding the poses together"
@@ -63,12 +63,12 @@ class JointCalibration:
     Parameters
     ----------
     found : dict of str to Localization
-        By sensor. Where vehicles relate a sensor to others, `together` in its pose's evidence names
-        these, how many pairs of tracks there are, and sigma before and after (m, degrees).
+        By sensor. Where vehicles relate a sensor to others, `together` in its pose's evidence
+        states these, the number of pairs of tracks, and sigma before and after (m, degrees).
     refused : dict of str to str
-        Sensors without a trustworthy pose, and why.
+        By sensor without a trustworthy pose: the reason.
     pairs : dict of (str, str) to int
-        How many vehicles two sensors share.
+        Number of vehicles that two sensors share.
     """
 
     found: dict[str, Localization]
@@ -77,7 +77,7 @@ class JointCalibration:
 
     @property
     def failure(self) -> NoAnswerError | None:
-        """What is missing, in one line; None where every sensor has a pose."""
+        """Error that names all refused sensors in one line; None where every sensor has a pose."""
         if not self.refused:
             return None
         whys = {
@@ -87,7 +87,7 @@ class JointCalibration:
         return NoAnswerError(Text("; ").join(whys), hint="the other sensors have their poses")
 
     def figures(self) -> dict[str, str]:
-        """Return a line a sensor."""
+        """Return one line of text for each sensor."""
         lines = {name: _line(found.pose) for name, found in self.found.items()}
         return lines | {name: Text("no answer: {}", why) for name, why in self.refused.items()}
 
@@ -126,7 +126,7 @@ def localize_together(
     scan_crs: Any = None,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
-    """Find the poses of several sensors that recorded at the same time, all files.
+    """Find the poses of several sensors that recorded at the same time, from files.
 
     Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
     the same time relate their poses, which are adjusted together. A sensor with several
@@ -147,7 +147,7 @@ def localize_together(
     guess_crs : CRS, str or int, optional
         The guesses' coordinate system, where it is not the map's.
     headings : sequence of float, optional
-        As many: yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth.
+        As many yaws in degrees, counter-clockwise from grid east, within 25 degrees of the truth.
     compasses : sequence of float, optional
         The same as bearings: degrees clockwise from true north.
     crs : CRS, str or int, optional
@@ -264,7 +264,7 @@ def _confirmed(
     recordings: Mapping[str, Path],
     look_at: Callable[[Path, Pose], ScanCheck],
 ) -> dict[str, Localization]:
-    """Return the answers, each the only one of its sensor, that the scan check confirms."""
+    """Return the answers that the scan check confirms, of refused sensors with one answer each."""
     alone = {name: several[0] for name, several in refused.items() if len(several) == 1}
     looks = {name: look_at(recordings[name], found.pose) for name, found in alone.items()}
     return {
@@ -304,7 +304,7 @@ def _alone(
 
 @dataclass(frozen=True)
 class _Named(Reporter):
-    """Passes on what concerns one sensor, remarks with its name."""
+    """Reporter that passes on progress, and remarks with the sensor's name before them."""
 
     name: str
     reporter: Reporter
@@ -334,7 +334,7 @@ def adjust_poses(
     clocks: Mapping[str, SensorClock] | None = None,
     reporter: Reporter = QUIET,
 ) -> Solved:
-    """Adjust poses by the vehicles that the sensors see at the same time.
+    """Adjust poses of sensors by the vehicles that they see at the same time.
 
     Parameters
     ----------
@@ -345,10 +345,10 @@ def adjust_poses(
     roads, road_points
         As for :func:`gis_radar.localize`.
     end : float, optional
-        UNIX seconds until which what they recorded counts; by default the end of the 100 s in
-        which most recorded, the latest of these.
+        UNIX seconds: the end of the 100 s of the recordings that are used; by default of the first
+        100 s in which most sensors recorded.
     clocks : mapping of str to SensorClock, optional
-        Of sensors whose clocks were measured: their times are corrected.
+        Measured clocks, by which the times of their sensors are corrected.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -399,9 +399,9 @@ def _lanes_of_all(
     Parameters
     ----------
     moving : sequence of Moving
-        What they saw.
+        Moving detections of each sensor.
     places : (n, 2) array
-        Where they may stand.
+        Possible places of the sensors, easting and northing.
     roads, road_points
         As for :func:`gis_radar.localize`.
     """
@@ -416,14 +416,14 @@ def _lanes_of_all(
 
 
 def _sigma_s(clock: SensorClock) -> float | None:
-    """Return the standard deviation of a measured clock; None where it is not known."""
+    """Return the standard deviation of a measured clock, seconds; None where it is not known."""
     known = clock is not RIGHT and math.isfinite(clock.sigma_s)
     return clock.sigma_s if known else None
 
 
 @contextmanager
 def _noted(why: dict[str, str], name: str) -> Iterator[None]:
-    """Record errors of a sensor's data instead of failing, for the sake of the others."""
+    """Record an error of one sensor's data in `why` instead of raising it."""
     try:
         yield
     except InputError as error:
@@ -473,7 +473,7 @@ def _line(pose: Pose) -> str:
 
 
 def gain_line(pose: Pose) -> str:
-    """Return a line of a pose's certainty and of its correspondences, by its evidence."""
+    """Describe a pose's certainty and correspondences in a line, by its evidence."""
     sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
     after = Text("position ± {:.2f} m", np.hypot(sigma["easting"], sigma["northing"]))
     turn = Text("yaw ± {:.2f} deg", sigma["yaw"])

@@ -1,9 +1,9 @@
-"""Kalman filter of a pose that hardly changes, corrected by measurements that share an error.
+"""Kalman filter of a pose that hardly changes, corrected by measurements with a common error.
 
 The paper's Kalman filter ("Localization with ICP", Eqs. 2-7) on the error of the state: metres, and
-a turn about the map's axes. What all measurements have in common, such as the map's own error,
-never averages out however many there are; it is a seventh to twelfth state that is considered and
-not estimated (a Schmidt-Kalman filter). Without it the equations are the paper's.
+a turn about the map's axes. An error that all measurements have in common, such as the map's own,
+never averages out; it is a seventh to twelfth component of the state that is considered and not
+estimated (a Schmidt-Kalman filter). Without it the equations are the paper's.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from gis_radar.calibration.state import LEVER_M, State, angles_from_turn
 
 HOUR_S = 3600.0
 CYCLE_S = 5.0  # between two corrected poses (the paper)
-# Of six: easting, northing, height and turns about the map's axes; metres, radians. How far a mast
-# bends within an hour, in sun and wind, and a blow moves a sensor that is still in use; 1 sigma.
+# 1 sigma of easting, northing, height (m) and turns about the map's axes (radians): DRIFT, by which
+# sun and wind bend a mast within an hour; KNOCK, by which a blow moves a sensor that stays in use.
 DRIFT = np.array([0.02, 0.02, 0.01, *np.radians([0.1, 0.1, 0.1])])
 KNOCK = np.array([0.7, 0.7, 0.4, *np.radians([3.0, 3.0, 4.0])])
 LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
@@ -32,7 +32,7 @@ class Estimate:
     Parameters
     ----------
     time : float
-        UNIX seconds; no later data were used.
+        UNIX seconds; the estimate rests on no later data.
     position : (3,) array
         Local easting and northing and the height, metres.
     quaternion : (4,) array
@@ -40,8 +40,8 @@ class Estimate:
     covariance : (6, 6) array
         P, of easting, northing, height and a turn about the map's axes; metres and radians.
     common : (6, 6) array
-        Covariance of that error (truth less estimate) with what all measurements have in common,
-        the latter in standard deviations.
+        Covariance of the estimate's error (truth less estimate) with the common error of all
+        measurements, the latter in standard deviations.
     """
 
     time: float
@@ -56,7 +56,7 @@ class Estimate:
         return covariance_of_angles(self.quaternion, self.covariance)
 
     def state(self, reflection_m: float) -> State:
-        """Return the pose as a registration's state, with how high vehicles reflect."""
+        """Return the pose as a registration's state, with the height of reflections, metres."""
         turn = Rotation.from_quat(self.quaternion).as_matrix()
         return State(position=self.position, R_map_sensor=turn, reflection=reflection_m)
 
@@ -72,7 +72,7 @@ class Measurement:
     covariance : (6, 6) array
         R, in the estimate's coordinates.
     noise : (6, 6) array
-        The part of R that is independent in each window; the rest is in all of them.
+        The part of R that is independent in each window; the rest is common to all windows.
     """
 
     position: Floats
@@ -82,7 +82,7 @@ class Measurement:
 
     @property
     def common(self) -> Floats:
-        """What one standard deviation of the common error does to the measurement, (6, 6)."""
+        """Change of the measurement by one standard deviation of the common error, (6, 6)."""
         return by_common_error(self.covariance - self.noise)
 
 
@@ -95,7 +95,7 @@ class Innovation:
     gap : (6,) array
         `z - x`, metres and a turn about the map's axes in radians.
     covariance : (6, 6) array
-        Of the gap.
+        Covariance of the gap.
     """
 
     gap: Floats
@@ -108,20 +108,20 @@ class Innovation:
 
 
 def by_common_error(covariance: Floats) -> Floats:
-    """Return what one standard deviation of an error of a covariance does to a pose, (6, 6)."""
+    """Return the (6, 6) square root of a pose's covariance: one standard deviation a column."""
     values, vectors = np.linalg.eigh(LEVER[:, None] * covariance * LEVER)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     return np.asarray(root / LEVER[:, None])
 
 
 def covariance_from_angles(quaternion: Floats, covariance: Floats) -> Floats:
-    """Return a covariance of roll, pitch and yaw as one of a turn about the map's axes."""
+    """Convert a covariance of roll, pitch and yaw to one of a turn about the map's axes."""
     to_turn = np.linalg.inv(_to_angles(quaternion))
     return np.asarray(to_turn @ covariance @ to_turn.T)
 
 
 def covariance_of_angles(quaternion: Floats, covariance: Floats) -> Floats:
-    """Return a covariance of a turn about the map's axes as one of roll, pitch and yaw."""
+    """Convert a covariance of a turn about the map's axes to one of roll, pitch and yaw."""
     to_angles = _to_angles(quaternion)
     return np.asarray(to_angles @ covariance @ to_angles.T)
 
@@ -142,7 +142,7 @@ def predicted(estimate: Estimate, time: float) -> Estimate:
 
 
 def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
-    """Return `z - x` and its covariance `P + R`, less what both have in common (of Eq. 5)."""
+    """Return `z - x` and its covariance `P + R`, less the error common to both (of Eq. 5)."""
     turn = (
         Rotation.from_quat(measurement.quaternion) * Rotation.from_quat(estimate.quaternion).inv()
     )
@@ -154,18 +154,18 @@ def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
 
 
 def likeliest_move(found: Innovation) -> Floats:
-    """Return the likeliest difference of pose behind a gap, (6,)."""
+    """Return the likeliest move behind a gap, (6,), given that blows are of size `KNOCK`."""
     may = np.diag(np.square(KNOCK))
     return np.asarray(may @ np.linalg.solve(may + found.covariance, found.gap))
 
 
 def widened(estimate: Estimate, move: Floats) -> Estimate:
-    """Return an estimate that allows for a move: along it a standard deviation is at least that.
+    """Widen an estimate so that its standard deviation along a move is at least the move.
 
     Parameters
     ----------
     estimate : Estimate
-        To be widened.
+        The estimate to widen.
     move : (6,) array
         Metres and a turn about the map's axes in radians.
     """
@@ -177,7 +177,7 @@ def widened(estimate: Estimate, move: Floats) -> Estimate:
 
 
 def displaced(estimate: Estimate, move: Floats, covariance: Floats) -> Estimate:
-    """Return an estimate of a sensor that has moved since.
+    """Move an estimate, and add the covariance of the move.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def displaced(estimate: Estimate, move: Floats, covariance: Floats) -> Estimate:
     move : (6,) array
         Metres and a turn about the map's axes in radians.
     covariance : (6, 6) array
-        Of the move.
+        Covariance of the move.
     """
     turn = Rotation.from_rotvec(move[3:]) * Rotation.from_quat(estimate.quaternion)
     return replace(
@@ -198,14 +198,14 @@ def displaced(estimate: Estimate, move: Floats, covariance: Floats) -> Estimate:
 
 
 def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:
-    """Return an estimate that takes a measurement in (Eqs. 5-7).
+    """Correct an estimate by a measurement (Eqs. 5-7).
 
     Parameters
     ----------
     estimate : Estimate
-        Predicted to the measurement's time, from data that the measurement has not seen.
+        Predicted to the measurement's time, from data that the measurement does not use.
     measurement : Measurement
-        Of the pose.
+        A measurement of the pose.
     """
     found = innovation(estimate, measurement)
     cross = estimate.common @ measurement.common.T
@@ -213,7 +213,7 @@ def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:
     step = gain @ found.gap
     turn = Rotation.from_rotvec(step[3:]) * Rotation.from_quat(estimate.quaternion)
     keep = np.eye(6) - gain
-    covariance = (  # Eq. 7, and what both have in common
+    covariance = (  # Eq. 7, with the terms of the common error
         keep @ estimate.covariance @ keep.T
         + gain @ measurement.covariance @ gain.T
         - keep @ cross @ gain.T
@@ -229,7 +229,7 @@ def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:
 
 
 def same_sign(quaternion: Floats, like: Floats) -> Floats:
-    """Return a quaternion or its negative, which is the same rotation: whichever is nearer."""
+    """Normalise a quaternion, with the sign that brings it nearer to another one."""
     unit = quaternion / np.linalg.norm(quaternion)
     return np.asarray(-unit if unit @ like < 0.0 else unit)
 

@@ -15,16 +15,15 @@ from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording
 
 STAGE = "reading traffic"
-# What moves along a lane is at least so fast there: over walkers and leaves.
-LEAST_MPS = 1.5
-# Cosine between lane and line of sight: across it (60 deg) the range rate implies no speed. Twice
-# of it leaves no traffic.
+LEAST_MPS = 1.5  # least speed along a lane: above walkers and leaves
+# Least cosine between lane and line of sight (60 deg): nearly across it the range rate implies no
+# speed. Twice the value leaves no traffic.
 LEAST_COSINE = 0.5
-# What is read, seconds about the begin of the last recording: an hour of traffic, and twice an hour
-# by which a clock may be off.
+# Begin and end of what is read, seconds from the begin of the last recording: an hour of traffic,
+# and to either side an hour by which a clock may be off.
 WINDOW_S = (-4000.0, 7600.0)
-PLACE_M = 10.0  # length of lane that shares a bias of a pose, metres
-REACH_M = 300.0  # lanes around a sensor are looked at that far: the longest range of the sensors
+PLACE_M = 10.0  # length of lane that shares a bias of a pose
+REACH_M = 300.0  # reach of the lanes around a sensor: the longest range of the sensors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +39,7 @@ class LaneDetections:
     s_m : (n,) array
         Place along the lanelet, metres.
     speed : (n,) array
-        Along the lanelet, m/s.
+        Speed along the lanelet, m/s.
     side : (n,) array
         1 where the vehicle recedes and shows its rear, -1 where it shows its front.
     """
@@ -56,20 +55,20 @@ class LaneDetections:
 
     @property
     def places(self) -> Integers:
-        """Place of each: a number for its lanelet and the piece of it that shares a pose's bias."""
+        """Number of each detection's place: its lanelet, and the `PLACE_M` piece of it."""
         return self.lanelet * 100_000 + (self.s_m // PLACE_M).astype(np.int64)
 
     def take(self, keep: Booleans | Integers) -> LaneDetections:
-        """Return some of them."""
+        """Return the detections selected by a mask or by indices."""
         return LaneDetections(**{name: values[keep] for name, values in vars(self).items()})
 
     def scaled(self, time: Floats, *, near_m: float, near_s: float, near_mps: float) -> Floats:
-        """Return points of which those of one lanelet are near within 1 in every direction.
+        """Return points that differ by at most 1 in each coordinate where detections are near.
 
         Parameters
         ----------
         time : (n,) array
-            Their times, seconds since any moment.
+            Times of the detections, seconds from any origin.
         near_m, near_s, near_mps : float
             The scales of place, time and speed.
 
@@ -83,7 +82,7 @@ class LaneDetections:
 
     @classmethod
     def joined(cls, parts: list[LaneDetections]) -> LaneDetections:
-        """Return parts one after the other."""
+        """Concatenate parts."""
         none = {name: np.empty(0) for name in cls.__dataclass_fields__}
         none["lanelet"] = np.empty(0, np.int64)
         return cls(
@@ -95,7 +94,7 @@ class LaneDetections:
 def lane_detections(
     lanes: Lanes, time: Floats, points: Floats, rate: Floats, eye: Floats
 ) -> LaneDetections:
-    """Match detections to lanes; return those that move along one.
+    """Match detections to lanes, and return those that move along one.
 
     Parameters
     ----------
@@ -108,7 +107,7 @@ def lane_detections(
     rate : (n,) array
         Range rates, m/s.
     eye : (3,) array
-        Where the sensor is.
+        Place of the sensor, local map coordinates.
     """
     arm = np.nan_to_num(points - eye)
     reach = np.linalg.norm(arm, axis=1)
@@ -169,17 +168,17 @@ def read_lane_detections(
     latest_s: float,
     reporter: Reporter,
 ) -> LaneDetections:
-    """Read what moved along lanes in a few hours, by the sensor's own clock.
+    """Read the detections that move along lanes in a few hours, by the sensor's own clock.
 
     Parameters
     ----------
     recording, track : Recording, PoseTrack
-        What is read, and where its sensor stood.
+        The recording, and where its sensor stood.
     lanelets : GeoDataFrame
         As from :func:`lanelets_of`.
     latest_s : float
-        When the last of all recordings begins: the hours around it are read, so that long ones
-        meet. Where this one is over by then, its own first hours.
+        UNIX seconds at which the last of all recordings begins: the hours around it are read, so
+        that long recordings overlap; of a recording that ends before, its own first hours.
     reporter : Reporter
         Receives the progress.
     """

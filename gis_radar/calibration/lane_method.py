@@ -1,4 +1,4 @@
-"""The method `lane`: tracks on lanes that their Doppler allows, and on the scanned road."""
+"""The method `lane`: register tracks to lanes that their Doppler allows, and the scanned road."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from gis_radar.calibration.result import STAGE, AmbiguousError, Localization, Pr
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin
 
 LEAST_TRACKS = 5  # vehicles; fewer leave the seven components of the state unfixed
-# Share of traces on lanes. Right answers show 0.8 to 0.99, those a lane off 0.6 to 0.8.
+# Least share of samples on lanes: 0.8 to 0.99 at right answers, 0.6 to 0.8 a lane off.
 LEAST_FITNESS = 0.6
 # Standard deviations by which the vehicles must prefer an answer to every other (99.4 %,
 # one-sided).
 CLEAR = 2.5
 # Squared standard deviations within which two answers are one (99.9 %, 3 components).
 SAME_CHI2 = 16.0
-# Optima that near to each other are one answer with a larger sigma: nearer than lanes are, and
-# what drivers off the middle of their lanes can make of one.
+# Optima as near to each other are one answer with a larger sigma: they are nearer than lanes are,
+# and drivers off the middle of their lanes split one optimum so far.
 ONE_ANSWER_M = 1.0
 ONE_ANSWER_RAD = math.radians(3.0)
 LEAST_SCANNED = 0.3  # share of lanes in reach that the scanned road must cover
-ANSWER_SLACK_M = 5.0  # an answer may lie that much farther off than a guess may
+ANSWER_SLACK_M = 5.0  # an answer may be farther from the guess than GUESS_M by this
 
 
 def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
-    """Lay the tracks of vehicles on lanes that their Doppler allows, and on the scanned road."""
+    """Register tracks of vehicles to lanes that their Doppler allows, and to the scanned road."""
     samples = thin(moving, link_tracks(moving))
     if samples.tracks < LEAST_TRACKS:
         raise NoAnswerError(
@@ -94,7 +94,7 @@ def lanes_around(
     reporter : Reporter
         Receives a warning where the lanes have no direction.
     grow : float
-        How many times as far.
+        Factor on this reach.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def lanes_around(
 def _refuse_mirrored(
     scene: Scene, tried: list[Hypothesis], heading: tuple[float, float] | None
 ) -> None:
-    """Refuse a recording that fits far better with its y axis turned round."""
+    """Refuse a recording that fits far better with left and right swapped."""
     turned, best = scene.of(mirrored(scene.samples)), tried[0]
     if search_score(turned, heading=heading) < max(h.score for h in tried):
         return
@@ -144,15 +144,15 @@ def _refuse_mirrored(
 def _z_score(
     answer: Hypothesis, others: list[Hypothesis], scene: Scene
 ) -> tuple[float, Hypothesis | None]:
-    """Return how clearly the vehicles prefer an answer to its closest rival, and that."""
+    """Return the z score of the vehicles' preference for an answer, and its best rival."""
     best, known = answer.fit, certainty(answer.fit)
     z_score, closest = math.inf, None
     for other in others:
         away_m = float(np.hypot(*other.fit.state.position[:2]))
         if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
-            continue  # no rival: farther off than a guess may be, or no answer itself
+            continue  # no rival: too far from the guess, or not acceptable as an answer itself
         gap = other.fit.state.difference(best.state)[:6]
-        # along what the scene does not fix, two answers are one
+        # answers that differ only in a direction that the scene does not fix are one
         apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
         turned = (gap[5] / known.sigma[5]) ** 2
         ahead = advantage(best, other.fit, scene.samples)
@@ -162,7 +162,7 @@ def _z_score(
 
 
 def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
-    """Return the answers that lie near the guess; refuse where one beyond is clearly better."""
+    """Return the answers near the guess; refuse where one farther off is clearly better."""
     away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
     farthest_m = GUESS_M + ANSWER_SLACK_M
     inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < farthest_m]
@@ -200,7 +200,7 @@ def _one_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
 
 
 def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
-    """Return what the vehicles do not clearly rule out beside an answer, as uncertain as it is."""
+    """Return the other hypotheses that the vehicles do not clearly rule out, widened by profile."""
     return [
         widen_by_profile(scene, h)
         for h in others

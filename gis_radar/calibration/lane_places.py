@@ -1,4 +1,4 @@
-"""LanePlaces: where in its lane each vehicle drives, cell by cell along the lanes."""
+"""Places of vehicles in their lanes, cell by cell along the lanes."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from gis_radar.calibration.lanes import Lanes, match_along
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, straight_line
 
-# Cells of lanes, in which a vehicle's place is one number; and stretches, in which whatever makes
-# drivers change their habit (a parked van, a cyclist) concerns all cells.
+# Length of a cell, in which a vehicle's place is one number, and of a stretch, whose cells share
+# what makes drivers change their habit (a parked van, a cyclist).
 CELL_M = 12.0
 STRETCH_M = 48.0
-# Where lanes of one direction run nearer than a lane's width, and are not the same line, a
-# vehicle may be of either: left out.
+# Samples are left out where another lane of the same direction is between these distances: nearer
+# than a lane's width, a vehicle may be on either; nearest, it is the same line.
 APART_M = 2.2
 SAME_LINE_M = 0.3
-SAME_WAY = 0.9  # cosine of the angle between directions that are one, 25 degrees
-WITHIN_M = 1.75  # half a lane: what is farther from its middle drives elsewhere
+SAME_WAY = 0.9  # cosine of the largest angle between lanes of one direction, 25 degrees
+WITHIN_M = 1.75  # half a lane: vehicles farther from its middle drive elsewhere
 OVER_M = (-2.0, 5.0)  # heights over the road between which vehicles reflect
 HALF_WIDTH_M = 0.9  # from a vehicle's side to its middle, as in the localization
-LEAST_MPS = 2.7  # what is slower may walk
-SMOOTH_S = 1.0  # a detection's velocity is the slope of its track so long before and after
-WHOLE_S = 1e6  # tracks are not cut, a vehicle is one cluster: any length beyond that of the window
-LEAST_HITS = 3  # fewer detections in a cell state no mean
+LEAST_MPS = 2.7  # slower objects may be walkers
+SMOOTH_S = 1.0  # velocities are slopes of the track over so long before and after a detection
+WHOLE_S = 1e6  # longer than any window, so that tracks are not cut and a vehicle is one cluster
+LEAST_HITS = 3  # with fewer detections a cell has no mean
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cells:
-    """Pieces of lanes, each so long that a vehicle's place in it is one number.
+    """Pieces of lanes of `CELL_M`, in which a vehicle's place is one number.
 
     Parameters
     ----------
     lanes : Lanes
-        The samples of centre lines that they are made of.
+        The samples of centre lines from which the cells are made.
     of_sample : (m,) array
         The cell of each sample; -1 where lanes of one direction overlap.
     centre, left : (c, 2) arrays
         Middle of each cell in local coordinates, and the unit vector to the left of travel.
     stretch : (c,) array
-        Which stretch of street a cell belongs to, from 0.
+        Number of the stretch of each cell, from 0.
     """
 
     lanes: Lanes
@@ -62,7 +62,7 @@ def cells_along(lanes: Lanes) -> Cells:
     Parameters
     ----------
     lanes : Lanes
-        Around a sensor.
+        The lanes around a sensor.
     """
     alone = ~_overlapped(lanes)
     pieces = [(lanes.s_m // size).astype(np.int64) for size in (CELL_M, STRETCH_M)]
@@ -92,7 +92,7 @@ def cells_along(lanes: Lanes) -> Cells:
 
 
 def _overlapped(lanes: Lanes) -> Booleans:
-    """Return the samples beside which another lane of their direction runs too near."""
+    """Return which samples have another lane of their direction too near beside them."""
     pairs = cKDTree(lanes.points[:, :2]).query_pairs(APART_M, output_type="ndarray")
     found = np.zeros(len(lanes.points), dtype=bool)
     off = lanes.points[pairs[:, 1], :2] - lanes.points[pairs[:, 0], :2]
@@ -105,20 +105,20 @@ def _overlapped(lanes: Lanes) -> Booleans:
 
 @dataclass(frozen=True, kw_only=True)
 class LanePlaces:
-    """Where vehicles drove: a row for each vehicle and cell.
+    """Places of vehicles in their lanes: a row for each vehicle and cell.
 
     Parameters
     ----------
     vehicle : (n,) array
         Number of the vehicle, ascending from 0.
     cell : (n,) array
-        Of :class:`Cells`.
+        Index of the cell in :class:`Cells`.
     across_m : (n,) array
-        Mean of its detections to the left of the lane's middle.
+        Mean distance of the detections to the left of the lane's middle.
     over_m : (n,) array
-        Mean of their heights over the road; NaN where the road's height is not known.
+        Mean height of the detections over the road; NaN where the road's height is not known.
     count : (n,) array
-        How many detections.
+        Number of detections.
     """
 
     vehicle: Integers
@@ -132,7 +132,7 @@ class LanePlaces:
 
     @property
     def vehicles(self) -> int:
-        """How many vehicles there are."""
+        """Number of vehicles."""
         return int(self.vehicle.max(initial=NONE)) + 1
 
 
@@ -144,18 +144,18 @@ def lane_places(
     since: float,
     until: float,
 ) -> LanePlaces:
-    """Return where those vehicles drove whose last detection falls into some time.
+    """Return the places of those vehicles whose last detection falls into a span of time.
 
     Parameters
     ----------
     moving : Moving
-        A window that holds that time and what goes before.
+        A window that holds this span and the time before.
     cells : Cells
         The lanes.
     state : State
-        With which pose detections are placed.
+        The pose by which detections are placed.
     since, until : float
-        UNIX seconds: the time, its end not included.
+        Begin and end of the span, UNIX seconds; the end is exclusive.
     """
     number = link_tracks(moving, segment_s=WHOLE_S)
     last = np.full(int(number.max(initial=NONE)) + 1, -np.inf)
@@ -194,8 +194,8 @@ def _smoothed(  # pragma: no cover - compiled
 ) -> tuple[Floats, Floats]:
     """Return place (n, 3) and velocity (n, 2) by straight lines through neighbours in time.
 
-    Single detections scatter over the width of a vehicle: to ask each of them for its lane would
-    cut off, on one side, what a move shifts over the lane's edge, and hide half of the move.
+    Single detections scatter over the width of a vehicle: matched to lanes one by one, those that a
+    move shifts over the lane's edge would be cut off, which would hide half of the move.
     """
     place, velocity = points.copy(), np.zeros((len(track), 2))
     low = high = 0
@@ -218,7 +218,7 @@ def _smoothed(  # pragma: no cover - compiled
 def _middles(points: Floats, velocity: Floats, eye: Floats) -> Floats:
     """Return detections moved from the near side of their vehicle to its middle, (n, 3).
 
-    Seen from aside it is the side that reflects, from ahead or behind the whole width.
+    From aside the vehicle's side reflects; from ahead or behind, its whole width.
     """
     arm = points[:, :2] - eye[:2]
     along = velocity / np.maximum(np.hypot(*velocity.T), 1e-9)[:, None]
@@ -233,7 +233,7 @@ def _middles(points: Floats, velocity: Floats, eye: Floats) -> Floats:
 def _on_lanes(
     lanes: Lanes, points: Floats, velocity: Floats, eye: Floats
 ) -> tuple[Integers, Floats, Floats]:
-    """Return the lane sample of each detection that drives there, how far left and over it."""
+    """Return each detection's lane sample, and how far (m) it is to the left of and over it."""
     speed = np.hypot(*velocity.T)
     way = velocity / np.maximum(speed, 1e-9)[:, None]
     reach = np.linalg.norm(points - eye, axis=1)

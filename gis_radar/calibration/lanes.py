@@ -18,37 +18,37 @@ from gis_radar.calibration.traces import Samples
 # Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius lose 1 cm.
 LANE_STEP_M = 1.0
 LANE_CELL_M = 1.0
-LANE_BINS = 16  # of direction, 22.5 degrees each: lanes of a junction stay apart
+LANE_BINS = 16  # bins of direction, 22.5 degrees each: lanes of a junction stay apart
 LANE_REACH_M = 12.0  # a point farther from every lane matches none; more than three lanes
-MARGIN_M = 20.0  # lanes beyond the farthest traces and the error of the guess
-SAME_LEVEL_M = 2.0  # scanned points farther from the map's height are of another storey
-# Scanned points that give a sample's height (their median).
+MARGIN_M = 20.0  # reach of the lanes beyond the farthest traces and the error of the guess
+SAME_LEVEL_M = 2.0  # scanned points farther from the map's height are of another level
+# A sample's height is the median of so many scanned points at most, within SCAN_NEAR_M.
 SCAN_NEAR_M = 2.0
 SCAN_POINTS = 12
-SLOPE_REACH = 3  # samples either way over which the rise is taken
+SLOPE_REACH = 3  # samples to either side over which the rise is taken
 MOST_SLOPE = 0.2  # steeper is an error: roads rise 12 % at most (RAL), ramps 20 %
 UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
-# Top speed over the limit, and at least (54 km/h).
+# Top speed as a multiple of the limit, and its least value (54 km/h).
 SPEEDING = 1.5
 MIN_TOP_MPS = 15.0
-# Largest height between sample and lane, plus that share of the range (3 degrees of tilt).
+# Largest height between sample and lane: LEVEL_M plus a share of the range (3 degrees of tilt).
 LEVEL_M = 4.0
 LEVEL_SHARE = 0.05
-SLACK_MPS = 0.5  # range rates may disagree by noise, and as a long vehicle turns
-BORDER_M = 1.0  # a sample nearer to its lane's middle is no other lane's: less than half a lane
-NO_WAY_M = 1e-9
+SLACK_MPS = 0.5  # tolerance of range rates: noise, and the turning of a long vehicle
+BORDER_M = 1.0  # a sample nearer to its lane's middle is of no other lane: less than half a lane
+NO_WAY_M = 1e-9  # shorter vectors have no direction
 # Length of the mean of a lane's directions under which it bends: an arc of 30 degrees.
 STRAIGHT = 0.9886
-# 1 sigma, from street to street, of lanes as drawn, and of the scan's heights.
+# 1 sigma, among streets, of the lanes' place in the map, and of the scan's heights.
 STREET_SIGMA_M = (0.3, 0.2)
-# 1 sigma, from lane to lane, of where all its drivers keep, to the left of the middle: on straight
-# lanes, in bends. So they did at three recorded junctions.
+# 1 sigma, among lanes, of the mean offset of a lane's drivers from its middle: on straight lanes,
+# and in bends; from three recorded junctions.
 LANE_SIGMA_M = (0.18, 0.36)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lanes:
-    """Samples of the centre lines around a place, and what lies nearest in a grid.
+    """Samples of the centre lines around a place, and a grid of the nearest sample.
 
     Parameters
     ----------
@@ -60,11 +60,11 @@ class Lanes:
     along : (m, 2) array
         Unit vectors of travel.
     slope : (m,) array
-        Rise of the road along the lane.
+        Rise of the road along the lane, metres a metre.
     top_speed : (m,) array
-        More than a vehicle drives there, m/s.
+        Speed that no vehicle exceeds there, m/s.
     width_m : (m,) array
-        Of the lane.
+        Width of the lane.
     lane : (m,) array
         Number of the lane: its row in the table of lanelets, or that plus the table's length
         where it is driven against its direction.
@@ -75,7 +75,7 @@ class Lanes:
     nearest : (bins, rows, columns) int32 array
         Index of the nearest sample among those of a bin of direction, -1 where none is near.
     distance : (bins, rows, columns) float32 array
-        Metres to it.
+        Distance to it, metres.
     directed : bool
         Whether most of the lanes have a direction.
     scanned : float
@@ -98,7 +98,7 @@ class Lanes:
 
     @cached_property
     def bends(self) -> Booleans:
-        """Whether the lane of each sample bends, by more than 30 degrees in all."""
+        """Whether the lane of each sample bends by more than 30 degrees in all."""
         _, lane = np.unique(self.lane, return_inverse=True)
         mean = [(np.bincount(lane, way) / np.bincount(lane))[lane] for way in self.along.T]
         return np.asarray(np.hypot(*mean) < STRAIGHT)
@@ -125,7 +125,7 @@ def sample_lanes(
     place : (2,) array
         Easting and northing around which to sample; becomes the local origin.
     reach_m : float
-        How far.
+        Radius around the place, metres.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def sample_lanes(
 
 
 def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats, Floats]:
-    """Return points about a metre apart, directions and places there; heights may be NaN."""
+    """Return points about `step_m` apart, their directions and places along the line (m)."""
     xyz = shapely.get_coordinates(line, include_z=True)
     step = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
     xyz, step = xyz[np.append(True, step > 1e-6)], step[step > 1e-6]
@@ -202,7 +202,7 @@ def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats, F
 
 
 def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
-    """Return heights at samples, and whether the scan gives them; the map separates levels."""
+    """Return heights at samples, and whether they are the scan's; the map's tell levels apart."""
     known = local[:, 2]
     if len(road) == 0:
         return known, np.zeros(len(known), dtype=bool)
@@ -223,7 +223,7 @@ def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
 
 
 def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
-    """Return the rise along each lane; level where the heights are unknown."""
+    """Return the rise along each lane (m/m); 0 where the heights are unknown."""
     last = len(points) - 1
     ahead, behind = (
         np.clip(np.arange(len(points)) + d, 0, last) for d in (SLOPE_REACH, -SLOPE_REACH)
@@ -257,7 +257,7 @@ def _spread(  # pragma: no cover - compiled
     place: Floats,
     reach: float,
 ) -> None:
-    """Enter each sample, and how many cells off it is, where no other of its bin is nearer."""
+    """Enter each sample, and its distance in cells, where no other of its bin is nearer."""
     _, rows, columns = nearest.shape
     for k in range(len(place)):
         b, x, y = bins[k], place[k, 0] - 0.5, place[k, 1] - 0.5  # of the cells' centres
@@ -277,7 +277,7 @@ def direction_bin(along: Floats, bins: int) -> Integers:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What a registration works on.
+    """Scene of a registration: lanes and traces.
 
     Parameters
     ----------
@@ -286,8 +286,8 @@ class Scene:
     samples : Samples
         The traces.
     lane_sigma_m : (2,) tuple
-        1 sigma of where all drivers of a lane keep, on straight lanes and in bends; none among
-        windows of one recording, where it is the same.
+        1 sigma of the mean offset of a lane's drivers, on straight lanes and in bends; 0 among
+        windows of one recording, which share it.
     """
 
     lanes: Lanes
@@ -301,22 +301,22 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """Samples as they lie in the map, where the sensor is in some state.
+    """Samples placed in the map by a state of the sensor.
 
     Parameters
     ----------
     samples : Samples
         Traces.
     state : State
-        Of the sensor.
+        State of the sensor.
     points : (n, 3) array
-        The samples in local map coordinates.
+        The samples in local map coordinates, metres.
     arms : (n, 3) array
-        The same as seen from the sensor, in the map's axes.
+        Vectors from the sensor to the samples, in the map's axes, metres.
     flat : (n,) array
-        How far off they are in the plane, metres.
+        Distances from the sensor in the plane, metres.
     sight : (n, 2) array
-        Unit vectors from the sensor to them; east where there is no way.
+        Unit vectors from the sensor to the samples in the plane; east where the distance is 0.
     """
 
     samples: Samples
@@ -328,14 +328,14 @@ class Placed:
 
 
 def place(samples: Samples, state: State) -> Placed:
-    """Return samples as they lie in the map.
+    """Place samples in the map.
 
     Parameters
     ----------
     samples : Samples
         Traces.
     state : State
-        Where the sensor is thought to be.
+        Assumed state of the sensor.
     """
     turn = np.ascontiguousarray(state.R_map_sensor)  # other layouts would be compiled anew
     points, arms, flat, sight = _placed(samples.points, turn, state.position)
@@ -367,9 +367,9 @@ class Matches:
     Parameters
     ----------
     lane : (n,) int array
-        Index of the lane sample; any where there is no match.
+        Index of the lane sample; arbitrary where there is no match.
     found : (n,) bool array
-        Whether there is one.
+        Whether there is a match.
     """
 
     lane: Integers
@@ -384,7 +384,7 @@ def match(lanes: Lanes, placed: Placed) -> Matches:
     lanes : Lanes
         The map.
     placed : Placed
-        Traces, with the sensor where it is thought to be.
+        Traces, placed by the assumed state of the sensor.
     """
     samples = placed.samples
     return match_along(lanes, placed.points, placed.sight, samples.range_rate, samples.reach)
@@ -399,7 +399,7 @@ def match_along(
     *,
     least_cosine: float = 0.0,
 ) -> Matches:
-    """Find for each point the nearest lane on which what is known of its speed is allowed.
+    """Find for each point the nearest lane whose traffic may have its speed along a direction.
 
     Parameters
     ----------
@@ -408,13 +408,13 @@ def match_along(
     points : (n, 3) array
         Local map coordinates; a height that is NaN fits every lane.
     way : (n, 2) array
-        Along which the speed is known: the direction of sight, or that of travel.
+        Unit vectors along which the speed is known: the direction of sight, or that of travel.
     speed : (n,) array
-        Along `way`, m/s.
+        Speed along `way`, m/s.
     reach : (n,) array
         Distance from the sensor, metres: farther points may be higher or lower.
     least_cosine : float
-        Between lane and `way`.
+        Least cosine of the angle between lane and `way`.
     """
     lane, found = _match(
         least_cosine, points, way, reach, speed,

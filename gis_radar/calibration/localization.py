@@ -1,4 +1,4 @@
-"""Localize: from a recording, the lanes and a rough guess to a pose; from arrays or from files."""
+"""Localize a sensor from a recording, the lanes and a rough guess, in memory or from files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from gis_radar.recordings import open_recording
 from gis_radar.scans import Sight, SightScan, SightTiles, find_sight, read_road, road_crs
 
 FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
-MOST_TRIES = 5  # recordings tried for a pose, in turn: a quiet day or two in between
+MOST_TRIES = 5  # recordings tried for a pose, one after the other: enough for a quiet day or two
 METHODS: dict[str, Callable[[Problem, Moving, Reporter], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
@@ -153,7 +153,7 @@ def localize_files(
     figure: str | Path | None = None,
     reporter: Reporter = QUIET,
 ) -> Localization:
-    """Find the pose of a sensor from its recordings, a map and a scanned road, all files.
+    """Find the pose of a sensor from files: recordings, a map and a scanned road.
 
     Read map and road, take guess and compass to the map's CRS, localize by the first recording
     that gives a pose, check it against scans where there are some, and draw the figure.
@@ -161,8 +161,8 @@ def localize_files(
     Parameters
     ----------
     recordings : path or sequence of paths
-        Of one sensor at one place; of several the first that gives a pose counts, so that one that
-        is added later changes nothing. Five are tried at most: the first four, and the last.
+        Recordings of one sensor at one place. The first that gives a pose counts, so that adding
+        recordings changes nothing. Five are tried at most: the first four, and the last.
     map_path : str or Path
         A Lanelet2 map.
     road : str or Path
@@ -189,9 +189,9 @@ def localize_files(
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files that do not state it.
     sensor : str, optional
-        Its name; the recording's file name where it is not given.
+        The sensor's name; by default the recording's file name.
     view : View, optional
-        What the sensor sees; goes into the pose.
+        The view of the sensor, which goes into the pose.
     figure : str or Path, optional
         Draw the traces over lanes and scan into this PNG, as :func:`gis_radar.draw_localization`.
     reporter : Reporter
@@ -204,7 +204,7 @@ def localize_files(
     InputError
         If a file cannot be read, or scans, map and guess do not overlap.
     NoAnswerError
-        If none of the recordings gives a trustworthy pose; the first one's reason.
+        If none of the recordings gives a trustworthy pose, with the reason of the first.
     """
     refuse_both(heading, compass)
     roads, points = read_ground(map_path, road, crs=crs, origin=origin, reporter=reporter)
@@ -232,7 +232,7 @@ def localize_files(
 
 
 def refuse_both(heading: Any, compass: Any) -> None:
-    """Refuse a heading beside a compass bearing."""
+    """Refuse a heading together with a compass bearing."""
     if heading is not None and compass is not None:
         raise UsageError("both heading and compass are given", hint="give one of them")
 
@@ -258,7 +258,7 @@ def start_in_map(
     heading: float | None,
     compass: float | None,
 ) -> tuple[tuple[float, ...], float | None]:
-    """Return guess and heading in the coordinate system of a map."""
+    """Return guess (m) and heading (degrees, grid) in the coordinate system of a map."""
     place = tuple(float(number) for number in guess)
     if guess_crs is not None:
         place = moved_position(place, guess_crs, roads.crs)
@@ -275,7 +275,7 @@ def _sight(
     scan_crs: Any,
     reporter: Reporter,
 ) -> tuple[Sight, SightTiles] | None:
-    """Return what a sensor sees of the lanes, for the figure; a scan that does not fit is named."""
+    """Return the sensor's sight of the lanes, for the figure; warn of a scan that does not fit."""
     large = make_tiles(roads, length_m=FIGURE_TILE_M, reporter=SILENT)
     tiles = SightTiles.of(with_road_heights(large, points))
     try:
@@ -288,7 +288,7 @@ def _sight(
 def _first_answer(
     recordings: Sequence[Path], ask: Callable[[Path], Localization], reporter: Reporter
 ) -> tuple[Path, Localization]:
-    """Return the first recording that gives a pose, with it; refuse where none does."""
+    """Return the first recording that gives a pose, and the pose; refuse where none does."""
     refusals = []
     for recording in recordings:
         try:
@@ -309,13 +309,13 @@ def decided_by_scan(
 ) -> Localization:
     """Localize; where the traffic fits several poses, let the scan check decide.
 
-    Only one is confirmed, or only one is not doubted and preferred to each of the others, though
-    what stands may fit at a place that the traffic rules out, too.
+    The scan decides where it confirms exactly one pose, or where it does not doubt and prefers to
+    each of the others exactly one. Places that the traffic rules out are not compared then.
 
     Parameters
     ----------
     recording : Path
-        What the sensor recorded.
+        The sensor's recording.
     localize : callable
         Finds a pose from a recording.
     look_at : callable
@@ -345,7 +345,7 @@ def decided_by_scan(
 
 
 def _preferred(look: ScanCheck, looks: Sequence[ScanCheck]) -> bool:
-    """Return whether a scan that is there does not doubt a pose, and prefers it to all others."""
+    """Return whether the scan, where there is one, does not doubt a pose and prefers it to all."""
     if look.verdict == DOUBTS or not look.covered >= LEAST_COVERED:
         return False
     alignment = align(look.standing, look.structure)
@@ -358,7 +358,7 @@ def _preferred(look: ScanCheck, looks: Sequence[ScanCheck]) -> bool:
 
 
 def _tried(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Return the recordings that are asked for a pose, in order."""
+    """Return the recordings to try for a pose, in order."""
     several = [recordings] if isinstance(recordings, str | Path) else recordings
     paths = [Path(path) for path in several]
     if not paths:

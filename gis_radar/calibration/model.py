@@ -1,4 +1,4 @@
-"""The model: how vehicles drive and reflect, each constant with what is not known about it."""
+"""Model of how vehicles drive and reflect, each constant with the uncertainty of its value."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _known(value: float, *, within: float) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """What a registration takes for granted about vehicles and the radar.
+    """Constants of vehicles and the radar that a registration assumes.
 
     Lengths in metres, angles in radians. No constant holds for every radar and every street, so
     each carries the standard deviation of its own error, which goes into an answer's covariance
@@ -25,33 +25,33 @@ class Model:
     Parameters
     ----------
     habit : float
-        How far drivers keep to the left of the middle of their lane on average.
+        Mean distance by which drivers keep to the left of the middle of their lane.
     half_width : float
         From the middle of a vehicle to its side: small cars to lorries, 1.7 to 2.5 m wide.
     side_strength : float
-        Of a side against a front, both seen straight on.
+        Strength of a side over that of a front, both seen straight on.
     hidden_strength, hidden_share : float
-        The same where a vehicle's ends are hidden by the next one, as in a queue; and of how many
-        vehicles they are.
+        The same where the next vehicle hides a vehicle's ends, as in a queue; and the share of
+        such vehicles.
     face : float
-        How sharply a face shows, one standard deviation, and a third of a front.
+        Spread of the reflections of a side, or of a third of a front, one standard deviation.
     driver : float
-        How drivers differ in their place in the lane, one standard deviation.
+        Spread of the drivers' places in the lane, one standard deviation.
     wander : float
-        How a vehicle sways in its lane from one ten metres to the next, one standard deviation.
+        Swaying of a vehicle in its lane from one ten metres to the next, one standard deviation.
     bearing, elevation : float
         One standard deviation of the radar's angles.
     low : float
-        How reflections from bumpers, sills and wheels scatter up and down.
+        Spread in height of reflections from bumpers, sills and wheels, one standard deviation.
     vehicle : float
-        How vehicles differ in the height at which they reflect.
+        Spread among vehicles of the height at which they reflect, one standard deviation.
     bent : float
-        By which angle neighbours and the ground bend all detections of a vehicle up or down, one
+        Angle by which neighbours and the ground bend all detections of a vehicle up or down, one
         standard deviation.
     lasting : float
-        For how many seconds: those of a Matern covariance of order 3/2.
+        Time over which that angle lasts, seconds: of a Matern covariance of order 3/2.
     body_share, body_over, body : float
-        Share of reflections from the rest of the body, how much higher, how widely spread.
+        Reflections from the rest of the body: their share, height over the others, and spread.
     """
 
     habit: float = field(default=0.0, metadata={"sigma": 0.1})
@@ -73,7 +73,7 @@ class Model:
     body: float = _known(0.8, within=1.3)
 
     def variations(self) -> Iterator[tuple[str, Model, Model]]:
-        """Yield each constant's name and the models with it a standard deviation lower, higher."""
+        """Yield each constant's name, and the models with it one sigma lower and higher."""
         for constant in fields(self):
             value = getattr(self, constant.name)
             sigma, within = (

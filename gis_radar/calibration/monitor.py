@@ -1,4 +1,4 @@
-"""Calibration monitor: the pose of a sensor followed through a recording."""
+"""Calibration monitor, which follows the pose of a sensor through a recording."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import COMPONENTS, Evidence, Pose, PoseTrack, as_track
 from gis_radar.recordings import Detections, Recording, as_recording
 
-# `moved` with unknown pose after so many seconds of rejected fits: a whole window.
+# Seconds of rejected fits, a whole window, after which the event is `moved` with unknown pose.
 LOST_S = 100.0
 # 1 sigma of a start pose that states none: measured with tape, compass and spirit level.
 BY_HAND = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))
-LEAST_CYCLE = 0.5  # a last cycle shorter than that share of one gives no pose
+LEAST_CYCLE = 0.5  # the last cycle gives a pose if it is at least this share of a whole one
 # Least sigma of a start pose; keeps the covariance regular.
 LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.radians(1e-3))
 # Share of the variance of a localized pose that is noise of its window; the rest, errors of the
@@ -63,7 +63,7 @@ LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.ra
 NOISE_SHARE = 0.3
 
 STAGE = "following the pose"
-SAME_MAP = ("lane", "track")  # methods that share the map's errors with ours
+SAME_MAP = ("lane", "track")  # methods whose poses share the map's errors
 HINT = Text("find the pose with gis-radar localize")
 
 
@@ -77,8 +77,7 @@ def track(
 ) -> Track:
     """Follow the pose of a sensor through a recording, one corrected pose each cycle.
 
-    The recording is read once, in batches; memory is that of the frames in the window and
-    of the poses.
+    The recording is read once, in batches; memory holds the frames of the window and the poses.
 
     Parameters
     ----------
@@ -127,7 +126,7 @@ def track(
 
 
 def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detections, float | None]]:
-    """Cut a recording where a cycle ends; yield its parts, and the time where one has ended."""
+    """Cut a recording into cycles; yield its parts, each with the time if a cycle ends there."""
     begin = last = due = np.nan
     done = 0
     for batch in recording.read():
@@ -142,7 +141,7 @@ def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detectio
             # no pose where there are no frames
             count = np.floor((rows.time[0] - begin) / CYCLE_S) + 1.0
             due = begin + CYCLE_S * count
-            if due <= rows.time[0]:  # rounded down to the very frame that it is to come after
+            if due <= rows.time[0]:  # rounding: the cycle must end after this frame
                 due = begin + CYCLE_S * (count + 1.0)
         yield rows, None
         reporter.progress(STAGE, done, recording.rows)
@@ -151,10 +150,10 @@ def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detectio
 
 
 def start_estimate(pose: Pose, time: float) -> Estimate:
-    """Return a pose as an estimate; its easting and northing are the local (0, 0).
+    """Convert a pose to an estimate; its easting and northing become the local (0, 0).
 
-    A pose that was found from the very data that follow holds no further information: it is where
-    to begin, and its uncertainty that of a pose measured by hand.
+    A pose that was found from the data that follow holds no further information: it is the start
+    only, with the uncertainty of a pose measured by hand.
 
     Parameters
     ----------
@@ -189,7 +188,7 @@ def start_estimate(pose: Pose, time: float) -> Estimate:
 
 
 def _sees(evidence: Evidence, time: float, sensor: str) -> bool:
-    """Return whether a pose was found from data after a time."""
+    """Return whether a pose rests on data after a time."""
     if not evidence.time:
         return True
     found = seconds_from_iso(evidence.time, what=Text("pose of {}: time", sensor))
@@ -197,7 +196,7 @@ def _sees(evidence: Evidence, time: float, sensor: str) -> bool:
 
 
 def _stated_covariance(evidence: Evidence) -> Floats | None:
-    """Return the (6, 6) covariance of a pose, where sigma lacks a component by hand's; or None."""
+    """Return the (6, 6) covariance of a pose, missing sigmas as `BY_HAND`; None if it has none."""
     if evidence.covariance is not None or not evidence.sigma:
         return evidence.covariance
     sigma = np.array(BY_HAND)
@@ -209,9 +208,9 @@ def _stated_covariance(evidence: Evidence) -> Floats | None:
 
 
 class Follower:
-    """Follows the pose of one sensor through its frames.
+    """Follower of the pose of one sensor through its frames.
 
-    Each cycle lays the rolling window on the lanes and corrects by it the estimate that was valid
+    Each cycle fits the rolling window to the lanes and corrects with this fit the estimate from
     **before the window began**: so no detection counts twice although windows overlap by 95 %.
 
     Parameters
@@ -221,7 +220,7 @@ class Follower:
     start : Estimate
         The pose to begin with.
     name : str
-        Of the sensor, for warnings.
+        The sensor's name, for warnings.
     reporter : Reporter
         Receives a warning for each move.
     """
@@ -252,13 +251,13 @@ class Follower:
         return self.rows[-1].estimate
 
     def push(self, rows: Detections) -> None:
-        """Take the next detections, if there are any."""
+        """Add the next detections, if there are any."""
         if len(rows):
             self._window.push(rows)
             self.watch.push(rows)
 
     def cycle(self, time: float) -> None:
-        """Correct the pose from all frames so far.
+        """End a cycle: correct the pose by all frames so far.
 
         Parameters
         ----------
@@ -289,7 +288,7 @@ class Follower:
             self._refuse_start(self._seen)
 
     def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
-        """Return the move that the newest data suggest, or none."""
+        """Return the move that the newest data suggest, or None."""
         if not self.confirmed or traffic.vehicles < LEAST_TRACKS or self.watch.unmoved:
             return None
         expected = partial(self._expected, time=time)
@@ -323,11 +322,11 @@ class Follower:
         return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
 
     def _expected(self, seen: float, time: float) -> Estimate:
-        """Return the pose at a time, predicted from the data before another."""
+        """Return the pose at `time`, predicted from the data before `seen` (UNIX seconds)."""
         return predicted(self._before(seen), time)
 
     def _before(self, time: float) -> Estimate:
-        """Return the latest estimate that has seen no data after a time, or else the first."""
+        """Return the latest estimate that rests on no data after a time, or else the first."""
         earlier = [e for e in self._past if e.time <= time]
         return earlier[-1] if earlier else self._past[0]
 
@@ -338,7 +337,7 @@ class Follower:
             self._past.popleft()
 
     def _move(self, noticed: Displacement, time: float) -> None:
-        """Move the pose as the alarm states, since when it states, and watch from there."""
+        """Move the pose by the alarm's move since the alarm's time, and restart the watch."""
         since = time - SETTLE_S - noticed.seconds
         earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
         before = predicted((earlier or [self.rows[0].estimate])[-1], since)
@@ -347,7 +346,7 @@ class Follower:
         self._warn(new, noticed.move)
 
     def _begin_anew(self, row: Row, later: str = NOTHING) -> None:
-        """Go on from a pose that the sensor was moved to, with what was seen since."""
+        """Continue from the pose after a move, with the frames since then."""
         self._window.forget(row.estimate.time)
         self._replace_since(replace(row, event=MOVED), later)
         self._past, self._rejected_since = deque([row.estimate]), None
@@ -364,7 +363,7 @@ class Follower:
         )
 
     def _restart(self, change: Change, time: float) -> None:
-        """Restart at a change, and replace the poses since then."""
+        """Restart the filter at a change of the pose, and replace the poses since then."""
         before, fit = self._expected(change.time, change.time), change.found.fit
         start = _knocked(before)
         new = corrected(start, change.found.measurement)
@@ -380,7 +379,7 @@ class Follower:
         self._warn(new, likeliest_move(gap))
 
     def _give_up_if_lost(self, time: float) -> None:
-        """Declare `moved` with unknown pose after a whole window of rejected fits (`lost_s`)."""
+        """Declare `moved` with unknown pose after `LOST_S` of rejected fits."""
         row = self.rows[-1]
         if row.event != REJECTED:
             self._rejected_since = None
@@ -392,7 +391,7 @@ class Follower:
         self._begin_anew(Row(estimate=_knocked(self._rejected_since)), REJECTED)
 
     def _replace_since(self, row: Row, event: str = NOTHING) -> None:
-        """Put a row in, and what follows from it in the place of all later ones."""
+        """Insert a row, and replace all later ones by what follows from it."""
         begin = row.estimate.time
         late = [r.estimate.time for r in self.rows if r.estimate.time > begin]
         self.rows = [r for r in self.rows if r.estimate.time < begin] + [row]
@@ -406,7 +405,7 @@ class Follower:
         Parameters
         ----------
         name : str
-            Of the recording.
+            The recording's name.
 
         Raises
         ------
@@ -457,5 +456,5 @@ def _knocked(estimate: Estimate) -> Estimate:
 
 
 def _allowing(row: Row, move: Floats) -> Row:
-    """Return a row whose pose may have moved: a failure must not look like an answer."""
+    """Widen the pose of a row by a possible move: a failure must not look like an answer."""
     return replace(row, estimate=widened(row.estimate, move))

@@ -1,4 +1,4 @@
-"""Changes: whether a sensor has moved, since when, and whether it only shook."""
+"""Test whether a sensor has moved, since when, and whether it only shook."""
 
 from __future__ import annotations
 
@@ -24,40 +24,39 @@ from gis_radar.calibration.solver import FAR, Fit
 from gis_radar.calibration.state import POSE, State
 from gis_radar.calibration.windows import WindowFit, WindowFitter, WindowTraffic
 
-# Newest parts of the window that are tested for a move, seconds: a short one soon shows a blow, but
-# holds few vehicles; a long one shows a shift of some decimetres.
+# Lengths of the newest parts of the window that are tested for a move: a short one shows a blow
+# early, but holds few vehicles; a long one shows a shift of some decimetres.
 LENGTHS_S: tuple[float, ...] = (20.0, 60.0)
-# Moves reported an hour where none was; at most, as if all tests were independent.
+# Largest number of false moves an hour, as if all tests were independent.
 FALSE_ALARMS = 0.01
-# Standard errors by which its vehicles must prefer the move, each counting as one. Measured where
-# both other figures are beyond chance: at rest in light traffic 0.1 to 1.5, within 25 s of a turn
-# by a degree 1.9 to 2.2, after a shift of half a metre 2.6 to 3.3.
+# Standard errors by which the vehicles, each counting once, must prefer the move. Measured where
+# both other criteria are met: at rest in light traffic 0.1 to 1.5, within 25 s of a turn by a
+# degree 1.9 to 2.2, after a shift of half a metre 2.6 to 3.3.
 AGREEMENT = 1.65
 
 
 def chi2_quantile(level: float) -> float:
-    """Return the quantile of chi2 of six degrees of freedom, without loading scipy.stats."""
+    """Return a quantile of chi2 with six degrees of freedom, without loading scipy.stats."""
     return float(2.0 * scipy.special.gammaincinv(3.0, level))
 
 
-# Chi2 of six degrees of freedom: the largest that is chance; from where on a move is looked for and
-# the pose's sigma widened; the median.
+# Chi2 with six degrees of freedom: the largest by chance; that from which on a move is looked for
+# and the pose's sigma widened; the median.
 GATE = chi2_quantile(1.0 - FALSE_ALARMS / (HOUR_S / CYCLE_S * len(LENGTHS_S)))
 SUSPECT = chi2_quantile(0.95)
 USUAL = chi2_quantile(0.5)
-# So many of the last tests measure by how much chi2 is larger here than it should be, with so
-# many assumed as it should be. Simulated drivers as recorded: 2 to 3 times, and one false move in
-# some minutes without it.
+# Number of the last tests that measure by how much chi2 is larger at this sensor than it should be,
+# and number of assumed tests in which it is as it should be. Simulated drivers as recorded: 2 to 3
+# times, and one false move in some minutes without it.
 SCATTER_TESTS = 60
 ASSUMED_TESTS = 4
 NEWEST_VEHICLES = 8  # least vehicles in a tested part; it grows until it holds them
 MATURE_S = 30.0  # seconds of data before a tested part from which the pose is known
-SETTLED_S = 15.0  # a deviation that does not last so long is a shake, seconds
+SETTLED_S = 15.0  # a shorter deviation is a shake
 LATEST_S = 8.0  # newest seconds in which the new pose must still be the better one
-SLICE_S = 1.0  # resolution of the time of a move, seconds: half a second to either side
-# How long ago a move is looked for, seconds: within the window of 100 s, less MATURE_S.
-BACK_S = 75.0
-CHANGE_ROUNDS = 2  # time and pose of a move are estimated in turn so often
+SLICE_S = 1.0  # resolution of the time of a move: half a second to either side
+BACK_S = 75.0  # how far back a move is looked for: within the window of 100 s, less MATURE_S
+CHANGE_ROUNDS = 2  # rounds in which time and pose of a move are estimated alternately
 FAR_WINDOW = replace(FAR, rounds=12)  # fit after a suspected move
 
 
@@ -72,7 +71,7 @@ class Change:
     found : WindowFit
         The pose since then.
     chi2 : float
-        By how much it contradicts the pose before.
+        Misfit of this pose and the pose before, six degrees of freedom.
     """
 
     time: float
@@ -87,12 +86,12 @@ class SuspectedMove:
     Parameters
     ----------
     certain : bool
-        Whether it contradicts the pose beyond chance.
+        Whether the data contradict the pose beyond chance.
     move : (6,) array
-        The likeliest move behind it, metres and a turn about the map's axes in radians; zeros
-        where the data fit no pose.
+        The likeliest move, metres and a turn about the map's axes in radians; zeros where the data
+        fit no pose.
     change : Change or None
-        The lasting change behind it, where there is one already.
+        The lasting change of the pose, where there is one already.
     """
 
     certain: bool
@@ -101,15 +100,15 @@ class SuspectedMove:
 
 
 def score(gap: Innovation, seen: WindowFit) -> float:
-    """Return how far a fit is beyond chance: chi2 with the tail of few vehicles taken off.
+    """Return the chi2 of a fit's gap, reduced for the heavy tail of few vehicles.
 
-    Along the gap the noise of a fit is known from as many vehicles as share it; the rest of its
-    variance is no estimate (Welch and Satterthwaite's degrees of freedom).
+    The noise of the fit along the gap is estimated from the vehicles that share it, the rest of the
+    variance is known (Welch and Satterthwaite's degrees of freedom).
 
     Parameters
     ----------
     gap : Innovation
-        Of the fit and a pose.
+        Innovation of the fit and a pose.
     seen : WindowFit
         The fit.
     """
@@ -124,51 +123,51 @@ def score(gap: Innovation, seen: WindowFit) -> float:
 
 
 def agreement(rest: Fit, moved: Fit) -> float:
-    """Return by how many standard errors vehicles prefer `moved` to `rest`, each counting as one.
+    """Return by how many standard errors vehicles, each counting once, prefer `moved` to `rest`.
 
-    The mean over its standard error of what each gains (Vuong 1989 with the vehicles as clusters):
-    a sensor that has moved has done so for all of them, what one vehicle does otherwise only that
-    one gains.
+    The result is the mean gain of a vehicle over its standard error (Vuong 1989 with the vehicles
+    as clusters): a move of the sensor gives all of them a gain, an odd vehicle gives it to itself
+    only.
 
     Parameters
     ----------
     rest, moved : Fit
-        Of the same samples.
+        Two fits to the same samples.
     """
     gain = (rest.costs - moved.costs)[(rest.costs != 0.0) | (moved.costs != 0.0)]
     return z_score(gain) if len(gain) > 1 else 0.0
 
 
 class Scatter:
-    """By how much pieces of traffic differ more than their covariances state, at this sensor.
+    """Ratio by which parts of traffic differ more than their covariances state, at one sensor.
 
-    Tracks are cut in pieces that count as independent, and drivers keep aside for some hundred
-    metres: chi2 is larger than it should be where nothing moves. Its median shows by how much.
+    Tracks are cut into pieces that count as independent, and drivers keep aside for some hundred
+    metres: so chi2 is too large where nothing moves. Its median shows by how much.
     """
 
     def __init__(self) -> None:
         self._last: deque[float] = deque(maxlen=SCATTER_TESTS)
 
     def add(self, chi2: float) -> None:
-        """Take the result of a test."""
+        """Add the result of a test."""
         self._last.append(chi2)
 
     @property
     def ratio(self) -> float:
-        """Of variances, at least one."""
+        """Ratio of variances, at least 1."""
         return max(float(np.median([USUAL] * ASSUMED_TESTS + [*self._last])) / USUAL, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MoveTest:
-    """A window of traffic, tested for a move of its sensor.
+    """Test of a window of traffic for a move of its sensor.
 
-    What all windows have in common is the same before and after: a move is held against the noise
-    of the vehicles alone (:func:`~gis_radar.calibration.kalman_filter.innovation`). It must be
-    beyond chance in three ways: by how far the pose of the newest data is from the one before, by
-    how much likelier they are there, and by how well the vehicles agree in that. In some seconds
-    traffic fixes not all directions: a fit that is not quite right in one of them is carried metres
-    away, without being any likelier.
+    The error common to all windows is the same before and after a move, which is therefore compared
+    with the noise of the vehicles alone (:func:`~gis_radar.calibration.kalman_filter.innovation`).
+    It must be beyond chance in three ways: the distance of the newest data's pose from the pose
+    before, the likelihood that the data gain there, and the agreement of the vehicles in that gain.
+    Some seconds of traffic do not fix all directions: along such a one a fit may be metres away
+    without being any likelier.
 
     Parameters
     ----------
@@ -181,7 +180,7 @@ class MoveTest:
     expected : callable
         Returns the pose now, predicted from data before a time.
     scatter : Scatter
-        Of earlier tests; takes the results of this one.
+        Scatter of earlier tests, to which the results of this one are added.
     """
 
     fitter: WindowFitter
@@ -196,13 +195,13 @@ class MoveTest:
         Parameters
         ----------
         reflection_m : float
-            How high vehicles reflected so far.
+            Height of the vehicles' reflections so far, metres.
         """
         suspected, ratio = None, self.scatter.ratio
         for length_s in LENGTHS_S:
             part = self.newest(length_s)
             if part.moving.begin - self.traffic.moving.begin < MATURE_S:
-                break  # what is known from so little data is corrected by the next windows anyway
+                break  # a pose from so little data is corrected by the next windows anyway
             held = self.expected(part.moving.begin)
             seen = self.fitter.fit(part, held, reflection_m, near=KNOCK, schedule=FAR_WINDOW)
             if seen is None:
@@ -210,7 +209,7 @@ class MoveTest:
             if not seen.trusted:
                 found = self.fitter.find(part, held, reflection_m, near=KNOCK)
                 if found is None and seen.on_lanes:
-                    continue  # a fit of few vehicles that came to no rest contradicts nothing
+                    continue  # a fit of few vehicles that did not converge contradicts nothing
                 if found is None:
                     return SuspectedMove(certain=True, move=np.zeros(6))
                 seen = found
@@ -233,12 +232,12 @@ class MoveTest:
         return suspected
 
     def newest(self, length_s: float) -> WindowTraffic:
-        """Return the newest part of the traffic; a longer one where there is little traffic.
+        """Return the newest part of the traffic, longer where there are few vehicles.
 
         Parameters
         ----------
         length_s : float
-            How much, seconds; more until it holds the least number of vehicles.
+            Least length in seconds; it grows until the part holds `NEWEST_VEHICLES`.
         """
         part = self.traffic.between(self.now - length_s, np.inf)
         least = NEWEST_VEHICLES
@@ -255,7 +254,7 @@ class MoveTest:
         held : Estimate
             The pose now, predicted from data before.
         seen : WindowFit
-            Of the newest data alone.
+            Fit of the newest data alone.
         """
         fitter, traffic = self.fitter, self.traffic
         for _ in range(CHANGE_ROUNDS):
@@ -263,7 +262,7 @@ class MoveTest:
             old = held.state(new.reflection)
             since = self.change_time(old, new)
             part = traffic.between(since, np.inf)
-            held = self.expected(since)  # all data since then are of the new pose
+            held = self.expected(since)  # without the data of the new pose
             again = fitter.fit(part, held, new.reflection, near=KNOCK, start=new)
             if self.now - since < SETTLED_S or again is None or not again.trusted:
                 return None
@@ -281,9 +280,9 @@ class MoveTest:
     def _likelier(
         self, part: WindowTraffic, held: Estimate, seen: WindowFit
     ) -> tuple[float, float]:
-        """Return twice the log likelihood ratio of a fit to the best one as good as at rest.
+        """Return twice the log likelihood ratio of a fit to the best one near rest, and agreement.
 
-        And by how far the vehicles agree: a bus or a lorry gives as many detections as ten cars.
+        Agreement counts vehicles: a bus or a lorry gives as many detections as ten cars.
         """
         near = np.sqrt(np.diag(held.covariance))
         reflection_m = seen.fit.state.reflection
@@ -293,11 +292,11 @@ class MoveTest:
         return 2.0 * (rest.fit.cost - seen.fit.cost), agreement(rest.fit, seen.fit)
 
     def change_time(self, old: State, new: State) -> float:
-        """Estimate since when the new pose explains the data better than the old one.
+        """Estimate the time (UNIX s) from which on the new pose explains the data better.
 
-        The likeliest time of one change: the sum over all later slices of time of what the old
-        pose costs more than the new one is greatest there. Between vehicles it is the latest such
-        time.
+        This is the likeliest time of one change: the excess of the old pose's cost over the new
+        one's, summed over all later slices of time, is greatest there. Between vehicles the latest
+        such time is taken.
 
         Parameters
         ----------

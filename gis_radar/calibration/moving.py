@@ -1,4 +1,4 @@
-"""What moved before a sensor: in the last frames of a recording, or while several recorded."""
+"""Moving detections of a sensor, in the last frames of a recording or while several recorded."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from gis_radar.calibration.traces import FRAMES, MIN_SPEED_MPS, Moving
 from gis_radar.recordings import Recording, RollingWindow, open_recording
 
 STAGE = "reading traces"
-RIGHT = SensorClock(offset_s=0.0)
+RIGHT = SensorClock(offset_s=0.0)  # a clock that is right
 
 
 class MovingWindow(RollingWindow):
-    """The last frames of a stream of detections, of which the moving ones are kept."""
+    """Window of the last frames of a stream of detections, which keeps the moving ones."""
 
     def __init__(self) -> None:
         super().__init__(frames=FRAMES, keep=lambda batch: np.abs(batch.range_rate) > MIN_SPEED_MPS)
 
     def moving(self) -> Moving:
-        """Return what moved in the window."""
+        """Return the moving detections of the window."""
         found = self.content()
         return Moving(
             time=found.time,
@@ -37,7 +37,7 @@ class MovingWindow(RollingWindow):
 
 
 def read_moving(path: str | Path, *, reporter: Reporter = QUIET) -> Moving:
-    """Read what moved in the last frames of a recording, in bounded memory.
+    """Read the moving detections in the last frames of a recording, in bounded memory.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def read_moving(path: str | Path, *, reporter: Reporter = QUIET) -> Moving:
 
 @dataclass(frozen=True, kw_only=True)
 class Span:
-    """When a recording begins and ends.
+    """Begin and end of a recording.
 
     Parameters
     ----------
     path : Path
         The recording.
     begin, end : float
-        UNIX seconds, by a clock that is right.
+        UNIX seconds, corrected by the sensor's clock.
     """
 
     path: Path
@@ -77,7 +77,7 @@ class Span:
     end: float
 
     def shared_s(self, begin: float, end: float) -> float:
-        """Return how much of a time it recorded, seconds."""
+        """Return how many seconds between two times it recorded."""
         return max(min(self.end, end) - max(self.begin, begin), 0.0)
 
 
@@ -107,7 +107,7 @@ def recorded_between(recording: Recording) -> tuple[float, float]:
 
 
 def common_time(recordings: Sequence[Path]) -> float:
-    """Return until when all recorded, UNIX seconds.
+    """Return the end of the time in which all recorded, UNIX seconds.
 
     Raises
     ------
@@ -129,16 +129,16 @@ def common_time(recordings: Sequence[Path]) -> float:
 
 
 def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
-    """Return the end of the time of a length in which sensors recorded most, the first of these.
+    """Return the end (UNIX seconds) of the first span of a length in which sensors recorded most.
 
-    What is recorded later changes it only where more sensors recorded then.
+    Later recordings change it only where more sensors recorded then.
 
     Parameters
     ----------
     spans : mapping of str to sequence of Span
-        Of the recordings of each sensor.
+        The recordings of each sensor.
     length_s : float
-        How long it is.
+        Length of the span, seconds.
     """
 
     def recorded(end: float) -> float:
@@ -151,7 +151,7 @@ def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
 
 
 def read_until(spans: Sequence[Span], end: float, clock: SensorClock = RIGHT) -> Moving:
-    """Return what moved before a sensor in the last frames until a time.
+    """Return a sensor's moving detections in the last frames until a time.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""By how much a pose is off that nearly fits, and whether the traffic would show it."""
+"""Measure how far a pose that nearly fits is off, and whether the traffic would show it."""
 
 from __future__ import annotations
 
@@ -48,41 +48,41 @@ from gis_radar.calibration.traces import thin
 from gis_radar.calibration.windows import NEAR, WINDOW, data_alone
 from gis_radar.poses import Pose
 
-# A pose is doubted that is farther off than maps, drivers' habits and a careful survey together may
-# be (metres; degrees of yaw, pitch, roll; standard errors), and refused where it is twice as far,
-# and clearly: standard errors rest on how drivers usually keep to their lanes.
+# A pose is doubted if it is farther off than maps, drivers' habits and a careful survey together
+# (metres; degrees of yaw, pitch, roll; standard errors), and refused if it is TOO_FAR times as far
+# off, and FAR_SIGMAS, as standard errors assume usual habits of drivers.
 OFF_M, OFF_DEG, OFF_SIGMAS = 0.7, (0.7, 1.5, 2.5), 3.0
 TOO_FAR, FAR_SIGMAS = 2.0, 5.0
-# A pose that is off by more has to show, or nothing is said to fit (metres; degrees of yaw, pitch,
-# roll): a third of a lane's width beside or 60 m ahead, and what would be refused of a tilt.
+# A pose fits only if the traffic would show an error larger than this (metres; degrees of yaw,
+# pitch, roll): a third of a lane's width, here or 60 m ahead, and tilts that would be refused.
 SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
 LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
-# In place of NEAR where map or radar has no heights: height, roll and pitch are as given.
+# Prior in place of NEAR where map or radar has no heights: height, roll and pitch stay as given.
 LEVEL = np.array([*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5]])
-FARTHEST_DEG = 20.0  # what is farther off would show by the lanes that are driven
+FARTHEST_DEG = 20.0  # a pose turned farther would put the traffic on other lanes
 TURNS = ("yaw", "pitch", "roll")
 STARTS_M = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)  # east, north
 HINTED = 1.5  # standard errors from which a scale of range may explain a pose that is off
-OPEN = (0.0, 1.0, -1.0, 2.0, -2.0)  # standard errors within which a scale of range may be
+OPEN = (0.0, 1.0, -1.0, 2.0, -2.0)  # standard errors from a measured scale of range that are tried
 
 POSE_OFF = Text("its pose is off")
 
 
 def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, pace: RangeScale | None) -> Finding:
-    """Return by how much a pose is off that nearly fits, or whether the traffic would show that.
+    """Return how far a pose that nearly fits is off, or whether the traffic would show that.
 
-    Or ranges are too long, as much as their scale leaves open, where the pose is not off then.
+    Ranges are too long if the pose is right with a scale of range within its error.
 
     Parameters
     ----------
     excerpt : Excerpt
-        What moved.
+        The sensor's traffic.
     lanes : LaneMap
         The map.
     found : Finding
-        That most vehicles drive along lanes.
+        The finding that most vehicles drive along lanes.
     pace : RangeScale or None
-        How far ranges change as range rates state.
+        The measured scale of range.
     """
     off = _fitted_off(excerpt, lanes, found)
     if pace is None or off.cause != POSE_OFF:
@@ -125,7 +125,7 @@ def _fitted_off(excerpt: Excerpt, lanes: LaneMap, found: Finding) -> Finding:
 def _compared(
     excerpt: Excerpt, lanes: LaneMap, scene: Scene, found: Finding, sigmas: Floats
 ) -> Finding:
-    """Return what a fit, with a prior as wide as `sigmas` around it, says of the usual pose."""
+    """Compare the usual pose with a fit whose prior has 1 sigma of `sigmas` around that pose."""
     pose = excerpt.usual
     centre = State(
         position=pose.position - [*scene.lanes.origin, 0.0], R_map_sensor=pose.R_map_sensor,
@@ -143,7 +143,7 @@ def _compared(
 
 
 def _unfitted(found: Finding) -> Finding:
-    """Return that a pose fits only where one could be fitted."""
+    """Return the finding for a pose around which no fit converges: doubt stays, else unknown."""
     if found.cause:
         return found
     evidence = Text("{}, but no pose is fitted to them", found.evidence)
@@ -151,7 +151,7 @@ def _unfitted(found: Finding) -> Finding:
 
 
 def _fitted(scene: Scene, prior: Prior) -> Fit:
-    """Return the likeliest fit: from a metre off, many come to rest beside the right place."""
+    """Return the likeliest of fits from several starts, as many stop beside the right place."""
     fits = []
     for east, north in STARTS_M:
         step = np.zeros(len(prior.information))
@@ -161,7 +161,7 @@ def _fitted(scene: Scene, prior: Prior) -> Fit:
 
 
 def _shown(excerpt: Excerpt, seen: Measurement, centre: State, found: Finding) -> Finding:
-    """Return that a pose fits only where one that is off would show."""
+    """Return that a pose fits, or unknown where the traffic would not show an error."""
     if found.cause:
         return found
     off_m, sigma_m = _aside(seen, centre)
@@ -184,14 +184,14 @@ def _shown(excerpt: Excerpt, seen: Measurement, centre: State, found: Finding) -
 
 
 def _aside(seen: Measurement, centre: State) -> tuple[float, float]:
-    """Return how far beside a place a pose was measured, and the standard error, metres."""
+    """Return the distance in the plane of a measured pose from a place, and its error, metres."""
     gap, spread = (seen.position - centre.position)[:2], seen.covariance[:2, :2]
     off_m = float(np.hypot(*gap))
     return off_m, float(np.sqrt(gap @ spread @ gap)) / max(off_m, 1e-9)
 
 
 def _turned(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
-    """Return by which yaw, pitch and roll a pose differs from a measured one, with errors, deg."""
+    """Return yaw, pitch and roll of a pose less those of a measured one, each with error, deg."""
     angles = Rotation.from_quat(seen.quaternion).as_euler("ZYX", degrees=True)
     spread = covariance_of_angles(seen.quaternion, seen.covariance)
     sigmas = np.degrees(np.sqrt(np.diag(spread)[5:2:-1]))
@@ -202,10 +202,10 @@ def _turned(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
 
 
 def _measured(fit: Fit, prior: Prior) -> Measurement:
-    """Return the pose that the data alone show, where they know it better than the prior.
+    """Return the pose by the data alone in directions that they fix better than the prior does.
 
-    Along other directions, as down a street, the fit went as far as the prior let it: the data's
-    pose would be extrapolated from there.
+    In other directions, as along a street, the prior held the fit, and the data's pose would be
+    an extrapolation.
     """
     seen, unit = data_alone(fit, prior), np.diag(prior.information[POSE, POSE]) ** -0.5
     turn = Rotation.from_quat(seen.quaternion).as_matrix()
@@ -220,7 +220,7 @@ def _measured(fit: Fit, prior: Prior) -> Measurement:
 
 
 def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> Finding | None:
-    """Return that a pose is off from which no fit comes to rest, but which a search finds."""
+    """Return the finding that a search finds another pose where no fit near it converges."""
     tried = scored(excerpt, lanes, found_poses(excerpt, lanes))
     best = likeliest(excerpt, score(excerpt, lanes), tried, FOUND_SHARE)[:1]
     for rival, each in best:
@@ -236,7 +236,7 @@ def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> F
 
 
 def _with_name(excerpt: Excerpt, yaw: float, within: float) -> Rival | None:
-    """Return the mistake with a name that turns the usual pose to a yaw."""
+    """Return the named mistake, if any, that turns the usual pose to a yaw (degrees)."""
     pose = excerpt.usual
     turned = [each for each in ways_to_be_wrong(excerpt, {}) if each.off(pose)[1] != 0.0]
     near = [
@@ -248,7 +248,7 @@ def _with_name(excerpt: Excerpt, yaw: float, within: float) -> Rival | None:
 
 
 def _beyond(excerpt: Excerpt, seen: Measurement, centre: State, evidence: str) -> Finding | None:
-    """Return what of a measured pose is farther off than it may be."""
+    """Return the finding that the pose is off, where a measured pose is too far from it."""
     pose = excerpt.usual
     off_m, sigma_m = _aside(seen, centre)
     turns = _turned(pose, seen)
@@ -277,7 +277,7 @@ def _beyond(excerpt: Excerpt, seen: Measurement, centre: State, evidence: str) -
 
 
 def lengths_off(excerpt: Excerpt, lanes: LaneMap, pace: RangeScale | None) -> Finding | None:
-    """Return that ranges are too long where range rates hint at it, and lanes bear it out.
+    """Return the finding that ranges are too long, where range rates hint at it and lanes agree.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A network of sensors: poses that correspondences confirm, contradict or choose; adjusted."""
+"""Network of sensors, whose poses correspondences confirm, contradict or choose, and adjust."""
 
 from __future__ import annotations
 
@@ -52,20 +52,20 @@ from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, link_tracks
 from gis_radar.poses import Pose
 
-# Offsets of clocks that are looked for: beyond, radars have no common time at all; smaller ones
-# are left to the adjustment of the poses.
+# Largest and least clock offset that is looked for: with larger ones, radars have no common time;
+# smaller ones are left to the adjustment of the poses.
 MOST_LAG_S = 10.0
 LEAST_LAG_S = 0.25
 # Standard deviations by which vehicles must prefer a lag to another place of the sensor.
 LAG_CLEAR = 2.0
 CLOCK_SIGMAS = 4.0  # standard deviations beyond which a clock's offset is remarked upon
-# Fewer move no pose that is certain by itself: a cluster-robust covariance needs 20 to 50
-# clusters (Cameron, Miller 2015), and few vehicles are all on one lane.
+# Fewer pairs do not move a pose that is certain by itself: a cluster-robust covariance needs 20 to
+# 50 clusters (Cameron, Miller 2015), and few vehicles may all be on one lane.
 FIRM_PAIRS = 20
-FIXED_M = 1.0  # a pose less certain along its weakest direction is looked for along it
-PAIRING_ROUNDS = 6  # of pairing and fitting; two or three are enough
+FIXED_M = 1.0  # where 1 sigma along its weakest direction is larger, a pose is searched along it
+PAIRING_ROUNDS = 6  # rounds of pairing and fitting; two or three are enough
 
-AT_REST = 1e-4  # a step of the adjustment, metres and radians
+AT_REST = 1e-4  # a smaller step ends the adjustment, metres and radians
 CLASH_HINT = Text("check both guesses, and the clocks of both sensors: gis-radar clocks")
 
 
@@ -76,17 +76,17 @@ class Solved:
     Parameters
     ----------
     poses : dict of str to Pose
-        By sensor; those that nothing relates to others are as they were.
+        By sensor; sensors without correspondences keep their own poses.
     chosen : dict of str to int
-        Which of the poses that it may have by itself it was.
+        By sensor: index of the chosen pose in those of its own localization.
     refused : dict of str to str
-        Sensors without a trustworthy pose, and why, where that is the network's finding.
+        By sensor without a trustworthy pose: the reason, where it is the network's.
     pairs : dict
-        How many vehicles two sensors share, by their names.
+        By two sensors' names: number of vehicles that both see.
     unmatched : dict of str to str
-        Why a sensor has no correspondences with others.
+        By sensor without correspondences: the reason.
     remarks : tuple of str
-        What the user should know.
+        Remarks for the user.
     """
 
     poses: dict[str, Pose]
@@ -128,11 +128,11 @@ class _Member:
     station: Station
     tracks: Integers
     choice: int = 0
-    start: Floats = field(default_factory=lambda: np.zeros(PLANE))  # from its own answer
+    start: Floats = field(default_factory=lambda: np.zeros(PLANE))  # step from its own answer
     away: Floats = field(default_factory=lambda: np.zeros(PLANE))
-    loose: bool = False  # its own answer was no place: correspondences have chosen the start
-    clock: SensorClock = RIGHT  # how far it is thought to be ahead
-    free: bool = False  # its clock is off: it is found with the poses
+    loose: bool = False  # its own answer did not fix the place: correspondences chose the start
+    clock: SensorClock = RIGHT  # its assumed clock
+    free: bool = False  # its clock is off, and estimated with the poses
 
     @property
     def pose(self) -> Pose:
@@ -140,7 +140,7 @@ class _Member:
 
 
 class _Network:
-    """The sensors with their places, what agrees and what contradicts."""
+    """Sensors with their places, and the pairs of them that agree or contradict each other."""
 
     def __init__(self, stations: Sequence[Station], lanes: Lanes) -> None:
         self.lanes = lanes
@@ -149,16 +149,16 @@ class _Network:
         self.clashes: dict[Names, str] = {}
         self.agreeing: set[Names] = set()
         self.refused: dict[str, str] = {}
-        self.unclear: set[str] = set()  # whose vehicles fit those of others in several places
+        self.unclear: set[str] = set()  # sensors whose vehicles fit at several places
 
     def seen(self, member: _Member, choice: int, away: Floats) -> Moments:
-        """Return a sensor's vehicles at a step from one of its own poses."""
+        """Return a sensor's vehicles, placed by a step from one of its own poses."""
         state, moving = self._state(member, choice, away), member.station.moving
         moving = replace(moving, time=member.clock.corrected(moving.time))
         return read_moments(moving, member.tracks, state, self.lanes)
 
     def _state(self, member: _Member, choice: int, away: Floats) -> State:
-        """Return a step from one of a sensor's own poses in local coordinates."""
+        """Return the state at a step from one of a sensor's own poses, in local coordinates."""
         pose = moved(member.station.poses[choice], away)
         return State(
             position=pose.position - [*self.lanes.origin, 0.0],
@@ -167,7 +167,7 @@ class _Network:
         )
 
     def choice(self, member: _Member, number: int, away: Floats, covariance: Floats) -> Choice:
-        """Return a sensor's vehicles at a step from one of its own poses, with its covariance."""
+        """Return a step from one of a sensor's own poses as a choice, with its covariance."""
         state, on = self._state(member, number, away), member.tracks != NONE
         moving = member.station.moving
         driven = lane_detections(
@@ -187,7 +187,7 @@ class _Network:
         ]
 
     def place_all(self) -> None:
-        """Fix the sensors with a certain pose, compare them with each other, and place the rest."""
+        """Fix the sensors with a certain pose, compare these, and place the others by them."""
         longest = {
             name: longest_m(plane_covariance(member.pose))
             for name, member in self.all.items()
@@ -202,12 +202,12 @@ class _Network:
             self.placed[name] = choice
         waiting = [name for name in dict.fromkeys((*firm, *self.all)) if name not in self.placed]
         while any(self._place(name) for name in waiting if name not in self.placed):
-            pass  # who has just been placed may place another
+            pass  # a sensor that has just been placed may place another
 
     def _look(self, member: _Member) -> tuple[list[Choice], Placing]:
         """Place a sensor relative to those that are placed.
 
-        Where vehicles clearly agree better at another time, the sensor's clock is off by that.
+        Where its vehicles clearly agree better at another time, its clock is off by that time.
         """
         choices = self.choices(member)
         found = find_place(choices, self.placed)
@@ -226,7 +226,7 @@ class _Network:
         return then, there
 
     def _clock_of(self, choice: Choice) -> SensorClock | None:
-        """Return a sensor's clock where it is clearly off those of the sensors that are placed."""
+        """Return a sensor's clock where it clearly differs from those of the placed sensors."""
         for name, other in self.placed.items():
             try:
                 offset = measured_offset(other.driven, choice.driven, max_offset_s=MOST_LAG_S)
@@ -269,12 +269,12 @@ class _Network:
         return True
 
     def _loose(self, covariance: Floats) -> Floats:
-        """Return the covariance of a sensor that the grid has placed."""
+        """Return the covariance of a sensor that the grid search has placed."""
         grid = np.array([STEP_M, STEP_M, GRID_YAW]) ** -2.0
         return np.asarray(np.linalg.inv(np.linalg.inv(covariance) + np.diag(grid)))
 
     def refuse_clashes(self) -> None:
-        """Refuse of sensors that contradict each other those that fewer others confirm."""
+        """Refuse, of two sensors that contradict each other, the one that fewer others confirm."""
         for (one, other), why in self.clashes.items():
             if self.refused.keys() & {one, other}:
                 continue
@@ -287,12 +287,12 @@ class _Network:
         self.placed = {name: self.placed[name] for name in self.all if name in left}
 
     def _friends(self, name: str) -> set[str]:
-        """Return the sensors that agree with one, or with one that does, itself included."""
+        """Return all sensors linked with one by pairs that agree, itself included."""
         good = self.agreeing - self.clashes.keys()
         return set(reached(dict.fromkeys(good, 0.0), name))
 
     def adjusted(self) -> tuple[Adjusted, dict[Names, Correspondences]]:
-        """Pair and adjust in turn until neither changes."""
+        """Pair and adjust alternately until neither changes."""
         names = list(self.placed)
         for name in names:
             self.all[name].away = self.all[name].start
@@ -341,7 +341,7 @@ class _Network:
         return correspondences
 
     def _held(self, correspondences: Mapping[Names, Correspondences]) -> set[Names]:
-        """Return the pairs of sensors with too few vehicles to move poses that stand fast."""
+        """Return the pairs of sensors with too few vehicles to move poses certain by themselves."""
         return {
             pair
             for pair, matched in correspondences.items()
@@ -372,14 +372,14 @@ class _Network:
         return found
 
     def _clock_s(self, member: _Member) -> float:
-        """Return the standard deviation of a sensor's clock."""
+        """Return the standard deviation of a sensor's clock, seconds."""
         if member.free:
             return FREE_CLOCK_S
         known = member.station.clock_s
         return CLOCK_S if known is None else max(known, CLOCK_S)
 
     def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, bool]:
-        """Return by how much the other's clock is ahead, s, and whether that is out of bounds."""
+        """Return how many seconds the second clock is ahead, and whether that is out of bounds."""
         away = np.array([self.all[name].away for name in pair])
         known = [plane_covariance(self.all[name].pose) for name in pair]
         free = adjust({(0, 1): matched}, away, known, clocks_s=[FREE_CLOCK_S] * 2)
@@ -388,7 +388,7 @@ class _Network:
         return ahead_s, abs(ahead_s) > CLOCK_SIGMAS * most
 
     def free_clock(self, correspondences: Mapping[Names, Correspondences]) -> bool:
-        """Estimate also the clock that most correspondences show to be off."""
+        """Free the clock that most correspondences show to be off; return whether there was one."""
         off = {
             pair: ahead_s
             for pair, matched in correspondences.items()
@@ -408,7 +408,7 @@ class _Network:
         return True
 
     def clock_remarks(self, correspondences: Mapping[Names, Correspondences]) -> list[str]:
-        """Return which clocks are apart by more than the correspondences take for granted."""
+        """Return remarks on clocks farther apart than the correspondences assume."""
         remarks: list[str] = []
         for pair, matched in correspondences.items():
             one, other = (self.all[name] for name in pair)
@@ -433,7 +433,7 @@ class _Network:
         return remarks
 
     def unmatched(self, pairs: Mapping[Names, int], held: Mapping[Names, int]) -> dict[str, str]:
-        """Return why sensors have no correspondences."""
+        """Return the sensors without correspondences, each with the reason."""
         matched = {name for pair in pairs for name in pair}
         left = [name for name in self.all if name not in matched and name not in self.refused]
         return {name: self._why_unmatched(name, held) for name in left}

@@ -1,4 +1,4 @@
-"""Odd clocks: sensors that see the vehicles of a common view at different times."""
+"""Find odd clocks: sensors that see the vehicles of a common view at different times."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from gis_radar.calibration.clock_offsets import ClockOffset, measured_offset
 from gis_radar.calibration.findings import CLOCKS_APART, Finding, wrong
 from gis_radar.calibration.lane_detections import LaneDetections
 
-CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0  # between sensors with a common view: a car's length and more
-PARTNERS = 3  # of a sensor, at which its clock is well enough known: two are the majority
+CLOCK_S, CLOCK_SIGMAS = 0.3, 5.0  # largest offset in a common view: a car's length and more
+PARTNERS = 3  # comparisons that suffice for a sensor: two of them are the majority
 
 
 def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
-    """Return the sensors that see vehicles at other times than those with a common view.
+    """Return the findings on sensors whose clock is off those of sensors with a common view.
 
     Parameters
     ----------
     seen : mapping of str to LaneDetections
-        What moved along lanes, by sensor.
+        Detections that move along lanes, by sensor.
     """
     odd: dict[str, list[tuple[str, float, float]]] = {}
     for (one, other), offset in clock_offsets_between(seen).items():
@@ -32,7 +32,7 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
             odd.setdefault(one, []).append((other, -offset.offset_s, offset.sigma_s))
             odd.setdefault(other, []).append((one, offset.offset_s, offset.sigma_s))
     told = dict[str, Finding]()
-    while odd:  # who contradicts most is off; of two that contradict each other, either may be
+    while odd:  # the sensor with most contradictions is off; of two alone, either may be
         most = max(map(len, odd.values()))
         named = {name for name, pairs in odd.items() if len(pairs) == most}
         told |= {name: _apart(name, *odd[name][0]) for name in named}
@@ -47,8 +47,8 @@ def odd_clocks(seen: Mapping[str, LaneDetections]) -> dict[str, Finding]:
 def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str, str], ClockOffset]:
     """Measure the clock of each sensor against those that see most of its places.
 
-    Two that have `PARTNERS` each are compared only where nothing links them yet, as two recorders
-    with a clock each: a comparison takes a second, and a hundred sensors of one view make five
+    Two sensors with `PARTNERS` each are compared only where no chain of comparisons links them yet,
+    as with two recorders: a comparison takes a second, and a hundred sensors of one view make five
     thousand pairs.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Pace: whether ranges change as the range rates state, and which unit is wrong where not."""
+"""Check whether ranges change as the range rates state, and which unit is wrong if not."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from gis_radar.base import Text
 from gis_radar.calibration.findings import UNKNOWN_CAUSE, Finding, wrong
 from gis_radar.calibration.range_scale import RangeScale
 
-# As far off 1 (the clocks and speeds of good radars are right to 2 %), and standard errors.
+# Least error of a wrong scale (good radars are right to 2 %), and least of its standard errors.
 PACE, PACE_SIGMAS = 0.02, 3.0
-LENGTHENED = 0.25  # farther off 1 it is another unit of the range rates, no length that is mistaken
-SURE_PACE = 0.05  # the largest standard error (share) of what is no motion at random
-LEAST_YARDS = 1.075  # from there on ranges that are longer look like yards, a factor of 1.094
+LENGTHENED = 0.25  # farther off 1, the unit of the range rates is wrong, not a length
+SURE_PACE = 0.05  # largest standard error, as a share of the scale, of a known scale
+LEAST_YARDS = 1.075  # scales from here on look like yards, a factor of 1.094
 
 
 def odd_pace(pace: RangeScale | None) -> Finding | None:
@@ -19,7 +19,7 @@ def odd_pace(pace: RangeScale | None) -> Finding | None:
     Parameters
     ----------
     pace : RangeScale or None
-        Of what moved; None in too little traffic.
+        The measured scale of range; None in too little traffic.
     """
     if pace is None or not is_sure(pace):
         return None
@@ -36,7 +36,7 @@ def odd_pace(pace: RangeScale | None) -> Finding | None:
 
 
 def is_sure(pace: RangeScale | None) -> bool:
-    """Return whether a scale of range is known: without, nothing is known of the range rates.
+    """Return whether a scale of range is known; if not, range rates cannot be checked.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def _stated(pace: RangeScale) -> Text:
 
 
 def lengthened(pace: RangeScale) -> Finding:
-    """Return that ranges are too long or too short by a scale that is measured.
+    """Return the finding that ranges are too long or too short by a measured scale.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def lengthened(pace: RangeScale) -> Finding:
     cause: str = Text("ranges are {:.1%} too long, or range rates too low", pace.factor - 1.0)
     if pace.factor < 1.0:
         cause = Text("ranges are {:.1%} too short, or range rates too high", 1.0 - pace.factor)
-    # an error may reach from a few percent to yards
+    # from a few percent up to yards, a scale is no certain sign of one unit
     if pace.mistakes and not 1.0 + PACE < pace.factor < LEAST_YARDS:
         return wrong(_stated(pace), pace.likely, pace.advice)
     advice = Text("divide x, y and z by {0:.3f}, or multiply range_rate by it", pace.factor)

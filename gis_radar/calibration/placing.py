@@ -1,4 +1,4 @@
-"""Place a sensor by the vehicles that others see, too: shifts on a grid."""
+"""Place a sensor by vehicles that other sensors see, too, with shifts on a grid."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from gis_radar.calibration.traces import Moving
 from gis_radar.poses import Pose
 
 GATE_CHI2 = 13.8  # two degrees of freedom: 1 in 1000 true pairs is lost
-# Grid on which the shift between two sensors is looked for, and how far at least.
+# Step of the grid on which the shift between two sensors is looked for, and its least reach.
 STEP_M = 1.0
 REACH_M = 6.0
-# Shifts nearer than this, a vehicle's length, are one answer: the adjustment pulls them in.
+# Shifts nearer than this, a vehicle's length, are one answer: the adjustment merges them.
 APART_M = 5.0
 # Standard deviations by which vehicles must prefer a place to all others (as for one sensor), and
-# to what chance gives.
+# to the score by chance.
 CLEAR_Z = 2.5
-# What chance gives is seen where one sensor's times are wrong by so much: other traffic.
+# Time shifts of one sensor that give the score by chance: its vehicles meet other traffic.
 CHANCE_S: tuple[float, ...] = (-15.0, -8.0, 8.0, 15.0)
 CONTRADICTION_CHI2 = 16.3  # three degrees of freedom: 1 in 1000 sites is refused in error
 
-TRIED = 30  # shifts scored one to one, of those that look best
-GRID_YAW = math.radians(0.5)  # between the headings that correspondences are looked for under
+TRIED = 30  # best shifts by the rough score that are scored one to one
+GRID_YAW = math.radians(0.5)  # step of the headings under which correspondences are looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,13 +49,13 @@ class Station:
     Parameters
     ----------
     name : str
-        Of the sensor.
+        Name of the sensor.
     moving : Moving
-        What it saw while the others recorded, too.
+        Its moving detections while the others recorded, too.
     poses : tuple of Pose
-        The poses that it may have by itself: its answer, or several that fit alike.
+        Its own poses: the answer of its localization, or several that fit alike.
     clock_s : float, optional
-        Standard deviation of its clock, where that was measured.
+        Standard deviation of its clock, seconds, where that was measured.
     """
 
     name: str
@@ -66,18 +66,18 @@ class Station:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """One pose that a sensor alone may have.
+    """One of a sensor's own poses, with its vehicles.
 
     Parameters
     ----------
     seen : Moments
-        Its vehicles, put on the map by it.
+        The sensor's vehicles, placed in the map by this pose.
     driven : LaneDetections
-        What moves along lanes, detection by detection.
+        Detections that move along lanes.
     covariance : (3, 3) array
-        Of easting, northing, yaw.
+        Of easting, northing (m), yaw (radians).
     yaw : float
-        Where it looks, radians.
+        Yaw of the pose, radians.
     """
 
     seen: Moments
@@ -86,29 +86,29 @@ class Choice:
     yaw: float = 0.0
 
     def later(self, moments: int) -> Choice:
-        """Return it with all vehicles seen so many moments later."""
+        """Return the choice with all vehicles seen so many moments later."""
         return replace(self, seen=self.seen.later(moments))
 
     def turned(self, other: Choice) -> bool:
-        """Whether another one looks elsewhere, by more than the grid allows for."""
+        """Return whether another choice differs in yaw by more than the grid allows for."""
         gap = (self.yaw - other.yaw + math.pi) % (2.0 * math.pi) - math.pi
         return abs(gap) > 2.0 * GRID_YAW
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shift:
-    """A pose of a sensor, and how well its vehicles there agree with those of others.
+    """Shift of a sensor, and how well its vehicles there agree with those of others.
 
     Parameters
     ----------
     choice : int
-        Which of the poses that it alone may have.
+        Index of the one of its own poses from which the shift starts.
     step : (3,) array
-        From there: easting, northing, yaw.
+        Easting, northing (m), yaw (radians) from that pose.
     scores : (tracks,) array
-        Of each of its tracks.
+        Score of each of its tracks.
     pairs : dict
-        How many pairs there are with each other sensor, by name.
+        Number of pairs with each other sensor, by name.
     """
 
     choice: int
@@ -129,11 +129,11 @@ class Placing:
     Parameters
     ----------
     inside : Shift or None
-        The best place that the sensor's own answer allows; None where there are too few pairs.
+        The best place within the sensor's own answer; None where there are too few pairs.
     z_score : float
-        By how many standard deviations its vehicles prefer that to other places allowed.
+        By how many standard deviations its vehicles prefer that to other such places.
     beyond : Shift or None
-        A place that its own answer rules out and its vehicles clearly prefer.
+        A place outside its own answer that its vehicles clearly prefer.
     """
 
     inside: Shift | None
@@ -142,7 +142,7 @@ class Placing:
 
     @property
     def best(self) -> Floats:
-        """The scores of the better place; empty where there is none."""
+        """Scores by track at the better place; empty where there is none."""
         there = [each for each in (self.inside, self.beyond) if each is not None]
         return max(there, key=total_score).scores if there else np.empty(0)
 
@@ -153,7 +153,7 @@ def find_place(choices: Sequence[Choice], others: Mapping[str, Choice]) -> Placi
     Parameters
     ----------
     choices : sequence of Choice
-        The poses that the sensor alone may have: one, or several that fit alike.
+        The sensor's own poses: one, or several that fit alike.
     others : mapping
         Sensors that have a place, by name.
     """
@@ -188,7 +188,7 @@ def find_place(choices: Sequence[Choice], others: Mapping[str, Choice]) -> Placi
 
 
 def _contradiction(best: Shift | None, beyond: Sequence[Shift]) -> Shift | None:
-    """Return the place beyond a sensor's own answer that its vehicles clearly prefer to it."""
+    """Return the place outside a sensor's own answer that its vehicles clearly prefer to it."""
     if best is not None:
         beyond = [
             shift
@@ -200,7 +200,7 @@ def _contradiction(best: Shift | None, beyond: Sequence[Shift]) -> Shift | None:
 
 
 def _differ(choices: Sequence[Choice], one: Shift, other: Shift) -> bool:
-    """Return whether two shifts give two answers: the fit merges near ones."""
+    """Return whether two shifts are different answers, too far apart for the fit to merge."""
     ends = [choices[shift.choice].seen.place[:2] + shift.step[:2] for shift in (one, other)]
     apart_m = float(np.hypot(*(ends[1] - ends[0])))
     if one.choice == other.choice:
@@ -217,7 +217,7 @@ def preference(scores: Floats, others: Floats) -> float:
 
 
 def _grid(covariance: Floats) -> tuple[Floats, Booleans]:
-    """Return steps of easting, northing, yaw, and which of them the sensor's answer allows."""
+    """Return steps of easting, northing, yaw, and which are within the sensor's own answer."""
     values, axes = np.linalg.eigh(covariance[:2, :2])
     far_m = math.sqrt(CONTRADICTION_CHI2) * np.sqrt(values)
     far_m = np.clip(far_m, REACH_M, FARTHEST_M)
@@ -227,13 +227,13 @@ def _grid(covariance: Floats) -> tuple[Floats, Booleans]:
     chi2 = np.sum(flat**2 / values, axis=1)
     inside = chi2 < CONTRADICTION_CHI2
     east_north = flat @ axes.T
-    # along what a scene does not fix, place and heading go together
+    # in a direction that the scene does not fix, place and heading are correlated
     turn = east_north @ np.linalg.solve(covariance[:2, :2], covariance[:2, 2])
     return np.column_stack([east_north, np.where(inside, turn, 0.0)]), inside
 
 
 class _Score:
-    """How well a sensor's vehicles agree with those of others, after a step."""
+    """Score of how well a sensor's vehicles agree with those of others after a step."""
 
     def __init__(
         self,
@@ -256,7 +256,7 @@ class _Score:
             self.parts[name] = rows, gap, slope, np.asarray(np.linalg.inv(known))
 
     def best(self, choice: int, steps: Floats) -> list[Shift]:
-        """Return the best of some steps, and the best of those apart from it."""
+        """Return the best of some steps, and the best of the steps apart from that one."""
         if not self.parts or not len(steps):
             return []
         rough = np.array([self._rough(step) for step in steps])
@@ -298,7 +298,7 @@ class _Score:
 
 
 def contradiction_text(names: Names, vehicles: int, gap_m: float) -> str:
-    """Return that the poses of two sensors contradict each other."""
+    """Return the text that the poses of two sensors contradict each other."""
     return Text(
         "{} and {}: their poses contradict each other: {} vehicles that both see lie "
         "{:.1f} m apart",
@@ -309,5 +309,5 @@ def contradiction_text(names: Names, vehicles: int, gap_m: float) -> str:
 
 
 def clash_text(names: Names, shift: Shift) -> str:
-    """Return that a sensor's pose contradicts another's, by a shift that fits better."""
+    """Return the text that a sensor's pose contradicts another's, with the shift that fits."""
     return contradiction_text(names, sum(shift.pairs.values()), float(np.hypot(*shift.step[:2])))

@@ -1,8 +1,8 @@
-"""Plausibility: whether poses and recordings fit each other and the map, before results rest on it.
+"""Check whether poses and recordings fit each other and the map, before results rest on them.
 
-What moved is explained in rival ways on equal terms: as given, and by the mistakes that people
-make. A sensor fits, does not fit (by which mistake, or by none that is known), or shows too little
-traffic to tell.
+The traffic is explained in rival ways on equal terms: as given, and by usual mistakes. A sensor
+fits, does not fit (by a named mistake, or by an unknown one), or has too little traffic for a
+verdict.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from gis_radar.recordings import Recording
 
 STAGE = "checking poses and recordings"
 
-FROZEN_FRAMES = 20  # equal frames on end: a second at 20 Hz; by chance there are no two
-# Vehicles on either side of a change, and its log likelihood ratio over none: odds of 3,000, and
-# of 20 where a mistake explains what is on one side.
+FROZEN_FRAMES = 20  # equal frames in a row: a second at 20 Hz; by chance there are no two
+# Least vehicles on either side of a change, and its log likelihood ratio over no change: odds of
+# 3,000, and of 20 where a mistake explains the traffic on one side.
 LEAST_PART, CHANGED, EXPLAINED = 8, 8.0, 3.0
-OF_RATES = AGAINST.cause, ABSOLUTE.looks  # what may change while all that stands stays
+OF_RATES = AGAINST.cause, ABSOLUTE.looks  # causes that leave the surroundings as they are
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSensor:
-    """A sensor of a site with what it recorded.
+    """A sensor of a site with its recordings.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        Its recordings.
+        The sensor's recordings.
     tracks : sequence of PoseTrack
         As many, in order.
     clock : SensorClock, optional
-        How far its clock is ahead.
+        How far the sensor's clock is ahead.
     """
 
     recordings: Sequence[Recording]
@@ -81,7 +81,7 @@ def check_plausibility(
     Returns
     -------
     tuple of Finding
-        One a sensor, by name.
+        One for each sensor, in the order of their names.
 
     Raises
     ------
@@ -113,14 +113,14 @@ def check_plausibility(
 def judge(
     sensor: str, excerpts: Iterable[Excerpt], lanes: LaneMap, others: Mapping[str, Pose]
 ) -> tuple[Finding, Excerpt]:
-    """Judge one sensor by what moved before it.
+    """Judge one sensor by its traffic.
 
     Parameters
     ----------
     sensor : str
         Its name.
     excerpts : iterable of Excerpt
-        What moved; the next is looked at where that is too little.
+        Excerpts of its recordings; the next one is read where the traffic is too little.
     lanes : LaneMap
         The map.
     others : mapping of str to Pose
@@ -129,9 +129,9 @@ def judge(
     Returns
     -------
     Finding
-        Of the sensor.
+        The finding on the sensor.
     Excerpt
-        That it rests on.
+        The excerpt on which it rests.
     """
     for excerpt in excerpts:
         found = _judged(excerpt, lanes, others)
@@ -174,7 +174,7 @@ def _too_little(excerpt: Excerpt) -> Finding | None:
 
 
 def _odd_recording(excerpt: Excerpt) -> Finding | None:
-    """Return what a recording itself shows to be wrong, without map and pose."""
+    """Return the finding on faults that a recording shows without map and pose, if any."""
     if excerpt.frozen is not None and excerpt.frozen[2] >= FROZEN_FRAMES:
         begin, end, frames = excerpt.frozen
         evidence = Text("{} frames from {} to {} are the same", frames, iso(begin), iso(end))
@@ -187,14 +187,14 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
 
 
 def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding | None:
-    """Return that it is another sensor from some moment on, by what stands around it."""
+    """Return the finding that data are another sensor's from a moment on, by its surroundings."""
     seen = excerpt.stays
     if seen is None or seen.until is None:
         return None
     when = iso(seen.until)
     parts = zip(excerpt.parted(seen.until), ("until {}: {}", "from {} on: {}"), strict=True)
     for part, template in parts:
-        if part.vehicles < LEAST_PART:  # at night too little moves to name a cause by
+        if part.vehicles < LEAST_PART:  # too little traffic, as at night, to name a cause
             continue
         bad = by_lanes(part, lanes, others)
         if bad.verdict == WRONG and bad.cause != UNKNOWN_CAUSE:
@@ -211,14 +211,14 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
 
 
 def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding | None:
-    """Return what is wrong from some moment on, or until then, where the rest fits."""
+    """Return the finding on a fault before or after a moment, where the rest fits."""
     first = np.unique(excerpt.vehicle, return_index=True)[1]
     order = np.argsort(excerpt.time[first], kind="stable")
     driving = score(excerpt, lanes).driving[order]
     split, gain = best_split(driving, LEAST_PART)
     parts = driving[:split], driving[split:]
     if gain < EXPLAINED or all(each.mean() < least_share(len(each)) for each in parts):
-        return None  # where neither fits, what is wrong is so all along
+        return None  # where neither part fits, the fault is there all the time
     when = float(excerpt.time[first[order[split]]])
     until, since = (by_lanes(part, lanes, others) for part in excerpt.parted(when))
     bad = since if until.verdict == FITS else until

@@ -1,4 +1,4 @@
-"""The track of a sensor: its poses over time, its events, its picture."""
+"""Pose track of a sensor: its poses over time, its events, its picture."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LINE, NEAR, FAR, MOVE, REJECT, QUIET = (
     "#1d4ed8", "#93b4f5", "#dbe6fd", "#c2410c", "#fcd9a0", "#e5e7eb",
 )  # fmt: skip
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
-LEAST_SPAN = (0.1, 0.05)  # of an axis, metres and degrees: noise shall not fill it
+LEAST_SPAN = (0.1, 0.05)  # least span of an axis, metres and degrees, lest noise fill it
 
 
 def _draw_bands(
@@ -51,7 +51,7 @@ def _draw_bands(
         )
         ax.fill_between(t, y - s, y + s, step="post", color=NEAR, linewidth=0, label=labels[1])
         ax.plot(t, y, color=LINE, linewidth=1.3, drawstyle="steps-post", label=labels[0])
-    later = slice(min(4, len(value) - 1), None)  # the first poses are wide
+    later = slice(min(4, len(value) - 1), None)  # the first poses have wide bands
     low = float((value - 2.5 * sigma)[later].min())
     high = float((value + 2.5 * sigma)[later].max())
     extra = max(least - (high - low), 0.0) / 2
@@ -85,11 +85,11 @@ class Row:
     event : str
         `moved`, `rejected`, or nothing.
     vehicles : int
-        Moving objects in the window.
+        Number of moving objects in the window.
     fitness : float
         Share of the window's traces on lanes; NaN where it was not registered.
     chi2 : float
-        How far the window's pose lay from the expected one; NaN where it was not registered.
+        Misfit of the window's pose and the expected one; NaN where it was not registered.
     corrected : bool
         Whether the window corrected the pose.
     """
@@ -109,10 +109,10 @@ class Event:
     Parameters
     ----------
     time : str
-        When, ISO 8601, UTC.
+        Time, ISO 8601, UTC.
     kind : str
-        `moved`: the sensor stands or looks elsewhere since then; `rejected`: what the data say
-        was left out, and the pose kept.
+        `moved`: the sensor stands or looks elsewhere since then; `rejected`: the pose from the
+        window's data was not used, and the pose kept.
     """
 
     time: str
@@ -136,7 +136,7 @@ class Track:
     events: tuple[Event, ...] = field(default=())
 
     def figures(self) -> Mapping[str, Any]:
-        """Return figures worth a look, by name."""
+        """Return the main figures of the track, by name."""
         first, last = self.poses.poses[0], self.poses.poses[-1]
         sigma = last.evidence["sigma"]
         measured = sum(pose.evidence["corrected"] for pose in self.poses.poses)
@@ -159,7 +159,7 @@ class Track:
             `easting`, `northing`, `height` (metres), `roll`, `pitch` or `yaw` (degrees). All six
             on one page: :func:`gis_radar.draw_track`.
         ax : matplotlib Axes, optional
-            Where; without it, on a new figure.
+            Axes to draw on; by default those of a new figure.
 
         Returns
         -------
@@ -216,7 +216,7 @@ class Track:
 
 
 def track_of(problem: Problem, start: Pose, rows: list[Row]) -> Track:
-    """Return the rows of a follower as poses in the map.
+    """Convert the rows of a follower to poses in the map.
 
     Parameters
     ----------

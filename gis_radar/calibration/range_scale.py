@@ -1,8 +1,8 @@
 """Scale of range: how much faster ranges change than the range rates state, with its error.
 
-Ranges that are 5 % too long, yards, range rates in km/h, signs that are turned or lost: a pose
-found from them may look certain, as all traces grow alike. But what moves changes its range by the
-integral of its range rate, whatever the map and the pose.
+With ranges 5 % too long or in yards, range rates in km/h, or signs turned or lost, a found pose may
+look certain, as all traces are scaled alike. But whatever the map and the pose, the range of an
+object changes by the integral of its range rate.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
 LAPSE_S = 0.5
 LEAST_MOVE_M = 2.0  # least change of range of a pair: reflections wander by a metre on a vehicle
 LEAST_SHARE = 0.15  # least range rate of a pair, as a share of the fastest
-ALIKE = 0.15  # relative difference of the range rates of a vehicle half a second apart
-ACROSS_M, ACROSS_MPS = 1.5, 6.0  # way across the line of sight of a pair: size, crossing speed
+ALIKE = 0.15  # largest relative difference of the range rates of a pair
+ACROSS_M, ACROSS_MPS = 1.5, 6.0  # largest way of a pair across the sight: size, crossing speed
 MOST_PAIRED = 20_000  # detections that are paired; of more every n-th frame
-RATIOS = np.exp(np.arange(math.log(0.02), math.log(50.0), 0.02))  # looked at, with both signs
-NEAR = 0.1  # difference of logarithms within which a pair counts for a ratio
-LEAST_PAIRS = 30
+RATIOS = np.exp(np.arange(math.log(0.02), math.log(50.0), 0.02))  # tried scales, with both signs
+NEAR = 0.1  # largest difference of logarithms at which a pair counts for a ratio
+LEAST_PAIRS = 30  # least pairs at the best ratio
 BOTH_SIGNS = 0.2  # peak of the rarer direction over the other's where range rates lost their sign
 
 STILL_MPS = 0.5  # slower detections are leaves
 DRIVE_MPS = 4.0  # mean range rate of a track: slower ones may be limbs of walkers without the trunk
-LEAST_POINTS, LEAST_WAY_M = 6, 5.0  # of a track
+LEAST_POINTS, LEAST_WAY_M = 6, 5.0  # least detections of a track, and its least change of range
 LEAST_COSINE = 0.8  # between way and line of sight; seen from aside the faces change fast
-STRAY_M = 1.5  # where half of a track is farther off, two vehicles are linked in it
-WANDER_M, SPREAD = 0.3, 1.5  # least scale of the misfits (Cauchy); over their median
-LOOKS = 4.0  # a track counts as so many independent detections: a misfit lasts
-ROUNDS, STEPS = 2, 12  # of linking at the factor found; of the weights
+STRAY_M = 1.5  # where half of a track has larger misfits, two vehicles are linked in it
+WANDER_M, SPREAD = 0.3, 1.5  # scale of the misfits (Cauchy): least, and as a multiple of the median
+LOOKS = 4.0  # number of independent detections as which a track counts: misfits last
+ROUNDS, STEPS = 2, 12  # rounds of linking at the factor found; iterations of the weights
 LEAST_VEHICLES = 5  # fewer clusters give no standard error
-# A car's half length and width; how far reflections keep to the faces turned to the sensor, in
-# proportion to their size: 0.3 to 1.2 in three simulations by different authors.
-HALF_LENGTH_M, HALF_WIDTH_M = 2.25, 0.9
-FACES, KNOWN = 0.7, np.diag([0.0, 0.4**-2])  # and its information, beside none on the slope
-# One standard deviation of what else all vehicles share in one track: they come into view front
-# first, and near the sensor more of their rear is seen.
+HALF_LENGTH_M, HALF_WIDTH_M = 2.25, 0.9  # half length and half width of a car
+# Share of the way from a car's middle to its visible faces at which it reflects on average (0.3 to
+# 1.2 in three simulations by different authors), and the prior information of slope and share.
+FACES, KNOWN = 0.7, np.diag([0.0, 0.4**-2])
+# 1 sigma of another error that the tracks of all vehicles share: they come into view front first,
+# and near the sensor more of their rear is seen.
 SHARED_M = 0.35
 
-SIGMAS, LEAST_OFF = 3.0, 0.01  # off 1 is what is off by more than both
+SIGMAS, LEAST_OFF = 3.0, 0.01  # a scale differs from 1 if it does by more than both
 NOT_FITTED = Text("not fitted")  # what a pose's evidence states of a scale in too little traffic
 FOOT_M, YARD_M, MILE_KM, NAUTICAL_MILE_KM, KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
 
@@ -59,13 +59,13 @@ class UnitMistake:
     Parameters
     ----------
     looks : str
-        What a recording looks like then.
+        Description of a recording with this mistake.
     advice : str
-        What to do.
+        How to correct it.
     factor : float
         How much faster ranges change than the range rates state.
     of_positions : bool
-        Whether x, y and z are wrong; else it is the range rates, or the times.
+        Whether x, y and z are wrong; else the range rates or the times are.
     """
 
     looks: str
@@ -119,7 +119,7 @@ LIKELY = (
 
 @dataclass(frozen=True, kw_only=True)
 class RangeScale:
-    """By which factor ranges change faster than the range rates state.
+    """Scale of range: the factor by which ranges change faster than the range rates state.
 
     Parameters
     ----------
@@ -127,11 +127,11 @@ class RangeScale:
         Change of range over the integral of range rate: 1 where units and times are right,
         negative where the sign of the range rates is turned.
     sigma : float
-        Its standard error.
+        Standard error of the factor.
     vehicles : int
-        On how many it rests.
+        Number of vehicles on which it rests.
     absolute : bool
-        Whether range rates have lost their sign: what approaches has the sign of what recedes.
+        Whether range rates have lost their sign: positive where targets approach, too.
     """
 
     factor: float
@@ -141,12 +141,12 @@ class RangeScale:
 
     @property
     def off(self) -> bool:
-        """Whether it contradicts 1: by more than three standard errors and 1 %."""
+        """Whether the factor differs from 1 by more than three standard errors and 1 %."""
         return self.absolute or abs(self.factor - 1.0) > max(SIGMAS * self.sigma, LEAST_OFF)
 
     @property
     def mistakes(self) -> tuple[UnitMistake, ...]:
-        """The usual mistakes that it looks like; of several, it does not tell which."""
+        """The usual mistakes whose factors it may be; of several, any may be the one."""
         if self.absolute:
             return (ABSOLUTE,)
         within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
@@ -154,12 +154,12 @@ class RangeScale:
 
     @property
     def likely(self) -> str:
-        """What it looks like; empty where it is none of the usual mistakes."""
+        """Description of the likely mistakes; empty where it is none of the usual ones."""
         return Text(" or ").join(each.looks for each in self.mistakes)
 
     @property
     def advice(self) -> str:
-        """What to do then, for each of them; empty where it is none."""
+        """How to correct each of the likely mistakes; empty where there is none."""
         return either((each.looks, each.advice) for each in self.mistakes)[1]
 
     def require_one(self, name: str) -> None:
@@ -168,12 +168,12 @@ class RangeScale:
         Parameters
         ----------
         name : str
-            Of the recording.
+            Name of the recording.
 
         Raises
         ------
         NoAnswerError
-            With the factor, its error, and what to try.
+            The text has the factor, its error, and advice.
         """
         if not self.off:
             return
@@ -190,7 +190,7 @@ class RangeScale:
         )
 
     def evidence(self) -> Mapping[str, float]:
-        """Return it as a pose's evidence states it."""
+        """Return the entry of the scale in a pose's evidence."""
         return {"factor": self.factor, "sigma": self.sigma, "vehicles": self.vehicles}
 
     def __repr__(self) -> str:
@@ -207,29 +207,29 @@ class _Tracks:
     time: Floats
     range_m: Floats
     stated_m: Floats  # integral of the track's range rate
-    face_m: Floats  # how much nearer the faces turned to the sensor are than the middle of a car
+    face_m: Floats  # distance from the visible faces back to the middle of a car
 
     def where(self, keep: Booleans) -> _Tracks:
         return _Tracks(**{name: values[keep] for name, values in vars(self).items()})
 
     def extent(self, values: Floats) -> Floats:
-        """Return how far values reach in the track of each detection."""
+        """Return the range (largest less least) of values in the track of each detection."""
         first = np.flatnonzero(np.append(True, np.diff(self.track) != 0))
         reach = np.maximum.reduceat(values, first) - np.minimum.reduceat(values, first)
         return np.repeat(reach, np.diff(np.append(first, len(values))))
 
     @property
     def way_m(self) -> Floats:
-        """How far the track of each detection leads to or from the sensor."""
+        """Change of range over the track of each detection, metres."""
         return self.extent(self.stated_m)
 
 
 def measure_range_scale(moving: Moving) -> RangeScale | None:
-    """Return how much faster ranges change than the range rates state; None in too little traffic.
+    """Measure how much faster ranges change than the range rates state; None in too little traffic.
 
     A search over all factors, by pairs of detections half a second apart, gives the one at which
-    detections are linked to tracks; a robust regression of range over the integral of range rate
-    mends it, the vehicles as clusters for its error.
+    detections are linked to tracks. A robust regression of range over the integral of range rate
+    refines it; its error takes the vehicles as clusters.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def _search(moving: Moving) -> tuple[float, bool] | None:
     for sign in (1.0, -1.0):
         logs = np.sort(np.log(sign * ratios[sign * ratios > 0.0]))
         low, high = (np.searchsorted(logs, np.log(RATIOS) + side) for side in (-NEAR, NEAR))
-        density = (high - low) / RATIOS  # of vehicles that have nothing in common it is even
+        density = (high - low) / RATIOS  # even for pairs of unrelated vehicles
         best = int(density.argmax())
         peaks.append((float(density[best]), sign * float(RATIOS[best])))
     (rarer, _), (peak, factor) = sorted(peaks)
@@ -279,7 +279,7 @@ def _search(moving: Moving) -> tuple[float, bool] | None:
 
 
 def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
-    """Return change of range over stated change of pairs that may be of one vehicle."""
+    """Return change of range over stated change, for pairs that may be of one vehicle."""
     reach, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
     frames, begins = np.unique(time, return_index=True)
     ends = np.append(begins[1:], len(time))
@@ -328,7 +328,7 @@ def _tracks(moving: Moving, factor: float) -> _Tracks:
 
 
 def _integral(track: Integers, time: Floats, rate: Floats) -> Floats:
-    """Return the integral of the range rate of each track, by the mean of each frame."""
+    """Return the integral (m) of each track's range rate, by the means of frames."""
     if len(track) == 0:
         return time
     new = np.append(True, (np.diff(track) != 0) | (np.diff(time) > 0.0))
@@ -344,20 +344,20 @@ def _cosine(track: Integers, points: Floats) -> Floats:
     count, (x, y) = np.bincount(track), points[:, :2].T
     dx, dy = (v - (np.bincount(track, v) / count)[track] for v in (x, y))
     xx, yy, xy = (np.bincount(track, v) for v in (dx * dx, dy * dy, dx * dy))
-    way = 0.5 * np.arctan2(2.0 * xy, xx - yy)[track]  # of the longest axis
+    way = 0.5 * np.arctan2(2.0 * xy, xx - yy)[track]  # direction of the longest axis
     return np.asarray(np.abs(np.cos(way - np.arctan2(y, x))))
 
 
 def _nearer(cosine: Floats) -> Floats:
-    """Return how much nearer what is seen of a car is than its middle, metres."""
+    """Return how much nearer the visible faces of a car are than its middle, metres."""
     sine = np.sqrt(1.0 - cosine**2)
-    # end and side, each by the share of what is turned to the sensor, half a length and a width
-    # nearer: cosine and sine drop out of the sum
+    # mean over end (half a length / cosine nearer) and side (half a width / sine), weighted by
+    # their visible shares; cosine and sine drop out of the sum
     return np.asarray(HALF_LENGTH_M * HALF_WIDTH_M / (HALF_WIDTH_M * cosine + HALF_LENGTH_M * sine))
 
 
 def _joined(one: _Tracks, other: _Tracks) -> _Tracks:
-    """Return two sets of tracks as one, the second's numbered on."""
+    """Concatenate two sets of tracks; the second's numbers follow the first's."""
     shift = {n: int(getattr(one, n).max(initial=-1)) + 1 for n in ("track", "vehicle")}
     return _Tracks(
         **{n: np.concatenate([v, getattr(other, n) + shift.get(n, 0)])
@@ -402,11 +402,11 @@ def _regressed(tracks: _Tracks) -> tuple[float, float, int] | None:
 
 
 def _drawn(columns: Floats, bends: Floats, pulls: Floats, vehicle: Integers) -> tuple[float, float]:
-    """Return the standard error of the slope by the vehicles drawn, and how many carry it.
+    """Return the jackknife's standard error of the slope, and how many vehicles determine it.
 
-    The jackknife leaves out one vehicle at a time. Where few carry the slope, its error is that of
-    Student's distribution at so many degrees of freedom: three standard errors mean what they do
-    for a normal one.
+    The jackknife leaves out one vehicle at a time. Where few vehicles determine the slope,
+    Student's distribution widens the error, so that three standard errors mean what they do for
+    a normal distribution.
     """
     count = int(vehicle.max()) + 1
     bent = np.zeros((count, 2, 2))

@@ -1,9 +1,9 @@
 """The residuals of a registration, by name, and their normal equations.
 
 A sample may lie on one of several faces of a vehicle, or on none: its residual is the mean over
-these, by their chances, which makes the cost a negative logarithm of likelihood (expectation
+these, weighted by their probabilities, which makes the cost a negative log likelihood (expectation
 maximisation). Every family is a table of rows `r = r(state) - b_k`, where `b_k` is the random
-effect of a vehicle on all its rows: its place in the lane, the height at which it reflects.
+effect of a vehicle on all its rows: its place in the lane, or the height at which it reflects.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from gis_radar.calibration.state import SIZE
 from gis_radar.calibration.traces import SPELL_S, Samples
 
 STRAY_SHARE = 0.1  # share of detections that are on no vehicle: ghosts and multipath
-# Over which width and height, metres, these spread evenly.
+# Width and height over which these spread evenly.
 STRAY_WIDTH_M = 8.0
 STRAY_HEIGHT_M = 8.0
-# Loss of a sample that is on no vehicle.
+# Loss of a sample on no vehicle.
 NO_VEHICLE = float(-np.log(STRAY_SHARE * np.sqrt(2.0 * np.pi) / STRAY_WIDTH_M))
-# Where a front or rear reflects, in half widths: the middles of its thirds.
+# Places where a front or rear reflects, in half widths: the middles of its thirds.
 FRONT: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
-# Radians inside the field of view within which a height counts; beyond it only the tall are seen.
+# Margin inside the edge of the view in which no height counts: there only the tall are seen.
 VIEW_EDGE = math.radians(1.0)
 
-SPELL_M = 0.02  # of each spell by itself, which keeps covariances regular
+SPELL_M = 0.02  # 1 sigma of each spell by itself, which keeps covariances regular
 
 
 @dataclass(frozen=True)
@@ -40,21 +40,21 @@ class Residuals:
     Parameters
     ----------
     value : (n,) array
-        Metres.
+        Residuals, metres.
     precision : (n,) array
-        Inverse variances, as if the faces were known.
+        Inverse variances, as if the faces were known, 1/m^2.
     curvature : (n,) array
-        Second derivatives of the loss, which not knowing the faces makes smaller (Louis 1982).
+        Second derivatives of the loss, smaller as the faces are not known (Louis 1982), 1/m^2.
     loss : (n,) array
-        Cost of each row, a negative logarithm of likelihood.
+        Cost of each row, a negative log likelihood.
     jacobian : (n, 7) array
-        By the state, in the order of `gis_radar.calibration.state.NAMES`.
+        Derivatives by the state, in the order of `gis_radar.calibration.state.NAMES`.
     group : (n,) array
-        Number of the random effect that each row takes, vehicle by vehicle.
+        Number of the random effect of each row, vehicle by vehicle.
     stiffness : (tracks, k, k) array
         Inverse covariance of the k random effects of each vehicle, 1/m^2.
     weight : (n,) array
-        Of each row, below one where rows share more than `b_k`.
+        Weight of each row, below 1 where rows share more than `b_k`.
     """
 
     value: Floats
@@ -78,7 +78,7 @@ class LaneComparison:
     model : Model
         How vehicles drive and reflect.
     scale_m : float
-        Added to all spreads (root of squares), to widen the basin at first.
+        Widening of all spreads (added in squares), for the first stages of a fit, metres.
     """
 
     lanes: Lanes
@@ -92,16 +92,16 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
     """Compare samples with the centre line of their lane, across it.
 
     A radar sees the faces of a vehicle that are turned to it: its side, sharp and `half_width`
-    nearer than the centre line, its front or rear, evenly about the centre line; or what it sees
-    is no vehicle at all. Each sample has a row for the side and one for each third of the front,
-    weighted by its chance (expectation maximisation).
+    nearer than the centre line, or its front or rear, evenly about it; or the sample is on
+    no vehicle at all. The residual of a sample is the mean over the side and each third of the
+    front, weighted by their probabilities (expectation maximisation).
 
     Parameters
     ----------
     compared : LaneComparison
-        What to compare.
+        The samples and their lanes.
     effect : (tracks, 1) array
-        Random effect: how far each vehicle drives to the left of where drivers do, metres.
+        Random effect: how far each vehicle drives to the left of drivers' mean place, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model = placed.samples, compared.model
@@ -115,7 +115,7 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
         lanes.points, lanes.along, placed.points, placed.arms, placed.flat, placed.sight,
         samples.track, effect[:, 0],
     )  # fmt: skip
-    # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
+    # samples of a vehicle within a few metres share its swaying: weight v / (v + n wander^2)
     own_m = model.half_width / 2.0
     weight: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
     stiffness = np.full((samples.tracks, 1, 1), model.driver**-2)
@@ -157,7 +157,7 @@ def _lateral(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - 
             value[i, j] = off - half_width * (np.sign(left) if j == 0 else front[j - 1])
             bell[i, j] = peak * np.exp(-0.5 / square[i] * value[i, j] ** 2)
             ends += bell[i, j] / len(front) if j else 0.0
-        # in a queue the next vehicle hides fronts and rears: their odds, by all samples of a track
+        # odds, by all samples of a track, that as in a queue the next vehicle hides front and rear
         side[i, 0] = shown * abs(left) / (shown * abs(left) + ahead)
         side[i, 1] = queued * abs(left) / (queued * abs(left) + ahead)
         visible = side[i, 0] * bell[i, 0] + (1.0 - side[i, 0]) * ends + stray
@@ -182,9 +182,9 @@ def _lateral(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - 
 def _mixed(  # pragma: no cover - compiled
     value: Floats, density: Floats, square: Floats, stray: float
 ) -> tuple[float, float, float, float]:
-    """Sum the alternatives of a sample up to value, precision, curvature and loss.
+    """Combine the alternatives of a sample to value, precision, curvature and loss.
 
-    `square` are their variances, `stray` is the density of none of them.
+    `square` are their variances, `stray` is the density of a sample on no vehicle.
     """
     whole, precision, mean, spread = stray, 0.0, 0.0, 0.0
     for j in range(len(value)):
@@ -204,7 +204,7 @@ def height(compared: LaneComparison, effect: Floats) -> Residuals:
     Parameters
     ----------
     compared : LaneComparison
-        What to compare.
+        The samples and their lanes.
     effect : (tracks, spells) array
         Random effect: how much higher than others each vehicle appears in each spell, metres.
     """
@@ -232,22 +232,22 @@ def height(compared: LaneComparison, effect: Floats) -> Residuals:
 
 
 def height_covariance(samples: Samples, model: Model) -> Floats:
-    """Return the covariance of how much higher each vehicle appears, spell by spell.
+    """Return the covariance of each vehicle's height above the mean, spell by spell.
 
-    It reflects from higher than others all the time, and all its detections are bent up or down by
-    an angle that changes over seconds.
+    A vehicle reflects from higher or lower than others all the time, and all its detections are
+    bent up or down by an angle that changes over seconds.
 
     Parameters
     ----------
     samples : Samples
-        Which vehicles are seen when, and how far off.
+        The samples, with their vehicles, times and ranges.
     model : Model
-        How vehicles differ.
+        The spreads among vehicles and of angles.
 
     Returns
     -------
     (tracks, spells, spells) array
-        Square metres; unseen spells have a variance of one and nothing in common with others.
+        Square metres; spells without samples have variance 1 and no covariance with others.
     """
     reach = samples.spell_reach
     number = np.arange(reach.shape[1])
@@ -297,8 +297,8 @@ def _height(
 def height_over_road(lanes: Lanes, placed: Placed, matches: Matches) -> Floats:
     """Return the height of samples over the scanned road below them, metres.
 
-    NaN where there is no lane below, where its height is unknown, and where the road itself is
-    out of view: there only the tall are seen.
+    The height is NaN where there is no lane below, where the road's height is unknown, and where
+    the road itself is out of view, as there only the tall are seen.
     """
     samples = placed.samples
     return _over_road(
@@ -320,7 +320,7 @@ def _over_road(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover 
     along: Floats,
     slope: Floats,
 ) -> Floats:
-    """Return the heights over the road where that is less than `widest` up or down in the view."""
+    """Return the heights over the road (m); NaN where the road's elevation exceeds `widest`."""
     over = np.full(len(lane), np.nan)
     for i in range(len(lane)):
         k, up = lane[i], arms[i, 2]
@@ -341,16 +341,16 @@ class Normal:
     Parameters
     ----------
     information : (7, 7) array
-        Of the state.
+        Information about the state.
     gradient : (7,) array
-        Of the cost by the state.
+        Gradient of the cost by the state.
     scores : (tracks, 7) array
         Each vehicle's part of the gradient.
     shared : list of (gradient, coupling, covariance)
-        For each family, to recover the random effects.
+        For each family, the terms from which the random effects are recovered.
     offsets : list of (tracks, 7) arrays
-        For each family what a metre more on all rows of a vehicle does to the gradient, less what
-        its random effects take up.
+        For each family, the change of the gradient by a metre more on all rows of a vehicle, less
+        the part that its random effects absorb.
     """
 
     information: Floats
@@ -361,7 +361,7 @@ class Normal:
 
 
 def assemble(families: list[Residuals], effects: list[Floats], *, curved: bool = False) -> Normal:
-    """Sum up the families of residuals; `curved` by curvatures, not by precisions.
+    """Sum up the families of residuals, weighted by precisions or, if `curved`, by curvatures.
 
     For rows with weights p and terms b_k ~ N(0, Q_k^-1) of vehicle k the information is
     `sum p J J' - sum_k G_k' (Q_k + P_k)^-1 G_k`, with the sums `G_k = -sum p J` and `P_k = sum p`
@@ -399,7 +399,7 @@ def assemble(families: list[Residuals], effects: list[Floats], *, curved: bool =
 def _inverse(stiffness: Floats, mass: Floats) -> Floats:  # pragma: no cover - compiled
     """Return the inverses of stiffnesses with masses >= 0 added on their diagonals.
 
-    By Gauss and Jordan, in place, which needs no pivots for positive definite matrices.
+    Gauss-Jordan elimination in place needs no pivots for positive definite matrices.
     """
     inverses = stiffness.copy()
     size = mass.shape[1]
@@ -437,7 +437,7 @@ def _curvature(family: Residuals, groups: int) -> Floats:
 def _summed(  # pragma: no cover - compiled
     p: Floats, force: Floats, jacobian: Floats, track: Integers, tracks: int
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return `sum p J J'`; and by track the sums of `p J`, `p`, `force` and `force J`."""
+    """Return `sum p J J'`, and for each track the sums of `p J`, `p`, `force` and `force J`."""
     squares, mass, forces = np.zeros((SIZE, SIZE)), np.zeros(tracks), np.zeros(tracks)
     coupled, gradients = np.zeros((tracks, SIZE)), np.zeros((tracks, SIZE))
     for i in range(len(p)):

@@ -1,4 +1,4 @@
-"""Problem and result: a sensor to be located, and its pose with evidence."""
+"""Problem and result of a localization: the sensor to locate, and its pose with evidence."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ STAGE = "finding the pose"
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
-WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # as wide as a page: words stay legible
+WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # beside one or two panels: as wide as a page
 LETTERS_PT = 9.0
-LARGER = 1.3  # a panel over two others to these: it is larger, too
-LINE = 46  # letters of a title, as wide as a panel
+LARGER = 1.3  # factor on the letters of a panel as wide as two
+LINE = 46  # letters in a line of a title, as wide as a panel
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
 ARROW_EVERY_M = 12.0
-# Traces in a light and a dark colour, which differ in grey, too.
+# Colours; AWAY and NEAR of the traces differ in grey, too.
 ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
 
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
@@ -59,25 +59,25 @@ class Localization:
     pose : Pose
         The answer; its evidence goes into the pose file.
     fitness : float
-        Share of traces that are where they should be: on lanes of fitting direction (`lane`), or
-        within a voxel of the road (`icp`).
+        Share of the traces that fit: on lanes of fitting direction (`lane`), or within a voxel of
+        the road (`icp`).
     observable : bool
         Whether the scene fixes all six components.
     recording : str
         File name of the recording that gave the pose, where several were tried.
     eigenvalues : tuple of float
-        Of the data's information about the pose, ascending, 1/m^2.
+        Eigenvalues of the data's information about the pose, ascending, 1/m^2.
     hypotheses : tuple of (easting, northing, yaw_deg, loss)
-        What was tried, the best first.
+        The hypotheses, the best first.
     vehicles, samples : int
-        Moving objects and detections used.
+        Number of moving objects and of detections used.
     z_score : float
         By how many standard deviations the vehicles prefer the answer to the next hypothesis;
         infinite where there is none.
     traces : (n, 3) array
         The detections used, sensor frame.
     range_rate : (n,) array
-        Theirs, m/s; NaN for `icp`.
+        Range rates of the traces, m/s; NaN for `icp`.
     """
 
     pose: Pose
@@ -93,7 +93,7 @@ class Localization:
     range_rate: Floats = field(repr=False, default_factory=lambda: np.empty(0))
 
     def figures(self) -> Mapping[str, Any]:
-        """Return figures worth a look, by name."""
+        """Return the main figures of the answer, by name."""
         sigma = self.pose.evidence.get("sigma", {})
         look = self.pose.evidence.get("scan_check")
         return {
@@ -127,11 +127,11 @@ class Localization:
         Parameters
         ----------
         roads : LaneletMap, optional
-            Drawn under them: the lanes.
+            The lanes, drawn under the traces.
         road_points : (n, 3) array, optional
-            Drawn under them: the scanned road.
+            The scanned road, drawn under the traces.
         ax : matplotlib Axes, optional
-            In metres of the map; without it, those of a new figure.
+            Axes in metres of the map; by default those of a new figure.
 
         Returns
         -------
@@ -153,7 +153,7 @@ class Localization:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._title())
         for handle in legend_below(ax).legend_handles:  # on the map it would cover the road
             if hasattr(handle, "set_sizes"):
-                handle.set_sizes([18.0])  # points too small to tell their colours
+                handle.set_sizes([18.0])  # the traces' points would be too small to show colours
         return ax
 
     def _title(self) -> str:
@@ -189,7 +189,7 @@ class Localization:
 
 
 def range_scale_figures(pose: Pose) -> dict[str, Any]:
-    """Return the scale of range that a pose's evidence states, and its error, by name."""
+    """Return the scale of range in a pose's evidence, and its error, by name."""
     scale = pose.evidence.get("range_scale")
     if not isinstance(scale, Mapping):
         return {} if scale is None else {"range_scale": scale}
@@ -200,7 +200,7 @@ def range_scale_figures(pose: Pose) -> dict[str, Any]:
 
 
 class AmbiguousError(NoAnswerError):
-    """Several poses fit, and none clearly better than the others.
+    """Error of a localization in which several poses fit, none clearly better than the others.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class AmbiguousError(NoAnswerError):
         The poses, each as if it were the answer; the best first.
     """
 
-    def __init__(  # by the message alone, too: so errors come back from worker processes
+    def __init__(  # callable with the message alone: that is how errors are unpickled
         self, template: str, /, *values: Any, hint: str = "",
         answers: tuple[Localization, ...] = (),
     ) -> None:  # fmt: skip
@@ -240,9 +240,9 @@ def draw_localization(
     path : str or Path
         The picture; appears whole or not at all.
     look : ScanCheck, optional
-        Drawn beside it: what stands, over canopy, roofs and walls.
+        A scan check, drawn beside it: what stands, over canopy, roofs and walls.
     seen : (Sight, SightTiles), optional
-        Drawn beside it: which tiles the sensor sees from there, and which something hides.
+        The sensor's sight, drawn beside it: which tiles it sees from there, and which are hidden.
     """
     # not at the top: matplotlib is slow to load, and only pictures need it
     from matplotlib.text import Text  # noqa: PLC0415
@@ -256,7 +256,7 @@ def draw_localization(
     with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
         panels = figure.subplot_mosaic(rows)
         found.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
-        if len(beside) == 2:  # on a phone it is as wide as the others, so its words grow with it
+        if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters
             for text in panels["traces"].findobj(match=Text):
                 text.set_fontsize(LARGER * text.get_fontsize())
         if look is not None:
@@ -273,7 +273,7 @@ def draw_localization(
 
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:
-    """Return what a picture shows: nearly all traces and the sensor, with a margin."""
+    """Return the extent of a picture: nearly all traces and the sensor, with a margin."""
     low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - MARGIN_M
     high = np.maximum(np.percentile(traces[:, :2], 99.5, axis=0), place) + MARGIN_M
     return low, high
@@ -309,7 +309,7 @@ def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
 
 
 def _draw_traces(ax: Any, traces: Floats, rate: Floats) -> None:
-    """Draw traces by whether they recede."""
+    """Draw traces, receding and approaching ones in different colours."""
     kinds = (
         (rate > 0.0, AWAY, "recedes"),
         (rate < 0.0, NEAR, "comes near"),
@@ -323,12 +323,12 @@ def _draw_traces(ax: Any, traces: Floats, rate: Floats) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Where a sensor is to be found.
+    """Problem of a localization: sensor, map, road and guess.
 
     Parameters
     ----------
     name : str
-        Of the sensor.
+        The sensor's name.
     roads : LaneletMap
         The lanes.
     road : (n, 3) array
@@ -338,7 +338,7 @@ class Problem:
     heading : float or None
         Yaw, radians, where one is known.
     evidence : dict
-        What every answer states besides its own.
+        Evidence that is added to every answer's own.
     """
 
     name: str
@@ -349,7 +349,7 @@ class Problem:
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
     def pose(self, state: State, evidence: Mapping[str, Any]) -> Pose:
-        """Return a state in local coordinates as a pose in the map."""
+        """Convert a state in local coordinates to a pose in the map."""
         yaw, pitch, roll = (float(angle) for angle in np.degrees(state.yaw_pitch_roll))
         easting, northing = (float(v) for v in state.position[:2] + self.guess[:2])
         return Pose(

@@ -1,4 +1,4 @@
-"""Rival explanations of a sensor's traffic, and how well the lanes bear each of them out."""
+"""Rival explanations of a sensor's traffic, and scores of how well they fit the lanes."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from gis_radar.calibration.range_scale import ABSOLUTE, UnitMistake
 from gis_radar.calibration.traces import thin
 from gis_radar.poses import Pose
 
-# A detection is of a vehicle on a lane, anywhere on its width, with edges as soft as poses, maps
-# and bearings (1 sigma: metres, and as a share of the range) are; or of anything else, anywhere.
+# A detection is of a vehicle, anywhere on the width of a lane whose edges are blurred by errors of
+# poses, maps and bearings (1 sigma: metres, and share of the range); or of anything else.
 EDGE_M, EDGE_SHARE = 0.5, 0.01
-OTHERS = 0.1
-AREA_M = 8.0  # width and height over which these spread
-# Heights over the road at which vehicles reflect, and how these and elevations differ.
+OTHERS = 0.1  # share of detections of anything else
+AREA_M = 8.0  # width and height over which these spread evenly
+# Mean height of reflections over the road; 1 sigma of it, and of elevation as a share of the range.
 REFLECTION_M, HEIGHT_M, HEIGHT_SHARE = 0.7, 1.0, 0.012
-FARTHEST_M = 20.0  # a pose that is searched is found from 15 m off; farther is another place
-SAME_M = 0.3  # around places so near, lanes are sampled once: the poses of a track
+FARTHEST_M = 20.0  # the search finds poses up to 15 m off; farther off is another place
+SAME_M = 0.3  # places so near, as the poses of a pose track, share sampled lanes
 LANES_KEPT = 4  # places around which the lanes are held at once, 25 MB each
 # Poses so near to each other are one (metres; degrees of yaw, pitch, roll: of a rough search).
 SAME_PLACE_M, SAME_DEG, TURNS = 2.0, (2.0, 3.0, 5.0), ("yaw", "pitch", "roll")
-# Who errs in place or yaw keeps the other, to what a search leaves open: metres, degrees.
+# A single mistake changes place or yaw, and the other by the error of a search at most.
 ONE_MISTAKE_M, ONE_MISTAKE_DEG = 3.0, 3.0
-SEARCHED = 3  # of the poses that a search finds, the likeliest
-STEP_DEG, NEAR_DEG = 10.0, 20.0  # of yaws at random; one so near to the given one is no other
+SEARCHED = 3  # number of likeliest poses taken from a search
+STEP_DEG, NEAR_DEG = 10.0, 20.0  # step of random yaws, and their least distance from the given yaw
 
 
 class Axes(Enum):
@@ -56,28 +56,28 @@ class Axes(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Rival:
-    """An explanation of what a sensor recorded: which pose and which axes are right.
+    """Rival explanation of a sensor's recording: which pose and which axes are right.
 
     Parameters
     ----------
     cause : str
-        What would be wrong, for a message; empty for what is given.
+        The mistake, for a message; empty for what is given.
     advice : str
-        What to do then.
+        How to correct it.
     turned : callable
-        Takes a pose as given to the right one.
+        Returns the right pose for a given one.
     axes : Axes
-        How x, y, z of the recording become x forward, y left, z up.
+        Columns and signs of the recording that are x forward, y left, z up.
     against : bool
         Whether lanes are driven against their direction.
     heights : bool
         Whether heights over the road count.
     scale : float
-        By how much ranges are too long.
+        Factor by which ranges are too long.
     signless : bool
         Whether range rates have lost their sign.
     fitted : int
-        How many of its numbers were fitted to the traffic: none of a mistake with a name.
+        How many of its numbers were fitted to the traffic; 0 for a named mistake.
     """
 
     cause: str = ""
@@ -92,24 +92,24 @@ class Rival:
 
     @property
     def searched(self) -> bool:
-        """Whether a search found the pose."""
+        """Whether its pose was found by a search."""
         return self.fitted > 1
 
     def off(self, pose: Pose) -> tuple[float, float]:
-        """Return how far a pose is off, metres, and turned, degrees, if it is right."""
+        """Return by how many metres and degrees a pose is off, if this explanation is right."""
         there = self.turned(pose)
         turn = (there.yaw - pose.yaw + 180.0) % 360.0 - 180.0
         return float(np.hypot(*(there.position - pose.position)[:2])), turn
 
     def twofold(self, pose: Pose) -> bool:
-        """Return whether it takes two mistakes at once, of place and yaw: as another place does."""
+        """Return whether it assumes two mistakes at once, of place and of yaw."""
         off_m, turn = self.off(pose)
         return self.searched and off_m > ONE_MISTAKE_M and abs(turn) > ONE_MISTAKE_DEG
 
     def same_as(self, other: Rival, pose: Pose) -> bool:
-        """Return whether two explanations of one pose differ by no more than is measured.
+        """Return whether two explanations of one pose differ by no more than a search's error.
 
-        All searched places with the yaw as given are one: along a street they are open.
+        All searched places with the given yaw are one, as the place along a street is not fixed.
         """
         here, there = self.turned(pose), other.turned(pose)
         turns = [
@@ -122,7 +122,7 @@ class Rival:
         return alike and ((apart_m < SAME_PLACE_M and all(turns)) or aside)
 
     def by(self, pose: Pose, there: Pose) -> Rival:
-        """Return the same explanation with all poses changed as one is to another."""
+        """Return the explanation that all poses change as `pose` does to `there`."""
         names = ("easting", "northing", "height", "yaw", "pitch", "roll")
         step = {name: getattr(there, name) - getattr(pose, name) for name in names}
         return replace(
@@ -145,14 +145,14 @@ MIRRORED = Rival(
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How well the lanes bear out an explanation.
+    """Score of how well an explanation fits the lanes.
 
     Parameters
     ----------
     fit : (v,) array
         Mean log likelihood of the detections of each vehicle.
     on : (v,) array
-        Share of its detections that are rather on a lane than anywhere.
+        Share of each vehicle's detections that are likelier on a lane than elsewhere.
     over : (n,) array
         Height of each detection over its lane, metres; NaN where there is none.
     """
@@ -178,14 +178,14 @@ class Score:
 
 @dataclass(frozen=True, kw_only=True)
 class LaneMap:
-    """Lanes of a site, sampled around a place when they are first asked for.
+    """Lanes of a site, sampled around a place when they are first needed.
 
     Parameters
     ----------
     lanelets : GeoDataFrame
         As in :class:`gis_radar.hdmap.LaneletMap`.
     road : (n, 3) array
-        Points of the road's surface, which give heights.
+        Points of the road's surface in the map's CRS, metres; they give the heights.
     """
 
     lanelets: gpd.GeoDataFrame
@@ -198,7 +198,7 @@ class LaneMap:
         return float(np.ceil((excerpt.reach_m + MARGIN_M) / 10.0) * 10.0)
 
     def around(self, pose: Pose, reach_m: float) -> Lanes | None:
-        """Return the lanes within reach of a pose; None where there is none."""
+        """Return the lanes within reach (m) of a pose; None where there is none."""
         key = pose.easting, pose.northing, reach_m
         for east, north, reach in self.kept:
             if reach == reach_m and np.hypot(east - key[0], north - key[1]) < SAME_M:
@@ -216,15 +216,15 @@ class LaneMap:
 
 
 def score(excerpt: Excerpt, lanes: LaneMap, rival: Rival = GIVEN) -> Score:
-    """Return how well lanes bear out an explanation of what moved.
+    """Score how well an explanation of the traffic fits the lanes.
 
-    Every explanation is a mixture: a detection is of a vehicle on a lane that moves along it, in
-    its direction and no faster than one drives, or of anything else. Each vehicle counts once.
+    The likelihood is a mixture: a detection is of a vehicle that moves along a lane, in its
+    direction and below its top speed, or of anything else. Each vehicle counts once.
 
     Parameters
     ----------
     excerpt : Excerpt
-        What moved.
+        The sensor's traffic.
     lanes : LaneMap
         The map.
     rival : Rival
@@ -257,7 +257,7 @@ def score(excerpt: Excerpt, lanes: LaneMap, rival: Rival = GIVEN) -> Score:
 def _compared(
     points: Floats, rate: Floats, pose: Pose, lanes: Lanes, *, heights: bool
 ) -> tuple[Floats, Booleans, Floats]:
-    """Return log likelihood, whether on a lane, and height over it, of each detection."""
+    """Return each detection's log likelihood, whether it is on a lane, and its height over it."""
     here = pose.to_map(points) - [*lanes.origin, 0.0]
     arm = here - (pose.position - [*lanes.origin, 0.0])
     reach, flat = np.linalg.norm(arm, axis=1), np.hypot(*arm[:, :2].T)
@@ -282,7 +282,7 @@ def _compared(
 def ways_to_be_wrong(
     excerpt: Excerpt, others: Mapping[str, Pose], units: Sequence[UnitMistake] = ()
 ) -> list[Rival]:
-    """Return the explanations that a site knows beside the given one.
+    """Return explanations by usual mistakes, and by the poses of the site's other sensors.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def ways_to_be_wrong(
 
 
 def signs_lost(excerpt: Excerpt) -> Rival | None:
-    """Return that range rates have lost their signs; None where both signs are there."""
+    """Return the explanation that range rates lost their signs; None where both signs occur."""
     if (excerpt.range_rate > 0.0).all() or (excerpt.range_rate < 0.0).all():
         return Rival(cause=ABSOLUTE.looks, advice=ABSOLUTE.advice, signless=True)
     return None
@@ -350,7 +350,7 @@ def _of_another(name: str, other: Pose) -> Rival:
 
 
 def other_yaws(pose: Pose) -> Iterator[Rival]:
-    """Yield explanations with another yaw, all around: what they explain is chance."""
+    """Yield explanations with other yaws all around; what these explain is chance."""
     for turn in np.arange(NEAR_DEG, 360.0 - NEAR_DEG + 0.1, STEP_DEG).tolist():
         yield GIVEN.by(pose, replace(pose, yaw=pose.yaw + turn))
 
@@ -382,7 +382,7 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
                 pose, easting=float(place[0]), northing=float(place[1]), height=float(place[2]),
                 yaw=yaw, pitch=pitch, roll=roll,
             )  # fmt: skip
-            # down a street the place is open: one mistake may explain as much as two
+            # the place along a street is not fixed: one mistake may explain as much as two
             turned = replace(pose, yaw=yaw)
             aside = replace(there, yaw=pose.yaw, pitch=pose.pitch, roll=pose.roll)
             for each in (turned, aside, there):
@@ -392,7 +392,7 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
 
 
 def moved(pose: Pose, there: Pose) -> Rival:
-    """Return the explanation that a sensor stands or looks elsewhere."""
+    """Return the explanation that a sensor has the pose `there` instead."""
     off_m, turn = GIVEN.by(pose, there).off(pose)
     return Rival(
         cause=Text("its pose is off by {:.1f} m and {:.1f} deg", off_m, abs(turn)),
@@ -404,7 +404,7 @@ def moved(pose: Pose, there: Pose) -> Rival:
 
 
 def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
-    """Return explanations by a height or a pitch that is off as the heights over the road show.
+    """Return explanations by a wrong height or pitch, estimated from heights over the road.
 
     Parameters
     ----------
@@ -431,7 +431,7 @@ def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
 
 
 def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
-    """Return what moves along lanes, for the comparison of clocks.
+    """Return the detections that move along lanes, for the comparison of clocks.
 
     Parameters
     ----------
@@ -455,9 +455,9 @@ def on_lanes(excerpt: Excerpt, lanes: LaneMap) -> LaneDetections:
 
 
 def best_split(driving: Booleans, least: int) -> tuple[int, float]:
-    """Return where a share changes most clearly, and the log likelihood ratio over no change.
+    """Return the index where a share changes most clearly, and its log likelihood ratio.
 
-    Either side has so many at least.
+    Either side has at least `least` vehicles; the ratio is over no change.
     """
     count, total = len(driving), int(driving.sum())
     before = np.arange(least, count - least + 1).astype(np.float64)

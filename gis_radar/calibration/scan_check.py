@@ -1,7 +1,7 @@
 """Check a pose by what stands around the sensor, independently of lanes and traffic.
 
-A pose is scored by how well what stands in a recording fits a scan, and so are poses moved and
-turned.
+The score of a pose is how well what stands in a recording fits a scan; it is compared with the
+scores of poses moved and turned from there.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from gis_radar.scans import box_with_margin, open_scan
 # Standard deviation of a detection's distance from its structure: a radar sees a wall, the scan the
 # edge of its roof.
 CLOSE_M = 0.75
-LANE_M, ASKEW_DEG = 3.0, 3.0  # from here on a pose is another one: a lane's width
-# By so much another pose must be better for `doubts` (chance is one in 700), and the pose better
-# than all others for `confirms` (one in 40).
+LANE_M, ASKEW_DEG = 3.0, 3.0  # a pose moved (a lane's width) or turned so far is another pose
+# Standard deviations by which another pose must be better for `doubts` (by chance one in 700), and
+# the pose better than all others for `confirms` (one in 40).
 BETTER_SIGMAS, CLEAR_SIGMAS = 3.0, 2.0
 LEAST_CELLS = 60  # with fewer cells there is nothing to compare
 LEAST_COVERED = 0.5  # share of the cells that the scan must cover
-COARSE_CELLS = 2  # the search over all headings has cells so many times wider
-# Its step of heading, degrees, and its reach ahead and aside, metres.
+COARSE_CELLS = 2  # width of the cells in the search over all headings, in cells
+# Step of heading of that search, and its reach ahead and aside.
 TURN_DEG = 1.0
 SHIFT_M = 10.0
-CANDIDATES = 8  # so many of its peaks are refined
+CANDIDATES = 8  # peaks of that search that are refined
 # Steps of the hill climbing, metres and degrees.
 CLIMBING_STEPS: tuple[tuple[float, float], ...] = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))
-# Up to here a pose is the same one: nearer to this lane than to the next.
+# A pose moved and turned by less is the same one: nearer to this lane than to the next.
 SAME_M = 1.75
 SAME_DEG = 1.5
 LEAST_PATCHES = 12  # with fewer patches there is nothing to compare
@@ -61,14 +61,14 @@ UNCLEAR = Text("nothing to compare")
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOffset:
-    """A pose beside the answer, and how well it fits.
+    """Offset of a pose from the answer, and how well it fits there.
 
     Parameters
     ----------
     ahead_m, left_m : float
-        How far it is moved, as the sensor looks.
+        Shift ahead and to the left, in the direction in which the sensor looks.
     turn_deg : float
-        How far it is turned about the sensor, counter-clockwise, -180 to 180.
+        Turn about the sensor, counter-clockwise, -180 to 180.
     score : float
         0 to 1; see :class:`Alignment`.
     """
@@ -80,12 +80,12 @@ class PoseOffset:
 
     @property
     def place(self) -> tuple[float, float, float]:
-        """Metres ahead and left, and degrees."""
+        """The offset as (ahead in m, left in m, turn in degrees)."""
         return self.ahead_m, self.left_m, self.turn_deg
 
     @property
     def shift_m(self) -> float:
-        """How far it is moved."""
+        """Distance by which the pose is moved, metres."""
         return float(np.hypot(self.ahead_m, self.left_m))
 
     def words(self) -> str:
@@ -93,7 +93,7 @@ class PoseOffset:
         return Text("{:.1f} m and {:.1f} deg away", self.shift_m, abs(self.turn_deg))
 
     def beyond(self, shift_m: float, turn_deg: float) -> bool:
-        """Return whether it is moved or turned so far."""
+        """Return whether it is moved by `shift_m` or turned by `turn_deg`, or more."""
         return self.shift_m >= shift_m or abs(self.turn_deg) >= turn_deg
 
 
@@ -102,17 +102,17 @@ HERE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Alignment:
-    """What stands, compared with a scan.
+    """Comparison of what stands with a scan.
 
-    The score of a pose is the mean over the standing cells of `exp(-d^2 / 2 close_m^2)`, `d` their
-    distance to the next structure of the scan: the share that is where it should be.
+    The score of a pose is the mean over the standing cells of `exp(-d^2 / 2 CLOSE_M^2)`, with `d`
+    their distance to the nearest structure of the scan: about the share of them that fits.
 
     Parameters
     ----------
     standing : Standing
-        The cells, in the level frame of the answer.
+        The standing cells, in the level frame of the answer.
     closeness : (n, n) array
-        That value for each cell of the frame.
+        That exponential for each cell of the frame, 0 to 1.
     """
 
     standing: Standing = field(repr=False)
@@ -142,18 +142,18 @@ class Alignment:
 
     @property
     def here(self) -> PoseOffset:
-        """The answer itself."""
+        """The answer itself as an offset."""
         return self.offset(HERE)
 
     def z_score(self, one: PoseOffset, other: PoseOffset) -> float:
         """Return by how many standard deviations what stands prefers one offset to another.
 
-        Neighbouring cells show one wall or one tree, so they vote in patches.
+        Neighbouring cells show one wall or one tree, so patches of them are the units.
         """
         return self._vote(self.at(one.place) - self.at(other.place))
 
     def over(self, chance: float) -> float:
-        """Return by how many standard deviations the answer's score is over another one."""
+        """Return by how many standard deviations the answer's score is above `chance`."""
         return self._vote(self.at(HERE) - chance)
 
     def _vote(self, gain: Floats) -> float:
@@ -183,7 +183,7 @@ class Alignment:
         return np.asarray(_scores(self, [0.0])[0])
 
     def explored(self) -> tuple[list[PoseOffset], float]:
-        """Return the best offsets far from each other in all headings, and the mean of all."""
+        """Return the best offsets apart from each other in all headings, and the mean score."""
         turns = np.arange(-180.0, 180.0, TURN_DEG)
         scores = _scores(self, turns.tolist(), COARSE_CELLS)
         size = (7, 5, 5)
@@ -223,7 +223,7 @@ def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -
         place = np.floor(points @ turn / cell_m + size / 2.0).astype(np.int64)
         count = np.bincount(place[:, 0] * side + place[:, 1], minlength=side**2)
         image = scipy.fft.rfft2(count.astype(np.float32).reshape(side, side))
-        rows = scipy.fft.ifft(spectrum * np.conj(image), axis=0)[reach]  # others are not asked for
+        rows = scipy.fft.ifft(spectrum * np.conj(image), axis=0)[reach]  # only shifts within reach
         found = scipy.fft.irfft(rows, side, axis=1)[:, reach]
         scores.append(np.asarray(found, np.float64) / len(points))
     return np.stack(scores)
@@ -231,7 +231,7 @@ def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ScanCheck:
-    """What stands around a sensor, compared with an airborne scan at a pose, and the verdict.
+    """Scan check of a pose: what stands around the sensor, compared with a scan, and the verdict.
 
     The score is the share of what stands (cells of half a metre) that is on canopy and walls of
     the scan. It does not measure height, roll and pitch.
@@ -239,11 +239,11 @@ class ScanCheck:
     Parameters
     ----------
     pose : Pose
-        The pose that was looked at.
+        The pose that was checked.
     verdict : str
         `confirms`, `doubts` or `nothing to compare`.
     reason : str
-        Why, in one line.
+        The reason for the verdict, in one line.
     score : float
         Score at the pose, 0 to 1; NaN where there was nothing to compare.
     chance : float
@@ -251,18 +251,18 @@ class ScanCheck:
     best : PoseOffset, optional
         Where the score is highest, near the pose or up to 10 m ahead and aside, in all headings.
     rival : PoseOffset, optional
-        The best one a lane (3 m) or 3 degrees and more away from the pose.
+        The best offset a lane (3 m) or 3 degrees or more away from the pose.
     z_score : float
         By how many standard deviations what stands prefers the pose to `rival`; negative where it
         prefers the rival, infinite where there is none.
     standing : Standing
         What stands, in the level frame of the pose.
     closeness : (n,) array
-        How close each of its cells is to a structure, 0 to 1; the score is the mean.
+        Closeness of each standing cell to a structure, 0 to 1; the score is the mean.
     covered : float
-        Share of those cells over which the scan has points.
+        Share of the standing cells over which the scan has points.
     structure : Structure
-        What the scan shows.
+        The structures of the scan.
     surface : (k, k) array
         Scores at the pose's heading, (ahead, left) every 0.5 m from -10 to 10 m.
     range_m : float
@@ -338,9 +338,9 @@ def require_scans_near(
     crs : CRS
         The map frame.
     place : (easting, northing, ...)
-        About where the sensor is, metres.
+        Approximate place of the sensor, metres.
     name : str
-        What the message calls it.
+        The sensor's name in the message.
 
     Raises
     ------
@@ -350,7 +350,7 @@ def require_scans_near(
     """
     reach_m = MOST_REACH_M
     box = box_with_margin((place[0], place[1], place[0], place[1]), reach_m)
-    # each is opened, so that a bad one is refused at once
+    # all are opened, so that a damaged one is refused at once
     near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
     if not any(near):
         raise _elsewhere(scans, reach_m, name, place, crs)
@@ -391,7 +391,7 @@ def check_against_scan(
     Parameters
     ----------
     recording : str, Path or Recording
-        What the sensor recorded; its last 2000 frames count.
+        The sensor's recording; its last 2000 frames count.
     pose : Pose
         The pose to check.
     scans : sequence of paths
@@ -399,7 +399,7 @@ def check_against_scan(
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
     reporter : Reporter
-        Where progress and the verdict go.
+        Receives progress and the verdict.
 
     Returns
     -------
@@ -431,7 +431,7 @@ def check_against_scan(
 
 
 def _too_little(slow: Slow, found: Standing, structure: Structure) -> str:
-    """Return why there is nothing to compare, or nothing."""
+    """Return why there is nothing to compare; empty where there is enough."""
     if len(slow.points) == 0:
         return "the recording has no still detections with an elevation"
     if len(found) < LEAST_CELLS or found.patches < LEAST_PATCHES:

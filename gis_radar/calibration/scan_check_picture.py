@@ -24,18 +24,18 @@ ON, LEAVES, OFF, SENSOR = "#1e1b6b", "#0e93c9", "#dc2626", "#111827"
 BARE, UNSEEN = "#f4f2ec", "#ffffff"
 CANOPY, ROOF, TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3", "#83997a")
 WALL = "#6b5c4f"
-RUSTLING = 0.15  # share of a cell's detections
-FITS = 0.3
-LINE, LEGEND_LINE = 46, 22  # letters of title and legend beside each other
+RUSTLING = 0.15  # share of a cell's detections that move like leaves, from which on it is leaves
+FITS = 0.3  # closeness from which on a cell fits the scan
+LINE, LEGEND_LINE = 46, 22  # letters in a line of the title, and of the legend in two columns
 
 
 def draw_scan_check(look: ScanCheck, path: str | Path) -> None:
-    """Draw what stands at the pose over the scan's canopy, roofs and walls (PNG).
+    """Draw what stands around the pose over the scan's canopy, roofs and walls (PNG).
 
     Parameters
     ----------
     look : ScanCheck
-        What was found.
+        The scan check.
     path : str or Path
         The picture; appears whole or not at all.
     """
@@ -113,7 +113,7 @@ def _draw_standing(ax: Axes, look: ScanCheck) -> list[Line2D]:
     kinds: tuple[tuple[Booleans, str, str, float, str], ...] = (
         (~off & ~leaves, ON, "o", 3.0, "stands"),
         (leaves, LEAVES, "o", 3.0, "moves in place, as leaves do"),
-        (off, OFF, "x", 9.0, "stands where the scan shows nothing"),  # told without its colour
+        (off, OFF, "x", 9.0, "stands where the scan shows nothing"),  # a shape for the colour-blind
     )
     handles = []
     for which, colour, marker, size, label in kinds:
@@ -133,7 +133,7 @@ def _draw_standing(ax: Axes, look: ScanCheck) -> list[Line2D]:
 
 
 def _window(look: ScanCheck) -> tuple[Floats, Floats]:
-    """Return the corners of what is shown, a square around what stands and the sensor."""
+    """Return the corners of the picture, a square around what stands and the sensor."""
     place = look.pose.position[:2]
     if len(look.standing) == 0:
         half = len(look.structure.top) // 2 * CELL_M
@@ -147,7 +147,7 @@ def _window(look: ScanCheck) -> tuple[Floats, Floats]:
 
 
 def _corner(look: ScanCheck, low: Floats, high: Floats) -> tuple[float, float, float, float]:
-    """Choose the emptiest corner but the legend's for the inset."""
+    """Choose the emptiest corner, other than the legend's, for the inset."""
     size, gap = 0.24, 0.02
     corners = [(1.0 - size - gap, 1.0 - size - 2 * gap), (gap, 1.0 - size - 2 * gap),
                (1.0 - size - gap, 2 * gap)]  # fmt: skip

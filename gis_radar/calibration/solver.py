@@ -1,4 +1,4 @@
-"""The solver: robust least squares over all residuals, with a random effect a vehicle."""
+"""Solver: robust least squares over all residuals, with random effects of each vehicle."""
 
 from __future__ import annotations
 
@@ -39,35 +39,35 @@ STREET_M = 60.0  # length of a street section with a bias of its own
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Under which widths, and with how many steps, one call of the solver runs.
+    """Schedule of one call of the solver: how far spreads are widened, and how many steps.
 
     Parameters
     ----------
     scales_m : tuple of float
-        Widening of all spreads (root of squares), stage by stage. A fit comes back from about
-        twice the first scale; only with 0 last is it an optimum of the model itself.
+        Widening of all spreads (added in squares), stage by stage. A fit converges from about twice
+        the first scale; only with 0 last is it an optimum of the model itself.
     rounds : int
-        Most Gauss-Newton steps a stage.
+        Most Gauss-Newton steps in a stage.
     """
 
     scales_m: tuple[float, ...]
     rounds: int
 
 
-FAR = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)  # from a lane off
+FAR = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)  # for starts up to a lane off
 # A step shorter than either ends a stage: far below the noise.
 SETTLED_M = 5e-3
 SETTLED_SIGMAS = 0.02
-# Where no shorter step helps, one shorter than either is convergence too: it promised to lower
-# the cost by one at most, as faces that come and go make bumps of that size.
+# Where no shortened step lowers the cost, one shorter than either is convergence, too: the expected
+# gain was one at most, and changing faces make bumps of that size.
 AT_REST_M = 0.1
 AT_REST_SIGMAS = 1.5
-# A step that does not help is divided by SHRINK, down to this share.
+# A step that does not lower the cost is divided by SHRINK, down to this share.
 SHRINK = 3.0
 LEAST_SHARE = 0.05
-# Where the curvature is no minimum's, the share of the weights' information that counts.
+# Share of the weights' information that is used where the curvature is not positive definite.
 LEAST_CURVATURE = 0.05
-FLOOR = 1e-6  # information of what nothing fixes, 1/m^2: a kilometre
+FLOOR = 1e-6  # least information in any direction, 1/m^2: a kilometre
 
 FAMILIES = (lateral, height)
 # Constants of the model; the others are of the lateral family.
@@ -85,7 +85,7 @@ class Prior:
     mean : State
         The likeliest state.
     information : (7, 7) array
-        About it; inverse variances.
+        Information about the state; inverse variances.
     """
 
     mean: State
@@ -99,26 +99,26 @@ class Fit:
     Parameters
     ----------
     state : State
-        Where it is.
+        The optimum.
     information : (7, 7) array
-        Of the state, priors included.
+        Information about the state, the prior included.
     data_information : (7, 7) array
-        Of the samples alone, without the prior.
+        Information of the samples alone, without the prior.
     scores : (tracks, 7) array
         Gradient of each vehicle's rows, for the cluster-robust covariance; zeros beyond the last.
     habits : float
-        Variance of the loss by where the drivers of each street keep in their lanes, all alike.
+        Variance of the loss by an offset in the lane that all drivers of a street share.
     biases : (biases, 7) array
-        How much a standard deviation of each bias that vehicles share changes the gradient: of map
+        Change of the gradient by one standard deviation of each bias that vehicles share: of map
         and scan on a street section in one direction, of all drivers on a lane.
     cost : float
-        Negative logarithm of the likelihood of everything, up to a constant.
+        Negative log likelihood of data and prior, up to a constant.
     loss : (n,) array
-        Lateral loss of each sample, a negative logarithm of likelihood, weighted.
+        Lateral loss of each sample, a weighted negative log likelihood.
     aside : (tracks,) array
-        What each vehicle's own place in its lane costs, a negative logarithm of likelihood.
+        Negative log likelihood of each vehicle's own place in its lane.
     costs : (tracks,) array
-        What each vehicle costs in all, numbered as `scores`.
+        Negative log likelihood of all rows and random effects of each vehicle, as `scores`.
     on_lane : (n,) bool array
         Samples more likely on a vehicle in a lane than not.
     matches : Matches
@@ -128,8 +128,8 @@ class Fit:
     effects : list of (tracks, k) arrays
         Random effects of each vehicle on the residuals of each family, metres.
     considered : callable
-        Returns a (constants, 7) array: for each constant of the model how much its standard
-        deviation changes the gradient.
+        Returns a (constants, 7) array: the change of the gradient by one standard deviation of each
+        constant of the model.
     """
 
     state: State
@@ -164,19 +164,19 @@ def solve(
 ) -> Fit:
     """Find the pose near a start at which the traces lie on the lanes and on the road.
 
-    Gauss-Newton steps on the expectation over the faces that samples may lie on, with all spreads
-    widened at first, less and less, so that the optimum is found from afar.
+    Takes Gauss-Newton steps on the expectation over the faces that samples may lie on; all spreads
+    are widened at first, then less and less, so that the optimum is found from afar.
 
     Parameters
     ----------
     scene : Scene
         The map and the traces.
     start : State
-        Where to begin.
+        The start.
     prior : Prior
-        Of the state.
+        Prior of the state.
     schedule : Schedule
-        By how much all spreads are widened, stage by stage; by default from a lane off.
+        Widening of all spreads, stage by stage; by default for starts up to a lane off.
     model : Model
         How vehicles drive and reflect.
     """
@@ -185,14 +185,14 @@ def solve(
 
 @dataclass(frozen=True, kw_only=True)
 class Rest:
-    """Where a fit came to rest.
+    """State and cost at which a fit stopped.
 
     Parameters
     ----------
     state : State
         A local optimum.
     cost : float
-        As of a :class:`Fit`.
+        The cost, as in :class:`Fit`.
     """
 
     state: State
@@ -202,14 +202,14 @@ class Rest:
 def settle(
     scene: Scene, start: State, prior: Prior, *, schedule: Schedule, model: Model, hold: Floats
 ) -> Rest:
-    """Find a pose as :func:`solve` does, where nothing but its cost is asked for.
+    """Find a pose as :func:`solve` does, but return only its state and cost.
 
     Parameters
     ----------
     scene, start, prior, schedule, model
-        As of :func:`solve`.
+        As for :func:`solve`.
     hold : (7,) array
-        A combination of the state's parts that stays as it is at the start.
+        Weights of a linear combination of the state's components that is kept as at the start.
     """
     _, here, _ = _descended(scene, start, prior, schedule, model, hold)
     return Rest(state=here.point.state, cost=here.total)
@@ -218,7 +218,7 @@ def settle(
 def _descended(
     scene: Scene, start: State, prior: Prior, schedule: Schedule, model: Model, hold: Floats | None
 ) -> tuple[_Cost, _Here, bool]:
-    """Return the cost in the last stage, where it came to rest, and whether it did."""
+    """Return the cost function of the last stage, the point reached, and whether it converged."""
     point = _at_rest(scene, start)
     converged, lever_m = False, np.repeat([1.0, LEVER_M], 3)
     for scale_m in schedule.scales_m:
@@ -253,11 +253,11 @@ def cost_at(scene: Scene, state: State, *, model: Model = MODEL, scale_m: float 
     scene : Scene
         The map and the traces.
     state : State
-        Where the sensor is, and how vehicles reflect.
+        Pose of the sensor, and height of the reflections.
     model : Model
         How vehicles drive and reflect.
     scale_m : float
-        Widening of all spreads (root of squares).
+        Widening of all spreads (added in squares).
     """
     flat = Prior(mean=state, information=np.zeros((SIZE, SIZE)))
     point = _at_rest(scene, state)
@@ -271,7 +271,7 @@ class _Point:
 
 
 def _at_rest(scene: Scene, state: State) -> _Point:
-    """Return a state where all random effects are zero: of the vehicles, and of their spells."""
+    """Return the point of a state with all random effects, of vehicles and spells, at 0."""
     samples = scene.samples
     return _Point(state, [np.zeros((samples.tracks, 1)), np.zeros_like(samples.spell_reach)])
 
@@ -319,7 +319,7 @@ class _Cost:
         return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
 
     def compared(self, placed: Placed, matches: Matches) -> LaneComparison:
-        """Return what the residuals compare."""
+        """Return samples and lanes as the residuals compare them."""
         return LaneComparison(
             lanes=self.scene.lanes,
             placed=placed,
@@ -329,7 +329,7 @@ class _Cost:
         )
 
     def step(self, here: _Here) -> tuple[Floats, list[Floats], float]:
-        """Return the steps of the state and the random effects, and the first in sigmas."""
+        """Return the steps of state and random effects, and the state's step in sigmas."""
         normal = assemble(here.families, here.point.effects)
         information = normal.information + self.prior.information
         away = here.point.state.difference(self.prior.mean)
@@ -343,11 +343,11 @@ class _Cost:
 
 
 def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT001
-    """Return the evidence at a point."""
+    """Return the fit at a point, with its information and evidence."""
     across = here.families[0]
     effects = here.point.effects
     normal = assemble(here.families, effects, curved=True)
-    # where the curvature is no minimum's, a small part of the information of known faces counts
+    # a small share of the information with known faces, where the curvature is no minimum's
     known = assemble(here.families, effects).information + cost.prior.information
     information = at_least(
         normal.information + cost.prior.information,
@@ -374,7 +374,7 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
 
 
 def _costs(samples: Samples, here: _Here) -> Floats:
-    """Return what the rows and random effects of each vehicle cost; zeros beyond the last."""
+    """Return the cost of rows and random effects of each vehicle; zeros beyond the last."""
     costs = np.zeros(samples.tracks)
     for rows, effect in zip(here.families, here.point.effects, strict=True):
         costs += np.bincount(samples.track, rows.weight * rows.loss, minlength=samples.tracks)
@@ -397,7 +397,7 @@ def _habits(here: _Here, normal: Normal, street: Integers) -> float:
 
 
 def _considered(cost: _Cost, here: _Here) -> Floats:
-    """Return how the gradient changes by a standard deviation of each constant of the model.
+    """Return the change of the gradient by one standard deviation of each constant of the model.
 
     The gradient is the sum over the families, and each constant belongs to one of them.
     """
@@ -425,7 +425,7 @@ def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[
     matches : Matches
         The lane of each sample.
     offsets : (tracks, 7) arrays
-        As of :class:`gis_radar.calibration.residuals.Normal`.
+        As in :class:`gis_radar.calibration.residuals.Normal`.
     """
     lanes, (across, up) = scene.lanes, offsets
     sample = matches.lane[matches.found]
@@ -441,7 +441,7 @@ def _biases(scene: Scene, matches: Matches, offsets: Sequence[Floats]) -> tuple[
 
 
 def _sections(lanes: Lanes, sample: Integers) -> Integers:
-    """Return the number of the street section, in one direction, of samples of lanes."""
+    """Return for samples of lanes the number of their street section in one direction."""
     way = direction_bin(lanes.along[sample], LANE_BINS) // 2
     cell = np.floor(lanes.points[sample, :2] / STREET_M).astype(np.int64)
     low = cell.min(axis=0, initial=0)
@@ -450,7 +450,7 @@ def _sections(lanes: Lanes, sample: Integers) -> Integers:
 
 
 def _most_driven(samples: Samples, matches: Matches, keys: Integers) -> tuple[Integers, int]:
-    """Return the commonest key of each track's samples, by its number, and how many numbers."""
+    """Return the number of the commonest key of each track's samples, and how many there are."""
     numbers, number = np.unique(keys, return_inverse=True)
     count = len(numbers) + 1
     votes = np.bincount(
@@ -460,12 +460,12 @@ def _most_driven(samples: Samples, matches: Matches, keys: Integers) -> tuple[In
 
 
 def at_least(information: Floats, floor: Floats) -> Floats:
-    """Return an information that in no direction is below a positive definite floor."""
+    """Raise an information so that in no direction it is below a positive definite floor."""
     return _whitened(information, floor, np.maximum)
 
 
 def at_most(covariance: Floats, most: Floats) -> Floats:
-    """Return a covariance that in no direction is above another one."""
+    """Limit a covariance so that in no direction it is above another one."""
     return _whitened(covariance, most, np.minimum)
 
 

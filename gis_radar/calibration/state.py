@@ -1,4 +1,4 @@
-"""What a registration estimates: the pose, and how high vehicles reflect."""
+"""State of a registration: the pose, and the height at which vehicles reflect."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import scipy
 
 from gis_radar.base import Floats
 
-# The order of a step: metres, radians about the map's axes, then how high vehicles reflect.
+# Order of a step: metres, radians about the map's axes, height of reflections (m).
 NAMES = ("easting", "northing", "height", "turn_x", "turn_y", "turn_z", "reflection")
 SIZE = len(NAMES)
 POSE = slice(0, 6)
 TURN = slice(3, 6)
 REFLECTION = 6
 SMALL = 1e-12
-LEVER_M = 50.0  # a turn counts as the metres by which it moves what is so far off: usual traces
+LEVER_M = 50.0  # a turn counts in metres at this distance, which is that of usual traces
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +75,8 @@ class State:
 def _matrix(turn: Floats) -> Floats:
     """Return the rotation matrix of a rotation vector (Rodrigues).
 
-    The solver turns and compares thousands of times: scipy's rotations, made for many at once,
-    would take a tenth of its time.
+    The solver calls this thousands of times: scipy's rotations, made for arrays of them, would take
+    a tenth of its time.
     """
     x, y, z = turn.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
@@ -90,7 +90,7 @@ def _turn(matrix: Floats) -> Floats:
     """Return the rotation vector of a rotation matrix, by its quaternion (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
     w = 1.0 + a + e + i
-    # four times each quaternion by its own component: the one with the largest is exact
+    # four times the quaternion times each of its components: the largest component is most exact
     each = (
         (h - f, c - g, d - b, w),
         (1.0 + a - e - i, b + d, c + g, h - f),

@@ -1,14 +1,13 @@
 """Detect small moves of a sensor by the stationary targets around it.
 
-Walls, posts, signs, kerbs and parked cars return in frame after frame. Where such a target stands
-in the sensor's own frame changes only if the sensor does: a move by `d` and a turn by `w` put what
-was at `a` to `a - d - w x a`. Each target wanders by itself, too, over seconds (neighbours and the
-ground add to its angles), and it may be a car that leaves. So targets are the units: the part of
+Walls, posts, signs, kerbs and parked cars return in frame after frame. The place of such a target
+in the sensor's own frame changes only if the sensor moves: a move by `d` and a turn by `w` take it
+from `a` to `a - d - w x a`. Each target also wanders by itself over seconds (neighbours and the
+ground distort its angles), and it may be a car that leaves. So targets are the units: the part of
 their displacements that no common move explains is their noise, whatever its cause and duration,
 and is measured in the same comparison.
 
-Memory is that of a block of detections, a map of hits in range and azimuth, and some hundred
-targets.
+Memory holds a block of detections, a map of hits in range and azimuth, and some hundred targets.
 """
 
 from __future__ import annotations
@@ -25,74 +24,73 @@ from gis_radar.calibration.alarm import Displacement
 from gis_radar.calibration.kalman_filter import DRIFT, HOUR_S, KNOCK
 from gis_radar.calibration.traces import MIN_SPEED_MPS
 
-# Hits are mapped by range and azimuth up to there, in such cells: finer than a target's wander.
+# Reach and cells of the map of hits by range and azimuth: finer than a target's wander.
 REACH_M = 300.0
 CELL_M = 0.2
 CELL_RAD = math.radians(0.4)
 # *Recorded* is on recordings of an ARS548 (a target repeats to 0.01 m, 0.05 and 0.1 to 2 degrees;
 # over seconds it wanders by 0.1 m, 0.15 and 1 degree), *measured* on `bench/alarm.py`.
-BLOCK_S = 20.0  # the place of a target is its median over so long: a shake is shorter; four cycles
-SEARCH_BLOCKS = 15  # new targets are looked for every so many blocks, five minutes
-# The mean forgets within so many blocks, 10 minutes: twice what is tested; over an hour the drift
-# allowed to a mast would hide half a degree.
+BLOCK_S = 20.0  # length of a block, over which places are medians: longer than a shake; four cycles
+SEARCH_BLOCKS = 15  # blocks between searches for new targets: five minutes
+# Time constant, in blocks, of the mean places: 10 minutes, twice the longest test; over an hour the
+# allowed drift of a mast would hide half a degree.
 REFERENCE_BLOCKS = 30
 BLOCKS = (6, 15)  # newest blocks that are tested for a move, longer than any gust
 LEAST_TARGETS = 12  # fewer contradict nothing
-WANTED_M, WANTED_RAD = 0.3, math.radians(0.5)  # the move to be noticed, in the plane, of an angle
+WANTED_M, WANTED_RAD = 0.3, math.radians(0.5)  # move in the plane and turn that must be noticed
 # Score beyond which a move is noticed, from 120 hours of changing days of one radar
 # (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
 GATE = 28.0
-FIRST_SEARCH = 6  # blocks after which targets are looked for: two minutes
-# Hits a frame that make a target. Recorded: cells hit in half of the frames or more hold 46 to 84
-# % of the still detections.
+FIRST_SEARCH = 6  # blocks before the first search for targets: two minutes
+# Least hits a frame of a target. Recorded: cells hit in half of the frames or more hold 46 to 84 %
+# of the still detections.
 LEAST_RATE = 0.3
-# How far from its mean a detection is still of a target: three times its wander and the wanted
-# move, to either side; across it is the wanted move more.
+# Largest distance of a target's detection from its mean: three times the wander and the wanted
+# move, to either side; across the sight the wanted move once more.
 GATE_M = 0.7
 GATE_RAD = math.radians(1.0)
-# Targets stand at least so far apart: gates do not overlap at 100 m, and a parked car is two
-# targets at most.
+# Least distance between targets: gates do not overlap at 100 m, and a parked car is two targets at
+# most.
 APART_M = 3.0
-LEAST_SHARE = 0.5  # a target is seen in a block with that share of its usual hits
-GONE_BLOCKS = 180  # a target that was not seen for so many blocks, an hour, is dropped
-LEAST_AGE = 6  # blocks in a mean that counts; no verdict before seven minutes
-# So many tests in a row find a move that is one; the scatter of some dozen targets is a rough
-# figure, and in one test in some thousands far too small.
+LEAST_SHARE = 0.5  # least share of its usual hits with which a target is seen in a block
+GONE_BLOCKS = 180  # a target not seen for so many blocks, an hour, is dropped
+LEAST_AGE = 6  # least blocks in a mean that is used; no verdict before seven minutes
+# Tests in a row that must find a move: the scatter of some dozen targets is a rough figure, and in
+# one test in some thousands far too small.
 LASTING_BLOCKS = 3
-# A smaller share of all targets contradicts nothing: in snow, or after a blow that puts all beyond
+# A smaller share of all targets contradicts nothing: in snow, or after a blow that moves all out of
 # their gates.
 LEAST_PRESENT = 0.5
-# Recorded; only where the search for the common move begins.
+# Start values of the targets' wander in the search for the common move; recorded.
 WANDER_M = 0.1
 WANDER_RAD = (math.radians(0.15), math.radians(1.0))
-# No target repeats better than that, range, azimuth and elevation; what is recorded is stored in
-# steps of that size.
+# Least scatter of a target in range, azimuth and elevation: the resolution of recorded values.
 LEAST_SCATTER = (0.004, math.radians(0.005), math.radians(0.02))
-# From so many times the scatter on a target counts less (Cauchy's weight): a car that came where
-# another left.
+# Displacement in units of the scatter from which on a target counts less (Cauchy's weight): a car
+# that came where another left.
 OUTLIER = 2.0
 ROUNDS = 10  # of weights and scatter; both are settled after seven
-# Where a standard deviation is over that share of the move to be noticed, in the plane or of an
-# angle, vehicles are asked, too.
+# Where a standard deviation is above this share of the wanted move, in the plane or of an angle,
+# vehicles decide, too.
 SURE = 0.34
 
 NONE = -1
-PLANE_AND_ANGLES = [0, 1, 3, 4, 5]  # of a move: height alone moves nothing off its lane
+PLANE_AND_ANGLES = [0, 1, 3, 4, 5]  # components of a move; height alone moves nothing off its lane
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What targets show of a move between the blocks that were learnt and the newest ones.
+    """Verdict of the targets on a move between the learnt blocks and the newest ones.
 
     Parameters
     ----------
     found : Displacement
-        The likeliest move, in the sensor's frame: how far it is from no move as score, over how
-        long the newest places were taken.
+        The likeliest move, in the sensor's frame, with its score and the length of the newest
+        blocks.
     sees : bool
-        Whether a move of `wanted_m` in the plane or of `wanted_rad` about any axis could not hide.
+        Whether a move of `WANTED_M` in the plane or of `WANTED_RAD` about any axis would show.
     rests : bool
-        Whether there was no blow: a move as large as `KNOCK` could not hide, and
+        Whether there was no blow: a move as large as `KNOCK` would show, and
         none was found.
     """
 
@@ -109,12 +107,12 @@ def polar_of(points: Floats) -> Floats:
 
 
 def by_move(polar: Floats) -> Floats:
-    """Return by how much a move changes range, azimuth and elevation of targets, (n, 3, 6).
+    """Return the derivatives of range, azimuth and elevation of targets by a move.
 
     Parameters
     ----------
     polar : (n, 3) array
-        Where they are.
+        Range (m), azimuth and elevation (rad) of the targets.
 
     Returns
     -------
@@ -132,38 +130,38 @@ def by_move(polar: Floats) -> Floats:
 
 
 class StationaryTargets:
-    """Finds stationary targets of one sensor, and compares their newest places with earlier ones.
+    """Stationary targets of one sensor, whose newest places are compared with earlier ones.
 
-    Detections are pushed; every `block_s` seconds a block ends with the median place of each
-    target. The newest blocks wait, up to the longest that is tested; then they join the mean. What
-    is hit much and belongs to no target is looked for in the map of hits from time to time.
+    Detections are pushed; every `BLOCK_S` seconds a block ends with the median place of each
+    target. The newest blocks are kept apart for the tests; then they join the mean. From time to
+    time, places in the map of hits that are hit often and belong to no target become targets.
 
     Parameters
     ----------
     search_blocks : int
-        New targets are looked for every so many blocks.
+        Number of blocks between searches for new targets.
     """
 
     def __init__(self, *, search_blocks: int = SEARCH_BLOCKS) -> None:
         self._search_blocks = search_blocks
         self._batches: list[Floats] = []  # stationary detections since the last block: polar
-        self._frames = self._searched = self._blocks = 0  # of this block, of the map, ended
+        self._frames = self._searched = self._blocks = 0  # frames of block and map; ended blocks
         cells = (round(REACH_M / CELL_M), round(2 * np.pi / CELL_RAD))
         self._hits = np.zeros(cells, dtype=np.int64)
         self._recent: deque[Floats] = deque()  # places in the newest blocks, not yet in the mean
-        self.tested: list[Verdict] = []  # at the end of the last block
+        self.tested: list[Verdict] = []  # verdicts at the end of the last block
         self._scores = {n: deque[float](maxlen=LASTING_BLOCKS) for n in BLOCKS}
         self.know(np.empty((0, 3)), np.empty(0))
 
     def know(self, place: Floats, rate: Floats) -> None:
-        """Set the targets of this sensor; their mean places follow from what comes.
+        """Set the targets of this sensor; their mean places follow from later detections.
 
-        What was seen of others is forgotten.
+        Earlier targets and their blocks are forgotten.
 
         Parameters
         ----------
         place : (n, 3) array
-            About where they are: range (m), azimuth and elevation (rad).
+            Approximate range (m), azimuth and elevation (rad) of each.
         rate : (n,) array
             Hits a frame.
         """
@@ -183,7 +181,7 @@ class StationaryTargets:
         return len(self.place)
 
     def push(self, time: Floats, points: Floats, range_rate: Floats) -> None:
-        """Take the next detections.
+        """Add the next detections.
 
         Parameters
         ----------
@@ -192,7 +190,7 @@ class StationaryTargets:
         points : (n, 3) array
             Sensor frame, metres; NaN where a frame has none.
         range_rate : (n,) array
-            m/s.
+            Range rates, m/s.
         """
         still = np.abs(range_rate) <= MIN_SPEED_MPS
         polar = polar_of(points[still & np.isfinite(points).all(axis=1)])
@@ -204,7 +202,7 @@ class StationaryTargets:
         self.take(self.summary())
 
     def summary(self) -> Floats:
-        """Return the median place of each target since the last block, (targets, 3).
+        """Return the median range, azimuth, elevation of each target since the last block, (n, 3).
 
         It is NaN where a target is hidden or gone. All hits are mapped for the next search.
         """
@@ -221,7 +219,7 @@ class StationaryTargets:
         self._absent = np.where(there, 0.0, self._absent + 1.0)
         self._recent.append(seen)
         self._blocks += 1
-        # two thirds of a short past are learnt, so that there is something to compare with
+        # of a short past only a third is tested: two thirds are learnt, to compare with
         held = max(self._blocks // 3, BLOCKS[0])
         while len(self._recent) > min(held, BLOCKS[-1]):
             self._learn(self._recent.popleft())
@@ -283,7 +281,7 @@ class StationaryTargets:
         return label
 
     def _lasting(self, blocks: int) -> Verdict | None:
-        """Return the verdict of the newest blocks with the least of its last scores."""
+        """Return the verdict on the newest blocks, with the least of its last scores."""
         found, scores = self.verdict(blocks), self._scores[blocks]
         if found is None:
             scores.clear()
@@ -293,12 +291,12 @@ class StationaryTargets:
         return replace(found, found=replace(found.found, score=least))
 
     def verdict(self, blocks: int) -> Verdict | None:
-        """Return the likeliest move behind the newest blocks, or none where targets are too few.
+        """Return the verdict on the newest blocks, or None where targets are too few.
 
         Parameters
         ----------
         blocks : int
-            How many.
+            Number of newest blocks.
         """
         if len(self._recent) < blocks:
             return None
@@ -310,10 +308,10 @@ class StationaryTargets:
             return None
         gap = np.nanmean(newest[:, good], axis=0) - self.place[good]
         move, covariance = self._move(self.place[good], gap)
-        # from the middle of the newest blocks to that of the mean, which is no older than its age
+        # blocks from the middle of the mean, limited by its age, to the middle of the newest ones
         waiting = len(self._recent) - blocks
         lag = 0.5 * blocks + waiting + float(np.median(self._age[good]))
-        # a drift is nearly the same in all directions: the sensor's axes do
+        # a drift is nearly the same in all directions: the sensor's axes may replace the map's
         covariance = covariance + lag * BLOCK_S * np.diag(np.square(DRIFT) / HOUR_S)
         chi2 = float(move @ np.linalg.solve(covariance, move))
         count = int(good.sum())
@@ -333,7 +331,7 @@ class StationaryTargets:
         )
 
     def _move(self, place: Floats, gap: Floats) -> tuple[Floats, Floats]:
-        """Return the common move and its covariance; targets that go elsewhere weigh little."""
+        """Return the common move and its covariance; targets that move otherwise weigh little."""
         sigma = np.array([WANDER_M, *WANDER_RAD])
         least = np.array(LEAST_SCATTER)
         prior = np.diag(np.square(KNOCK) ** -1.0)

@@ -1,8 +1,8 @@
-"""What stands around a sensor stays: where it does not, from some moment on the sensor is another.
+"""Test whether what stands around a sensor stays in its place, or changes at some moment.
 
-Walls, posts and signs return in second after second at one place, whatever the traffic does and
-wherever lanes are. So it is noticed at night, too, that data are another sensor's from some moment
-on, or that a mast was turned whose pose was not.
+Walls, posts and signs return in second after second at one place, whatever traffic and lanes are.
+So it is noticed, at night, too, if data are another sensor's from some moment on, or if a mast was
+turned without a new pose.
 """
 
 from __future__ import annotations
@@ -15,30 +15,29 @@ from gis_radar.base import Booleans, Floats, Integers
 
 STILL_MPS = 0.15  # up to here nothing moves: the Doppler threshold of the comparison with scans
 CELL_M = 2.0  # side of a cell: targets wander by decimetres, poses of a track are corrected by less
-PART_S = 10.0  # two in a piece of an excerpt
-LEAST_PART_S = 5  # seconds with detections, under which a part tells nothing
-# Share of the seconds in which what stands is detected: parked cars and walls are in 46 to 84 % of
-# the frames, who waits or walks by is gone sooner.
+PART_S = 10.0  # length of a part of the time: two in a piece of an excerpt
+LEAST_PART_S = 5  # least seconds with detections of a part that is compared
+# Least share of the seconds of a part in which a standing cell is detected: parked cars and walls
+# are in 46 to 84 % of the frames, people who wait or walk by are gone sooner.
 STANDS = 0.4
-LEAST_CELLS = 30  # fewer may be a queue
-LEAST_PARTS = 2  # on either side, which must be alike
-# Of eleven sensors of four junctions 70 to 95 % of what stands in one part does in another, and 5
-# to 20 % of it is where something stands around another sensor. From a half of the usual share on
-# it is the same sensor.
+LEAST_CELLS = 30  # fewer standing cells may be a queue
+LEAST_PARTS = 2  # least parts on either side of a change, which must be alike
+# Of eleven sensors of four junctions 70 to 95 % of what stands in one part stands in another, and 5
+# to 20 % of it is where something stands around another sensor. Below STAYS of the usual share
+# the surroundings have changed.
 STAYS, ALIKE = 0.5, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stays:
-    """Whether what stands around a sensor stays where it is.
+    """Whether what stands around a sensor stays in its place.
 
     Parameters
     ----------
     until : float or None
-        The moment from which on nearly nothing does, UNIX seconds, to ten seconds; None where it
-        stays all along.
+        UNIX seconds, to ten seconds, from which on nearly nothing stays; None where all stays.
     share : float
-        Share of what stands that is where something stood before the moment, or at other times.
+        Share of what stands that also stood before that moment, or at other times.
     usual : float
         The same share between times on one side of the moment.
     """
@@ -49,16 +48,16 @@ class Stays:
 
 
 def compare_standing(time: Floats, places: Floats, range_rate: Floats) -> Stays | None:
-    """Return whether what stands stays where it is; None where too little stands to tell.
+    """Test whether what stands stays in its place; None where too little stands to tell.
 
     Parameters
     ----------
     time : (n,) array
-        Of detections, UNIX seconds, in order.
+        Times of detections, UNIX seconds, ascending.
     places : (n, 2) array
-        Where they are in the map, by the poses in force; rows that are not finite are left out.
+        Their places in the map by the poses in force, metres; rows not finite are left out.
     range_rate : (n,) array
-        Of them, m/s.
+        Their range rates, m/s.
     """
     still = np.flatnonzero(np.isfinite(places).all(axis=1) & (np.abs(range_rate) <= STILL_MPS))
     if len(still) == 0:
@@ -82,10 +81,10 @@ def compare_standing(time: Floats, places: Floats, range_rate: Floats) -> Stays 
 
 
 def _standing(time: Floats, places: Floats) -> tuple[Integers, Booleans]:
-    """Return numbers of the parts of the time, and in which cells something stands in each."""
+    """Return the numbers of the time's parts, and for each the cells where something stands."""
     second = np.floor(time - time[0]).astype(np.int64)
     cells = np.floor(places / CELL_M).astype(np.int64)
-    # a number for each: rows are sorted ten times as slowly
+    # one number for each cell: sorting rows of two takes ten times as long
     east, north = (cells - cells.min(axis=0)).T
     cell = np.unique(east * (int(north.max()) + 1) + north, return_inverse=True)[1]
     count = int(cell.max()) + 1
@@ -100,9 +99,9 @@ def _standing(time: Floats, places: Floats) -> tuple[Integers, Booleans]:
 
 
 def _shares(stands: Booleans) -> Floats:
-    """Return by pair of parts which share of what stands does in both: the larger of two shares.
+    """Return for each pair of parts the share of standing cells in common, the larger of the two.
 
-    So a lorry that stands before the sensor, and hides what does, changes nothing.
+    So a lorry that stops before the sensor, and hides what stands, changes nothing.
     """
     flags = stands.astype(np.float64)
     count = flags.sum(axis=1)

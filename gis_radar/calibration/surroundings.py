@@ -32,14 +32,14 @@ from gis_radar.scans import (
 # `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and beside it by up to
 # 0.10, with CLOSE_M doubled by 0.24.
 SLOW_MPS = 1.0  # largest absolute range rate of what stands: leaves rustle up to here
-# In so many of the 20 equal parts of the window a cell that stands is hit at least: what waits or
-# passes is not.
+# Least number of the SPANS equal parts of the window in which a standing cell is hit: people and
+# vehicles that wait or pass are hit in fewer.
 LEAST_SPANS = 8
-OVERHEAD_M = 2.0  # height from which on a detection counts: over parked cars, people, shrubs
-TALL_M = 2.5  # height from which on a step in the scan is a wall or a crown: over vans and hedges
+OVERHEAD_M = 2.0  # least height over the ground of detections: above parked cars, people, shrubs
+TALL_M = 2.5  # least height of a step in the scan at a wall or crown: above vans and hedges
 SPANS = 20  # equal parts of the window, in which hits of a cell are looked for
-PATCH_M = 8.0  # side of the squares that vote as one: a tree, or a piece of wall
-JUMP_CELLS = 3  # window in which the step is looked for, cells of 0.5 m
+PATCH_M = 8.0  # side of the patches that count as one: a tree, or a piece of wall
+JUMP_CELLS = 3  # window in which a step is looked for, cells of 0.5 m
 GAP_CELLS = 3  # holes of the scan up to so many cells are filled
 GROUND_CELLS = 4  # side of a cell of the ground, cells of 0.5 m
 WIDEST_ROOF_M = 40.0  # in scans without classes: opening that removes roofs from the ground
@@ -50,12 +50,12 @@ LEAST_GROUND = 0.01  # a scan with a smaller share of points in classes of groun
 class LevelFrame:
     """A level frame at a sensor, turned by its yaw, with the map's heights.
 
-    In it, nothing depends on where on earth a site is and how it is turned.
+    In this frame results do not depend on the site's place on earth and orientation.
 
     Parameters
     ----------
     pose : Pose
-        The sensor.
+        The sensor's pose.
     """
 
     pose: Pose
@@ -100,9 +100,9 @@ class Slow:
     rustles : (n,) bool array
         Whether they move like leaves rather than not at all.
     span : (n,) array
-        In which of the equal parts of the window they are.
+        Number of the equal part of the window, from 0.
     frames : int
-        Length of the window.
+        Length of the window, frames.
     range_m : float
         Slant range of 99.9 % of all detections of the recording, metres.
     """
@@ -115,7 +115,7 @@ class Slow:
 
     @property
     def reach_m(self) -> float:
-        """Distance of the 99th percentile, metres."""
+        """99th percentile of the distances, metres."""
         if len(self.points) == 0:
             return 0.0
         return float(np.percentile(np.linalg.norm(self.points, axis=1), 99.0))
@@ -123,14 +123,14 @@ class Slow:
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Cells of the plane over which something stands, in the level frame of a pose.
+    """Standing cells: cells of the plane over which something stands, in a pose's level frame.
 
     Parameters
     ----------
     points : (n, 3) array
         Mean place of the detections over each cell: ahead, left, height; metres.
     rustles : (n,) array
-        Share of them that move like leaves.
+        Share of these detections that move like leaves.
     """
 
     points: Floats
@@ -141,18 +141,18 @@ class Standing:
 
     @property
     def patch(self) -> Integers:
-        """Number of the square in which each cell is."""
+        """Number of the patch, a square of `PATCH_M`, in which each cell is."""
         squares = np.floor(self.points[:, :2] / PATCH_M).astype(np.int64)
         return np.asarray(np.unique(squares, axis=0, return_inverse=True)[1])
 
     @property
     def patches(self) -> int:
-        """How many such squares there are."""
+        """Number of patches."""
         return len(np.unique(self.patch))
 
 
 def read_slow(recording: str | Path | Recording, *, reporter: Reporter = QUIET) -> Slow:
-    """Read what hardly moves in the last frames of a recording, in bounded memory.
+    """Read the detections that hardly move in a recording's last frames, in bounded memory.
 
     Raises
     ------
@@ -200,13 +200,13 @@ def standing(
     ground : (cells, cells) array
         Height of the ground under the cells of that frame, NaN where unknown.
     reach_m : float
-        Farther away nothing counts.
+        Detections farther away are left out, metres.
     """
     points = level.from_sensor(slow.points)
     near = np.hypot(points[:, 0], points[:, 1]) < reach_m
     rows, columns = level.cells(points[near], len(ground))
     over = points[near, 2] - ground[rows, columns]
-    # far under the ground: in a house whose roof was taken for the ground
+    # far below the ground: in a house whose roof was taken for the ground
     tall = ~(np.abs(over) < OVERHEAD_M)
     points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
     cells, place = np.unique(rows[tall] * len(ground) + columns[tall], return_inverse=True)
@@ -228,11 +228,11 @@ class Structure:
     Parameters
     ----------
     top : (n, n) array
-        Height of the highest point, NaN where the scan has none.
+        Height of the highest point, metres; NaN where the scan has none.
     ground : (n, n) array
         Height of the ground, also under roofs and crowns; NaN far from any point.
     canopy, roof : (n, n) bool array
-        Plants of more than `TALL_M` and buildings, by their classes; nowhere without these.
+        Plants of more than `TALL_M` and buildings, by their classes; False without classes.
     edge : (n, n) bool array
         Where something rises by more than `TALL_M`: walls, rims of crowns.
     classified : bool
@@ -269,11 +269,11 @@ def read_structure(
     level : LevelFrame
         The level frame of the sensor's pose.
     reach_m : float
-        Up to how far from the sensor.
+        Radius around the sensor, metres.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
 
     Returns
     -------
@@ -326,7 +326,7 @@ def _structure(tops: ScanColumns, *, classified: bool) -> Structure:
 
 
 def _solid(cells: Booleans) -> Booleans:
-    """Return cells that are no strays: three or more of nine around."""
+    """Return the cells that are not isolated: three or more of the nine around are set."""
     around = scipy.ndimage.convolve(
         cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant"
     )

@@ -1,4 +1,4 @@
-"""Extract the traces of moving vehicles from a recording: window, tracks, samples."""
+"""Extract traces of moving vehicles from a window: link detections to tracks, thin to samples."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ FRAMES = 2000  # of the window, 100 s at 20 Hz (the paper's n_f)
 LEAST_FRAMES = 100  # fewer are refused: 5 s show no traffic
 MIN_SPEED_MPS = 0.15  # least absolute range rate of what moves (the paper)
 SEGMENT_S = 8.0  # a stream of vehicles that never breaks counts as several tracks of this length
-WALK_MPS = 2.7  # tracks that are slower by range rates and way may be of walkers, with their limbs
-MOST_SAMPLES = 6000  # in all; cost grows in proportion
+WALK_MPS = 2.7  # slower tracks, by range rates and by way, may be of walkers and their limbs
+MOST_SAMPLES = 6000  # most samples in all; cost grows in proportion
 LINK_S = 0.35  # longest gap in a track: a far vehicle is hit in every fourth frame or so
 RANGE_M = 1.5  # largest disagreement of range and Doppler: between the faces of one vehicle
-# Largest step across the sight: a vehicle's size, and a crossing speed the Doppler misses.
+# Largest step across the sight: a vehicle's size, and a crossing speed that the Doppler misses.
 ACROSS_M = 1.5
 ACROSS_MPS = 6.0
 RATE_MPS = 1.5  # largest difference of range rates in a track: a vehicle that turns
-# A track of fewer is a false alarm, a slow track of a shorter path is a leaf.
+# A track of fewer points is a false alarm, a slow track with a shorter path is a leaf.
 MIN_POINTS = 6
 MIN_PATH_M = 3.0
-SURE_MPS = 1.5  # median range rate that leaves stay below
-# Tracks no faster than one walks are left out where they are more than that share of all: up to
-# 0.11 in a gridlock, 0.2 and more with 48 walkers in view; as many as the fit takes for strays do
-# no harm.
+SURE_MPS = 1.5  # leaves have a lower median range rate
+# Share of all tracks from which on those no faster than walkers are left out: up to 0.11 in a
+# gridlock, 0.2 and more with 48 walkers in view; the fit takes a share as small for strays.
 CREEPING = 0.15
-# Voxels wider than a vehicle, in which so many samples keep its faces' proportion.
+# Voxels wider than a vehicle, and samples kept of a track in each: enough to keep the proportion
+# of its faces.
 VOXEL_M = 6.0
 PER_VOXEL = 8
 CROWD_M = 10.0  # length over which the samples of a vehicle share its swaying (`Model.wander`)
-# A track that begins where the last one of a hidden vehicle would be by then, within its length
-# and a growing error, is of the same vehicle.
+# A track that begins where a hidden vehicle would be by then, within the vehicle's length and a
+# growing error, is of that vehicle.
 HIDDEN_S = 6.0
 VEHICLE_M = 5.0
 STRAY_MPS = 1.0
-# Where a track begins and how it goes is taken over so long; of one vehicle's tracks the range
-# rates differ by no more: more than RATE_MPS, as it may turn while it is hidden.
+# Time over which begin and motion of a track are taken, and largest difference of range rates of
+# one vehicle's tracks: more than RATE_MPS, as it may turn while it is hidden.
 PACE_S = 0.5
 PACE_MPS = 3.0
-PACE_POINTS = 4  # fewer detections in PACE_S are no pace: of three the middle one may be a limb
-# Time over which they share an error of elevation (`Model.bent`), much shorter than the time in
-# which it changes.
+PACE_POINTS = 4  # least detections in PACE_S: the median of three may be a limb
+# Length of a spell, in which samples of a vehicle share an error of elevation (`Model.bent`): much
+# shorter than the time in which that changes.
 SPELL_S = 1.0
 
 
-NONE = -1
+NONE = -1  # track number of detections on no track
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +63,9 @@ class Moving:
     points : (n, 3) array
         Sensor frame, metres.
     range_rate : (n,) array
-        m/s, positive when receding.
+        Range rates, m/s, positive when receding.
     frames : int
-        How many frames the window holds.
+        Number of frames of the window.
     begin, end : float
         UNIX seconds of its first and last frame.
     """
@@ -88,24 +88,24 @@ class Moving:
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """Moving detections on tracks, thinned: what a registration works on.
+    """Samples of a registration: moving detections on tracks, thinned.
 
     Parameters
     ----------
     points : (n, 3) array
         Sensor frame, metres.
     range_rate : (n,) array
-        m/s.
+        Range rates, m/s.
     track : (n,) array
-        Number of the moving object, 0 to `tracks` - 1.
+        Number of the track, 0 to `tracks` - 1.
     tracks : int
-        How many objects there are.
+        Number of tracks.
     elevation : float
-        How far the view reaches up and down, radians: what hardly any detection exceeds.
+        Half of the vertical opening of the view, radians: hardly any detection exceeds it.
     spell : (n,) array, optional
-        In which spell of its object each was seen, counted from 0; without it in one.
+        Number of each sample's spell of `SPELL_S` in its track, from 0; by default all in one.
     vehicle : (tracks,) array, optional
-        Number of the vehicle of each track, from 0; without it each is one.
+        Number of the vehicle of each track, from 0; by default each track is one.
     """
 
     points: Floats
@@ -118,7 +118,7 @@ class Samples:
 
     @cached_property
     def crowd(self) -> Integers:
-        """How many samples of its own object are within the same `CROWD_M`, itself included."""
+        """Number of samples of the same track within the same `CROWD_M`, itself included."""
         cells = np.floor(self.points[:, :2] / CROWD_M).astype(np.int64)
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
@@ -126,23 +126,23 @@ class Samples:
 
     @cached_property
     def vehicles(self) -> Integers:
-        """The vehicle of each track."""
+        """Number of the vehicle of each track."""
         return np.arange(self.tracks) if self.vehicle is None else self.vehicle
 
     @cached_property
     def kept(self) -> dict[tuple[float, ...], Floats]:
-        """What was computed for these samples, by constants: the solver asks again and again."""
+        """Cache of values computed from these samples, by the constants used."""
         return {}
 
     @cached_property
     def spells(self) -> Integers:
-        """The spell of each, and of its object: `track * longest + spell`."""
+        """Number of each sample's spell among all tracks: `track * longest + spell`."""
         spell = np.zeros(len(self), dtype=np.int64) if self.spell is None else self.spell
         return np.asarray(self.track * (int(spell.max(initial=0)) + 1) + spell)
 
     @cached_property
     def spell_reach(self) -> Floats:
-        """How far off each object is in each of its spells, (tracks, longest), metres; or 0."""
+        """Mean range of each track in each spell, (tracks, longest), metres; 0 without samples."""
         longest = 1 if self.spell is None else int(self.spell.max(initial=0)) + 1
         size = self.tracks * longest
         count = np.bincount(self.spells, minlength=size)
@@ -151,12 +151,12 @@ class Samples:
 
     @cached_property
     def reach(self) -> Floats:
-        """How far off they are, metres."""
+        """Ranges of the samples, metres."""
         return np.asarray(np.linalg.norm(self.points, axis=1), dtype=np.float64)
 
     @cached_property
     def upward(self) -> Floats:
-        """Their elevation angles, radians."""
+        """Elevation angles of the samples, radians."""
         x, y, z = self.points.T
         return np.asarray(np.arctan2(z, np.hypot(x, y)), dtype=np.float64)
 
@@ -178,15 +178,15 @@ def link_tracks(moving: Moving, *, segment_s: float = SEGMENT_S) -> Integers:
     """Link moving detections to tracks.
 
     Two detections belong together where the range changed as the Doppler states and bearing and
-    Doppler are alike. What has few points is a false alarm; what is slow and goes nowhere are
-    leaves; where many never go faster than one walks, these are left out.
+    Doppler are alike. Tracks of few points are false alarms; slow ones that go nowhere are leaves;
+    where many are no faster than walkers, these are left out.
 
     Parameters
     ----------
     moving : Moving
         Of one window.
     segment_s : float
-        Longer tracks are cut.
+        Longer tracks are cut, seconds.
 
     Returns
     -------
@@ -218,20 +218,20 @@ def _goes_somewhere(number: Integers, time: Floats, moving: Moving) -> Booleans:
     streams = (rows["rate"].median() >= SURE_MPS) & (extent >= MIN_PATH_M)
     good = (rows.size() >= MIN_POINTS) & (goes | streams)
     drives = good & (_fastest(number, time, moving) > WALK_MPS)
-    # walkers keep to kerbs, not to lanes; but in a queue vehicles creep
+    # walkers keep off the lanes, but in a queue vehicles are as slow
     walkers = 1.0 - drives.sum() / max(good.sum(), 1)
     return np.asarray(drives if walkers > CREEPING else good)
 
 
 def _fastest(number: Integers, time: Floats, moving: Moving) -> Floats:
-    """Return how fast each track goes at most for a while, m/s."""
+    """Return the highest lasting speed of each track, m/s."""
     return np.maximum(_pace(number, time, moving), _steady_speed(number, time, moving))
 
 
 def _pace(number: Integers, time: Floats, moving: Moving) -> Floats:
-    """Return the fastest range rate of each track that lasts, m/s: a median over `PACE_S`.
+    """Return the highest lasting range rate of each track, m/s: a median over `PACE_S`.
 
-    A walker's limbs swing at up to two and a half times his speed, most of him goes on as he does.
+    A walker's limbs swing at up to two and a half times the walking speed, the trunk does not.
     """
     rate = pd.Series(np.abs(moving.range_rate))
     spell = np.floor(time / PACE_S).astype(np.int64)
@@ -244,7 +244,7 @@ def _pace(number: Integers, time: Floats, moving: Moving) -> Floats:
 def _steady_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
     """Return the speed of the straight line that fits a track, m/s; 0 where none does.
 
-    What crosses the sight shows no Doppler; people behind each other make no line.
+    Objects that cross the sight have no Doppler; people behind each other form no line.
     """
     count = np.bincount(number)
     centred = [v - (np.bincount(number, v) / count)[number] for v in (time, *moving.points.T[:2])]
@@ -257,7 +257,7 @@ def _steady_speed(number: Integers, time: Floats, moving: Moving) -> Floats:
 
 
 def top_speeds(moving: Moving, tracks: Integers) -> Floats:
-    """Return how fast each track goes at most for a while, m/s.
+    """Return the highest lasting speed of each track, m/s.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def top_speeds(moving: Moving, tracks: Integers) -> Floats:
 
 
 def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Samples:
-    """Keep a few detections of each track in each voxel, evenly thinned to a limit.
+    """Keep a few detections of each track in each voxel, thinned evenly to a limit.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Sampl
     tracks : (n,) array
         As from :func:`link_tracks`.
     most : int
-        Samples in all.
+        Most samples in all.
     """
     rng = np.random.default_rng(0)
     on = np.flatnonzero(tracks != NONE)
@@ -302,10 +302,10 @@ def thin(moving: Moving, tracks: Integers, *, most: int = MOST_SAMPLES) -> Sampl
 
 
 def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
-    """Return which tracks are of one vehicle: hidden for a while, or with faces linked apart.
+    """Return which tracks are of one vehicle that was hidden for a while, or whose faces differ.
 
-    A track that begins where another one is at that time, or would be by then, and goes away as
-    fast, is of the same vehicle.
+    A track that begins where another one is at that time, or would be by then, with the same range
+    rate, is of the same vehicle.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def vehicles_of(moving: Moving, tracks: Integers) -> Integers:
 def _join(  # pragma: no cover - compiled
     first: Integers, time: Floats, points: Floats, rate: Floats
 ) -> Integers:
-    """Return the first track of the vehicle of each; rows are sorted by track, then time."""
+    """Return for each track the first track of its vehicle; rows are sorted by track, then time."""
     count = len(first) - 1
     parent = np.arange(count)
     for j in np.argsort(time[first[:-1]]):
@@ -348,7 +348,7 @@ def _join(  # pragma: no cover - compiled
             ended = time[first[i + 1] - 1]
             if i == j or time[first[i]] > begin or ended < begin - HIDDEN_S:
                 continue
-            # how it went about that time, or last of all
+            # motion of the other track around that time, or at its end
             until = min(ended, begin + PACE_S)
             known, then, a, b, east, north, pace = straight_line(
                 time, points, rate, first[i], first[i + 1], until - 2.0 * PACE_S, until
@@ -368,9 +368,9 @@ def _join(  # pragma: no cover - compiled
 def straight_line(  # pragma: no cover - compiled
     time: Floats, points: Floats, rate: Floats, low: int, high: int, since: float, until: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return the straight line through the rows of some time.
+    """Fit a straight line to the rows between two times.
 
-    That is how many there are, their mean time and place, velocity, and mean range rate.
+    Returns the number of rows, their mean time and place, the velocity, and the mean range rate.
     """
     n, t, x, y, w, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(low, high):
@@ -381,7 +381,7 @@ def straight_line(  # pragma: no cover - compiled
         tt, tx, ty = tt + d * d, tx + d * points[k, 0], ty + d * points[k, 1]
     if n == 0.0:
         return 0.0, since, 0.0, 0.0, 0.0, 0.0, 0.0
-    spread = max(tt - t * t / n, 1e-2)  # of one moment no velocity is known
+    spread = max(tt - t * t / n, 1e-2)  # rows of a single moment give no velocity
     return (
         n,
         since + t / n,
@@ -394,7 +394,7 @@ def straight_line(  # pragma: no cover - compiled
 
 
 def _spells(time: Floats, track: Integers) -> Integers:
-    """Return in which spell of its track each sample was seen, counted from 0; time ascends."""
+    """Return the number of each sample's spell in its track, from 0; `time` ascends."""
     first = np.full(int(track.max(initial=NONE)) + 1, np.inf)
     np.minimum.at(first, track, time)
     return np.asarray(np.floor((time - first[track]) / SPELL_S), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Both change detectors of small moves: stationary targets, and where vehicles drive."""
+"""Watch for small moves, by stationary targets and by the places of vehicles in their lanes."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from gis_radar.calibration.stationary_targets import BLOCK_S, GATE, StationaryTa
 from gis_radar.calibration.windows import WindowFitter, WindowTraffic
 from gis_radar.recordings import Detections
 
-# Newest blocks that exclude a blow; and those that show how far a move went.
+# Number of newest blocks by which a blow is excluded, and by which the size of a move is measured.
 BLOW_BLOCKS = 1
 LATEST_BLOCKS = 3
 
 
 def decided(verdicts: Sequence[Verdict], driven: Displacement | None) -> Displacement | None:
-    """Return the move that is beyond chance, or none.
+    """Return the move that is beyond chance, or None.
 
-    Where there are enough stationary targets to show a move of the wanted size, they alone decide:
-    they fix it to centimetres and hundredths of degrees, vehicles in ten minutes to decimetres, and
-    drivers change their habits. Elsewhere either change detector reports a move.
+    Where stationary targets would show a move of the wanted size, they alone decide: they measure
+    it to centimetres and hundredths of degrees, vehicles in ten minutes to decimetres, and drivers
+    change their habits. Elsewhere a move by either is reported.
 
     Parameters
     ----------
     verdicts : sequence of Verdict
-        Of stationary targets.
+        Verdicts of stationary targets.
     driven : Displacement or None
-        Of vehicles.
+        The move by vehicles.
     """
     found = max((each.found for each in verdicts), key=lambda f: f.score, default=None)
     if found is not None and found.score > GATE:
@@ -43,7 +43,7 @@ def decided(verdicts: Sequence[Verdict], driven: Displacement | None) -> Displac
 
 
 class Watch:
-    """Watches a sensor for small moves while its pose is followed.
+    """Watch of a sensor for small moves while its pose is followed.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Watch:
         self._newest: Verdict | None = None
 
     def push(self, batch: Detections) -> None:
-        """Take the next detections, stationary ones, too."""
+        """Add the next detections, stationary ones, too."""
         self._still.push(batch.time, batch.points, batch.range_rate)
 
     @property
@@ -73,16 +73,16 @@ class Watch:
         return self._newest is not None and self._newest.rests
 
     def look(self, traffic: WindowTraffic | None, state: State, time: float) -> Displacement | None:
-        """Return the move noticed by now, if any.
+        """Return the move noticed so far, if any.
 
         Parameters
         ----------
         traffic : WindowTraffic or None
-            The window, up to now; none while there is no whole one with vehicles.
+            The window up to now; None while there is no whole one with vehicles.
         state : State
-            The pose; what counts for vehicles is the first one since the start.
+            The pose; vehicles are placed by the first one since the start.
         time : float
-            UNIX seconds: now.
+            The present, UNIX seconds.
         """
         ended = self._still_block(time)
         driven = self._by_vehicles(traffic, state, time) if traffic is not None else None
@@ -91,14 +91,14 @@ class Watch:
         found = decided(self._still.tested, driven)
         if found is None or found is driven:
             return found
-        # blocks from before the move make it too small where it has just begun
+        # blocks from before a recent move would make it too small
         latest = self._still.verdict(LATEST_BLOCKS)
         if latest is not None:
             found = replace(found, move=latest.found.move, covariance=latest.found.covariance)
         return found.turned(state.R_map_sensor)
 
     def _still_block(self, time: float) -> bool:
-        """Compare stationary targets, at the end of a block."""
+        """Compare stationary targets if a block ends; return whether it did."""
         if np.isnan(self._block_since):
             self._block_since = time
         if time - self._block_since < BLOCK_S:

@@ -21,28 +21,28 @@ from gis_radar.calibration.solver import FAR, Fit, Prior, Schedule, cost_at, sol
 from gis_radar.calibration.state import POSE, REFLECTION, SIZE, State
 from gis_radar.calibration.traces import Moving, Samples, link_tracks, thin, vehicles_of
 
-# 1 sigma of the prior under which a window is fitted: around the expected pose, wide.
+# 1 sigma of the wide prior, around the expected pose, with which a window is fitted.
 NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])
-# Fit of a window: it starts within decimetres.
+# Schedule of the fit of a window, which starts within decimetres.
 WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
-# Information of the data below that share of the prior's is none, and counts as UNKNOWN.
+# Information of the data below this share of the prior's counts as none, and is set to UNKNOWN.
 LEAST_KNOWN = 0.05
 UNKNOWN = 1e-4
-# Lanes are sampled so many times as far as the traces reach, so that it is done rarely.
+# Lanes are sampled so many times as far as the traces reach, so that they are seldom sampled anew.
 REACH_GROWS = 1.2
-# A pose a lane off refutes the start where the vehicles prefer it by so many standard deviations
-# (one more than separates two answers of a localization), and it is so far off.
+# A pose a lane off refutes the start if vehicles prefer it by so many standard deviations (one more
+# than separates two answers of a localization), and if it is at least so far off.
 OTHER_LANE = 3.5
 OTHER_LANE_M = 1.0
-# Of a first fit from a lane off: most come back, half of OTHER_LANE_M near, and are fitted no
-# further.
+# Schedule of a first fit from a lane off: most come back to within half of OTHER_LANE_M, and are
+# fitted no further.
 LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
-# Where no near fit lies on lanes, the pose is searched within so many sigmas of a blow.
+# Sigmas of a blow within which the pose is searched where no fit nearby lies on lanes.
 FARTHEST = 4.0
 
 
 def data_alone(fit: Fit, prior: Prior) -> Measurement:
-    """Remove the prior from a fit, or every window would confirm the pose before it.
+    """Remove the prior from a fit; else every window would confirm the pose before it.
 
     In coordinates where the prior has variance one along each axis, `1 + m` is the information of
     the fit and `m` that of the data; the data's pose is farther off by `(1 + m) / m`.
@@ -52,7 +52,7 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     fit : Fit
         A registration.
     prior : Prior
-        Of the fit.
+        The prior of the fit.
     """
     known = certainty(fit, map_sigma_m=0.0)
     quaternion = _quaternion(fit.state)
@@ -69,7 +69,7 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     step = np.zeros(SIZE)
     step[POSE] = unit * (vectors @ (farther * (vectors.T @ away)))
     there = prior.mean.moved(step)
-    # what is common to all windows grows not where this one sees nothing
+    # the common error does not grow in directions in which this window holds no information
     noise_grows = np.sqrt(values / np.where(seen, data, UNKNOWN))
     common_grows = np.where(seen, noise_grows, 1.0)
     noise, common = (
@@ -95,7 +95,7 @@ def _quaternion(state: State) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class WindowTraffic:
-    """Moving detections of some time, by track.
+    """Moving detections of a span of time, with their tracks.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class WindowTraffic:
         return cls(moving=moving, number=link_tracks(moving))
 
     def between(self, begin: float, end: float) -> WindowTraffic:
-        """Return the part of the traffic within a time, its end not included."""
+        """Return the traffic between two times (UNIX seconds), the end exclusive."""
         low, high = np.searchsorted(self.moving.time, [begin, end])
         part = slice(int(low), int(high))
         _, number = np.unique(np.append(self.number[part], -1), return_inverse=True)
@@ -124,11 +124,11 @@ class WindowTraffic:
 
     @cached_property
     def vehicles(self) -> int:
-        """How many vehicles there are: the parts of a track that is cut count as one."""
+        """Number of vehicles; the parts of a track that was cut count as one."""
         return len(np.unique(vehicles_of(self.moving, self.number)))
 
     def samples(self) -> Samples:
-        """Return the detections that a registration works on."""
+        """Return the samples for a registration."""
         return thin(self.moving, self.number)
 
 
@@ -143,7 +143,7 @@ class WindowFit:
     fit : Fit
         The registration.
     samples : Samples
-        What was registered.
+        The samples that were registered.
     on_lanes : bool
         Whether the traffic is on the lanes.
     """
@@ -160,12 +160,12 @@ class WindowFit:
 
 
 class WindowFitter:
-    """Fits windows of traffic to the lanes around a sensor.
+    """Fitter of windows of traffic to the lanes around a sensor.
 
     Parameters
     ----------
     problem : Problem
-        Map, road and where the sensor stands.
+        Map, road and place of the sensor.
     reporter : Reporter
         Receives remarks.
     """
@@ -206,15 +206,15 @@ class WindowFitter:
         Parameters
         ----------
         traffic : WindowTraffic
-            What moved.
+            The window's traffic.
         centre : Estimate
-            Where to look.
+            Centre of the prior.
         reflection_m : float
-            How high vehicles reflected so far.
+            Height of the vehicles' reflections so far, metres.
         near : (6,) array
-            How far around, 1 sigma: metres, radians.
+            1 sigma of the prior: metres, radians.
         start : State, optional
-            Where to begin, if not there.
+            Start of the fit; by default the centre.
         schedule : Schedule
             As for :func:`gis_radar.calibration.solver.solve`.
         """
@@ -234,7 +234,7 @@ class WindowFitter:
     def find(
         self, traffic: WindowTraffic, centre: Estimate, reflection_m: float, *, near: Floats
     ) -> WindowFit | None:
-        """Search farther around a pose at which the traffic is on no lanes; None if in vain.
+        """Search the pose farther around where the traffic fits no lanes; None if none is found.
 
         Parameters
         ----------
@@ -251,11 +251,11 @@ class WindowFitter:
         return None
 
     def cost(self, samples: Samples, state: State) -> float:
-        """Return the cost of samples at a pose, a negative logarithm of likelihood."""
+        """Return the cost of samples at a pose, a negative log likelihood."""
         return cost_at(self.scene(samples), state, model=self._model)
 
     def adapt(self, found: WindowFit) -> None:
-        """Estimate from a trusted fit how this radar sees vehicles; each anew from the defaults."""
+        """Adapt prior and model to this radar by a trusted fit, starting from the defaults."""
         samples, fit = found.samples, found.fit
         before = Prior(mean=fit.state, information=np.zeros((SIZE, SIZE)))
         after, self._model = adapted(self.scene(samples), fit, before, MODEL)

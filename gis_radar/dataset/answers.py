@@ -1,4 +1,4 @@
-"""Answers of queries: types that every program knows, rows for people, files."""
+"""Answers of queries: their types, their rows as text, and their files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gis_radar.base import UsageError, atomic_write
 
 
 def plain_schema(schema: pa.Schema) -> pa.Schema:
-    """Return a schema with times in UTC and 64-bit numbers for DuckDB's wider ones."""
+    """Return a schema with times in UTC and 64-bit numbers in place of DuckDB's wider ones."""
     for place, each in enumerate(schema):
         kind = each.type
         if pa.types.is_timestamp(kind) and kind.tz:
@@ -34,7 +34,7 @@ def plain(table: pa.Table) -> pa.Table:
     Raises
     ------
     UsageError
-        If a number needs more.
+        If a number needs more than 64 bits.
     """
     try:
         return table.cast(plain_schema(table.schema))
@@ -45,7 +45,7 @@ def plain(table: pa.Table) -> pa.Table:
 
 
 def texts(table: pa.Table) -> pa.Table:
-    """Return an answer with times as ISO 8601 text and lists as words, as CSV has them."""
+    """Return an answer with times as ISO 8601 text and lists as joined text, for CSV."""
     words = [
         pc.binary_join(column.combine_chunks().cast(pa.list_(pa.string())), " ")
         if pa.types.is_list(column.type)
@@ -62,7 +62,7 @@ def stamped(table: pa.Table) -> pa.Table:
 
 
 def _iso(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return times and days as ISO 8601 text, and what neither CSV nor JSON has as JSON text."""
+    """Return times and dates as ISO 8601 text, and nested types as JSON text."""
     kind = column.type
     if pa.types.is_timestamp(kind) and kind.tz:
         return pc.strftime(column, format="%Y-%m-%dT%H:%M:%SZ")
@@ -85,14 +85,14 @@ def _short(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def first_rows(batches: Iterable[pa.RecordBatch], most: int) -> tuple[list[dict[str, Any]], int]:
-    """Return the first rows of an answer as JSON can hold them, and how many it has.
+    """Return the first rows of an answer as values for JSON, and the number of all its rows.
 
     Parameters
     ----------
     batches : iterable of pyarrow.RecordBatch
-        Of :func:`gis_radar.dataset.queries.run_query`.
+        From :func:`gis_radar.dataset.queries.run_query`.
     most : int
-        How many rows.
+        Most rows to return.
     """
     rows: list[dict[str, Any]] = []
     total = 0
@@ -104,19 +104,19 @@ def first_rows(batches: Iterable[pa.RecordBatch], most: int) -> tuple[list[dict[
 
 
 def write_answer(schema: pa.Schema, batches: Iterable[pa.RecordBatch], path: Path) -> int:
-    """Write an answer as it comes, whole or not at all; memory is that of a batch.
+    """Write an answer batch by batch, whole or not at all; memory holds one batch.
 
     Parameters
     ----------
     schema, batches : pyarrow.Schema, iterable of pyarrow.RecordBatch
-        Of :func:`gis_radar.dataset.queries.run_query`.
+        From :func:`gis_radar.dataset.queries.run_query`.
     path : Path
-        Ends in `.csv` or `.parquet`.
+        The file; its name ends in `.csv` or `.parquet`.
 
     Returns
     -------
     int
-        How many rows it has.
+        Number of rows.
 
     Raises
     ------

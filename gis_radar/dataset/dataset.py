@@ -1,4 +1,4 @@
-"""A dataset as one object: opened at once, read when it is asked."""
+"""A dataset as one object, whose tables are read when they are needed."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerpr
 from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs
 
 _LAST_STEP = 1 << 62
-TIMEOUT_S, MEMORY = 60.0, "2GB"  # of a question in SQL
+TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of an SQL query
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dataset(TrafficTables):
-    """What was measured at a site: tables by hour, read when they are asked for.
+    """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
     A time without a zone is by the clocks of the site.
@@ -73,7 +73,7 @@ class Dataset(TrafficTables):
     Parameters
     ----------
     folder : Path
-        Where it lies.
+        The dataset's folder.
     manifest : Manifest
         Its map, tiles, coordinate system and settings.
     """
@@ -94,7 +94,7 @@ class Dataset(TrafficTables):
 
     @property
     def has_vehicles(self) -> bool:
-        """Whether vehicles were looked for: there are tracks and occupancy."""
+        """Whether vehicles were looked for, so that there are tracks and occupancy."""
         return bool(self.manifest.settings.get("vehicles"))
 
     @property
@@ -104,13 +104,13 @@ class Dataset(TrafficTables):
 
     @property
     def doubts(self) -> list[str]:
-        """A line for each sensor whose pose and recordings are not known to fit."""
+        """Lines on the sensors whose pose and recordings are not known to fit."""
         known = self.manifest.doubts
         return [known[sensor] for sensor in self.sensors if sensor in known]
 
     @property
     def methods(self) -> list[int]:
-        """Methods by which its hours were made; results of two do not compare."""
+        """Methods by which its hours were made; results of different methods do not compare."""
         return sorted({each.origin.method for each in self.records().values()})
 
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
@@ -139,7 +139,7 @@ class Dataset(TrafficTables):
         Raises
         ------
         UsageError
-            If one is no time, or the end is not after the begin.
+            If one is not a time, or the end is not after the begin.
         """
         if begin is None and end is None:
             return None
@@ -152,18 +152,18 @@ class Dataset(TrafficTables):
     def batches(
         self, table: TableSchema, span: Span | None = None, columns: Sequence[str] | None = None
     ) -> Iterator[pa.Table]:
-        """Read the rows of a table as the files hold them, an hour (a day) at a time.
+        """Read the rows of a table with the columns of the files, an hour (or date) at a time.
 
         Parameters
         ----------
         table : TableSchema
-            A table of hours, or of dates: tile counts, lane measures and turns. These come with a
+            A table of hours, or of dates: tile counts, lane measures and turns. The latter get a
             further column `first_step`, in which the interval begins.
         span : (int, int), optional
-            Only rows with steps from the first to the last. Runs of tiles are cut to it; of tables
-            of dates, intervals that begin in it.
+            First and last step of the rows. Runs of tiles are cut to it; of tables of dates,
+            intervals that begin in it are read.
         columns : sequence of str, optional
-            Which columns; all without it.
+            Names of the columns; by default all.
         """
         records = self.records(span)
         tiles = self.manifest.fingerprint
@@ -180,14 +180,14 @@ class Dataset(TrafficTables):
         Parameters
         ----------
         sensor : str, optional
-            Of which sensor; of any without it.
+            Name of the sensor; by default any sensor counts.
         valid : bool
-            Without it, only those into which a frame falls.
+            If False, return only the steps into which a frame falls.
 
         Raises
         ------
         InputError
-            If there is none.
+            If there is no such sensor.
         """
         parts = []
         for rows in self.batches(FRAMES, columns=["sensor", "first_step", "last_step"]):
@@ -223,17 +223,17 @@ class Dataset(TrafficTables):
         return self.layer(STOP_LINES_LAYER)
 
     def recordings(self) -> pd.DataFrame:
-        """Read which recordings it was made from."""
+        """Read the table of recordings from which it was made."""
         return self._read_whole(RECORDINGS)
 
     def poses(self) -> gpd.GeoDataFrame:
-        """Read where sensors stand and look."""
+        """Read the poses of the sensors."""
         table = self._read_whole(POSES)
         places = gpd.points_from_xy(table["easting"], table["northing"], table["height"])
         return gpd.GeoDataFrame(table, geometry=places, crs=self.crs)
 
     def sights(self) -> pd.DataFrame:
-        """Read which tiles are in sight of which pose."""
+        """Read the tiles in sight of each pose."""
         return self._read_whole(SIGHTS)
 
     def sight_of(self, sensor: str) -> Integers:
@@ -246,7 +246,7 @@ class Dataset(TrafficTables):
         return np.asarray(sights.loc[sights["pose"] == head, "tile_id"], np.int64)
 
     def hours(self) -> pd.DataFrame:
-        """Return the complete hours, with their rows by table."""
+        """Return the complete hours, with the number of rows of each table."""
         rows = [
             {"begin": pd.Timestamp(hour_begin(hour)), "method": record.origin.method}
             | {name: part.rows for name, part in record.parts.items()}
@@ -255,19 +255,19 @@ class Dataset(TrafficTables):
         return pd.DataFrame(rows, columns=None if rows else ["begin", "method"])
 
     def hits(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
-        """Read the hits: a tile and the time of a step in which it was hit."""
+        """Read the hits: tile, and time of the step in which it was hit."""
         return self._read(HITS, begin, end)
 
     def observed(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
-        """Read from when to when tiles were observed."""
+        """Read the runs of time in which tiles were observed."""
         return self._read(OBSERVED, begin, end)
 
     def visible(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
-        """Read from when to when tiles were visible."""
+        """Read the runs of time in which tiles were visible."""
         return self._read(VISIBLE, begin, end)
 
     def occupied(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
-        """Read from when to when tiles were occupied, visible or not."""
+        """Read the runs of time in which tiles were occupied, visible or not."""
         return self._read(OCCUPIED, begin, end)
 
     def tracks(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
@@ -279,7 +279,7 @@ class Dataset(TrafficTables):
         return self._read(VEHICLES, begin, end)
 
     def continued(self) -> pd.DataFrame:
-        """Read which two numbers are one vehicle on either side of an hour's begin."""
+        """Read the pairs of numbers of one vehicle on either side of an hour's begin."""
         return self._read(CONTINUED, None, None)
 
     def passages(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
@@ -287,11 +287,11 @@ class Dataset(TrafficTables):
         return self._read(PASSAGES, begin, end)
 
     def frames(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
-        """Read what sensors delivered, a row a frame."""
+        """Read the frames of the sensors, a row for each frame."""
         return self._read(FRAMES, begin, end)
 
     def tile_counts(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
-        """Read the counts by tile and quarter of an hour; `begin` is that of the quarter."""
+        """Read the counts by tile and quarter of an hour, which begins at `begin`."""
         return self._read(TILE_COUNTS, begin, end)
 
     def lane_measures(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
@@ -305,35 +305,35 @@ class Dataset(TrafficTables):
     def query(
         self, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
     ) -> pd.DataFrame:
-        """Ask a question in SQL (DuckDB): one SELECT over the tables of all complete hours.
+        """Run an SQL query (DuckDB): one SELECT over the tables of all complete hours.
 
-        Columns are those of the files, and beside them those that the other methods return. Times
-        are read by the clocks of the site (`hour(begin)`), and returned in UTC.
+        Columns are those of the files, and those that the other methods return. In the query, times
+        are by the clocks of the site (`hour(begin)`); times of the result are UTC.
 
         Parameters
         ----------
         sql : str
-            The question.
+            The query.
         timeout_s : float
-            After which it is given up, seconds.
+            Time limit, seconds.
         memory : str
-            That it may take, such as `2GB`.
+            Memory limit, such as `2GB`.
 
         Raises
         ------
         UsageError
-            If it is no such question, takes too long, or needs too much memory.
+            If it is no such query, takes too long, or needs too much memory.
         """
         from gis_radar.dataset.answers import plain  # noqa: PLC0415 - as below
 
-        with self._asked(sql, timeout_s, memory) as (schema, batches):
+        with self._run(sql, timeout_s, memory) as (schema, batches):
             rows: pd.DataFrame = plain(pa.Table.from_batches(batches, schema)).to_pandas()
         return rows
 
     def write_answer(
         self, sql: str, path: str | Path, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
     ) -> int:
-        """Write the answer of :meth:`query` as `.csv` or `.parquet`; return how many rows it has.
+        """Write the answer of :meth:`query` as `.csv` or `.parquet`, and return its row count.
 
         Raises
         ------
@@ -342,19 +342,19 @@ class Dataset(TrafficTables):
         """
         from gis_radar.dataset.answers import write_answer  # noqa: PLC0415 - as below
 
-        with self._asked(sql, timeout_s, memory) as answer:
+        with self._run(sql, timeout_s, memory) as answer:
             return write_answer(*answer, Path(path))
 
     def first_rows(
         self, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
     ) -> tuple[list[dict[str, Any]], int]:
-        """Return the first rows of the answer of :meth:`query`, and how many rows it has.
+        """Return the first rows of the answer of :meth:`query`, and the number of all its rows.
 
-        Values are such as JSON holds, times as text.
+        Values are types of JSON, times are text.
         """
         from gis_radar.dataset.answers import first_rows  # noqa: PLC0415 - as below
 
-        with self._asked(sql, timeout_s, memory) as (_, batches):
+        with self._run(sql, timeout_s, memory) as (_, batches):
             return first_rows(batches, most)
 
     def check(self, reporter: Reporter = QUIET) -> None:
@@ -363,7 +363,7 @@ class Dataset(TrafficTables):
         Raises
         ------
         InputError
-            For the first part that differs.
+            On the first part that differs.
         """
         records = self.records()
         for done, record in enumerate(records.values()):
@@ -373,7 +373,7 @@ class Dataset(TrafficTables):
         check_counts(self.folder, self.manifest.fingerprint, records)
 
     def figures(self) -> dict[str, Any]:
-        """Return sensors, recordings, time span, hours and how many rows the tables have."""
+        """Return sensors, recordings, time span, hours and numbers of rows of the tables."""
         records = self.records()
         recordings = sorted({Path(path).name for path in self.recordings()["path"]})
         known: dict[str, Any] = {
@@ -406,7 +406,7 @@ class Dataset(TrafficTables):
     def layer(self, name: str) -> gpd.GeoDataFrame:
         """Read a layer of the tiles: `tiles`, `lanes` or `stop_lines`; each is read once."""
         if name not in self._layers:
-            tiles = self._tiles()  # no layer of a file with other tiles
+            tiles = self._tiles()  # refuses a file with other tiles
             self._layers[name] = tiles if name == TILES_LAYER else self._other_layer(name)
         return self._layers[name].copy()
 
@@ -448,7 +448,7 @@ class Dataset(TrafficTables):
         with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
             return pyogrio.read_dataframe(place, layer=name, use_arrow=True)
 
-    def _asked(
+    def _run(
         self, sql: str, timeout_s: float, memory: str
     ) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:
         from gis_radar.dataset.queries import run_query  # noqa: PLC0415 - DuckDB, 0.2 s
@@ -464,7 +464,7 @@ class Dataset(TrafficTables):
         return for_people(self.whole(table), self.manifest.origin)
 
     def whole(self, table: TableSchema) -> pa.Table:
-        """Read a table that has one file, as it lies there: recordings, poses or sights."""
+        """Read a table that is one file, with its columns: recordings, poses or sights."""
         return whole_table(table, self.folder, self.manifest.fingerprint)
 
     def _step(self, value: Moment, what: str) -> int | None:

@@ -1,7 +1,7 @@
-"""Tables of a date, which follow from its hours: made, kept up to date, and read.
+"""Tables of a date, which follow from its hours: make, update and read them.
 
-A file of a date says of each hour what it was when its rows were made, its *key*. Rows of hours
-that were not made again since are carried over, so that they stay when exact tables are deleted.
+A file of a date holds for each hour a *key*, the digests of what its rows were made from. Rows of
+hours not made again since are carried over, so that they stay when exact tables are deleted.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from gis_radar.dataset.tables import TableSchema
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
-_HOURS = "hours"  # in the metadata: the key of each hour
+_HOURS = "hours"  # entry of the metadata with the key of each hour
 
 Keys: TypeAlias = Mapping[int, list[str | int]]
 """What each hour, since 1970, is now."""
@@ -52,11 +52,11 @@ class Day:
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     fingerprint : str
-        Of its tiles.
+        Fingerprint of its tiles.
     first_hour : int
-        Of the date, since 1970.
+        First hour of the date, since 1970.
     """
 
     folder: Path
@@ -70,22 +70,22 @@ class Day:
 
     @property
     def last_hour(self) -> int:
-        """Its last hour, since 1970."""
+        """Last hour of the date, since 1970."""
         return self.first_hour + HOURS_PER_DAY - 1
 
     def records(self, known: Mapping[int, HourRecord] | None = None) -> dict[int, HourRecord]:
-        """Return the records of its complete hours: of those known, else read."""
+        """Return the records of its complete hours, from `known` or else read."""
         if known is None:
             return read_hours(self.folder, self.first_hour, self.last_hour)
         hours = range(self.first_hour, self.last_hour + 1)
         return {hour: known[hour] for hour in hours if hour in known}
 
     def path(self, table: TableSchema) -> Path:
-        """Return where a table lies."""
+        """Return the path of a table."""
         return part_path(self.folder, table, self.first_hour)
 
     def opened(self, table: TableSchema) -> AbstractContextManager[pq.ParquetFile]:
-        """Open a table, checked.
+        """Open a table, and check it.
 
         Raises
         ------
@@ -95,18 +95,18 @@ class Day:
         return opened_part(table, self.path(table), self._metadata(table))
 
     def made(self, table: TableSchema) -> Keys:
-        """Read the keys of the hours that a table was made from; none where it is damaged."""
+        """Read the keys of the hours from which a table was made; none if it is damaged."""
         with suppress(InputError, ValueError, KeyError), self.opened(table) as file:
             known = json.loads(file.metadata.metadata[_HOURS.encode()])
             return {int(hour): key for hour, key in known.items()}
         return {}
 
     def is_made(self, tables: Sequence[TableSchema], keys: Keys) -> bool:
-        """Return whether tables have all columns, from just these hours, as they are now."""
+        """Return whether tables have all columns and were made from exactly these keys."""
         return all(self.made(table) == keys and self._is_whole(table) for table in tables)
 
     def _is_whole(self, table: TableSchema) -> bool:
-        """Return whether a table has the columns that are newer than it, too."""
+        """Return whether a table has all columns, including those added since it was made."""
         with self.opened(table) as file:
             return {*table.names} <= {*file.schema_arrow.names}
 
@@ -116,11 +116,11 @@ class Day:
         Parameters
         ----------
         tables : sequence of TableSchema
-            Made together.
+            Tables whose rows are made together.
         keys : mapping
-            Of all hours of the date; without any, the tables are removed.
+            Keys of all hours of the date; without any, the tables are removed.
         make : callable
-            Makes the rows of an hour, a table for each.
+            Makes the rows of an hour for each of the tables.
         """
         if not keys:
             for table in tables:
@@ -134,7 +134,7 @@ class Day:
             rename_whole(unfinished(self.path(table)), self.path(table))
 
     def rows(self, tables: Sequence[TableSchema], keys: Keys, make: Maker) -> list[pa.Table]:
-        """Return the rows of hours: as they were written, else made now."""
+        """Return the rows of hours, as written if they are up to date, else made now."""
         known = [self.made(table) for table in tables]
         kept = {hour for hour, key in keys.items() if all(of.get(hour) == key for of in known)}
         made = [make(hour) for hour in sorted(keys.keys() - kept)]
@@ -146,7 +146,7 @@ class Day:
     def _joined(
         self, table: TableSchema, kept: set[int], written: int, made: list[pa.Table]
     ) -> pa.Table:
-        """Return the rows of hours that are kept, and those that were made."""
+        """Join the rows of hours that are kept with those that were made."""
         parts = [table.empty(), *made]
         if kept:
             with self.opened(table) as file:
@@ -160,16 +160,16 @@ class Day:
         return whole.sort_by([(name, "ascending") for name in table.order])
 
     def timed(self, rows: pa.Table, span: Span | None, columns: Sequence[str] | None) -> pa.Table:
-        """Return rows with a further column `first_step`, in which the interval begins.
+        """Add a column `first_step` to rows, the step in which their interval begins.
 
         Parameters
         ----------
         rows : pyarrow.Table
-            With `interval`.
+            Rows with a column `interval`.
         span : (int, int), optional
-            Only intervals that begin from the first to the last of these steps.
+            First and last step in which the intervals begin.
         columns : sequence of str, optional
-            Which columns; all without it.
+            Names of the columns; by default all.
         """
         first = rows["interval"].to_numpy().astype(np.int64) * STEPS_PER_QUARTER
         begin = pa.array(first + self.first_hour * STEPS_PER_HOUR)

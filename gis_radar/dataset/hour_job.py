@@ -1,6 +1,6 @@
-"""The hour job: from what all recordings of a site hold in an hour's window to the hour's parts.
+"""Hour job: make an hour's parts from the rows of all recordings in the hour's window.
 
-What it gives follows from the rows in the window, the poses, sights, tiles and settings, and from
+The parts follow from the rows in the window, the poses, sights, tiles and settings, and from
 nothing else: no file, no other hour.
 """
 
@@ -62,8 +62,8 @@ from gis_radar.tracking import (
 METHOD = 10
 """Raised whenever the same inputs would give other parts."""
 
-MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
-LEAST_TOLD = 2  # fewest detections for which equal hashes prove equal frames
+MOST_EQUAL_FRAMES = 5  # more equal frames of two sensors are no chance
+LEAST_TOLD = 2  # least detections of frames that are compared: fewer may be equal by chance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,7 @@ class MeasureSettings:
     Parameters
     ----------
     filters : Filters
-        Which detections count as hits.
+        Filters of the detections that count as hits.
     vehicles : bool
         Whether vehicles are looked for.
     """
@@ -83,16 +83,16 @@ class MeasureSettings:
 
     @property
     def margin(self) -> int:
-        """Steps on either side of an hour that its parts follow from."""
+        """Number of steps on either side of an hour from which its parts follow, too."""
         return max(LONGEST_VALID_STEPS, 2 * MARGIN_STEPS if self.vehicles else 0)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of them, as the manifest holds them."""
+        """Return all settings as the manifest holds them."""
         return dict(json.loads(json.dumps(asdict(self))))
 
     @classmethod
     def from_dict(cls, known: Mapping[str, Any]) -> Self:
-        """Return settings as a manifest holds them, or one of a version that listed constants."""
+        """Return the settings of a manifest, also of a version that listed constants in it."""
         filters = dict(known["filters"])
         if filters["clearance"] is not None:
             filters["clearance"] = tuple(filters["clearance"])
@@ -101,22 +101,22 @@ class MeasureSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class HourSite:
-    """What all hours of a dataset have in common.
+    """Inputs that all hours of a dataset have in common.
 
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     tiles : GeoDataFrame
         All tiles, by ascending id.
     graph : LaneGraph, optional
         The lanes; without them, no vehicles are looked for.
     origin : (int, int)
-        From where tracks count, whole metres.
+        Easting and northing from which tracks count, whole metres.
     settings : MeasureSettings
-        In effect.
+        Settings in effect.
     validity_s : mapping
-        By sensor, how long its frames are valid.
+        By sensor, how long its frames are valid, seconds.
     """
 
     folder: Path
@@ -128,7 +128,7 @@ class HourSite:
 
     @cached_property
     def target(self) -> HitTarget:
-        """What detections are assigned to."""
+        """The tiles and filters by which detections become hits."""
         road = SightTiles.of(self.tiles)
         return HitTarget(
             road=road, grid=TileGrid(road.quads), filters=self.settings.filters,
@@ -143,18 +143,18 @@ class HourSite:
 
 @dataclass(frozen=True, kw_only=True)
 class MadeHour:
-    """Result of an hour beside its parts.
+    """Result of an hour besides its parts.
 
     Parameters
     ----------
     hour : int
-        Since 1970.
+        The hour since 1970.
     evidence : dict
-        What was counted, by the path of the recording.
+        Counts by the path of the recording.
     vehicles : int
-        How many vehicles there are.
+        Number of vehicles.
     on_lanes : list of DataFrame
-        Where sensors see vehicles drive.
+        Places at which sensors see vehicles on their lanes.
     """
 
     hour: int
@@ -175,13 +175,13 @@ def make_hour(
     Parameters
     ----------
     site : HourSite
-        What all hours have in common.
+        Inputs that all hours have in common.
     hour : int
-        Since 1970.
+        The hour since 1970.
     sources : sequence of PlacedRecording
         All recordings that reach into the window, those of a sensor by their first frame.
     processes : int
-        In how many blocks of the hour vehicles are looked for side by side.
+        Number of blocks of the hour in which vehicles are looked for in parallel.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def make_hour(
     vehicles, on_lanes = 0, list[pd.DataFrame]()
     with HourWriter(folder=site.folder, hour=hour, origin=origin) as writer:
         _write_hits(writer, sensors, valid, held, sights, site, window)
-        # Of five sensors in an hour what is counted takes 170 MB; vehicles need none of it.
+        # The counts of five sensors in an hour take 170 MB, and vehicles do not need them.
         sensors = [replace(each, counted=each.counted[:0].copy(), tile=[]) for each in sensors]
         if site.finds_vehicles:
             found = _vehicles(sensors, window, held, sights, site, processes)
@@ -223,9 +223,9 @@ def read_sensors(
     *,
     count_hits: bool = True,
 ) -> list[SensorHour]:
-    """Read what all sensors delivered in a window; refuse what cannot be.
+    """Read what all sensors delivered in a window, and refuse frames that contradict each other.
 
-    Parameters and errors as of :func:`make_hour`; without hits, the frames are only compared.
+    Parameters and errors as of :func:`make_hour`; `count_hits` False only compares the frames.
     """
     by_sensor: dict[str, list[PlacedRecording]] = {}
     for source in sources:
@@ -239,20 +239,20 @@ def read_sensors(
 
 
 def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
-    """Refuse two sensors that delivered the same frames: one recording is given for both.
+    """Refuse two sensors with the same frames, as if one recording were given for both.
 
     Raises
     ------
     InputError
-        If there are such.
+        If there are two such sensors.
     """
-    told = [np.unique(_told(each.frames)) for each in sensors]
-    found, counts = np.unique(np.concatenate([np.empty(0, np.uint64), *told]), return_counts=True)
-    shared = found[counts > 1]  # of few, where all is well: pairs of many sensors cost nothing
+    hashes = [np.unique(_compared_hashes(each.frames)) for each in sensors]
+    found, counts = np.unique(np.concatenate([np.empty(0, np.uint64), *hashes]), return_counts=True)
+    shared = found[counts > 1]  # usually few, so that comparing all pairs of sensors is cheap
     if len(shared) <= MOST_EQUAL_FRAMES:
         return
-    told = [np.intersect1d(each, shared, assume_unique=True) for each in told]
-    for (one, mine), (other, theirs) in combinations(zip(sensors, told, strict=True), 2):
+    hashes = [np.intersect1d(each, shared, assume_unique=True) for each in hashes]
+    for (one, mine), (other, theirs) in combinations(zip(sensors, hashes, strict=True), 2):
         same = np.intersect1d(mine, theirs, assume_unique=True)
         if len(same) > MOST_EQUAL_FRAMES:
             first, second = (
@@ -270,14 +270,14 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
             )
 
 
-def _told(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+def _compared_hashes(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
     return frames.hash[frames.detections >= LEAST_TOLD]
 
 
 def digest_of_inputs(sensors: Sequence[SensorHour], site: HourSite) -> str:
-    """Return the digest of all that an hour's parts follow from, but tiles and method.
+    """Return the digest of all inputs of an hour's parts but tiles and method.
 
-    Equal for equal rows in the window, in however many files they come.
+    It is equal for equal rows in the window, in however many files they come.
     """
     digest = hashlib.sha256(json.dumps(site.settings.as_dict(), sort_keys=True).encode())
     for sensor in sensors:
@@ -296,7 +296,7 @@ def digest_of_inputs(sensors: Sequence[SensorHour], site: HourSite) -> str:
 
 
 def _described(source: PlacedRecording, index: int) -> str:
-    """Return a pose, what is seen from it, and the clock, as a text that compares."""
+    """Return a pose, its sight and the clock as text, equal where all of them are."""
     seen = source.sights[index]
     clock = None if source.clock is None else asdict(source.clock)
     sight = hashlib.sha256(seen.tile_id.tobytes()).hexdigest()

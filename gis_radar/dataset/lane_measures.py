@@ -1,7 +1,7 @@
 """Lane measures and turns: traffic by lane and quarter of an hour, from the tracks of each hour.
 
-The rows of an hour follow from its own parts and from the tracks of those vehicles in the hour
-before that go on in it: who has crossed a line already, and who has been standing.
+The rows of an hour follow from its own parts and from the tracks, in the hour before, of vehicles
+that go on in it: which of them have crossed a line already, and which have been standing.
 """
 
 from __future__ import annotations
@@ -56,17 +56,17 @@ _TILE_COLUMNS = ("visible_steps", "occupied_steps", "inferred_steps", "occupied_
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LaneTraffic:
-    """Makes and reads the lane measures and turns of a dataset.
+    """Maker and reader of the lane measures and turns of a dataset.
 
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     fingerprint : str
-        Of its tiles.
+        Fingerprint of its tiles.
     line_m : mapping, optional
-        By number of the lane: where vehicles are counted, m along it, instead of at the stop line
-        or the middle. Such traffic is measured by :meth:`finer`, and never stored.
+        By number of the lane: the counting line, m along the lane, in place of the stop line or the
+        middle. Such traffic is measured by :meth:`finer`, and never stored.
     """
 
     folder: Path
@@ -103,12 +103,12 @@ class LaneTraffic:
         hour : int
             Any hour of the date, since 1970.
         known : mapping, optional
-            The records of all complete hours; read without it.
+            The records of all complete hours; by default they are read.
 
         Raises
         ------
         InputError
-            If a part of an hour is not what it should be.
+            If a part of an hour is not the one of its record.
         OutputError
             If a table cannot be written.
         """
@@ -119,10 +119,10 @@ class LaneTraffic:
         day.update(TRAFFIC_TABLES, keys, lambda each: self._quarters(records[each]))
 
     def keys(self, day: Day, records: Mapping[int, HourRecord]) -> Keys:
-        """Return what the rows of each hour of a date follow from.
+        """Return the keys of the hours of a date: what the rows of each follow from.
 
-        Hours without vehicles have none. Of those whose exact tables were deleted, the rows stay as
-        they were made, if they were.
+        Hours without vehicles have none. Where exact tables were deleted, the rows stay as they
+        were made, if they were.
         """
         keys = {hour: self._key(each) for hour, each in _with_tracks(records).items()}
         gone = {hour for hour in keys if TRACKS.name in records[hour].dropped}
@@ -150,9 +150,9 @@ class LaneTraffic:
         self, table: TableSchema, records: Mapping[int, HourRecord], span: Span | None = None,
         columns: Sequence[str] | None = None,
     ) -> Iterator[pa.Table]:  # fmt: skip
-        """Read lane measures or turns day by day; hours that are not made yet are made.
+        """Read lane measures or turns day by day; rows that are missing are made now.
 
-        Parameters, and the further column `first_step`, as of
+        Parameters and the further column `first_step` are as of
         :func:`gis_radar.dataset.tile_counts.read_counts`.
         """
         place = TRAFFIC_TABLES.index(table)
@@ -162,9 +162,9 @@ class LaneTraffic:
             yield day.timed(rows[place], span, columns)
 
     def finer(self, record: HourRecord, steps: int) -> tuple[pa.Table, pa.Table]:
-        """Measure an hour by intervals of so many steps, which divide a quarter of an hour.
+        """Measure an hour by intervals of `steps`, which must divide a quarter of an hour.
 
-        `interval` is then the number of the interval in the hour.
+        The column `interval` is then the number of the interval in the hour.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class LaneTraffic:
         return _tables(found, 0)
 
     def _quarters(self, record: HourRecord) -> tuple[pa.Table, pa.Table]:
-        """Return the rows of an hour."""
+        """Return the rows of an hour by quarters: lane measures, turns."""
         first = record.hour % HOURS_PER_DAY * QUARTERS
         columns = ["tile_id", "interval", *_TILE_COLUMNS]
         counts = read_counts(self.folder, self.fingerprint, {record.hour: record}, None, columns)
@@ -254,7 +254,7 @@ class LaneTraffic:
         )  # fmt: skip
 
     def _states(self, record: HourRecord) -> FrontStates:
-        """Return the states of an hour, and before them those of vehicles that go on in it."""
+        """Return the states of an hour, and the earlier ones of vehicles that go on in it."""
         columns = ["vehicle", "step", "speed_cms", "lanelet_id", "s_cm", "seen"]
         rows = self._part(TRACKS, record, columns)
         before = self._hour_before(record.hour)

@@ -1,7 +1,7 @@
-"""Change the recordings of a dataset, and make the hours that follow from that.
+"""Change the recordings of a dataset, and make the hours that the change touches.
 
 The registry is written first, without the hours that a change touches: whenever a run is killed,
-the next one sees what is to be made. An hour's record is removed before any of its parts changes.
+the next one sees which hours to make. An hour's record is removed before any of its parts changes.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from gis_radar.dataset.tables import HOUR_TABLES, TABLES
 from gis_radar.dataset.tile_counts import update_counts
 from gis_radar.measures import HourWindow
 
-OWNED = (  # how the names of files begin that a making which was killed may have left
+OWNED = (  # begins of the names of files that a killed run may have left
     "map.osm", "tiles.gpkg", "recordings.parquet", "poses.parquet", "sights.parquet", ".",
 )  # fmt: skip
 STAGE = "measuring"
-NOTED_EVERY_S = 2.0  # of a year of many sensors the registry has many rows
+NOTED_EVERY_S = 2.0  # seconds between writes of the registry, which is long for a year's recordings
 RELINK = Text(
     "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
 )
@@ -58,8 +58,7 @@ def writing(folder: Path, reporter: Reporter) -> Iterator[None]:
     Raises
     ------
     OutputError
-        If another run is writing it, there is no folder to make it in, or files of others are in
-        its place.
+        If another run is writing it, its parent folder is missing, or the folder holds other files.
     """
     place = folder.absolute()
     require_folder(place)
@@ -85,27 +84,27 @@ def change(
     Parameters
     ----------
     site : HourSite
-        What all hours have in common.
+        Inputs that all hours have in common.
     before, after : Registry
-        Registry before and after; `after` omits the hours to recompute.
+        Registry before and after; `after` omits the hours to make again.
     known : iterable of RecordingEntry
-        Recordings that were looked at just now.
+        Recordings whose files were read just now, and need not be looked at again.
     before_hour : int, optional
-        Only hours before this one (since 1970) are made: for others recordings are still to come.
+        Only hours before this one (since 1970) are made: for later ones recordings are expected.
     processes : int
-        How many hours, or blocks of an hour, are made side by side.
+        Number of hours, or of blocks of an hour, made in parallel.
     reporter : Reporter
         Receives progress.
 
     Returns
     -------
     list of MadeHour
-        By hour.
+        The hours made, ascending.
 
     Raises
     ------
     InputError
-        If a recording that is needed has gone or changed, or cannot be; all stays as it is.
+        If a needed recording is missing, changed or refused; then the dataset stays as it is.
     """
     margin = site.settings.margin
     records = read_hours(site.folder)
@@ -118,7 +117,7 @@ def change(
     placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
     known_before = {(each.key, each.pose) for each in before.entries}
     fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
-    if set(missing) & (set(records) - broken):  # hours that are there stay, if any cannot be made
+    if set(missing) & (set(records) - broken):  # if one cannot be made, the present hours stay
         for hour in touched_hours(missing, fresh, margin):
             _check(site, hour, placings[hour])
     after = after.without_hours(missing)
@@ -145,7 +144,7 @@ def _made_and_noted(
     site: HourSite, before: Registry, after: Registry, placings: Mapping[int, Sequence[Placing]],
     processes: int, reporter: Reporter,
 ) -> list[MadeHour]:  # fmt: skip
-    """Make hours; note now and then which are made, so that a run that ends is gone on with."""
+    """Make hours, and record from time to time which are made, so that a killed run can resume."""
     made, noted_s = list[MadeHour](), time.monotonic()
 
     def note() -> None:
@@ -170,7 +169,7 @@ def _made_and_noted(
 
 
 def _is_whole(folder: Path, record: HourRecord) -> bool:
-    """Return whether the parts of an hour are there, as long as they were written."""
+    """Return whether all parts of an hour are there, with the sizes in its record."""
     kept = {name: part for name, part in record.parts.items() if name not in record.dropped}
     for name, part in kept.items():
         path = part_path(folder, TABLES[name], record.hour)
@@ -195,7 +194,7 @@ def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
 def _require_recordings(
     registry: Registry, hours: Iterable[int], margin: int, looked_at: set[str]
 ) -> None:
-    """Refuse hours to be made of recordings that have gone or changed."""
+    """Refuse to make hours whose recordings are missing or changed."""
     for each in registry.entries:
         touched = touched_hours(hours, [each], margin)
         if not touched or each.path in looked_at:
@@ -211,7 +210,7 @@ def _require_recordings(
 
 
 def _check(site: HourSite, hour: int, placings: Sequence[Placing]) -> None:
-    """Read the recordings of an hour that is there, before any of it changes."""
+    """Read the recordings of a present hour, to find errors before any of its parts changes."""
     window = HourWindow(hour=hour, margin=site.settings.margin)
     read_sensors(site, window, [source_of(*each) for each in placings], count_hits=False)
 
@@ -225,7 +224,7 @@ def _remove_parts(folder: Path, hours: Iterable[int]) -> None:
 
 
 def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
-    """Bring back the registry of before; hours that were made since are to be made again."""
+    """Restore the registry before the change, without the hours that were made since."""
     for hour in made:
         remove_record(folder, hour)
     _remove_parts(folder, set(made) - set(before.hours))
@@ -235,7 +234,7 @@ def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
 
 
 def _count(registry: Registry, hours: Iterable[int]) -> None:
-    """Bring the tables of all dates up to date."""
+    """Update the tables of the dates of some hours."""
     traffic = LaneTraffic(folder=registry.folder, fingerprint=registry.fingerprint)
     records = read_hours(registry.folder)
     for day in days_of(hours):
@@ -246,7 +245,7 @@ def _count(registry: Registry, hours: Iterable[int]) -> None:
 def _made(
     site: HourSite, tasks: Mapping[int, Sequence[Placing]], processes: int
 ) -> Iterator[MadeHour]:
-    """Make hours, one after the other or side by side, and yield them as they are done."""
+    """Make hours, one after the other or in parallel, and yield them as they are done."""
     workers = min(processes, len(tasks))
     if workers < 2:
         for hour, placings in tasks.items():
@@ -267,7 +266,7 @@ def _made(
             raise
 
 
-_site: HourSite | None = None  # of a worker
+_site: HourSite | None = None  # the site of this worker process
 
 
 def _start_worker(site: HourSite) -> None:

@@ -1,4 +1,4 @@
-"""`dataset.json`: of which map, tiles and settings a dataset is."""
+"""Manifest of a dataset, `dataset.json`: its map, tiles and settings."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ MAKE_ONE = Text("a folder that gis-radar measure wrote is needed")
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """What all of a dataset has in common.
+    """Map, tiles, coordinate system and settings of a dataset.
 
     Parameters
     ----------
     map : str
         Digest of the Lanelet2 map.
     fingerprint : str
-        Of the tiles.
+        Fingerprint of the tiles.
     crs : str
         Map frame, such as `EPSG:25832`.
     origin : (int, int)
         Easting and northing from which tracks count, whole metres.
     timezone : str
-        Of the site, such as `Europe/Berlin`.
+        Time zone of the site, such as `Europe/Berlin`.
     settings : dict
-        In effect for all of its hours.
+        Settings in effect for all of its hours.
     checks : dict
-        By sensor, whether its pose and recordings fit, as of
+        By sensor, the finding whether its pose and recordings fit, as
         :attr:`gis_radar.calibration.Finding.record`; hours do not follow from it.
     schema : int
-        Of the tables.
+        Number of the schema of the tables.
     """
 
     map: str
@@ -65,16 +65,16 @@ class Manifest:
 
     @property
     def findings(self) -> dict[str, Finding]:
-        """Whether pose and recordings of a sensor fit, by its name."""
+        """Findings whether pose and recordings fit, by sensor."""
         return {name: Finding(sensor=name, **found) for name, found in self.checks.items()}
 
     @property
     def doubts(self) -> dict[str, str]:
-        """Why pose and recordings of a sensor are not known to fit, by its name."""
+        """Remarks on sensors whose pose and recordings are not known to fit, by sensor."""
         return {name: found.doubt for name, found in self.findings.items() if found.doubt}
 
     def write(self, folder: Path) -> None:
-        """Write `dataset.json`, in place of the one that is there."""
+        """Write `dataset.json`, replacing the present one."""
         path = folder / MANIFEST
         document = with_texts(asdict(self))
         text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
@@ -137,18 +137,18 @@ def create_dataset(
     lanes: gpd.GeoDataFrame | None = None,
     stop_lines: gpd.GeoDataFrame | None = None,
 ) -> None:
-    """Write what a dataset begins with: map, tiles, no recordings yet, and last its manifest.
+    """Create a dataset: write map, tiles, empty tables of recordings, and last its manifest.
 
     Parameters
     ----------
     folder : str or Path
         New, or without `dataset.json`.
     manifest : Manifest
-        What all of it has in common.
+        The manifest of the dataset.
     tiles, problems, lanes, stop_lines : GeoDataFrame
         The layers of `tiles.gpkg`.
     map_file : str or Path, optional
-        The Lanelet2 map, of which a copy stays with the dataset: hours may be made again.
+        The Lanelet2 map; a copy is kept in the dataset, as hours may be made again.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def remove_dataset(folder: Path) -> None:
 def require_same_site(
     folder: Path, found: Manifest, *, map_digest: str, fingerprint: str, crs: str
 ) -> None:
-    """Refuse to add to a dataset of other tiles, another map or coordinate system.
+    """Refuse to add to a dataset with other tiles, another map or coordinate system.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def require_same_site(
 
 
 def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None:
-    """Refuse to add to a dataset of another site, or measured with other settings.
+    """Refuse to add to a dataset of another site, or with other settings.
 
     Raises
     ------
@@ -228,8 +228,8 @@ def require_same_settings(folder: Path, found: Manifest, mine: Manifest) -> None
 
 
 def _difference(name: str, was: Any, now: Any) -> str:
-    """Return the first setting that is not what it was, with both values; nothing where none is."""
-    if isinstance(was, Mapping) or isinstance(now, Mapping):  # another version's may be none now
+    """Return the first setting that differs, with both values, as text; empty where none does."""
+    if isinstance(was, Mapping) or isinstance(now, Mapping):  # of another version, one may be None
         was, now = (each if isinstance(each, Mapping) else {} for each in (was, now))
         keys = sorted(was.keys() | now.keys())
         found = (_difference(f"{name}.{key}", was.get(key), now.get(key)) for key in keys)

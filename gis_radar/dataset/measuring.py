@@ -1,4 +1,4 @@
-"""Measure a site: make the hours of a dataset, or make again those that recordings change."""
+"""Measure a site: make the hours of a dataset, and make again those that recordings change."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ from gis_radar.tracking import map_of_tiles
 
 @dataclass(frozen=True, kw_only=True)
 class _Given:
-    """Arguments of a call: the site, and recordings to add."""
+    """Checked arguments of a call of `measure`: the site, and the recordings to add."""
 
     map_file: str | Path | None
     roads: LaneletMap | None
@@ -77,7 +77,7 @@ class _Given:
     findings: tuple[Finding, ...] = ()
 
     def checked(self, before: Manifest, registry: Registry) -> Manifest:
-        """Return a manifest with what was found; a doubt stays as long as results rest on it."""
+        """Add the findings to a manifest; a doubt stays while other recordings rest on it."""
         mine = {each.digest for each in self.entries}
         other = {each.sensor for each in registry.entries if each.digest not in mine}
         found = {
@@ -115,7 +115,7 @@ def measure(
 
     Detections are moved to the map and assigned to the tiles under them, once a tile and step; from
     the range rates of all sensors vehicles are followed, and what they occupy and hide. The hour is
-    the unit: those that recordings reach into are made (again), all others stay as they are.
+    the unit: hours that recordings reach into are made (again), all others stay as they are.
 
     Parameters
     ----------
@@ -126,21 +126,21 @@ def measure(
     tiles : GeoDataFrame
         As from :func:`gis_radar.read_tiles`.
     map : str or Path, optional
-        The Lanelet2 map that the tiles were made from; its system and origin are the tiles'. Hits
-        alone need none.
+        The Lanelet2 map from which the tiles were made; CRS and origin are taken from the tiles.
+        Hits alone need none.
     folder : str or Path
         The dataset: a new one, or one of the same tiles to add to.
     scans : sequence of paths
-        Airborne scans, whole and not masked: what stands in them hides tiles. Without them, all in
-        the view counts as seen.
+        Airborne scans, whole and not masked: what stands in them hides tiles. Without them, all
+        tiles in the view count as seen.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
     sight : str or Path, optional
         A file of :func:`gis_radar.write_sights`, in place of scans.
     sight_cache : str or Path, optional
-        A folder in which what each pose sees by the scans is kept, for other calls.
+        A folder in which the sights of the poses by the scans are kept for other calls.
     filters : Filters, optional
-        Which detections count as hits; without it, all.
+        Filters of the detections that count as hits; by default all do.
     cycles : mapping, optional
         Seconds from frame to frame, of sensors slower than 10 Hz.
     clocks : mapping, optional
@@ -148,19 +148,19 @@ def measure(
     hits_only : bool
         Leave out the vehicles.
     only : bool
-        Let the dataset hold these recordings only: others are withdrawn, and one of other tiles or
-        settings is made anew.
+        Keep only these recordings in the dataset: others are withdrawn, and a dataset with other
+        tiles or settings is made anew.
     timezone : str
-        Of the site, for a new dataset.
+        Time zone of the site, for a new dataset.
     before_hour : int, optional
-        Make only hours before this one (since 1970): for others recordings are still to come, and
-        a later call makes them.
+        Make only hours before this one (since 1970); a later call makes the others, for which
+        further recordings are expected.
     check : bool
         Check whether poses, recordings and map fit each other.
     accept : collection of str
-        Sensors to go on with although they do not fit.
+        Names of sensors that are used although they do not fit.
     processes : int
-        How many hours, or blocks of an hour, are made side by side.
+        Number of hours, or of blocks of an hour, made in parallel.
     reporter : Reporter
         Receives progress and warnings.
 
@@ -173,9 +173,9 @@ def measure(
     UsageError
         If there are not as many poses as recordings, or vehicles are asked for without a map.
     InputError
-        If a recording is damaged, given for two sensors, or contradicts another; if the dataset is
-        of other tiles, another map or other settings; or if a recording that an hour needs has
-        gone or changed.
+        If a recording is damaged, given for two sensors, or contradicts another; if the dataset has
+        other tiles, another map or other settings; or if a recording that an hour needs is
+        missing or changed.
     NoAnswerError
         If no sensor sees any tile; ImplausibleError where poses and recordings do not fit.
     OutputError
@@ -256,7 +256,7 @@ def _given(
 
 
 def _checked(given: _Given, accept: Collection[str], reporter: Reporter) -> _Given:
-    """Check whether poses, recordings and map fit; keep what was found for the manifest."""
+    """Check whether poses, recordings and map fit; keep the findings for the manifest."""
     by_sensor: dict[str, list[PlacedRecording]] = {}
     for _, source in sorted(given.sources.items()):
         by_sensor.setdefault(source.track.sensor, []).append(source)
@@ -281,7 +281,7 @@ def manifest_of(
     tiles: gpd.GeoDataFrame, digest: str, scan: SightSource | None, settings: MeasureSettings,
     timezone: str,
 ) -> Manifest:  # fmt: skip
-    """Return the manifest of a new dataset of a map's digest and what hides its tiles."""
+    """Return the manifest of a new dataset, given the map's digest and the source of its sights."""
     west, south = np.floor(tiles.total_bounds[:2]).astype(int).tolist()
     return Manifest(
         map=digest, fingerprint=fingerprint(tiles), crs=name_of(tiles.crs),
@@ -293,7 +293,7 @@ def manifest_of(
 def _refuse_clearance(
     filters: Filters, road: SightTiles, entries: Sequence[RecordingEntry]
 ) -> None:
-    """Refuse a clearance over a road without heights, or of detections without them."""
+    """Refuse a filter by clearance where road or detections have no heights."""
     if filters.clearance is None:
         return
     if np.isnan(road.height).all():
@@ -334,7 +334,7 @@ def _lanes(
     roads: LaneletMap | None, settings: MeasureSettings, entries: Sequence[RecordingEntry],
     reporter: Reporter,
 ) -> tuple[LaneGraph | None, MeasureSettings]:  # fmt: skip
-    """Return the lanes and the settings; without vehicles where nothing tells them."""
+    """Return lanes and settings; without vehicles where lanes or range rates are missing."""
     if not settings.vehicles or roads is None:
         return None, settings
     reason = ""
@@ -354,10 +354,10 @@ def _lanes(
 def _replace(
     given: _Given, folder: Path, processes: int, reporter: Reporter, *, before_hour: int | None
 ) -> list[MadeHour]:
-    """Make a dataset beside one of other tiles or settings, and put it in its place when whole."""
+    """Make a dataset beside one with other tiles or settings, and replace that when complete."""
     fresh = folder.with_name(f".{folder.name}.next")
     if fresh.exists() and not (Manifest.is_there(fresh) and Manifest.read(fresh) == given.manifest):
-        shutil.rmtree(fresh, ignore_errors=True)  # else a run that was broken off is gone on with
+        shutil.rmtree(fresh, ignore_errors=True)  # else what a killed run left would be resumed
     made = _add(given, fresh, processes, reporter, only=True, before_hour=before_hour)
     with output_errors(folder):
         remove_dataset(folder)
@@ -369,7 +369,7 @@ def _add(
     given: _Given, folder: Path, processes: int, reporter: Reporter, *, only: bool,
     before_hour: int | None,
 ) -> list[MadeHour]:  # fmt: skip
-    """Add recordings to a dataset that nobody else writes."""
+    """Add recordings to a dataset; the caller is its only writer."""
     is_new = not Manifest.is_there(folder)
     manifest = given.manifest if is_new else Manifest.read(folder)
     if not is_new:
@@ -414,7 +414,7 @@ def _add(
 def _remark_on_changes(
     before: Registry, given: _Given, manifest: Manifest, reporter: Reporter
 ) -> None:
-    """Say which recordings are placed or timed otherwise than before, and whose clock stays."""
+    """Report recordings placed or timed otherwise than before, and a time zone that is kept."""
     known = {each.digest: each for each in before.entries}
     for each in given.entries:
         if (earlier := known.get(each.digest)) is not None and not earlier.made_alike(each):
@@ -442,7 +442,7 @@ def _as_before(given: _Given, found: Manifest) -> _Given:
 
 
 def _joined(before: Registry, given: _Given, *, only: bool) -> Registry:
-    """Return the registry with what is given, the hours that it touches to be made again."""
+    """Add what is given to the registry, and remove the hours that it touches."""
     margin = given.settings.margin
     paths = {each.path for each in given.entries}
     digests = {each.digest: each for each in given.entries}
@@ -467,7 +467,7 @@ def _joined(before: Registry, given: _Given, *, only: bool) -> Registry:
 
 
 def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None:
-    """Warn about inconsistencies of the recordings that were given and counted whole."""
+    """Warn about inconsistencies in given recordings all of whose hours were made."""
     examined = []
     hours = {hour.hour for hour in made}
     for each in given.entries:

@@ -1,4 +1,4 @@
-"""Parts: the Parquet files of a dataset, whole or not there, and checked when they are opened."""
+"""Parts: the Parquet files of a dataset, complete or absent, and checked when they are opened."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ Values: TypeAlias = Mapping[str, Any] | pd.DataFrame | pa.Table
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """What a part was made from; stands in its metadata.
+    """Origin of a part, which its metadata state.
 
     Parameters
     ----------
     fingerprint : str
-        Of the tiles.
+        Fingerprint of the tiles.
     method : int
-        Of the hour job.
+        Method of the hour job.
     inputs : str
-        Digest of what it was made from.
+        Digest of the inputs.
     """
 
     fingerprint: str
@@ -68,9 +68,9 @@ class PartDigest:
     Parameters
     ----------
     rows, size : int
-        Rows, and bytes of the file.
+        Number of rows, and size of the file in bytes.
     sha256 : str
-        Digest of the file.
+        SHA-256 of the file.
     """
 
     rows: int
@@ -89,7 +89,7 @@ def days_of(hours: Iterable[int]) -> list[int]:
 
 
 def hour_begin(hour: int) -> datetime:
-    """Return when an hour since 1970 begins, UTC."""
+    """Return the begin (UTC) of an hour since 1970."""
     return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(hours=hour)
 
 
@@ -104,7 +104,7 @@ def date_of(hour: int) -> date:
 
 
 def part_path(folder: Path, table: TableSchema, hour: int = 0) -> Path:
-    """Return where the part of a table lies that holds an hour since 1970."""
+    """Return the path of the part of a table that holds an hour since 1970."""
     if table.period == "dataset":
         return folder / f"{table.name}.parquet"
     name = "day" if table.period == "day" else f"{hour_begin(hour):%H}"
@@ -112,19 +112,19 @@ def part_path(folder: Path, table: TableSchema, hour: int = 0) -> Path:
 
 
 def unfinished(path: Path) -> Path:
-    """Return under which name a file is written: hidden, and not ending in `.parquet`."""
+    """Return the name under which a file is written: hidden, and not ending in `.parquet`."""
     return path.with_name(f".{path.stem}.part")
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Remove what a killed run left; the caller is the dataset's only writer."""
+    """Remove files that a killed run left; the caller is the dataset's only writer."""
     for left in folder.rglob(".*.part"):
         with suppress(OSError):
             left.unlink()
 
 
 def rename_whole(fresh: Path, path: Path) -> None:
-    """Move a file to its place, so that it is there even after the power fails."""
+    """Move a file to its place, so that it survives a power failure."""
     with output_errors(path):
         with fresh.open("rb") as file:
             os.fsync(file.fileno())
@@ -133,7 +133,7 @@ def rename_whole(fresh: Path, path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to disk, where the system can."""
+    """Flush the names in a folder to disk, where the system can."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -143,7 +143,7 @@ def sync_folder(folder: Path) -> None:
 
 
 class PartWriter:
-    """A part that is written as rows come; equal rows give equal bytes, in whatever batches.
+    """Writer of a part in batches; equal rows give equal bytes, however they are divided.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class PartWriter:
             self._write(whole)
 
     def close(self) -> PartDigest:
-        """Write what is left."""
+        """Write the remaining rows, and return the part's digest."""
         if self._rows > self._written:
             self._write(self._rows - self._written)
         self._writer.close()
@@ -199,7 +199,7 @@ class PartWriter:
 
 
 def _encoding(table: TableSchema) -> dict[str, Any]:
-    """Return how a table is written: small, and plain enough for every reader."""
+    """Return the Parquet options of a table: small, and plain enough for every reader."""
     encoding, dictionary = {}, []
     for column in table.columns:
         if pa.types.is_string(column.type):
@@ -226,7 +226,7 @@ def write_part(
     table : TableSchema
         Its columns.
     path : Path
-        Where it shall be.
+        Final path of the part.
     batches : mapping, or iterable of mappings
         Its rows, whole or in batches, in order.
     metadata : dict
@@ -248,14 +248,14 @@ def write_part(
 
 
 def write_whole(table: TableSchema, folder: Path, values: Values, fingerprint: str) -> None:
-    """Write a table that has one file in the dataset, in place of the one that is there."""
+    """Write a table that is one file in the dataset, replacing the present one."""
     path = part_path(folder, table)
     write_part(table, path, values, whole_metadata(table, fingerprint))
     rename_whole(unfinished(path), path)
 
 
 def whole_table(table: TableSchema, folder: Path, fingerprint: str) -> pa.Table:
-    """Read a table that has one file in the dataset.
+    """Read a table that is one file in the dataset.
 
     Raises
     ------
@@ -268,7 +268,7 @@ def whole_table(table: TableSchema, folder: Path, fingerprint: str) -> pa.Table:
 
 
 def whole_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
-    """Return the metadata of a table that has one file in the dataset."""
+    """Return the metadata of a table that is one file in the dataset."""
     return {"table": table.name, "schema": str(SCHEMA), "fingerprint": fingerprint}
 
 
@@ -276,7 +276,7 @@ def whole_metadata(table: TableSchema, fingerprint: str) -> dict[str, str]:
 def opened_part(
     table: TableSchema, path: Path, metadata: dict[str, str], digest: PartDigest | None = None
 ) -> Iterator[pq.ParquetFile]:
-    """Open a part that is what it should be; only its footer is read for that.
+    """Open a part after checking its footer.
 
     Parameters
     ----------
@@ -285,20 +285,19 @@ def opened_part(
     path : Path
         The file.
     metadata : dict
-        What its metadata must say; keys that are not named are not looked at.
+        Expected entries of its metadata; other entries are not checked.
     digest : PartDigest, optional
-        Of the hour's record.
+        Expected digest, from the hour's record.
 
     Yields
     ------
     pyarrow.parquet.ParquetFile
-        Its pages are checked when they are read.
+        The file; its pages are checked when they are read.
 
     Raises
     ------
     InputError
-        If it is missing, cut short, damaged, that of another table, hour or making, or lacks a
-        column.
+        If it is missing, truncated, damaged, of another table, hour or run, or lacks a column.
     """
     hint = _remedy(table)
     if not path.is_file():
@@ -319,7 +318,7 @@ def opened_part(
 
 @contextmanager
 def _damage_as_input_error(path: Path, hint: str) -> Iterator[None]:
-    """Raise what cannot be read of a Parquet file as an InputError that names it."""
+    """Convert errors of reading a Parquet file to an InputError that names the file."""
     try:
         yield
     except InputError:
@@ -353,7 +352,7 @@ def _check_columns(table: TableSchema, path: Path, file: pq.ParquetFile) -> None
     for column in table.columns:
         if column.name not in schema.names:
             if table.period == "day" and column.nullable:
-                continue  # newer than the file, whose hours may be gone: its values are null
+                continue  # a column added since the file was made: its values are null
             raise InputError("{}: lacks the column {}", path, column.name, hint=hint)
         if (got := schema.field(column.name).type) != column.type:
             raise InputError(

@@ -34,22 +34,22 @@ _CONFIG = {
 
 @contextmanager
 def run_query(dataset: Source, sql: str, *, timeout_s: float, memory: str) -> Iterator[Answer]:
-    """Ask a question in SQL and read the answer in batches.
+    """Run an SQL query, and read the answer in batches.
 
-    The columns of the files are there, and beside them `time`, `begin`, `end`, `easting`,
-    `northing`, `heading`, `speed`, `s_m` and `d_m` as the methods of the dataset have them. Times
-    are read by the clocks of the site: `hour(begin)` is an hour there.
+    The tables have the columns of the files, and `time`, `begin`, `end`, `easting`, `northing`,
+    `heading`, `speed`, `s_m` and `d_m` as the methods of the dataset return them. Times are by the
+    clocks of the site: `hour(begin)` is an hour there.
 
     Parameters
     ----------
     dataset : Source
-        Its complete hours answer.
+        The dataset, of which complete hours are read.
     sql : str
         One SELECT.
     timeout_s : float
-        After which a question is given up, seconds.
+        Time limit, seconds.
     memory : str
-        That it may take, such as `2GB`.
+        Memory limit, such as `2GB`.
 
     Yields
     ------
@@ -59,9 +59,9 @@ def run_query(dataset: Source, sql: str, *, timeout_s: float, memory: str) -> It
     Raises
     ------
     UsageError
-        If it is no such question, takes too long, or needs too much memory.
+        If it is no such query, takes too long, or needs too much memory.
     InputError
-        If a part is not what its hour's record says, or hours were made again meanwhile.
+        If a part is not the one of its hour's record, or hours were made again meanwhile.
     """
     with closing(_connected(memory)) as asked:
         names = tables_of(asked, sql)
@@ -92,7 +92,7 @@ class _Work:
             yield batch
 
     def done(self, step: Callable[[], Any]) -> Any:
-        """Return the result of a step, within the time limit and with our errors."""
+        """Return the result of a step, within the time limit, with errors converted to ours."""
         future = self.thread.submit(step)
         try:
             wait([future], max(self.began + self.timeout_s - monotonic(), 0.0))
@@ -108,9 +108,9 @@ class _Work:
             return future.result()
 
     def _end(self, future: Future[Any]) -> bool:
-        """Interrupt what is not done; return whether that was needed."""
+        """Interrupt a future that is not done; return whether that was needed."""
         is_late = not future.done()
-        while not future.done():  # an interruption before DuckDB has begun is none
+        while not future.done():  # an interrupt before DuckDB has begun has no effect
             self.asked.interrupt()
             wait([future], 0.05)
         return is_late
@@ -124,7 +124,7 @@ def _connected(memory: str) -> duckdb.DuckDBPyConnection:
 
 
 def _refuse_same_names(names: list[str]) -> None:
-    """Refuse an answer with two columns of one name, which no file and no JSON holds."""
+    """Refuse an answer with two columns of one name, which files and JSON cannot hold."""
     if twice := [name for place, name in enumerate(names) if name in names[:place]]:
         raise UsageError("the query has two columns {}", repr(twice[0]), hint="name one with AS")
 
@@ -140,7 +140,7 @@ def _lock(asked: duckdb.DuckDBPyConnection, paths: list[Path], timezone: str) ->
 
 
 def _states(folder: Path) -> list[tuple[str, int, int]]:
-    """Return which records of hours there are, and when each was written."""
+    """Return path, time of writing and inode of each hour's record, to notice changes."""
     found = []
     for path in sorted((folder / HOURS).glob("*/*.json")):
         with suppress(FileNotFoundError):

@@ -25,20 +25,20 @@ def read_rows(
     span: Span | None = None,
     columns: Sequence[str] | None = None,
 ) -> Iterator[pa.Table]:
-    """Read the rows of a table hour by hour; memory is that of an hour.
+    """Read the rows of a table hour by hour; memory holds one hour.
 
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     table : TableSchema
         A table of hours.
     records : mapping
-        Of complete hours, ascending.
+        Records of complete hours, ascending.
     span : (int, int), optional
-        Only rows with steps from the first to the last. Runs of tiles are cut to it.
+        First and last step of the rows. Runs of tiles are cut to it.
     columns : sequence of str, optional
-        Which columns; all without it.
+        Names of the columns; by default all.
 
     Yields
     ------
@@ -48,7 +48,7 @@ def read_rows(
     Raises
     ------
     InputError
-        If a part is not what its record says, or a page of it is damaged.
+        If a part is not the one of its record, or a page of it is damaged.
     """
     wanted = list(columns or table.names)
     for hour, record in records.items():
@@ -58,7 +58,7 @@ def read_rows(
             continue
         needed = wanted if inside else list(dict.fromkeys([*wanted, *(table.span or ())]))
         with record.opened(folder, table) as file:
-            rows = file.read(columns=needed, use_threads=False)  # hours are read side by side
+            rows = file.read(columns=needed, use_threads=False)  # hours are read in parallel
         if not inside and span is not None and table.span is not None:
             rows = _within(table, rows, span)
         yield rows.select(wanted)

@@ -1,4 +1,4 @@
-"""Hours: their parts appear together, and the record of an hour is written last."""
+"""Records of hours: the parts of an hour appear together, and its record is written last."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ HOURS = "hours"
 
 @dataclass(frozen=True, kw_only=True)
 class HourRecord:
-    """Parts of an hour with their digests.
+    """Record of an hour: its parts with their digests.
 
     Parameters
     ----------
     hour : int
-        Since 1970.
+        The hour since 1970.
     origin : Origin
-        What its parts were made from.
+        Origin of its parts.
     parts : dict
         Digest of each part, by table. Tables of vehicles may be absent.
     dropped : tuple of str
@@ -85,7 +85,7 @@ class HourRecord:
             yield file
 
     def check_bytes(self, folder: Path, table: TableSchema) -> None:
-        """Compare the bytes of a part with this record, which finds each flipped bit.
+        """Compare the bytes of a part with this record, so that every flipped bit is found.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class HourRecord:
 
 
 def record_path(folder: Path, hour: int) -> Path:
-    """Return where the record of an hour lies."""
+    """Return the path of the record of an hour."""
     return folder / HOURS / str(date_of(hour)) / f"{hour_begin(hour):%H}.json"
 
 
@@ -111,7 +111,7 @@ def read_hours(
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     first, last : int, optional
         Only hours from `first` to `last`, inclusive.
 
@@ -131,7 +131,7 @@ def read_hours(
 
 
 def _hour_of_path(path: Path) -> int | None:
-    """Return the hour that a record is called after, None for other files."""
+    """Return the hour in the name of a record, None for other files."""
     try:
         begin = datetime.fromisoformat(f"{path.parent.name}T{path.stem}:00Z")
     except ValueError:
@@ -173,7 +173,7 @@ def _read(path: Path) -> HourRecord | None:
 
 
 def _origin(document: dict[str, Any]) -> Origin:
-    """Return what an hour was made from; what is not of its type was never written by us."""
+    """Return the origin in a record; an entry of another type is damage."""
     found = Origin(**{name: document[name] for name in Origin.__annotations__})
     for name, value in asdict(found).items():
         if not isinstance(value, int if name == "method" else str):
@@ -206,19 +206,19 @@ def remove_record(folder: Path, hour: int) -> None:
 
 @dataclass(kw_only=True)
 class HourWriter:
-    """The parts of an hour, which appear together when the block ends well.
+    """Writer of the parts of an hour, which appear together when the block ends without error.
 
-    Until then the parts of an earlier making stay, with their record. A reader that finds a record
-    finds its parts, whenever the run is killed.
+    Until then the earlier parts stay, with their record. A reader that finds a record finds its
+    parts, whenever the run is killed.
 
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     hour : int
-        Since 1970.
+        The hour since 1970.
     origin : Origin
-        What the parts are made from.
+        Origin of the parts.
     """
 
     folder: Path
@@ -242,7 +242,7 @@ class HourWriter:
         Raises
         ------
         InputError
-            If they are not what the table holds.
+            If they do not have the table's columns, types and order.
         OutputError
             If it cannot be written.
         """

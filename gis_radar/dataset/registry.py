@@ -1,7 +1,7 @@
-"""The registry of a dataset: its recordings, the poses of their sensors, and what these see.
+"""Registry of a dataset: its recordings, the poses of their sensors, and the poses' sights.
 
 `recordings.parquet` is the state of a dataset: it lists by recording the hours that were made with
-it. An hour that a recording reaches into and does not list is to be made again.
+it. An hour that a recording reaches into and does not list has to be made again.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from gis_radar.recordings import Recording, has_height, open_recording
 
 LONGEST_GAP_S = 24 * 3600.0
 """A longer time without frames within a recording is that of a clock that was set."""
-LEAST_RATES = 0.5  # share of detections: formats know the range rates of all, or of none
+LEAST_RATES = 0.5  # least share of detections with range rates; formats have them of all or of none
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingEntry:
-    """A recording of a dataset: a row of its table.
+    """A recording of a dataset: a row of `recordings`.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ class RecordingEntry:
     first_time, last_time : float
         First and last frame, UNIX seconds, corrected.
     clock_offset, clock_drift_ppm, clock_at : float
-        As of :class:`gis_radar.calibration.SensorClock`; all 0 where its clock is right.
+        As in :class:`gis_radar.calibration.SensorClock`; all 0 where its clock is right.
     validity_s : float
-        How long its frames are valid.
+        How long its frames are valid, seconds.
     rows : int
-        Rows of the file.
+        Number of rows of the file.
     has_rates, has_elevation : bool
         Whether it has range rates, and measures elevation.
     hours : frozenset of int
@@ -99,12 +99,12 @@ class RecordingEntry:
         return range(first, last + 1)
 
     def reached_hours(self, margin: int) -> range:
-        """Return the hours whose window it has frames in, or around it."""
+        """Return the hours whose window, with `margin` steps, overlaps the time of its frames."""
         first, last = self.steps
         return range((first - margin) // STEPS_PER_HOUR, (last + margin) // STEPS_PER_HOUR + 1)
 
     def made_alike(self, other: RecordingEntry) -> bool:
-        """Return whether another entry is of the same rows, placed and timed alike."""
+        """Return whether another entry has the same rows, pose and clock."""
         return replace(self, path="", hours=frozenset()) == replace(
             other, path="", hours=frozenset()
         )
@@ -112,31 +112,31 @@ class RecordingEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseBook:
-    """The pose tracks of a dataset, and what is seen from their poses.
+    """Pose tracks of a dataset, and the sights of their poses.
 
     Parameters
     ----------
     tracks : dict
         By name; a single pose is a track of one.
     sights : dict
-        By the same name, what is seen from each pose.
+        By the same name, the sight of each pose.
     """
 
     tracks: dict[str, PoseTrack] = field(default_factory=dict)
     sights: dict[str, Sequence[PoseSight]] = field(default_factory=dict)
 
     def joined(self, other: PoseBook) -> PoseBook:
-        """Return the poses of both."""
+        """Return a book with the poses of both."""
         return PoseBook(tracks=self.tracks | other.tracks, sights=self.sights | other.sights)
 
     def of(self, names: Iterable[str]) -> PoseBook:
-        """Return the poses of some tracks."""
+        """Return a book with some of the tracks."""
         tracks = {name: self.tracks[name] for name in sorted(set(names))}
         return PoseBook(tracks=tracks, sights={name: self.sights[name] for name in tracks})
 
     @property
     def different(self) -> dict[str, PoseSight]:
-        """All sights by the name of their pose, each once."""
+        """Sights by the name of their pose, each once."""
         found = {each.name: each for sights in self.sights.values() for each in sights}
         return dict(sorted(found.items()))
 
@@ -148,13 +148,13 @@ class Registry:
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     fingerprint : str
-        Of its tiles.
+        Fingerprint of its tiles.
     entries : tuple of RecordingEntry
-        By sensor, first frame and digest.
+        The recordings, sorted by sensor, first frame and digest.
     poses : PoseBook
-        Of all of them.
+        Poses of all recordings.
     """
 
     folder: Path
@@ -186,12 +186,12 @@ class Registry:
         return cls(folder=folder, fingerprint=fingerprint, entries=tuple(entries), poses=book)
 
     def write_poses(self, poses: PoseBook) -> None:
-        """Write poses and what is seen from them, in place of those that are there."""
+        """Write poses and their sights, replacing the present tables."""
         write_whole(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
         write_whole(POSES, self.folder, _poses_table(poses), self.fingerprint)
 
     def write_recordings(self) -> None:
-        """Write which recordings there are, and which hours were made with them."""
+        """Write the table of recordings, with the hours that were made with each."""
         entries = sorted(self.entries, key=attrgetter("key"))
         table = {name: list(map(attrgetter(name), entries)) for name in RECORDINGS.names}
         table["hours"] = list(map(sorted, table["hours"]))
@@ -199,11 +199,11 @@ class Registry:
 
     @property
     def hours(self) -> list[int]:
-        """The hours that there have to be: from the first to the last of each recording."""
+        """The hours that the dataset must have: from the first to the last of each recording."""
         return sorted({hour for each in self.entries for hour in each.own_hours})
 
     def by_hour(self, margin: int) -> dict[int, list[RecordingEntry]]:
-        """Return the recordings that reach into the window of each hour, in their order."""
+        """Return for each hour the recordings that reach into its window, in their order."""
         found: dict[int, list[RecordingEntry]] = {}
         for each in self.entries:
             for hour in each.reached_hours(margin):
@@ -211,14 +211,14 @@ class Registry:
         return found
 
     def missing_hours(self, margin: int) -> list[int]:
-        """Return the hours that are to be made."""
+        """Return the hours that have to be made."""
         reaching = self.by_hour(margin)
         return [
             hour for hour in self.hours if any(hour not in each.hours for each in reaching[hour])
         ]
 
     def without_hours(self, hours: Iterable[int]) -> Registry:
-        """Return the registry in which some hours are to be made again."""
+        """Return the registry without some hours, which are then made again."""
         gone = frozenset(hours)
         entries = (
             each if gone.isdisjoint(each.hours) else replace(each, hours=each.hours - gone)
@@ -227,7 +227,7 @@ class Registry:
         return replace(self, entries=tuple(entries))
 
     def with_hours(self, hours: Iterable[int], margin: int) -> Registry:
-        """Return the registry in which hours are made of all recordings that reach into them."""
+        """Return the registry with some hours as made with all recordings that reach into them."""
         made = frozenset(hours)
         entries = []
         for each in self.entries:
@@ -247,7 +247,7 @@ Placing: TypeAlias = tuple[RecordingEntry, PoseTrack, Sequence[PoseSight]]
 def source_of(
     entry: RecordingEntry, track: PoseTrack, sights: Sequence[PoseSight]
 ) -> PlacedRecording:
-    """Open a recording, with what is known of its sensor."""
+    """Open a recording with its poses, clock and validity."""
     return PlacedRecording(
         recording=open_recording(entry.path), track=track, track_name=entry.pose, sights=sights,
         clock=entry.clock,
@@ -263,13 +263,13 @@ def digest_of(path: Path) -> str:
 def touched_hours(
     hours: Iterable[int], entries: Iterable[RecordingEntry], margin: int
 ) -> list[int]:
-    """Return which of some hours recordings reach into, ascending."""
+    """Return those of some hours into which recordings reach, ascending."""
     reached = {hour for each in entries for hour in each.reached_hours(margin)}
     return sorted(reached.intersection(hours))
 
 
 def validity_by_sensor(entries: Iterable[RecordingEntry]) -> dict[str, float]:
-    """Return how long the frames of each sensor are valid.
+    """Return how many seconds the frames of each sensor are valid.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
 def entry_of(
     recording: Recording, sensor: str, pose: str, clock: SensorClock | None, validity_s: float
 ) -> RecordingEntry:
-    """Look at a recording: digest, time, rows, and whether it has range rates and elevation.
+    """Read a recording's entry: digest, time, rows, whether it has range rates and elevation.
 
     Raises
     ------
@@ -429,9 +429,9 @@ def _poses_from(poses: pa.Table, sights: pa.Table, folder: Path) -> PoseBook:
 
 
 def refuse_swapped(recordings: Sequence[Recording], tracks: Sequence[PoseTrack]) -> None:
-    """Refuse a recording that is named like a sensor, but is given for another one.
+    """Refuse a recording that is named like a sensor, but given for another one.
 
-    By its file's name, or where that is no sensor's, by the name that `convert` wrote into it.
+    The name is the file's or, where that is no sensor's, the one that `convert` wrote into it.
     """
     sensors = {track.sensor for track in tracks}
     stems = [Path(each.path).stem for each in recordings]

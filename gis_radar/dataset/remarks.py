@@ -1,4 +1,4 @@
-"""Remarks about recordings, given once a run: what does not fit in views, cycles, clocks, sight."""
+"""Remarks on recordings, once a run, about odd views, cycles, clocks, heights and sights."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from gis_radar.scans import (
 )
 from gis_radar.tracking import warn_of_poses
 
-SLOW_CYCLE = 1.1  # warn of a cycle so many times the validity: 10 % of the steps are empty
-# Warn where this share of the detections lies within less than REACH_SHARE of the range of the view
+SLOW_CYCLE = 1.1  # least cycle to warn of, in validities: 10 % of the steps have no valid frame
+# A warning is given where RANGE_SHARE of the detections lies within REACH_SHARE of the view's range
 # (the contract).
 RANGE_SHARE, REACH_SHARE = 0.999, 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Examined:
-    """A recording, and what was counted of it in the hours that were made.
+    """A recording with its counts in the hours that were made.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def remark_on_recordings(
     book: SightBook,
     reporter: Reporter,
 ) -> None:
-    """Warn of what does not fit in recordings.
+    """Warn of oddities in recordings.
 
     Parameters
     ----------
     examined : sequence of Examined
-        Those of this run.
+        The recordings of this run.
     book : SightBook
-        What their sensors see.
+        Sights of their sensors.
     reporter : Reporter
         Receives the warnings.
     """
@@ -92,7 +92,7 @@ def remark_on_vehicles(count: int, on_lanes: Sequence[pd.DataFrame], reporter: R
 
 
 def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> list[MovingHits]:
-    """Return what moved on the tiles in each sight, of all recordings of a sensor together."""
+    """Return the moving hits on the tiles in each sight, all recordings of a sensor together."""
     together: dict[str, list[tuple[np.ndarray, int]]] = {}
     for each in examined:
         for name, count in each.evidence.movement.items():
@@ -108,7 +108,7 @@ def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> l
 
 
 def _view_warnings(each: Examined) -> Iterator[str]:
-    """Yield what does not fit in the view, given what was recorded."""
+    """Yield warnings where a view does not fit the detections."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     ranges = RangeCounts()
     ranges.counts = each.evidence.ranges
@@ -136,7 +136,7 @@ def _view_warnings(each: Examined) -> Iterator[str]:
 
 
 def _cycle_warnings(each: Examined) -> Iterator[str]:
-    """Yield that a sensor is slower than its frames are valid."""
+    """Yield a warning where a sensor's cycle is longer than its frames are valid."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     validity_s, cycle_us = each.entry.validity_s, each.evidence.times.cycle_us
     valid_us = (1 + valid_steps(validity_s)) * STEP_US
@@ -157,7 +157,7 @@ def _cycle_warnings(each: Examined) -> Iterator[str]:
 
 
 def _placing_warnings(each: Examined) -> Iterator[str]:
-    """Yield what is odd about heights and clock."""
+    """Yield warnings about odd heights and clocks."""
     file, sensor = each.source.recording.path.name, each.entry.sensor
     evidence = each.evidence
     if evidence.level:

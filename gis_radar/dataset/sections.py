@@ -1,4 +1,4 @@
-"""Count sections: volumes by direction at lines that somebody draws across a road."""
+"""Count sections: volumes by direction at lines drawn across a road."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork, bound_name, place_on
 
 NAME_FIELDS = ("name", "section", "id")  # columns that may hold a section's name, in this order
-ALONG = math.sin(math.radians(30.0))  # a section that crosses a lane more flatly runs along it
+ALONG = math.sin(math.radians(30.0))  # sine of the angle below which a section runs along a lane
 HALF_LANE_M = 1.75
 _FIGURES = ["visible_share", "counted", "volume", "volume_se", "heavy", "speed_time_mean_kmh"]
 
 
 @dataclass(frozen=True)
 class _Crossing:
-    """Where a section crosses a lane.
+    """Crossing of a section and a lane.
 
     Parameters
     ----------
     lane : int
         Number of the lane.
     along_m : float
-        Where along it.
+        Place along the lane, metres.
     way : (2,) array
-        Direction of the lane there.
+        Unit vector of the lane's direction there.
     is_left : bool
         Whether traffic comes from the left of the section, seen from its first point.
     at_m : float
-        Where along the section.
+        Place along the section, metres.
     """
 
     lane: int
@@ -71,16 +71,16 @@ def count_sections(
     Returns
     -------
     GeoDataFrame
-        A row a section, direction and interval: `section`, `direction` (`northbound`), `begin`,
-        `end`, `visible_share` (of the lane that is seen least), `counted`, `volume`, `volume_se`,
-        `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the part of the section's line on the lanes
-        of the direction. Null where one of them is not visible.
+        A row for each section, direction and interval: `section`, `direction` (`northbound`),
+        `begin`, `end`, `visible_share` (of the least visible lane), `counted`, `volume`,
+        `volume_se`, `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the part of the section's line
+        on the lanes of the direction. Null where one of the lanes is not visible.
 
     Raises
     ------
     InputError
-        If a section crosses no lane, one lane twice, or runs along it; if two have one name; if the
-        dataset has no vehicles, or no exact tables of that time any more.
+        If a section crosses no lane, one lane twice, or runs along one; if two have one name; if
+        the dataset has no vehicles, or no exact tables of that time any more.
     CrsError
         If the sections state no projected coordinate system.
     """
@@ -115,7 +115,7 @@ def count_sections(
 def _lines(
     sections: gpd.GeoDataFrame | str | Path, crs: Any
 ) -> tuple[dict[str, shapely.LineString], str]:
-    """Return the sections by name, in the dataset's system, and what they are called."""
+    """Return the sections by name, in the dataset's CRS, and a name of their layer for errors."""
     what: str = "sections"
     table: Any = sections
     if isinstance(sections, str | Path):
@@ -125,14 +125,14 @@ def _lines(
     if table.geometry.isna().any():
         raise InputError("{}: a section has no line", what)
     table = table.to_crs(crs).reset_index(drop=True)
-    lines = shapely.line_merge(np.asarray(table.geometry))  # QGIS keeps a line as one of one part
+    lines = shapely.line_merge(np.asarray(table.geometry))  # QGIS stores lines as multi-lines
     if table.empty or {line.geom_type for line in lines} != {"LineString"}:
         raise InputError(
             "{}: sections are lines across a road", what, hint="each of one part, a row each"
         )
     column = next((name for name in NAME_FIELDS if name in table), None)
     names = pd.Series(range(1, len(table) + 1)).astype("string")
-    if column is not None:  # ids beside an empty one are read as reals
+    if column is not None:  # a column of ids with an empty value is read as float
         names = table[column].convert_dtypes().astype("string").replace("", pd.NA).fillna(names)
     found = dict(zip(names, lines, strict=True))
     if len(found) < len(table):
@@ -167,7 +167,7 @@ def _crossings(
 
 
 def _at_once(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:
-    """Return the sections in groups that share no lane: each is counted at one place at once."""
+    """Return the sections in groups without a common lane, as a lane is counted at one place."""
     groups: list[tuple[list[str], set[int]]] = []
     for name, mine in crossed.items():
         lanes = {each.lane for each in mine}
@@ -182,7 +182,7 @@ def _at_once(crossed: Mapping[str, Sequence[_Crossing]]) -> list[list[str]]:
 def _by_direction(
     rows: gpd.GeoDataFrame, line: shapely.LineString, crossed: Sequence[_Crossing]
 ) -> list[pd.DataFrame]:
-    """Return a table a direction of a section."""
+    """Return a table for each direction of a section."""
     found = []
     for side in sorted({each.is_left for each in crossed}):
         mine = [each for each in crossed if each.is_left is side]
@@ -210,7 +210,7 @@ def _of_direction(rows: gpd.GeoDataFrame, crossed: list[_Crossing]) -> pd.DataFr
     mine["by_speed"] = mine["speed_time_mean_kmh"] * mine["counted"].astype(float)
     times = pd.MultiIndex.from_frame(rows[["begin", "end"]].drop_duplicates()).sort_values()
     groups = mine.groupby(["begin", "end"])
-    # a lane without a row is not observed
+    # a lane without a row was not observed
     all_seen = (groups.size() == len(numbers)).reindex(times, fill_value=False)
     sums = groups[["volume", "variance"]].sum(min_count=len(numbers)).reindex(times)
     some = groups[["counted", "heavy", "by_speed"]].sum(min_count=1).reindex(times)

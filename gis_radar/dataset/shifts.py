@@ -1,13 +1,13 @@
-"""By how much all vehicles on a tile may be shifted together: what poses and map leave open.
+"""Shifts: how far errors of poses and map may shift all vehicles on a tile together.
 
-A pose that is off shifts all vehicles of its sensor alike, in every step, so that no time averages
-it out. A turned one shifts them across the line of sight, ranges that are too long along it.
+An error of a pose shifts all vehicles of its sensor alike in every step, so that no time averages
+it out: an error of yaw across the line of sight, a scale of range along it.
 
-Measured as `bench/pose_errors.py` does, on a simulated motorway, by poses drawn from their sigmas
-(0.5 m; 1 m): 93; 85 % of the tiles lie within two standard errors of the truth where all poses are
-given the usual shift, 96; 96 % where each is given its own. Shifts end with the lanelet.
+On a simulated motorway with poses drawn from their sigmas of 0.5 m (1 m), as `bench/pose_errors.py`
+does, 93 % (85 %) of the tiles lie within two standard errors of the truth where all poses are given
+the usual shift, 96 % (96 %) where each is given its own. Shifts end with the lanelet.
 
-What a pose puts on another lane is counted there, too: :class:`OtherLanes`.
+Vehicles that an error of a pose puts on another lane are counted there: :class:`OtherLanes`.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from gis_radar.hdmap import TileGrid, quads
 from gis_radar.measures import LaneNetwork
 from gis_radar.poses import Pose, pose_from_dict
 
-# 1 sigma along and across of a pose that states none, and along of the map: 0.3 m together.
+# 1 sigma, along and across, of a pose that states none, and, along, of the map: together 0.3 m.
 POSE_M = 0.14
 MAP_M = float(np.sqrt(0.3**2 - POSE_M**2))
-ALIKE = 0.9  # cosine of 26 degrees: lanes of one direction
-BESIDE_M = 1.0  # beyond a lane's edge the next one is looked for: within the narrowest lane
-MOST_SCALE = 0.01  # farther off 1 no scale of range passes a localization
+ALIKE = 0.9  # least cosine between lanes of one direction: 26 degrees
+BESIDE_M = 1.0  # distance beyond a lane's edge of the point that is in the next lane
+MOST_SCALE = 0.01  # largest error of a scale of range that passes a localization
 
 
 class Shifts(NamedTuple):
-    """What all vehicles on each tile may be shifted by, 1 sigma, metres.
+    """Common shifts of all vehicles on each tile, 1 sigma, metres.
 
     Parameters
     ----------
     along, across : (n,) arrays
-        Along the lane, map and poses; across it, poses alone: vehicles keep to lanes of the map.
+        Along the lane by map and poses; across it by poses alone, as vehicles keep to the lanes.
     """
 
     along: Floats
@@ -47,14 +47,14 @@ class Shifts(NamedTuple):
 
 
 class OtherLanes(NamedTuple):
-    """Where vehicles are counted if a pose puts them on another lane than theirs.
+    """Lanes on which vehicles are counted if an error of a pose moves them off theirs.
 
     Parameters
     ----------
     chance : (n,) array
-        Of that, by position of the lane, at its counting line.
+        Probability of that, by position of the lane, at its counting line.
     beside : (2, n) int64 array
-        Positions of the lanes on its left and right there; -1 where there is none.
+        Positions of the lanes to its left and right there; -1 where there is none.
     """
 
     chance: Floats
@@ -67,7 +67,7 @@ class OtherLanes(NamedTuple):
         Parameters
         ----------
         shifts : Shifts
-            Of the tiles.
+            Shifts of the tiles.
         tiles : GeoDataFrame
             All tiles of the network, by ascending `tile_id`.
         network : LaneNetwork
@@ -80,12 +80,12 @@ class OtherLanes(NamedTuple):
         return cls(chance_of_others(shifts, tiles)[line], lane[lanes_beside(tiles)[:, line]])
 
     def variance(self, values: Floats) -> Floats:
-        """Return what these lanes leave open of a measure, squared.
+        """Return the variance that these lanes add to a measure.
 
         Parameters
         ----------
         values : (n, ...) array
-            The measure, by position of the lane; NaN counts as 0 beside another.
+            The measure, by position of the lane; NaN of a lane beside counts as 0.
         """
         away = np.concatenate([np.nan_to_num(values), np.zeros_like(values[:1])])[self.beside]
         spread = ((away - values) ** 2).mean(axis=0)
@@ -93,14 +93,14 @@ class OtherLanes(NamedTuple):
 
 
 def shifts_of(poses: pd.DataFrame, sights: pd.DataFrame, tiles: gpd.GeoDataFrame) -> Shifts:
-    """Return the shifts that poses leave open.
+    """Return the shifts by the errors of poses and map.
 
-    Sensors that see a tile count alike, and err independently; the poses of a track err as one.
+    Sensors that see a tile weigh the same, with independent errors; poses of a track share theirs.
 
     Parameters
     ----------
     poses, sights : DataFrame
-        Of a dataset.
+        Tables of a dataset.
     tiles : GeoDataFrame
         All its tiles, by ascending `tile_id`.
     """
@@ -123,13 +123,13 @@ def shifts_of(poses: pd.DataFrame, sights: pd.DataFrame, tiles: gpd.GeoDataFrame
 
 
 def chance_of_others(shifts: Shifts, tiles: gpd.GeoDataFrame) -> Floats:
-    """Return by tile the chance that a pose is off by more than half of its width."""
+    """Return for each tile the probability that a pose is off by more than half of its width."""
     half_m = tiles["width_m"].to_numpy(float) / 2
     return np.asarray(2.0 * scipy.special.ndtr(-half_m / np.maximum(shifts.across, 1e-6)))
 
 
 def lanes_beside(tiles: gpd.GeoDataFrame) -> Integers:
-    """Return the tiles of lanes in the same direction next on the left and on the right.
+    """Return for each tile the next tiles of the same direction to the left and to the right.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def _ways(corners: Floats) -> tuple[Floats, Floats]:
 
 
 def _variances(pose: Pose, centre: Floats, way: Floats) -> Floats:
-    """Return the variances along and across of what is seen at some places from a pose, (n, 2)."""
+    """Return the variances (m^2) along and across at some places seen from a pose, (n, 2)."""
     known = pose.parsed_evidence()
     if known.covariance is not None:
         covariance = known.covariance[np.ix_([0, 1, 5], [0, 1, 5])]

@@ -1,4 +1,4 @@
-"""What a question in SQL may hold: one SELECT over the tables of a dataset, and nothing else."""
+"""Check an SQL query: one SELECT over the tables of a dataset, and nothing else."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from gis_radar.dataset.tables import TABLES
 LAYERS = ("tiles", "lanes", "stop_lines")
 ASKABLE = (*TABLES, *LAYERS)
 ASK_ONE = Text("ask one SELECT of the tables {}", ", ".join(ASKABLE))
-# Whatever else stands in a tree may write: DuckDB takes COPY in a WITH, to any file it may read.
+# Allowed nodes of a parsed query; others may write: DuckDB takes COPY in a WITH, to any file.
 _NODES = {"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"}
 _TABLE_FUNCTIONS = {"range", "generate_series", "unnest"}
 _NO_FUNCTIONS = {"current_setting", "getvariable", "write_log"}
 
 
 def tables_of(asked: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
-    """Return the names of the tables that a question reads.
+    """Return the names of the tables that a query reads.
 
     Parameters
     ----------
     asked : duckdb.DuckDBPyConnection
-        Parses the question.
+        Connection that parses the query.
     sql : str
-        The question.
+        The query.
 
     Raises
     ------
     UsageError
-        If it is no single SELECT, or reads something else than tables of a dataset.
+        If it is no single SELECT, or reads anything but tables of a dataset.
     """
     nodes = list(_nodes(_tree(asked, sql)))
     own = {each["key"].lower() for node in nodes for each in node.get("cte_map", {}).get("map", ())}
@@ -64,7 +64,7 @@ def _tree(asked: duckdb.DuckDBPyConnection, sql: str) -> Any:
 
 
 def _nodes(tree: Any) -> Iterator[dict[str, Any]]:
-    """Yield the objects of a JSON document."""
+    """Yield all objects in a JSON document."""
     waiting = [tree]
     while waiting:
         each = waiting.pop()
@@ -76,7 +76,7 @@ def _nodes(tree: Any) -> Iterator[dict[str, Any]]:
 
 
 def _refuse_odd(node: dict[str, Any]) -> None:
-    """Refuse what is no SELECT, and functions that reach out of the tables."""
+    """Refuse nodes that are no SELECT, and functions that reach beyond the tables."""
     kind, function = str(node.get("type")), node.get("function")
     if kind.endswith("_NODE") and kind not in _NODES:
         what = kind.partition("_")[0]

@@ -1,4 +1,4 @@
-"""States of vehicles at any steps, between those that the tracks hold."""
+"""States of vehicles at any step, interpolated between those of the tracks."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ def states_of(
     Parameters
     ----------
     dataset : Dataset
-        With vehicles.
+        A dataset with vehicles.
     every : int
-        States at the steps that this divides.
+        States are given at the multiples of this number of steps.
     span : (int, int), optional
-        Only from the first to the last step.
+        First and last step of the states.
 
     Yields
     ------
     vehicles : DataFrame
-        The columns of `vehicles`, by number. One that goes on over an hour's begin keeps the number
-        that it had first.
+        The columns of `vehicles`, by number. A vehicle that goes on over an hour's begin keeps its
+        first number.
     states : DataFrame
         `vehicle, step, easting, northing` (m, the middle of the footprint), `heading` (degrees),
         `speed` (m/s), `lanelet_id, s_m, d_m` (null off the lanes), `seen`; by step and vehicle.
@@ -60,12 +60,12 @@ def states_of(
 
 
 def first_numbers(ahead: Mapping[int, int]) -> dict[int, int]:
-    """Return the number that each vehicle which goes on over an hour's begin had first.
+    """Return the first number of each vehicle that goes on over an hour's begin.
 
     Parameters
     ----------
     ahead : mapping
-        The later of two numbers by the earlier one, as `continued` has them, hours ascending.
+        By the earlier number the later one, as in `continued`, hours ascending.
     """
     first: dict[int, int] = {}
     for earlier, later in ahead.items():
@@ -118,7 +118,7 @@ def _states(
 def _places(
     step: Integers, begins: Integers, ends: Integers, number: Integers, wanted: Integers
 ) -> tuple[Integers, Floats]:
-    """Return the row at or before each wanted step, and how far on the step is to the next row."""
+    """Return the row at or before each wanted step, and the step's share of the way to the next."""
     if not len(step):
         return wanted, np.empty(0)
     base, size = int(step.min()), int(step.max() - step.min()) + 1

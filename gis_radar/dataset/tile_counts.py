@@ -24,11 +24,11 @@ from gis_radar.dataset.tables import (
     TableSchema,
 )
 
-# Error of a run of occupied steps by the ends of its vehicle, as a share of its length: both ends
-# of a car of 4.5 m are known to 0.5 m; and at most so long: those of one that stops, at 1.5 m/s.
+# Error of a run of occupied steps by the ends of its vehicle, as a share of the run's length (both
+# ends of a car of 4.5 m are known to 0.5 m), and at most (of a vehicle that stops, at 1.5 m/s).
 END_SHARE, END_MOST_S = 0.16, 0.5
-# Root of the variance of a run that was seen, relative to its length, from false and missed
-# vehicles: 7 % and 13 % of the time in five simulated places; of one that was inferred: 25 % each.
+# Root of the variance of a run by false and missed vehicles, relative to its length: of a seen run
+# (7 % and 13 % of the time in five simulated places), and of an inferred one (25 % each).
 FALSE_SHARE, INFERRED_SHARE = 0.45, 0.7
 
 
@@ -41,7 +41,7 @@ def run_variance(steps: Integers, seen: Booleans) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HourSpans:
-    """Spans of steps of an hour, ascending, that do not overlap.
+    """Disjoint spans of steps of an hour, ascending.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ QUARTER_SPANS = HourSpans(first=_BEGINS, last=_BEGINS + STEPS_PER_QUARTER - 1)
 
 @dataclass(frozen=True, kw_only=True)
 class _Runs:
-    """Runs of steps on one axis: all tiles, one after the other, an hour each."""
+    """Runs of steps on one axis, on which the tiles follow each other with an hour each."""
 
     first: Integers
     last: Integers
@@ -68,7 +68,7 @@ class _Runs:
 
     @classmethod
     def of(cls, table: pa.Table, tiles: Integers, hour: int) -> _Runs:
-        """Return the runs of tiles, of which all must be among the given ones."""
+        """Return the runs of a table, all of whose tiles must be among the given ones."""
         first, last = (table[name].to_numpy() for name in ("first_step", "last_step"))
         place = np.searchsorted(tiles, table["tile_id"].to_numpy())
         shift = (place - hour) * STEPS_PER_HOUR
@@ -77,7 +77,7 @@ class _Runs:
         return cls(first=first + shift, last=last + shift, seen=seen)
 
     def joined(self) -> _Runs:
-        """Return runs that follow each other as one, be they seen or not."""
+        """Join runs that follow each other without a gap, whether seen or not."""
         new = np.diff(self.first, prepend=-1) > 0
         new[1:] = (self.first[1:] != self.last[:-1] + 1) | (self.first[1:] % STEPS_PER_HOUR == 0)
         begins = np.flatnonzero(new)
@@ -104,7 +104,7 @@ class _Runs:
         return replace(found, cell=np.repeat(tile, count) * len(spans.first) + span)
 
     def _cut(self, count: Integers, first: Integers, last: Integers) -> _Runs:
-        """Repeat runs, each so often, and cut them to a span each."""
+        """Repeat each run `count` times, and cut each copy to a span."""
         return _Runs(
             first=np.maximum(np.repeat(self.first, count), first),
             last=np.minimum(np.repeat(self.last, count), last),
@@ -113,11 +113,11 @@ class _Runs:
 
     @property
     def steps(self) -> Integers:
-        """Their lengths."""
+        """Lengths of the runs, steps."""
         return self.last - self.first + 1
 
     def total(self, values: Integers | Floats | Booleans, cells: int) -> Floats:
-        """Return sums of a value of runs that were cut, by tile and span."""
+        """Sum a value of cut runs by tile and span."""
         return np.bincount(self.cell, values, cells).astype(np.float64)
 
 
@@ -127,14 +127,14 @@ def count_hour(folder: Path, record: HourRecord) -> pa.Table:
     Parameters
     ----------
     folder : Path
-        Of the dataset.
+        Folder of the dataset.
     record : HourRecord
-        Of the hour.
+        Record of the hour.
 
     Returns
     -------
     pyarrow.Table
-        The rows of `tile_counts` in it: of tiles and quarters with an observed step.
+        The hour's rows of `tile_counts`: tiles and quarters with an observed step.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def count_hour(folder: Path, record: HourRecord) -> pa.Table:
 def count_spans(
     folder: Path, record: HourRecord, spans: HourSpans
 ) -> tuple[Integers, dict[str, Floats]]:
-    """Count the steps of the tiles of an hour in spans of it.
+    """Count the steps of the tiles in spans of an hour.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def count_spans(
     record : HourRecord
         Of the hour.
     spans : HourSpans
-        Of it.
+        Spans of the hour.
 
     Returns
     -------
@@ -203,7 +203,7 @@ def count_spans(
 
 
 def _hits_in(runs: _Runs, folder: Path, record: HourRecord, tiles: Integers) -> Integers:
-    """Return how many hits lie in each run; memory is that of a row group."""
+    """Count the hits in each run; memory holds one row group."""
     found, reached = np.zeros(len(runs.first), np.int64), np.zeros(2, np.int64)
     begin = record.hour * STEPS_PER_HOUR
     with record.opened(folder, HITS) as file:
@@ -219,7 +219,7 @@ def _count_hits(  # pragma: no cover - compiled
     tile: Integers, step: Integers, tiles: Integers, first: Integers, last: Integers, begin: int,
     reached: Integers, found: Integers,
 ) -> None:  # fmt: skip
-    """Count sorted hits in sorted runs; go on at the tile and the run that were reached."""
+    """Count sorted hits in sorted runs, continuing at the tile and the run in `reached`."""
     place, run = reached
     for k in range(len(tile)):
         while place < len(tiles) and tiles[place] < tile[k]:
@@ -265,7 +265,7 @@ def update_counts(
 
 
 def count_keys(records: Mapping[int, HourRecord]) -> Keys:
-    """Return what the counts of each hour follow from."""
+    """Return the keys of the counts of each hour: the digests that they follow from."""
     return {hour: [each.origin.method, each.origin.inputs] for hour, each in records.items()}
 
 
@@ -274,7 +274,7 @@ def _maker(folder: Path, records: Mapping[int, HourRecord]) -> Maker:
 
 
 def check_counts(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
-    """Read the tables of the dates of some hours, where they are written.
+    """Read the tile counts of the dates of some hours, where they are written, to check them.
 
     Raises
     ------
@@ -295,9 +295,9 @@ def read_counts(
     span: Span | None = None,
     columns: Sequence[str] | None = None,
 ) -> Iterator[pa.Table]:
-    """Read the tile counts day by day, of the complete hours alone.
+    """Read the tile counts of complete hours, day by day.
 
-    Hours whose counts are not written yet, or older than the hour, are counted.
+    Hours whose counts are not written yet, or older than the hour, are counted now.
 
     Parameters
     ----------
@@ -306,11 +306,11 @@ def read_counts(
     fingerprint : str
         Of its tiles.
     records : mapping
-        Of the complete hours, ascending.
+        Records of the complete hours, ascending.
     span : (int, int), optional
-        Only intervals that begin from the first to the last of these steps.
+        First and last step in which intervals may begin.
     columns : sequence of str, optional
-        Which columns; all without it.
+        Names of the columns; by default all.
 
     Yields
     ------

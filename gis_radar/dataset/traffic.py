@@ -1,4 +1,4 @@
-"""Traffic by lane for people: tidy tables with names, local times, km/h and vehicles an hour."""
+"""Traffic by lane as tidy tables with names, local times, km/h and vehicles an hour."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS, TableSchema
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
 
-LEAST_STEPS = 60 * STEPS_PER_SECOND  # of an interval: in less a lane has no volume to speak of
+LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
 _WITH_LANE = ["lane"]
 _WITH_TURN = ["from_lane", "to_lane"]
@@ -50,11 +50,11 @@ Moment: TypeAlias = str | datetime | int | None
 
 
 class Source(Protocol):
-    """What traffic and views are read from: a dataset."""
+    """Source of traffic and views: a dataset."""
 
     @property
     def folder(self) -> Path:
-        """Where it lies."""
+        """The dataset's folder."""
 
     @property
     def has_vehicles(self) -> bool:
@@ -65,42 +65,42 @@ class Source(Protocol):
 
     @property
     def manifest(self) -> Manifest:
-        """Its zone and coordinate system."""
+        """The manifest, with time zone and coordinate system."""
 
     def records(self, span: Span | None = None) -> dict[int, HourRecord]:
         """Return the records of its complete hours."""
 
     def whole(self, table: TableSchema) -> pa.Table:
-        """Read a table that has one file."""
+        """Read a table that is one file."""
 
     def layer(self, name: str) -> gpd.GeoDataFrame:
         """Read a layer of its tiles."""
 
     def poses(self) -> gpd.GeoDataFrame:
-        """Read where sensors stand and look."""
+        """Read the poses of the sensors."""
 
     def sights(self) -> pd.DataFrame:
-        """Read which tiles are in sight of which pose."""
+        """Read the tiles in sight of each pose."""
 
 
 class TrafficTables:
-    """The traffic of a dataset, as its methods."""
+    """Methods of a dataset that return its traffic."""
 
     def traffic(
         self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
         language: str | None = None, whole: bool = False,
     ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the traffic of lanes, a row a lane and interval.
+        """Return the traffic of lanes, a row for each lane and interval.
 
         Parameters
         ----------
         interval : str
-            Its length, such as `15min` or `1h`: a multiple of 15 min that divides a day, or a part
-            of 15 min of 1 min and more. Intervals follow the clocks of the site.
+            Length of the intervals, such as `15min` or `1h`: a multiple of 15 min that divides a
+            day, or a divisor of 15 min from 1 min on. Intervals follow the clocks of the site.
         begin, end : str, datetime or step, optional
-            Only what begins between these times.
+            Times between which the intervals begin.
         language : str, optional
-            Of the lanes' names, `en` or `de`; English without it, or what is spoken now.
+            Language of the lanes' names, `en` or `de`; by default the current one, else English.
         whole : bool
             One row a lane, of all intervals together that were measured: from the begin of the
             first to the end of the last, `volume` without the time between. Intervals count by the
@@ -131,7 +131,7 @@ class TrafficTables:
         self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
         language: str | None = None, whole: bool = False,
     ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the volumes of turns, a row a turn and interval; as of :meth:`traffic`.
+        """Return the volumes of turns, a row for each turn and interval; as :meth:`traffic`.
 
         Returns
         -------
@@ -146,7 +146,7 @@ class TrafficTables:
         self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
         language: str | None = None,
     ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the queues at stop lines: rows of :meth:`traffic` of lanes that have one.
+        """Return the queues at stop lines: rows of :meth:`traffic`, of lanes with a stop line.
 
         Returns
         -------
@@ -181,22 +181,22 @@ def _reader(
 
 @dataclass(frozen=True, kw_only=True)
 class TrafficReader:
-    """Reads lane measures and turns by intervals of any allowed length.
+    """Reader of lane measures and turns by intervals of any allowed length.
 
     Parameters
     ----------
     dataset : Source
-        Its complete hours.
+        The dataset, of which complete hours are read.
     traffic : LaneTraffic
-        Of the dataset.
+        Lane measures of the dataset.
     interval : str
         Length of the intervals: `1min`, `5min`, `15min`, `1h`, `24h`. They follow the clocks of the
-        site, whole days of 23 and 25 hours among them. Under 15 min they are measured from the
+        site, so that days may have 23 or 25 hours. Under 15 min they are measured from the
         exact tables.
     span : (int, int), optional
-        Only what begins from the first to the last of these steps.
+        First and last step in which intervals may begin.
     language : str, optional
-        Of the names; the current one without it.
+        Language of the names; by default the current one.
     exact : bool
         Whether intervals of 15 min and more are measured from the exact tables, too.
     whole : bool
@@ -212,14 +212,14 @@ class TrafficReader:
     whole: bool = False
 
     def lanes(self) -> gpd.GeoDataFrame:
-        """Return a row a lane and interval, as of :meth:`gis_radar.Dataset.traffic`."""
+        """Return a row for each lane and interval, as :meth:`gis_radar.Dataset.traffic` does."""
         table, network = self._rows(LANE_MEASURES), self.traffic.network
         for name in ("volume", "occupancy"):
-            left_open = self._left_open(table, "lane", name)
+            left_open = self._pose_variance(table, "lane", name)
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
         layer = self._layer(LANES_LAYER)
         table["delay_s"] = delays(table, layer, network)
-        with self._speaking():
+        with self._in_language():
             names = lane_names(layer, network)
         at = np.searchsorted(network.lane, table["lane"].to_numpy(np.int64))
         lines = layer.set_index("lane").geometry.loc[network.lane.tolist()].array[at]
@@ -239,12 +239,12 @@ class TrafficReader:
         )
 
     def turns(self) -> gpd.GeoDataFrame:
-        """Return a row a turn and interval, as of :meth:`gis_radar.Dataset.turns`."""
+        """Return a row for each turn and interval, as :meth:`gis_radar.Dataset.turns` does."""
         table, network = self._rows(TURNS), self.traffic.network
         if self.whole and not table.empty:
             table = _like_approaches(table, self._rows(LANE_MEASURES))
         ways, layer = network.turns(), self._layer(LANES_LAYER)
-        with self._speaking():
+        with self._in_language():
             names = np.array(lane_names(layer, network), object)
         words, lines = turn_lines(layer, network, ways)
         pairs = {
@@ -258,7 +258,7 @@ class TrafficReader:
         )
         approach = table.groupby(["from_lane", "begin"])["volume"].transform("sum")
         part = (table["volume"] / approach.where(approach > 0.0)).fillna(1.0)
-        left_open = part * np.sqrt(self._left_open(table, "from_lane", "volume"))
+        left_open = part * np.sqrt(self._pose_variance(table, "from_lane", "volume"))
         table["volume_se"] = np.hypot(table["volume_se"], left_open)
         shown = table[_WITH_TURN].assign(from_name=names[start], to_name=names[end])
         shown["turn"] = np.array(words, object)[at]
@@ -273,10 +273,10 @@ class TrafficReader:
         shifts = shifts_of(self.dataset.poses(), self.dataset.sights(), tiles)
         return OtherLanes.of(shifts, tiles, self.traffic.network)
 
-    def _left_open(self, table: pd.DataFrame, lane: str, name: str) -> Floats:
-        """Return the variance that poses add to a measure, in all intervals alike; by row.
+    def _pose_variance(self, table: pd.DataFrame, lane: str, name: str) -> Floats:
+        """Return for each row the variance that errors of poses add to a measure.
 
-        It is added after quarters are summed, as no time averages it out.
+        It is the same in all intervals, so it is added after quarters are summed.
         """
         network = self.traffic.network
         sums = table.groupby([lane, "begin"], as_index=False)[name].sum(min_count=1)
@@ -285,7 +285,7 @@ class TrafficReader:
         row = np.searchsorted(network.lane, table[lane].to_numpy(np.int64))
         return np.asarray(variance[row, wide.columns.get_indexer(table["begin"])])
 
-    def _speaking(self) -> AbstractContextManager[None]:
+    def _in_language(self) -> AbstractContextManager[None]:
         return speaking(self.language) if self.language else nullcontext()
 
     def _layer(self, name: str) -> gpd.GeoDataFrame:
@@ -344,12 +344,12 @@ class TrafficReader:
 
 
 def _allowed(interval: str) -> int:
-    """Return the length of an interval in steps; refuse what is no part or multiple of 15 min.
+    """Return the length of an interval in steps; refuse one that does not fit 15 min and the day.
 
     Raises
     ------
     UsageError
-        If it is none, under a minute, or no part of a day.
+        If it is no length, under a minute, or does not divide a day.
     """
     steps = interval_steps(interval)
     part = steps >= LEAST_STEPS and STEPS_PER_QUARTER % steps == 0
@@ -367,9 +367,9 @@ def _length(steps: int) -> pd.Timedelta:
 
 
 def _local_intervals(begin: pd.Series, steps: int, zone: ZoneInfo) -> pd.DataFrame:
-    """Return begin and end of the intervals that quarters lie in, by the clocks of the site.
+    """Return begin and end of the intervals of quarters, by the clocks of the site.
 
-    Up to an hour they have their length; longer ones end when the clock says so.
+    Intervals up to an hour have their exact length; longer ones end by the clock.
     """
     wall = begin.dt.tz_convert(zone).dt.tz_localize(None)
     floor = wall.dt.floor(_length(steps))
@@ -434,7 +434,7 @@ def _like_approaches(turns: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
 
 
 def _lane_sums(rows: pd.DataFrame, groups: Any, network: LaneNetwork) -> pd.DataFrame:
-    """Return the other measures of lanes, each by its own weight."""
+    """Return the other measures of lanes, each a mean or sum with its own weights."""
     weights = {
         "occupancy": "visible_km_h", "density": "visible_km_h", "flow": "visible_km_h",
         "speed_time_mean": "counted", "queue_mean_m": "visible_share",
@@ -489,7 +489,7 @@ def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -
 
 
 def _percentile(counts: Any, share: float) -> float:
-    """Return a percentile of speeds counted by classes, km/h; even within a class."""
+    """Return a percentile (km/h) of speeds counted by classes, spread evenly within a class."""
     if counts is None or not np.sum(counts):
         return float("nan")
     below = np.concatenate([[0.0], np.cumsum(counts)])

@@ -1,4 +1,4 @@
-"""Tables for people: metres, degrees, m/s and UTC timestamps in place of the files' integers."""
+"""Convert the integers of the files to metres, degrees, m/s and UTC timestamps."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gis_radar.base import STEP_US
 
 @dataclass(frozen=True)
 class Timestamp:
-    """A column that becomes a time.
+    """Conversion of a column to times.
 
     Parameters
     ----------
     name : str
-        For people.
+        Name of the converted column.
     unit_us : int
-        Microseconds of a unit of the column.
+        Unit of the column, microseconds.
     later_us : int
-        What is added, microseconds.
+        Microseconds that are added.
     """
 
     name: str
@@ -36,31 +36,31 @@ class Timestamp:
         return pd.DatetimeIndex(time_us.astype("datetime64[us]"), tz="UTC")
 
     def sql(self, column: str, _: tuple[int, int]) -> str:
-        """Return the same in SQL."""
+        """Return the SQL expression of the times of a column."""
         return f"make_timestamptz(({column} * {self.unit_us})::BIGINT + {self.later_us})"
 
 
 @dataclass(frozen=True)
 class Hundredths:
-    """A column that becomes metres, degrees or m/s.
+    """Conversion of a column of hundredths to metres, degrees or m/s.
 
     Parameters
     ----------
     name : str
-        For people.
+        Name of the converted column.
     axis : int, optional
-        The coordinate of the dataset's origin that is added.
+        Index of the coordinate of the dataset's origin that is added.
     """
 
     name: str
     axis: int | None = None
 
     def of(self, values: Any, origin: tuple[int, int]) -> Any:
-        """Return the numbers of values."""
+        """Return values in metres, degrees or m/s."""
         return values / 100.0 + (0 if self.axis is None else origin[self.axis])
 
     def sql(self, column: str, origin: tuple[int, int]) -> str:
-        """Return the same in SQL."""
+        """Return the SQL expression of a column in metres, degrees or m/s."""
         return f"{column} / 100.0::DOUBLE + {0 if self.axis is None else origin[self.axis]}"
 
 
@@ -82,12 +82,12 @@ UNITS: dict[str, Timestamp | Hundredths] = {
 
 
 def for_people(table: pa.Table, origin: tuple[int, int]) -> pd.DataFrame:
-    """Return a table in metres, degrees, m/s and UTC timestamps.
+    """Convert a table to metres, degrees, m/s and UTC timestamps.
 
     Parameters
     ----------
     table : pyarrow.Table
-        As in the files.
+        Rows as in the files.
     origin : (int, int)
         Easting and northing from which tracks count, metres.
     """

@@ -1,4 +1,4 @@
-"""Take recordings out of a dataset, or find those that were moved."""
+"""Withdraw recordings from a dataset, or find recordings whose files were moved."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ def withdraw(
     processes: int = 1,
     reporter: Reporter = QUIET,
 ) -> None:
-    """Take recordings out of a dataset; the hours that they reach into are made again.
+    """Withdraw recordings from a dataset; the hours that they reach into are made again.
 
     Parameters
     ----------
     folder : str or Path
         The dataset.
     recordings : sequence of paths
-        Each by its path, or by its name alone where that is clear. They need not be there any
-        more; all others of the same hours have to be.
+        Paths, or file names where these are unique. The files may be gone; those of all other
+        recordings of the same hours must be there.
     processes : int
-        How many hours, or blocks of an hour, are made side by side.
+        Number of hours, or of blocks of an hour, made in parallel.
     reporter : Reporter
         Receives progress.
 
     Raises
     ------
     InputError
-        If the dataset has no such recording, or another one that is needed has gone or changed.
+        If the dataset has no such recording, or another needed one is missing or changed.
     """
     folder = Path(folder)
     dataset = open_dataset(folder, reporter=reporter)
@@ -78,22 +78,22 @@ def withdraw(
 
 
 def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET) -> int:
-    """Find recordings of a dataset that were moved, by what they hold.
+    """Find recordings of a dataset whose files were moved, by their contents.
 
     Parameters
     ----------
     folder : str or Path
         The dataset.
     search : str or Path
-        A folder; in it and in the folders below all files are looked at whose name ends as that of
-        a recording which is lost.
+        A folder; in it and in the folders below, all files with the suffix of a missing recording
+        are compared.
     reporter : Reporter
         Receives progress, and a warning for each recording that is not found.
 
     Returns
     -------
     int
-        How many were found.
+        Number of recordings found.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _is_there(entry: RecordingEntry) -> bool:
 
 
 def _named(registry: Registry, recording: str | Path) -> RecordingEntry:
-    """Return the one recording of a path or name."""
+    """Return the one recording with a path or file name."""
     path = Path(recording)
     same = [each for each in registry.entries if Path(each.path) == path.resolve()]
     same = same or [each for each in registry.entries if Path(each.path).name == str(recording)]

@@ -1,4 +1,4 @@
-"""The tables of a dataset as views of DuckDB: of complete hours, with columns for people."""
+"""Views of a dataset's tables in DuckDB, over complete hours, with converted columns, too."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str
     Parameters
     ----------
     dataset : Source
-        Its complete hours.
+        The dataset, of which complete hours are read.
     asked : duckdb.DuckDBPyConnection
-        Where they are made.
+        Connection in which the views are made.
     names : set of str
-        Of the tables.
+        Names of the tables.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str
     Raises
     ------
     InputError
-        If a part is not what its hour's record says.
+        If a part is not the one of its hour's record.
     """
     views = _Views(dataset, asked)
     records = dataset.records()
@@ -71,16 +71,16 @@ def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str
 
 
 class _Views:
-    """Makes views of tables."""
+    """Maker of views of tables."""
 
     def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection) -> None:
-        self._dataset, self._asked = dataset, asked
+        self._dataset, self._connection = dataset, asked
 
     def hours(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
         """Make the view of a table of hours; return its files, each checked."""
         folder, paths = self._dataset.folder, []
         for hour, record in records.items():
-            record.check_bytes(folder, table)  # which DuckDB, unlike Arrow, does not
+            record.check_bytes(folder, table)  # DuckDB, unlike Arrow, checks no checksums
             paths.append(part_path(folder, table, hour))
         if paths:
             self._view(table.name, table.names, f"read_parquet([{_list(paths)}])")
@@ -89,7 +89,7 @@ class _Views:
         return paths
 
     def days(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
-        """Make the view of a table of dates; dates that are not up to date are made now."""
+        """Make the view of a table of dates; dates that are not up to date are updated first."""
         folder, tiles = self._dataset.folder, self._dataset.manifest.fingerprint
         traffic = LaneTraffic(folder=folder, fingerprint=tiles)
         paths, odd = [], {}
@@ -105,7 +105,7 @@ class _Views:
         counted = table is TILE_COUNTS
         made = read_counts(folder, tiles, odd) if counted else traffic.read(table, odd)
         held = f"_made_{table.name}"
-        self._asked.register(held, pa.concat_tables([empty, *made]))
+        self._connection.register(held, pa.concat_tables([empty, *made]))
         source = _select(names, held)
         if paths:
             files = f"read_parquet([{_list(paths)}], hive_types = {{'date': DATE}})"
@@ -115,15 +115,15 @@ class _Views:
         return paths
 
     def held(self, table: TableSchema, rows: pa.Table) -> None:
-        """Make the view of rows in memory."""
-        self._asked.register(f"_{table.name}", rows)
+        """Make a view of rows held in memory."""
+        self._connection.register(f"_{table.name}", rows)
         self._view(table.name, table.names, f"_{table.name}")
 
     def _view(self, name: str, columns: list[str], source: str) -> None:
-        """Make a view of columns, and beside them those for people."""
+        """Make a view of the columns of the files and of the converted ones."""
         origin = self._dataset.manifest.origin
         further = [f'{UNITS[c].sql(c, origin)} AS "{UNITS[c].name}"' for c in columns if c in UNITS]
-        self._asked.execute(f"CREATE VIEW {name} AS {_select([*columns, *further], source)}")
+        self._connection.execute(f"CREATE VIEW {name} AS {_select([*columns, *further], source)}")
 
 
 def _select(columns: Iterable[str], source: str) -> str:
@@ -135,5 +135,5 @@ def _list(paths: Iterable[Path]) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return a text as a literal of SQL."""
+    """Return a text as an SQL string literal."""
     return "'" + text.replace("'", "''") + "'"

@@ -1,4 +1,4 @@
-"""Background tasks: what takes seconds runs on a thread of its own beside messages and map."""
+"""Background tasks: work of seconds runs on its own thread, beside messages and map."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ Answer = TypeVar("Answer")
 
 
 class BackgroundTask(Generic[Answer]):
-    """Runs one task at a time on a thread of its own.
+    """Runner of one task at a time on a thread of its own.
 
     Parameters
     ----------
     name : str
-        Of its thread.
+        Name of the thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -26,7 +26,7 @@ class BackgroundTask(Generic[Answer]):
 
     @property
     def busy(self) -> bool:
-        """Whether a task is running or its answer was not taken yet."""
+        """Whether a task is running, or its answer was not taken yet."""
         return self._thread is not None
 
     def begin(self, work: Callable[[], Answer]) -> None:
@@ -40,10 +40,10 @@ class BackgroundTask(Generic[Answer]):
 
         thread = Thread(target=run, daemon=True, name=self._name)
         thread.start()
-        self._thread = thread  # only now: one that could not be started is none
+        self._thread = thread  # after start, which may fail
 
     def take(self, *, wait: bool = False) -> Answer | None:
-        """Return the answer once the task is done; raise what it raised.
+        """Return the answer if the task is done, else None; raise the task's exception.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
-"""The link to the broker: MQTT 5 by paho, with TLS, a will, and a new connection after each loss.
+"""Link to the broker: MQTT 5 by paho, with TLS, a will, and a new connection after each loss.
 
-The broker keeps no session for anybody: what must not be lost waits at the sensor until fusion has
-stored it, so that a broker may be killed, or lose its disk.
+The broker keeps no sessions: messages that must not be lost wait at the sensor until fusion has
+stored them, so that a broker may be killed, or lose its disk.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 LIVE = "pip install gis_radar[live]"
 TOPICS = "v1"  # the version of the tree of topics
-FUSION = "fusion"  # its name in topics, and as whom it logs in
+FUSION = "fusion"  # fusion's name in topics, and its user name at the broker
 PORTS = {"mqtt": 1883, "mqtts": 8883}
-KEEP_ALIVE_S = 10  # a cut link is noticed after one and a half
+KEEP_ALIVE_S = 10  # a cut link is noticed after 1.5 times this
 SLOWEST_RETRY_S = 30
 IN_FLIGHT = 100  # messages sent before the broker has confirmed the first
 _TAKEN_OVER, _NOT_AUTHORISED = 142, 135  # reason codes of MQTT 5
 _REFUSED = range(128, 256)
-TWINS, TWINS_WITHIN_S = 3, 120.0  # so many short links are no restart of the broker
+TWINS, TWINS_WITHIN_S = 3, 120.0  # number of short links in a time that no restart explains
 LOOK_S = 0.005  # between two looks at an empty queue
-SHORT_S = 10.0  # a link that ends sooner is short
+SHORT_S = 10.0  # a shorter link is short
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +43,13 @@ class BrokerAddress:
     Parameters
     ----------
     host, port : str, int
-        Its address.
+        Host and port.
     user, password : str
-        The log-in; empty: none.
+        The log-in; empty for none.
     tls : bool
         Whether the link is encrypted.
     authority : Path, optional
-        Certificate of the authority that signed the broker's; without it the system's count.
+        Certificate of the authority that signed the broker's; by default the system's are used.
     """
 
     host: str
@@ -68,7 +68,7 @@ class BrokerAddress:
         UsageError
             If it is no such address.
         """
-        if "@" in address:  # a password may stand before it: it is not repeated
+        if "@" in address:  # a password may stand before it, which the message must not repeat
             raise UsageError(
                 "the address of a broker holds a user", hint="state user and password_file"
             )
@@ -93,7 +93,7 @@ class BrokerAddress:
 
 
 class Received(NamedTuple):
-    """A message that came in.
+    """A received message.
 
     Parameters
     ----------
@@ -114,16 +114,16 @@ class Received(NamedTuple):
 
 
 class Link:
-    """A connection to the broker that is made again whenever it is lost.
+    """Connection to the broker that is made again whenever it is lost.
 
     Parameters
     ----------
     address : BrokerAddress
-        Of the broker.
+        Address of the broker.
     name : str
-        Id of the client, in messages; the broker takes the user's name.
+        Id of the client, for log lines; the broker uses the user's name.
     topics : sequence of str
-        Subscribed to.
+        Topics to subscribe to.
     will : (str, bytes), optional
         Topic and content, published by the broker and retained once this program is gone.
     reporter : Reporter
@@ -134,9 +134,9 @@ class Link:
     connections : int
         Number of times it was made.
     refused : int
-        Messages that the broker did not take.
+        Number of messages that the broker refused.
     twins : bool
-        Whether another program with the same id and this one end each other's links.
+        Whether this and another program with the same id end each other's links.
 
     Raises
     ------
@@ -186,7 +186,7 @@ class Link:
         return client
 
     def open(self) -> None:
-        """Begin to connect, in the background."""
+        """Start connecting in the background."""
         self._client.connect_async(
             self._address.host, self._address.port, keepalive=KEEP_ALIVE_S, clean_start=True,
             properties=self._properties,
@@ -203,7 +203,7 @@ class Link:
 
     @property
     def connected(self) -> bool:
-        """Whether the link is there."""
+        """Whether the link is up."""
         return self._connected
 
     def publish(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
@@ -218,20 +218,20 @@ class Link:
             try:
                 return self._received.get_nowait()
             except Empty:
-                # not `get` with a timeout: a signal as it runs out lets it wait for ever, in 3.11
+                # not `get` with a timeout: in 3.11, a signal as it expires makes it wait for ever
                 left = until - time.monotonic()
                 if left <= 0.0:
                     return None
                 time.sleep(min(left, LOOK_S))
 
     def _say(self, text: str) -> None:
-        if text != self._said:  # once, however often it is tried again
+        if text != self._said:  # log a failure once, however often it is retried
             self._said = text
             self._reporter.log(
                 Text("{}: {}", self._name, text), "info" if self._connected else "warning"
             )
 
-    # What paho calls, in its thread.
+    # Callbacks, which paho calls in its thread.
 
     def _on_connect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
         self._refusing = bool(reason.is_failure)
@@ -247,7 +247,7 @@ class Link:
         self._say(Text("linked to the broker at {}", self._address))
 
     def _on_connect_fail(self, _c: Any, _u: Any) -> None:
-        # paho calls this while it handles what went wrong, and hands no reason over
+        # paho calls this while it handles the exception, and passes no reason
         self._say(Text("{}; trying on", _why_no_link(sys.exc_info()[1], self._address)))
 
     def _on_disconnect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
@@ -264,12 +264,12 @@ class Link:
         if not was or not _code(reason):
             return
         now = time.monotonic()
-        # Mosquitto 2.0 does not say that another program has taken the name over.
+        # Mosquitto 2.0 sends no reason code when another program takes the name over.
         if _code(reason) == _TAKEN_OVER or now - self._since < SHORT_S:
             self._taken.append(now)
         self.twins = len(self._taken) == TWINS and now - self._taken[0] < TWINS_WITHIN_S
         if self.twins:
-            # the other one has its turn meanwhile: neither gets far, but both are heard
+            # reconnect slowly: the other program is served meanwhile, and both report it
             self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
             self._say("the broker ends each link soon: has another program the same name?")
             return
@@ -287,7 +287,7 @@ class Link:
 
 
 def _why_no_link(error: BaseException | None, address: BrokerAddress) -> str:
-    """Return why a link could not be made: no answer, or a certificate that is not trusted."""
+    """Return the reason why a link failed: no answer, or an untrusted certificate."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return Text(
             "the certificate of the broker at {} is refused: {}", address, error.verify_message
@@ -319,7 +319,7 @@ class SensorTopics:
     Parameters
     ----------
     site, sensor : str
-        Their names; `+` stands for any.
+        Names of site and sensor; `+` matches any.
     """
 
     site: str
@@ -331,6 +331,6 @@ class SensorTopics:
 
 
 def parts_of(topic: str) -> tuple[str, str]:
-    """Return sensor and kind of a topic; both empty if it is not of this tree."""
+    """Return sensor and kind of a topic; both are empty if it is not of this tree."""
     parts = topic.split("/")
     return (parts[2], parts[3]) if len(parts) == 4 and parts[0] == TOPICS else ("", "")

@@ -1,4 +1,4 @@
-"""Files for the broker: Mosquitto's configuration, access, passwords; systemd units; containers."""
+"""Files for a broker: Mosquitto's configuration, access, passwords; systemd units; containers."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from gis_radar.live.settings import DEFAULTS, LiveSite, read_live_site
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
 COMPOSE, IMAGE = "compose.yaml", "Dockerfile"
 OWNED = (CONFIG, ACCESS, PASSWORDS, COMPOSE, IMAGE, "gis-radar-", "password_of_")
-_ROUNDS, _SALT_BYTES = 101, 12  # of Mosquitto's own mosquitto_passwd
-_HEADER_BYTES = 1024  # of a message, over its content: topic and properties
+_ROUNDS, _SALT_BYTES = 101, 12  # as in Mosquitto's own mosquitto_passwd
+_HEADER_BYTES = 1024  # bytes of a message beside its content: topic and properties
 
 
 def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
@@ -33,7 +33,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
     path : str or Path
         The site's file, with a table `[live]`.
     folder : str or Path
-        Where they are written, whole or not at all.
+        Folder of the files, which are written whole or not at all.
 
     Raises
     ------
@@ -90,7 +90,7 @@ tls_version tlsv1.2
 def broker_config(site: LiveSite, folder: Path) -> str:
     """Return Mosquitto's configuration: log-in required, messages and queues bounded."""
     address = BrokerAddress.of(site.live.broker.address)
-    # Messages that all sensors may have sent unacknowledged, twice.
+    # Twice the messages that all sensors together may have sent unacknowledged.
     queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
     return _CONFIG.format(
         port=address.port, passwords=folder / PASSWORDS, access=folder / ACCESS,
@@ -111,7 +111,7 @@ def broker_access(site: str) -> str:
 
 
 def password_lines(known: Mapping[str, str]) -> str:
-    """Return Mosquitto's file of passwords: PBKDF2 with SHA-512, as its own program makes it."""
+    """Return Mosquitto's file of passwords, hashed by PBKDF2 with SHA-512 as mosquitto_passwd."""
     lines = []
     for user, password in known.items():
         salt = secrets.token_bytes(_SALT_BYTES)
@@ -148,10 +148,10 @@ WantedBy=multi-user.target
 """
 # Folder of compiled code: homes are read only, and an account may have none.
 _KEPT = "CacheDirectory=gis_radar\nEnvironment=NUMBA_CACHE_DIR=%C/gis_radar\n"
-# Paths of docs/live.md on the computer of a sensor, which is another one.
+# Paths on a sensor's own computer, as in docs/live.md.
 _THERE, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
 _USER = "gis_radar"
-_STOP_S = 300  # fusion follows the last minutes of vehicles and writes the hour
+_STOP_S = 300  # time to stop: fusion follows the last minutes of vehicles and writes the hour
 
 _IMAGE = """\
 # Broker and gis_radar in one image; see docs/live.md.
@@ -166,7 +166,7 @@ COPY Dockerfile *.whl /build/
 RUN python3 -m venv /venv && /venv/bin/pip install --no-cache-dir "$GIS_RADAR" && rm -r /build
 ENV PATH=/venv/bin:/usr/sbin:/usr/bin:/sbin:/bin
 """
-# Passwords and keys must not get into the image.
+# Patterns that keep passwords and keys out of the image.
 _LEFT_OUT = "*\n!Dockerfile\n!*.whl\n"
 
 
@@ -218,7 +218,7 @@ def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
 
 
 def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
-    """Return systemd's units by name: broker and fusion of this machine, a sensor of any.
+    """Return systemd's units by name: broker and fusion on this machine, and a sensor's on its own.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
 
 
 def _command(words: Sequence[str], *, instance: bool) -> str:
-    """Return a command as systemd reads it: quoted, without variables and specifiers of its own."""
+    """Quote a command for systemd, so that no variables or specifiers in it are expanded."""
     if instance:
         return " ".join(words)
     quoted = (each.replace("\\", "\\\\").replace('"', '\\"') for each in words)

@@ -1,7 +1,7 @@
-"""The disk buffer of a sensor: what was measured waits here until fusion has stored it.
+"""Disk buffer of a sensor, in which messages wait until fusion has stored them.
 
-One SQLite file with a write-ahead log. A killed process loses nothing. Each opening begins a new
-stream, so that a file that was restored from an older copy uses no number twice.
+It is one SQLite file with a write-ahead log. A killed process loses nothing. Each opening begins a
+new stream, so that a file restored from an older copy uses no number twice.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import NamedTuple, Self
 from gis_radar.base import GisRadarError, InputError, OutputError, Text
 from gis_radar.live.payload import STREAM_BYTES, VERSION
 
-LOCK_S = 1.0  # for another program to let go of the file
-ROW_BYTES = 24  # that SQLite takes beside the content of a message; measured
-LAST_NUMBER = 1 << 62  # there is room for the next ones in 64 bits
-CHECK_EVERY = 64  # messages between two looks at the size
-_APPLICATION = b"grbu"  # in the file's header: it is a buffer
+LOCK_S = 1.0  # wait for another program to release the file
+ROW_BYTES = 24  # overhead of SQLite for a message; measured
+LAST_NUMBER = 1 << 62  # largest number of a message, so that the next ones fit in 64 bits
+CHECK_EVERY = 64  # messages between two checks of the size
+_APPLICATION = b"grbu"  # mark of a buffer in the file's header
 _TABLE = """CREATE TABLE IF NOT EXISTS {} (
     number INTEGER PRIMARY KEY CHECK (number BETWEEN 1 AND {}),
     {} BLOB NOT NULL CHECK (typeof({}) = 'blob'));"""
@@ -32,9 +32,9 @@ CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value BLOB NOT NULL) WI
 {_TABLE.format("poses", LAST_NUMBER, "message", "message")}
 """
 _LOOKS = ("SELECT number, content FROM messages", "SELECT number, message FROM poses")
-# What SQLite says where nothing is wrong with the file: it is in use, or the disk is full or away.
+# Error codes of SQLite that are no damage of the file: it is in use, or the disk is full or gone.
 _OF_THE_PLACE = ("BUSY", "LOCKED", "FULL", "IOERR", "READONLY", "CANTOPEN", "NOMEM", "PERM", "AUTH")
-_HEADER = (b"SQLite format 3\0", slice(68, 72))  # how it begins, and where the application is
+_HEADER = (b"SQLite format 3\0", slice(68, 72))  # begin of the file, and place of the mark in it
 OTHER_TILES, DAMAGED = "what waited speaks of other tiles", "it is damaged"
 
 
@@ -44,11 +44,11 @@ class Waiting(NamedTuple):
     Parameters
     ----------
     number : int
-        Its number.
+        Number of the message in the stream.
     first : bool
         True if no earlier message is in the buffer.
     content : bytes
-        What it holds.
+        Content of the message.
     """
 
     number: int
@@ -57,32 +57,32 @@ class Waiting(NamedTuple):
 
 
 class FullError(OutputError):
-    """A buffer that takes nothing more."""
+    """Error of a full buffer, or a full disk."""
 
 
 class DiskBuffer:
-    """Messages in order, until they are acknowledged.
+    """Buffer of messages in order, until they are acknowledged.
 
     Parameters
     ----------
     path : Path
-        The file; made where there is none.
+        The file, which is made where there is none.
     most_bytes : int
-        How large it may become. Then it takes nothing more: what waits is never dropped.
+        Largest size, bytes. A full buffer takes no messages: waiting ones are never dropped.
     fingerprint : str
-        Of the tiles that its messages speak of. A file that speaks of others is put aside, as is
-        one that is damaged: the sensor then goes on with a new one.
+        Fingerprint of the messages' tiles. A file for other tiles is renamed, as is a damaged one,
+        and a new one is begun.
 
     Attributes
     ----------
     stream : bytes
-        Random, for as long as the file is open.
+        Random id, new at each opening.
     last, stored : int
-        The number that was given last, and up to which messages were dropped.
+        The last number given, and the number up to which messages were acknowledged and dropped.
     put_aside : Path or None
-        Where a file of other tiles, or of another version, or a damaged one went.
+        New path of an earlier file that was for other tiles, of another version, or damaged.
     why : str
-        Why it was put aside.
+        The reason for that.
 
     Raises
     ------
@@ -112,11 +112,11 @@ class DiskBuffer:
         self.renew()
 
     def renew(self) -> None:
-        """Begin a new stream: what waits is of it, too."""
+        """Begin a new stream, to which the waiting messages belong, too."""
         self.stream = secrets.token_bytes(STREAM_BYTES)
 
     def _refuse_foreign(self) -> None:
-        """Leave a file alone that is no buffer; zeros are what a power loss may leave."""
+        """Refuse a file that is no buffer, but not zeros, which a power loss may leave."""
         if not self.path.exists():
             return
         with self.path.open("rb") as file:
@@ -130,7 +130,7 @@ class DiskBuffer:
             )
 
     def _open(self) -> bytes | None:
-        """Open the file; return of which version and tiles it is, None where it is damaged."""
+        """Open the file; return its mark of version and tiles, None where it is damaged."""
         self._database = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_S)
         try:
             if self._database.execute("PRAGMA application_id").fetchone() == (0,):  # a new one
@@ -150,7 +150,7 @@ class DiskBuffer:
         return bytes(of[0]) if found == "ok" else None
 
     def _put_aside(self, why: str) -> None:
-        """Keep the file under another name, with its log."""
+        """Rename the file, with its log."""
         self._database.close()
         self.why = why
         self.put_aside = self.path.with_name(f"{self.path.name}.{secrets.token_hex(STREAM_BYTES)}")
@@ -171,7 +171,7 @@ class DiskBuffer:
 
     @property
     def bytes_used(self) -> int:
-        """How much of the file is in use, bytes."""
+        """Bytes of the file that are in use."""
         (pages,) = self._one("PRAGMA page_count")
         (free,) = self._one("PRAGMA freelist_count")
         (size,) = self._one("PRAGMA page_size")
@@ -200,7 +200,7 @@ class DiskBuffer:
         return self.last
 
     def add_pose(self, message: bytes) -> None:
-        """Keep the pose that the next messages are found by.
+        """Store the pose by which the detections of the next messages were selected.
 
         Raises
         ------
@@ -212,14 +212,14 @@ class DiskBuffer:
             self._database.execute("INSERT OR REPLACE INTO poses VALUES (?, ?)", row)
 
     def pose_of(self, number: int) -> bytes:
-        """Return the pose that a message was found by."""
+        """Return the pose by which the detections of a message were selected."""
         query = "SELECT message FROM poses WHERE number <= ? ORDER BY number DESC"
         with _errors(self.path):
             found = self._database.execute(f"{query} LIMIT 1", (number,)).fetchone()
         return found[0] if found else b""
 
     def read_after(self, number: int, most: int) -> Iterator[Waiting]:
-        """Read messages that wait, from after a number on."""
+        """Read up to `most` waiting messages after a number."""
         with _errors(self.path):
             rows = self._database.execute(
                 "SELECT number, content FROM messages WHERE number > ? "
@@ -249,7 +249,7 @@ class DiskBuffer:
 
 @contextmanager
 def _errors(path: Path) -> Iterator[None]:
-    """Name the file where SQLite cannot write it."""
+    """Convert errors of SQLite to ones that name the file."""
     try:
         yield
     except GisRadarError:

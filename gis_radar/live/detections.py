@@ -1,11 +1,11 @@
-"""Detections near the road: which ones a sensor sends, and as what bytes.
+"""Detections near the road: select those that a sensor sends, and pack them to bytes.
 
-Those that the tracker takes: within a metre of a tile, at heights that vehicles have, in the order
-in which the radar gave them. Positions in units of 4 mm, range rates of 2 mm/s, cut towards zero so
-that what is slower than a limit stays so, and 0 for what stands by the noise of that radar, as only
-the sensor has all that tells the noise. In cm and cm/s a tenth of the vehicles' states would not be
-those of the recording. A frame is a column a quantity, in Rice codes: a number is the quotient by
-2^k in ones and a zero, then the rest in k bits.
+A sensor sends the detections that the tracker uses: within a metre of a tile, at heights that
+vehicles have, in the radar's order. Positions are in units of 4 mm, range rates of 2 mm/s, cut
+towards zero so that values below a limit stay below it; rates within the radar's noise become 0, as
+only the sensor has all detections that show this noise. With cm and cm/s a tenth of the vehicles'
+states would differ from the recording's. A frame has a column for each quantity, in Rice codes: the
+quotient by 2^k as ones and a zero, then the remainder in k bits.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from gis_radar.recordings import Detections
 from gis_radar.scans import SightTiles
 from gis_radar.tracking import HEIGHT_RAD, HIGH_M, LOW_M, NOISE_S, SLOW_MPS, still_rate
 
-UNITS, RATES = 250, 500  # in a metre, and in a metre a second
+UNITS, RATES = 250, 500  # units in a metre, and in a metre a second
 UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
 UNKNOWN_RATE = -2_500_000
-FARTHEST = 25_000_000  # 100 km
-MOST_DETECTIONS = 20_000  # of a frame: a radar sends hundreds
+FARTHEST = 25_000_000  # largest coordinate: 100 km
+MOST_DETECTIONS = 20_000  # most detections of a frame: a radar sends hundreds
 _COLUMNS = 5
-_MOST_LOW = 40  # bits of a rest
-_LAST_SHIFT = 56  # of a varint under 2**63
+_MOST_LOW = 40  # most bits of a remainder
+_LAST_SHIFT = 56  # shift of the last byte of a varint under 2**63
 Bytes: TypeAlias = NDArray[np.uint8]
-_AGAIN_S = 1.0  # the noise is found anew so often, for as long as it is learned
+_AGAIN_S = 1.0  # between two estimates of the noise, while it is learned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ class FrameDetections:
     points : (n, 3) int64 array
         Sensor frame, 4 mm: x forward, y left, z up; `UNKNOWN_Z` for a z that is not measured.
     rates : (n,) int64 array
-        Range rate, 2 mm/s, positive when receding, cut towards zero; 0 of what stands,
+        Range rate, 2 mm/s, positive when receding, cut towards zero; 0 within the noise,
         `UNKNOWN_RATE` where it is not known.
     rcs_db : (n,) int64 array
         Cross section, dBm2; `UNKNOWN_DB` where it is not known.
@@ -61,7 +61,7 @@ class FrameDetections:
     rcs_db: Integers
 
     def as_rows(self) -> Detections:
-        """Return them as rows of a recording: one of NaN where there are none."""
+        """Return the detections as rows of a recording: one row of NaN where there are none."""
         if len(self.points) == 0:
             gap = np.full(1, np.nan)
             return Detections(
@@ -71,7 +71,7 @@ class FrameDetections:
         points = self.points / UNITS
         points[self.points[:, 2] == UNKNOWN_Z, 2] = np.nan
         rcs = np.where(self.rcs_db == UNKNOWN_DB, np.nan, self.rcs_db.astype(np.float64))
-        # the middle of what was cut to the same number
+        # the middle of the rates that are cut to the same number
         rates = (self.rates + 0.5 * np.sign(self.rates)) / RATES
         rates[self.rates == UNKNOWN_RATE] = np.nan
         time = np.full(len(points), self.time_us / 1e6)
@@ -82,12 +82,12 @@ class FrameDetections:
 
 
 def _stored(values: Floats) -> Floats:
-    """Round as a recording stores it, so that the map of now counts what a dataset counts."""
+    """Round to float32 as a recording does, so that the map of now counts as a dataset does."""
     return values.astype(np.float32).astype(np.float64)
 
 
 class DetectionSelector:
-    """Selects the detections that the tracker needs, and learns the noise of what stands.
+    """Selector of the detections that the tracker needs, which learns the noise of range rates.
 
     Parameters
     ----------
@@ -100,19 +100,19 @@ class DetectionSelector:
         self._grid = TileGrid(_widened(road.quads, LANE_MARGIN_M))
         self._rates: list[Floats] = []
         self._begun = self._learned = np.nan
-        self.still_mps = SLOW_MPS  # till it is learned: what stands must not seem to move
+        self.still_mps = SLOW_MPS  # until it is learned; high, so that nothing stationary moves
 
     def find(self, frame: Detections, pose: Pose, *, road_m: float) -> FrameDetections:
-        """Return what a tracker needs of a frame.
+        """Return the detections of a frame that a tracker needs.
 
         Parameters
         ----------
         frame : Detections
             A whole frame.
         pose : Pose
-            Of the sensor.
+            Pose of the sensor.
         road_m : float
-            Height of the road near it, for one that measures no elevation.
+            Height of the road near the sensor, metres, for one that measures no elevation.
         """
         time = float(frame.time[0])
         self._learn(frame, time)
@@ -134,7 +134,7 @@ class DetectionSelector:
         )
 
     def _learn(self, frame: Detections, time: float) -> None:
-        """Find from the first seconds up to which range rate a detection may be of what stands."""
+        """Learn from the first seconds the largest range rate of stationary detections."""
         if np.isnan(self._begun):
             self._begun = self._learned = time
         elif not self._rates:
@@ -150,7 +150,7 @@ class DetectionSelector:
 
 
 def _widened(quads: Floats, by_m: float) -> Floats:
-    """Return tiles that are wider on both sides."""
+    """Return the corners of tiles, widened on both sides."""
     across = quads[:, [0, 1]] - quads[:, [3, 2]]
     across /= np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-6)
     return np.concatenate(
@@ -170,7 +170,7 @@ def pack_detections(frames: Sequence[FrameDetections], *, pose: bytes) -> bytes:
     frames : sequence of FrameDetections
         In order of time.
     pose : bytes
-        Key of the pose that they were found by.
+        Key of the pose by which they were selected.
     """
     parts, before = [pose, varint(len(frames))], 0
     for frame in frames:
@@ -219,7 +219,7 @@ def first_time_us(message: bytes) -> int:
 
 
 def _frame_of(time_us: int, columns: Integers) -> FrameDetections:
-    """Return a frame of its columns; refuse what no radar measures."""
+    """Return a frame from its columns; refuse values that no radar measures."""
     if columns.size and (columns.min() < -FARTHEST or columns.max() > FARTHEST):
         raise InputError("a frame with a detection beyond {:g} km", FARTHEST / (1000 * UNITS))
     level = columns[2] == UNKNOWN_Z
@@ -230,7 +230,7 @@ def _frame_of(time_us: int, columns: Integers) -> FrameDetections:
 
 
 def _pack_column(values: Integers) -> bytes:
-    """Return numbers as bytes: k, their median, then quotients and rests by bits."""
+    """Pack numbers to bytes: k, their median, then quotients and remainders as bits."""
     middle = int(np.sort(values)[len(values) // 2])
     off = _folded(values - middle)
     mean = int(off.mean())
@@ -246,7 +246,7 @@ def _pack_column(values: Integers) -> bytes:
 
 
 def _folded(values: Integers) -> Integers:
-    """Return signed numbers as numbers from 0: 0, -1, 1, -2, ... become 0, 1, 2, 3, ..."""
+    """Map signed numbers to numbers from 0: 0, -1, 1, -2, ... become 0, 1, 2, 3, ..."""
     return np.asarray((values << 1) ^ (values >> 63))
 
 
@@ -254,7 +254,7 @@ def _folded(values: Integers) -> Integers:
 def _unpack_column(  # pragma: no cover - compiled
     data: Bytes, at: int, out: Integers
 ) -> int:
-    """Fill in a column as :func:`_pack_column` writes it; return where it ends, -1 for beyond."""
+    """Unpack a column of :func:`_pack_column` into `out`; return its end, -1 if data are short."""
     if at >= len(data) or data[at] > _MOST_LOW:
         return -1
     low, middle, shift, more = int(data[at]), 0, 0, True

@@ -1,4 +1,4 @@
-"""The edge: a sensor's detections near the road wait on disk and go to fusion."""
+"""Edge, a sensor's program: it stores detections near the road on disk and sends them to fusion."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ from gis_radar.scans import SightTiles, find_sight
 
 
 class Edge:
-    """One sensor's side of the live system.
+    """Edge of one sensor.
 
     Parameters
     ----------
     file : EdgeFile
-        The sensor's.
+        The sensor's file.
     settings : LiveSettings
         Constants of sending.
     reporter : Reporter
-        Receives what happens.
+        Receives the log.
 
     Raises
     ------
@@ -86,12 +86,12 @@ class Edge:
         return rounded(pose if view is None else pose.with_view(view))
 
     def run(self, stop: Event) -> None:
-        """Work until the source ends and fusion has stored all, or until it is stopped.
+        """Run until the source ends and fusion has stored all, or until stopped.
 
         Parameters
         ----------
         stop : Event
-            Set from outside to stop; what waits stays on disk.
+            Event that stops it; waiting messages stay on disk.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Edge:
                 link.close(topics.of("status"), will)
 
     def figures(self) -> dict[str, object]:
-        """Return what it did, by name."""
+        """Return counts of what it did, by name."""
         return {"frames": self.frames, "not_sent": self.not_sent, "lost": self.outbox.lost}
 
     def _figures(self, buffer: DiskBuffer) -> dict[str, object]:
@@ -140,7 +140,7 @@ class Edge:
         }
 
     def source(self) -> Frames:
-        """Yield the frames of the file's source as they come, None where none has come for long."""
+        """Yield the frames of the source as they come, None while no frame comes."""
         source = self._file.source
         if source.recording is not None:
             return Replay(path=source.recording, speed=source.speed, loop_s=source.loop).frames()
@@ -171,14 +171,14 @@ class Edge:
             sleep(IDLE_S)
 
     def _end_of_source(self, stop: Event) -> None:
-        """Find the pose of a short recording from what there is of it."""
+        """Find the pose from all frames of a source that ended before there were enough."""
         if self._pose is None and self._gathered and not stop.is_set() and self._try_to_find():
             for ready in self._begin_with_gathered():
                 self._select(ready)
                 self.outbox.pump()
 
     def _look_at_clock(self, frame: Detections) -> None:
-        """Reset the buffers after a backward clock jump."""
+        """Reset the waiting frames after a backward jump of the clock."""
         time = float(frame.time[0])
         if time < self._last_time:
             self._flush()
@@ -190,7 +190,7 @@ class Edge:
         self._last_time = time
 
     def _with_pose(self, frame: Detections) -> Iterator[Detections]:
-        """Yield the frames whose pose is known by now, with that pose in force."""
+        """Yield the frames whose pose is known now, after putting that pose in force."""
         if self._pose is None and self._given is None:
             self._gathered.append(frame)
             self._try_at -= 1
@@ -214,7 +214,7 @@ class Edge:
         yield frame
 
     def _begin_with_gathered(self) -> Iterator[Detections]:
-        """Yield the frames that waited for the pose, which is found."""
+        """Yield the frames that waited until the pose was found."""
         gathered = list(self._gathered)
         self._gathered.clear()
         if self._next is not None:
@@ -235,7 +235,7 @@ class Edge:
         return True
 
     def _doubt(self) -> None:
-        """Begin to look for another pose, or for traffic that confirms this one after all."""
+        """Start looking for another pose, or for traffic that confirms this one after all."""
         if self._follower is not None:
             self._follower.close()
         self._follower, self._doubted = None, True
@@ -244,7 +244,7 @@ class Edge:
         self._try_at = FRAMES if searched else AGAIN_FRAMES
 
     def _try_again(self, frame: Detections) -> None:
-        """Search a pose that traffic refused anew; follow again one that was given."""
+        """Search again a pose that traffic refused, or follow again one that was given."""
         self._try_at -= 1
         if self._given is None:
             self._gathered.append(frame)
@@ -263,7 +263,7 @@ class Edge:
             self._follower = self.new_follower(start, begin, doubted=self._doubted)
 
     def _take_over(self, found: Followed) -> None:
-        """Select by a pose from now on, and tell fusion of it."""
+        """Select detections by a pose from now on, and send the pose to fusion."""
         if found.refused and self._trusted:
             self._reporter.warn("the pose is not confirmed: {}", found.refused)
         same = self._pose is not None and _is_same(self._pose, found.pose)
@@ -271,14 +271,14 @@ class Edge:
             return
         self._flush()
         content = PoseContent(pose=found.pose.as_dict(), fingerprint=self._road.fingerprint).pack()
-        if self.outbox.put_pose(content):  # else by the earlier pose, as that one is known
+        if self.outbox.put_pose(content):  # else fusion would not know it: keep the earlier one
             self._pose, self._pose_key = found.pose, key_of_pose(content)
             self._road_m = road_near(find_sight(found.pose, self._road), self._road)
             self._trusted = found.trusted
             self._doubted = self._doubted and not found.trusted
 
     def _select(self, frame: Detections) -> None:
-        """Keep the detections near the road for fusion, where the pose is known."""
+        """Add the detections near the road to the next message, where the pose is known."""
         if self._pose is None:  # the buffer refused it
             self.frames += 1
             self.not_sent += 1
@@ -294,7 +294,7 @@ class Edge:
             self._flush()
 
     def _flush(self) -> None:
-        """Put the frames that wait for each other on disk, as one message where they fit."""
+        """Put the waiting frames on disk, as one message where they fit."""
         waiting, self._waiting = self._waiting, []
         if waiting:
             for content in in_parts(waiting, partial(pack_detections, pose=self._pose_key)):
@@ -307,21 +307,21 @@ def _is_same(one: Pose, other: Pose) -> bool:
 
 
 def run_edge(path: str | Path, *, stop: Event | None = None, reporter: Reporter = QUIET) -> Edge:
-    """Run a sensor's side of the live system.
+    """Run the edge of a sensor.
 
     Parameters
     ----------
     path : str or Path
         A sensor's file, described in `docs/live.md`.
     stop : Event, optional
-        Set from outside to stop; without it only the end of the source does.
+        Event that stops it; by default only the end of the source does.
     reporter : Reporter
-        Receives what happens.
+        Receives the log.
 
     Returns
     -------
     Edge
-        With the counts of what it did.
+        The edge, with its counts.
 
     Raises
     ------

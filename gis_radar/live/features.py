@@ -33,9 +33,9 @@ _CONFORMANCE = [
 ]
 JSON, GEOJSON = "application/json", "application/geo+json"
 OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
-IDS = ("lanelet_id", "lane")  # text, as in all JSON: they reach 9e18, numbers of a reader 9e15
-LIMIT, MOST = 1_000, 20_000  # features of a page, and the most that may be asked for
-COLLECTIONS = {  # title and description; the layer is the method of _Layers with this name
+IDS = ("lanelet_id", "lane")  # text in JSON: they reach 9e18, exact numbers of readers only 9e15
+LIMIT, MOST = 1_000, 20_000  # features of a page by default, and at most
+COLLECTIONS = {  # title and description; the method of _Layers with this name returns the layer
     "tiles": ("Tiles", "Slices of 0.5 m of a lane that were observed in the last 15 minutes"),
     "vehicles": ("Vehicles", "Those of now: speed in m/s"),
     "lanes": ("Lanes", "Hit share of the last 15 minutes"),
@@ -147,7 +147,7 @@ class _Service:
 
 
 def _chosen(request: Request) -> str:
-    """Return the name of the collection that is asked for."""
+    """Return the name of the requested collection."""
     name: str = request.path_params["name"]
     if name not in COLLECTIONS:
         raise HTTPException(404, f"there is no collection {name[:40]!r}")
@@ -155,7 +155,7 @@ def _chosen(request: Request) -> str:
 
 
 class _Layers:
-    """The layers as they are now, in longitude and latitude."""
+    """Layers of the present map, in longitude and latitude."""
 
     def __init__(self, live: ShownMap) -> None:
         self._live, self._place = live, live.place
@@ -212,7 +212,7 @@ class _Layers:
 
 
 def _measures(now: Snapshot) -> dict[str, Any]:
-    """Return the columns of tiles that change."""
+    """Return the columns of tiles that change with time."""
     hit = np.zeros(len(now.observed), bool)
     hit[now.now] = True
     measures = {
@@ -228,7 +228,7 @@ def _measures(now: Snapshot) -> dict[str, Any]:
 
 
 def _filtered(layer: gpd.GeoDataFrame, asked: Mapping[str, str]) -> gpd.GeoDataFrame:
-    """Return the features that fit what is asked: properties, place, time."""
+    """Return the features that match a request's properties, box and time."""
     columns = layer.columns.drop(layer.geometry.name)
     for key in sorted(asked.keys() - {"bbox", "limit", "offset", "datetime", "f", "token"}):
         if key not in columns:
@@ -262,7 +262,7 @@ def _whole(asked: Mapping[str, str], name: str, usual: int, *, least: int) -> in
 
 
 def _within(layer: gpd.GeoDataFrame, text: str) -> pd.Series:
-    """Return which features meet a moment, or a span `begin/end` whose ends may be `..`."""
+    """Return which features overlap a time, or a span `begin/end` whose ends may be `..`."""
     begin, _, end = text.partition("/")
     end = end if "/" in text else begin
     try:
@@ -282,7 +282,7 @@ def _within(layer: gpd.GeoDataFrame, text: str) -> pd.Series:
 
 
 def _features(layer: gpd.GeoDataFrame) -> list[dict[str, Any]]:
-    """Return features of GeoJSON, the row's number as `id`; what is not known is null."""
+    """Return features of GeoJSON, with the row's number as `id` and unknown values as null."""
     shapes = geometries(layer.geometry.to_numpy())
     table = layer.drop(columns=layer.geometry.name)
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
@@ -298,7 +298,7 @@ def _features(layer: gpd.GeoDataFrame) -> list[dict[str, Any]]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it."""
+    """Return a value as a type of JSON."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, datetime):
@@ -307,7 +307,7 @@ def _plain(value: Any) -> Any:
 
 
 def _text(value: Any) -> str:
-    """Return a value as it stands in an address: true, 0.25, a text without quotes."""
+    """Return a value as in a URL's query: true, 0.25, a text without quotes."""
     plain = _plain(value)
     return plain if isinstance(plain, str) else json.dumps(plain)
 
@@ -321,7 +321,7 @@ def _link(href: str, rel: str, kind: str, title: str) -> dict[str, str]:
 
 
 def _openapi(at: str, title: str) -> dict[str, Any]:
-    """Return the least description that clients ask for: paths, and the limits of pages."""
+    """Return the OpenAPI document that clients need: paths, and the limits of pages."""
 
     def parameter(name: str, kind: str, **limits: int) -> dict[str, Any]:
         return {"name": name, "in": "query", "schema": {"type": kind, **limits}}

@@ -1,6 +1,6 @@
-"""What runs often is compiled before a program begins: it runs once, on the sample's first frames.
+"""Compile loops before a program starts, by running them once on the sample's first frames.
 
-Later, compiling would hold up the frames that come meanwhile. Where the machine code is kept (see
+Later, compiling would delay the frames that arrive meanwhile. Where the machine code is cached (see
 :func:`gis_radar.base.arrays.compiled`), later starts only load it.
 """
 
@@ -30,16 +30,16 @@ NOT_COMPILED = "what runs often is compiled only when it is needed: {}"
 
 
 def compile_first(work: Callable[[], object], stop: Event, reporter: Reporter) -> None:
-    """Run once what is compiled by that, and say so; a stop breaks it off.
+    """Run work once, so that its loops are compiled, and log it; a stop interrupts it.
 
     Parameters
     ----------
     work : callable
-        One of this module.
+        `run_sensor_once` or `run_fusion_once`, or another function to run.
     stop : Event
-        As of :func:`gis_radar.base.processes.run_unless_stopped`.
+        As for :func:`gis_radar.base.processes.run_unless_stopped`.
     reporter : Reporter
-        Receives what is done.
+        Receives the log.
     """
     reporter.log(COMPILING)
     try:
@@ -73,13 +73,13 @@ def _first_message(sample: SampleSensor) -> bytes:
 
 @cache
 def run_sensor_once() -> None:
-    """Do with a frame what a sensor's program does with each."""
+    """Process a frame as a sensor's program does."""
     _first_message(SampleSensor())
 
 
 @cache
 def run_fusion_once() -> None:
-    """Do with a message what fusion does with each."""
+    """Process a message as fusion does."""
     sample = SampleSensor()
     _, (frame,) = unpack_detections(_first_message(sample))
     FrameCounter(sample.road).count(frame.as_rows(), sample.pose)

@@ -1,4 +1,4 @@
-"""Fusion: what all sensors of a site send becomes the map of now, recordings, and a dataset."""
+"""Fusion: make the map of now, recordings and a dataset from the messages of a site's sensors."""
 
 from __future__ import annotations
 
@@ -57,29 +57,29 @@ if TYPE_CHECKING:
 
     from gis_radar.live.web_server import WebServer
 
-TAKEN_AT_ONCE = 500  # messages between two looks at the clock
-WAIT_S = 0.01
-# A thread that writes files holds the interpreter so long, s; then frames go on. Python's 5 ms,
-# at each of the many waits for a message, delayed the map by 0.3 s.
+TAKEN_AT_ONCE = 500  # most messages between two looks at the clock
+WAIT_S = 0.01  # longest wait for a message
+# Interval after which Python switches threads, so that a thread that writes files yields to frames.
+# Python's 5 ms, at each of the many waits for a message, delayed the map by 0.3 s.
 SWITCH_S = 0.0005
 READY_S = 0.1
-SAID_S = 600.0  # until the same error is logged again: a disk stays full for hours
+SAID_S = 600.0  # least time between two logs of one error: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
 COUNTS_FILE = "counts.npz"
-RESUMED_US = 900_000_000  # that the map takes up again at most: what the page shows
+RESUMED_US = 900_000_000  # newest frames that a restart counts again: 15 min, as the page shows
 
 
 class Fusion:
-    """The live system's middle.
+    """Fusion of a live site.
 
     Parameters
     ----------
     site : LiveSite
-        Of the site's file.
+        The site's file.
     settings : LiveSettings
         Constants.
     reporter : Reporter
-        Receives what happens.
+        Receives the log.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class Fusion:
         self, site: LiveSite, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
     ) -> None:
         self._site, self._settings, self._reporter = site, settings, reporter
-        self._said: dict[str, float] = {}  # errors, and when they were logged
+        self._said: dict[str, float] = {}  # errors, with the time at which each was logged
         self.tiles = read_tiles(site.live.tiles)
         road, filters = SightTiles.of(self.tiles), site.filters()
         _require_heights(site, road)
@@ -140,7 +140,7 @@ class Fusion:
         self._resume()
 
     def _resume(self) -> None:
-        """Take up what the spool holds, and go on in a new file of it."""
+        """Resume from the spool, and continue in a new file of it."""
         now_us = int(time.time() * 1e6)
         begin_us = max((self.counts.step + 1) * STEP_US, now_us - RESUMED_US)
         files = [SpoolFile(path) for path in spool_files(self._site.folder / SPOOL)]
@@ -156,7 +156,7 @@ class Fusion:
         return [*there, self._site.folder / NOW_FILE]
 
     def figures(self) -> dict[str, object]:
-        """Return what came of each sensor, by name."""
+        """Return the counts of each sensor, by its name."""
         return {"sensors": {name: dict(each.health.counts) for name, each in self.sensors.items()}}
 
     def state(self) -> MapState:
@@ -180,12 +180,12 @@ class Fusion:
     _rotate_at = 0.0
 
     def run(self, stop: Event) -> None:
-        """Work until it is stopped; then what is over is measured.
+        """Run until stopped, then measure the hours that are over.
 
         Parameters
         ----------
         stop : Event
-            Set from outside.
+            Event that stops it.
         """
         live = self._site.live
         compile_first(run_fusion_once, stop, self._reporter)
@@ -205,8 +205,8 @@ class Fusion:
         self._export()  # the first takes long, before frames come
         gc.collect()
         sys.setswitchinterval(SWITCH_S)
-        gc.freeze()  # what is there now stays: to look through it holds frames up for 0.3 s
-        for each in self.sensors.values():  # what comes before was not listened for
+        gc.freeze()  # present objects stay: scanning them for garbage delays frames by 0.3 s
+        for each in self.sensors.values():  # no sensor could be heard before
             each.health.heard_s = time.time()
         link.open()
         connections = 0
@@ -231,7 +231,7 @@ class Fusion:
             self.close()
 
     def close(self) -> None:
-        """Let go of the files and end the processes."""
+        """Close the files and end the processes."""
         if self.vehicles is not None:
             self.vehicles.close()
         self._jobs.stop()
@@ -239,7 +239,7 @@ class Fusion:
         self._held.close()
 
     def _make_vehicles_ready(self, stop: Event) -> None:
-        """Start the process that follows the vehicles of now, and wait until it can."""
+        """Start the process that follows the vehicles of now, and wait until it is ready."""
         if self.vehicles is None or stop.is_set():
             return
         ready = self.vehicles.make_ready()
@@ -254,7 +254,7 @@ class Fusion:
             if message is None:
                 return
             self.intake.handle(message)
-            # of each sensor: a replay does not wait for the clock, many radars do
+            # a limit for each sensor: a fast replay reaches it, many radars wait for the clock
             if self._spool.waiting >= self._settings.commit_frames * len(self.sensors):
                 self._commit()
             message = link.take(0.0)
@@ -267,7 +267,7 @@ class Fusion:
                 self._push.take(*ended)
 
     def _regular(self) -> None:
-        """Do what the clock asks for: commit, acknowledge, measure, write files."""
+        """Do what is due by the clock: commit, acknowledge, measure, write files."""
         now = time.monotonic()
         self._take_written()
         if now - self._committed >= self._settings.commit_s:
@@ -288,7 +288,7 @@ class Fusion:
             self.vehicles.turn()
 
     def _commit(self, *, wait: bool = False) -> None:
-        """Begin to bring messages to the disk, on another thread: the map goes on meanwhile."""
+        """Start writing messages to the disk on another thread, while the map goes on."""
         self._take_written(wait=wait)
         if self._disk.busy:
             return
@@ -300,19 +300,19 @@ class Fusion:
             self._take_written(wait=wait)
 
     def _rotate(self, *, wait: bool = False) -> None:
-        """Begin to go on in another file of the spool, which closes the one so far."""
+        """Start a new file of the spool, which closes the present one."""
         marks = self.intake.marks
         self._committing, self._rotating = [], True
         self._disk.begin(lambda: self._spool.rotate(marks))
         self._take_written(wait=wait)
 
     def _take_written(self, *, wait: bool = False) -> None:
-        """Acknowledge what has come to the disk; nothing else ever is."""
+        """Acknowledge the messages that are on disk, and only these."""
         if not self._disk.busy:
             return
         try:
             self._disk.take(wait=wait)
-        except OutputError as error:  # tried again; what waits is kept
+        except OutputError as error:  # retried later; waiting messages are kept
             self._rotating = False
             self._say(error)
             return
@@ -329,7 +329,7 @@ class Fusion:
             self._jobs.begin(self._spool.closed)
 
     def _measure(self) -> None:
-        """Have measured what is over, once the spool is closed up to here."""
+        """Start measuring what is over, once the spool is closed up to here."""
         self._jobs.touch(self.intake.touched)
         self.intake.touched = set()
         newest = {name: each.health.newest_s for name, each in self.sensors.items()}
@@ -401,7 +401,7 @@ class Fusion:
 
 
 def _state(word: str) -> bytes:
-    """Return a message with the state of fusion."""
+    """Return the status message of fusion in a state."""
     return json.dumps({"version": VERSION, "state": word}).encode()
 
 
@@ -415,7 +415,7 @@ def _require_heights(site: LiveSite, road: SightTiles) -> None:
 
 
 def _measured(site: LiveSite) -> MeasuredSite:
-    """Return what the hours of a site are made from."""
+    """Return the inputs from which the hours of a site are made."""
     scan = site.scan
     return MeasuredSite(
         folder=site.folder, map=site.map.file, tiles=site.live.tiles,
@@ -429,7 +429,7 @@ def _measured(site: LiveSite) -> MeasuredSite:
 def _vehicles(
     site: LiveSite, tiles: gpd.GeoDataFrame, names: list[str], reporter: Reporter
 ) -> LiveVehicles | None:
-    """Return what follows vehicles, where the site's file and its map allow it."""
+    """Return the follower of vehicles, where the site's file and its map allow one."""
     if not site.live.vehicles:
         return None
     roads, _ = map_of_tiles(site.map.file, tiles)
@@ -442,7 +442,7 @@ def _vehicles(
 
 
 def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:
-    """Return the page where the site's file asks for one; only then is a web server loaded."""
+    """Return the web server of the page, imported only if the site's file asks for a page."""
     if site.live.page is None:
         return None
     from gis_radar.live.page import page_server  # noqa: PLC0415
@@ -463,16 +463,16 @@ def _push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> LanePu
 def run_fusion(
     path: str | Path, *, stop: Event | None = None, reporter: Reporter = QUIET
 ) -> Fusion:
-    """Run the middle of the live system.
+    """Run the fusion of a live site.
 
     Parameters
     ----------
     path : str or Path
         A site's file with a table `[live]`, described in `docs/live.md`.
     stop : Event, optional
-        Set from outside to stop.
+        Event that stops it.
     reporter : Reporter
-        Receives what happens.
+        Receives the log.
 
     Raises
     ------

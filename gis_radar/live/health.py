@@ -1,4 +1,4 @@
-"""Health of the live system: alarms, counts a sensor, and both as text for Prometheus."""
+"""Health of the live system: alarms and counts of each sensor, and both as text for Prometheus."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SensorHealth:
     Parameters
     ----------
     name : str
-        Of the sensor.
+        The sensor's name.
     settings : LiveSettings
         Limits of the alarms.
     reporter : Reporter
@@ -79,7 +79,7 @@ class SensorHealth:
         self._heard = 0
 
     def alarm(self, kind: str, text: str | None) -> None:
-        """Raise an alarm, or end it where there is no text."""
+        """Raise an alarm with a text, or end it if the text is None."""
         if text is None:
             self.raised_s.pop(kind, None)
             if self.alarms.pop(kind, None) is not None:
@@ -91,14 +91,14 @@ class SensorHealth:
             self.reporter.warn("{}: {}: {}", self.name, ALARMS[kind], text)
 
     def heard(self, arrival_s: float, frame_s: float, *, live: bool) -> None:
-        """Record the arrival of a frame; only live ones, not those from disk, test the clock."""
+        """Record the arrival of a frame; only live ones, not those from disk, check the clock."""
         self.heard_s = arrival_s
         self.newest_s = frame_s
         if not live:
             return
         self._delays.append(arrival_s - frame_s)
         self._heard += 1
-        if self._heard % (self.settings.clock_frames // 10):  # a minimum of many, which is slow
+        if self._heard % (self.settings.clock_frames // 10):  # the minimum of all delays is slow
             return
         offset_s = self.clock_offset_s
         most_s = self.settings.clock_alarm_s
@@ -119,7 +119,7 @@ class SensorHealth:
     def look(self, now_s: float) -> None:
         """Raise the alarm of a silent sensor; end alarms of single messages after a while."""
         quiet_s = now_s - self.heard_s
-        for kind in ("damaged", "off_time", "twins"):  # of single messages
+        for kind in ("damaged", "off_time", "twins"):  # alarms that single messages raise
             if now_s - self.raised_s.get(kind, now_s) > self.settings.over_s:
                 self.alarm(kind, None)
         silent = quiet_s > self.settings.silent_s
@@ -163,7 +163,7 @@ def prometheus_text(sensors: Sequence[SensorHealth], figures: Mapping[str, float
     sensors : sequence of SensorHealth
         All sensors.
     figures : mapping
-        What concerns all of them: a number by name.
+        Figures of the whole site: a number by name.
     """
     from prometheus_client import generate_latest  # noqa: PLC0415 - an extra
 

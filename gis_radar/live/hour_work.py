@@ -1,4 +1,4 @@
-"""What the worker beside fusion does: recordings, hours of the dataset, provisional quarters."""
+"""Work of fusion's worker process: recordings, hours of the dataset, provisional quarters."""
 
 from __future__ import annotations
 
@@ -62,33 +62,33 @@ from gis_radar.tracking import map_of_tiles
 
 DATASET, PROVISIONAL, SIGHT = "dataset", "provisional", "sight"
 QUARTER_US = HOUR_US // 4
-AFTER_US = 60_000_000  # of a provisional quarter, frames that help to know its vehicles
+AFTER_US = 60_000_000  # time after a provisional quarter whose frames are used for its vehicles
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredSite:
-    """What a dataset of a live site is measured by.
+    """Inputs of measuring a live site's dataset.
 
     Parameters
     ----------
     folder, map, tiles : Path
-        Of the live system's files, the lanes, and the tiles.
+        Folder of the live system's files, and files of the lanes and tiles.
     sensors : sequence of str
-        Their names.
+        Names of the sensors.
     scans, scan_crs : sequence of Path, object
-        What hides tiles.
+        Scans of what hides tiles, and their coordinate system.
     filters : Filters
-        Which detections count.
+        Filters of the detections that count as hits.
     cycles : dict
         Seconds from frame to frame, of sensors that state it.
     timezone : str
-        Of the site.
+        Time zone of the site.
     vehicles : bool
         Whether vehicles are followed.
     keep_s, most_bytes : float
-        How long recordings are kept, and how much room they may take.
+        Time for which recordings are kept, seconds, and their largest total size, bytes.
     processes : int, optional
-        That measure side by side; without it all cores but fusion's.
+        Number of processes that measure in parallel; by default all cores but fusion's.
     """
 
     folder: Path
@@ -107,12 +107,12 @@ class MeasuredSite:
 
     @property
     def workers(self) -> int:
-        """How many hours, or blocks of one, are measured side by side."""
+        """Number of hours, or of blocks of one, measured in parallel."""
         return self.processes or max(workers_here() - 1, 1)
 
     @property
     def dataset(self) -> Path:
-        """Where the dataset is."""
+        """Folder of the dataset."""
         return self.folder / DATASET
 
     def measure(
@@ -140,15 +140,15 @@ class Done(Reporter):
     said : list of str
         Warnings.
     not_measured : dict
-        By hour, what keeps it from being measured.
+        By hour, the reason why it could not be measured.
     quarters : list of Lately
-        What was measured.
+        The measured quarters.
     hours : list of int
-        Those that are to be made (again).
+        Hours that have to be made (again).
     doubts : dict
-        By sensor, what the check of poses and recordings doubts, nothing where all fits.
+        By sensor, the doubt of the check of poses and recordings, empty where all fits.
     untold : dict
-        By sensor, the hour in which there was too little traffic to tell.
+        By sensor, the hour in which there was too little traffic for a verdict.
     """
 
     said: list[str] = field(default_factory=list)
@@ -159,13 +159,13 @@ class Done(Reporter):
     untold: dict[str, int] = field(default_factory=dict)
 
     def log(self, message: str, level: str = "info") -> None:
-        """Keep a warning."""
+        """Store a warning."""
         if level == "warning":
             self.said.append(message)
 
 
 def take_up(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
-    """Find what an earlier run left: hours to be made, and the quarters of the last day."""
+    """Find the hours that an earlier run left to be made, and the quarters of the last day."""
     done = make_recordings(site, spooled)
     clear_unfinished(site.folder / PARTS)
     done.hours = sorted(waiting_hours(site.folder))
@@ -188,7 +188,7 @@ def _is_newer(path: Path, dataset: Path, hour: int) -> bool:
 
 
 def make_recordings(site: MeasuredSite, spooled: Sequence[Path]) -> Done:
-    """Make parts of recordings of files of the spool."""
+    """Make parts of recordings from files of the spool."""
     done = Done()
     for path in spooled:
         make_parts(site.folder, path, done)
@@ -206,9 +206,9 @@ def make_hours(
     site : MeasuredSite
         The site.
     spooled : sequence of Path
-        Files of the spool that nobody writes to any more.
+        Files of the spool that are closed.
     hours : sequence of int
-        Whose recordings are to be made, since 1970.
+        Hours since 1970 whose recordings are made.
     check : callable
         Compares poses and recordings with the map.
     """
@@ -230,7 +230,7 @@ def make_hours(
 
 
 def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, done: Done) -> None:
-    """Measure hours side by side; one that cannot be is named."""
+    """Measure hours in parallel; record the reason for each that cannot be measured."""
     found: dict[int, list[tuple[Path, PoseTrack]]] = {}
     for hour in hours:
         paths = (_recording_of(site, sensor, hour, done) for sensor in _sensors_of(site, hour))
@@ -241,11 +241,11 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
     groups = [each for each in found.items() if each[1]]
     if len(groups) > 1 and site.workers > 1:
         every = [each for _, recordings in groups for each in recordings]
-        with suppress(InputError):  # of one hour: each alone then, to find it
+        with suppress(InputError):  # if one hour is bad, each is measured alone to find it
             site.measure(every, site.dataset, before_hour=before_hour, reporter=done)
             return
     for hour, recordings in groups:
-        try:  # the recordings stay; other hours are made all the same
+        try:  # after an error the recordings stay, and the other hours are made
             site.measure(recordings, site.dataset, before_hour=before_hour, reporter=done)
         except InputError as error:
             done.not_measured[hour] = error.message
@@ -254,9 +254,9 @@ def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, d
 def _check_poses(
     site: MeasuredSite, hour: int, check: Callable[..., Sequence[Any]], done: Done
 ) -> None:
-    """Check whether poses, recordings and map fit each other in the last hour that is measured.
+    """Check whether poses, recordings and map fit each other in the last measured hour.
 
-    No table depends on it. An earlier hour, made again, says nothing of now.
+    No table depends on the check. An earlier hour that is made again shows nothing about now.
     """
     paths = {name: recording_path(site.folder, name, hour) for name in site.sensors}
     try:
@@ -277,13 +277,13 @@ def _check_poses(
             else:
                 done.doubts[each.sensor] = each.told_with_advice if each.doubt else None
     except InputError:
-        return  # what is damaged is named where it is measured
+        return  # damage is reported where the hour is measured
     except (GisRadarError, ArithmeticError, ValueError) as error:  # the hour's results stand
         done.warn("poses and recordings could not be checked: {}", first_line(error))
 
 
 def _sensors_of(site: MeasuredSite, hour: int) -> list[str]:
-    """Return the site's sensors, and those that left it while frames of the hour waited."""
+    """Return the site's sensors, and former ones of which frames of the hour still wait."""
     made = (site.folder / RECORDINGS).glob(f"*/{name_of_hour(hour)}.parquet")
     waiting = [
         *(site.folder / PARTS).glob(f"*/{name_of_hour(hour)}.*.parquet"),
@@ -299,7 +299,7 @@ def _measured(site: MeasuredSite) -> set[str]:
 
 
 def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: Done) -> Path | None:
-    """Return the recording of an hour with all that came of it; None where there is none."""
+    """Make the recording of an hour from all its frames, and return it; None without frames."""
     path = recording_path(site.folder, sensor, hour)
     if not path.exists() and path.resolve().as_posix() in _measured(site):
         parts = parts_of_hour(site.folder, sensor, hour)
@@ -316,9 +316,9 @@ def _recording_of(site: MeasuredSite, sensor: str, hour: int, done: Done) -> Pat
 
 
 def make_quarter(site: MeasuredSite, spooled: Sequence[Path], quarter: int) -> Done:
-    """Measure a quarter of an hour by what is there of it; the hour replaces it.
+    """Measure a provisional quarter from the frames received so far; its hour replaces it later.
 
-    Parameters and result as of :func:`make_hours`.
+    Parameters and result are as of :func:`make_hours`.
     """
     done = make_recordings(site, spooled)
     begin_us = quarter * QUARTER_US
@@ -361,7 +361,7 @@ def _quarters_in(site: MeasuredSite, folder: Path, quarters: Sequence[int]) -> l
 def refuse_other_settings(
     site: MeasuredSite, tiles: gpd.GeoDataFrame, scan: SightSource | None
 ) -> None:
-    """Refuse a dataset to which no hour could be added.
+    """Refuse a dataset to which no hour of the site could be added.
 
     Raises
     ------

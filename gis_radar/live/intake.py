@@ -1,4 +1,4 @@
-"""The intake of fusion: what sensors send is checked, counted, and put in spool and windows."""
+"""Intake of fusion: check and count the sensors' messages, and put them in spool and windows."""
 
 from __future__ import annotations
 
@@ -50,22 +50,22 @@ from gis_radar.measures import FrameCounter, PoseNumbers, PoseSight
 from gis_radar.poses import Pose, pose_from_dict
 from gis_radar.scans import IN_SIGHT, SightSource, SightTiles, find_sight
 
-ACK_S = 1.0  # between two acknowledgements of nothing new
-TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns
-MOST_LOST = 2**63  # of messages, as of their numbers
+ACK_S = 1.0  # between two acknowledgements without a new number
+TWINS_WITHIN_S = 60.0  # time in which two streams of one sensor that alternate are twins
+MOST_LOST = 2**63  # bound of a count of lost messages, as of their numbers
 STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
-SPAN_US = 5_000_000  # from the first to the last frame of a message: a hundred at 20 Hz
+SPAN_US = 5_000_000  # usual time from first to last frame of a message: a hundred at 20 Hz
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
-LONGEST_MESSAGE_US = HOUR_US  # from its first frame to its last
-MOST_NUMBER = 1 << 40  # that a stream may begin with
-MOST_AHEAD = 1 << 24  # numbers that may be missing where the sensor no longer has them: ten days
-STREAMS_KEPT, POSES_KEPT = 8, 64  # of a sensor
-FARTHEST_M = 20_000.0  # of a sensor from the tiles
+LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
+MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
+MOST_AHEAD = 1 << 24  # most numbers that may be missing if the sensor lost them: ten days
+STREAMS_KEPT, POSES_KEPT = 8, 64  # newest streams and poses that are kept of a sensor
+FARTHEST_M = 20_000.0  # largest distance of a sensor from the tiles
 
 
 @dataclass(slots=True)
 class Mark:
-    """Up to which number a stream is received and stored, with check sums of these messages."""
+    """Numbers up to which a stream is received and stored, with check sums of these messages."""
 
     received: int = 0
     check: int = 0
@@ -80,15 +80,15 @@ class KnownPose:
     Parameters
     ----------
     message : bytes
-        The message that holds it.
+        The message of the pose.
     seen : PoseSight, optional
-        The pose and what is seen from it; None if refused.
+        The pose and its sight; None if it was refused.
     in_sight : (n,) int64 array
         Positions of the tiles in sight.
     numbers : PoseNumbers, optional
-        What frames are counted by.
+        Precomputed numbers by which frames are counted.
     other_tiles : str
-        Fingerprint of the tiles that it speaks of, where they are others.
+        Fingerprint of the message's tiles, where they differ from fusion's.
     """
 
     message: bytes
@@ -100,24 +100,24 @@ class KnownPose:
 
 @dataclass(kw_only=True)
 class SensorState:
-    """What fusion knows of a sensor.
+    """State of a sensor at fusion.
 
     Parameters
     ----------
     health : SensorHealth
         Its counts and alarms.
     topics : SensorTopics
-        Its own.
+        Its topics.
     stream : str
-        Which is received, in hexadecimal digits.
+        The stream that is received, in hexadecimal digits.
     marks : dict
-        By stream, the latest last.
+        Marks by stream, the latest last.
     poses : dict
-        By key, the latest last.
+        Poses by key, the latest last.
     told : int
         The number that was acknowledged last.
     pose : Pose, optional
-        The newest.
+        The newest pose.
     """
 
     health: SensorHealth
@@ -136,46 +136,46 @@ class SensorState:
 
     @property
     def mark(self) -> Mark:
-        """That of the stream that is received."""
+        """Mark of the stream that is received."""
         return self.marks.get(self.stream, Mark())
 
 
 class Intake:
-    """Takes what the sensors of a site send.
+    """Intake of the messages of a site's sensors.
 
     Parameters
     ----------
     names : iterable of str
-        The sensors.
+        Names of the sensors.
     site : str
         The site's name in topics.
     spool : Spool
-        Where frames go.
+        The spool, to which messages are appended.
     road : SightTiles
         All tiles.
     counter : FrameCounter
         Finds the tiles that frames hit.
     windows : Windows
-        Where frames go for the map of now.
+        The windows of the map of now, to which frames are added.
     oldest_s : float
-        How old a frame may be.
+        Largest age of a frame, seconds.
     scan : SightScan or SightFile, optional
-        What hides tiles.
+        Scan of what hides tiles.
     settings : LiveSettings
-        Of the alarms.
+        Constants of alarms and acknowledgements.
     reporter : Reporter
-        Receives a line when something begins to be wrong.
+        Receives a line when a problem begins.
 
     Attributes
     ----------
     sensors : dict
-        By name.
+        State of each sensor, by name.
     touched : set of int
-        Hours of recordings of which frames came; whoever takes note of them clears it.
+        Hours of recordings of which frames came; the caller that processes them clears it.
     unknown : set of str
-        Sensors that send and are not of the site.
+        Names of senders that are not in the site's file.
     vehicles : LiveVehicles, optional
-        Takes what vehicles of now are followed by.
+        Receives poses and messages for the vehicles of now.
     """
 
     def __init__(
@@ -200,21 +200,21 @@ class Intake:
 
     @property
     def marks(self) -> Marks:
-        """What is on disk of all streams."""
+        """Numbers up to which all streams are on disk."""
         return {
             name: {s: (m.stored, m.stored_check) for s, m in each.marks.items() if m.stored}
             for name, each in self.sensors.items()
         }
 
     def resume(self, files: Sequence[SpoolFile], begin_us: int) -> None:
-        """Take up marks, and the frames from a time on, from what the spool holds.
+        """Restore marks, and the frames since `begin_us`, from the files of the spool.
 
-        The newest file begins with the marks of all streams: earlier ones are read only where they
-        were written to since then.
+        The newest file begins with the marks of all streams; earlier ones are read only if they
+        were written to since `begin_us`.
         """
         newest = max((k for k, each in enumerate(files) if each.has_head), default=0)
         last: dict[tuple[str, str], bytes] = {}
-        poses: dict[tuple[str, bytes], bytes] = {}  # each costs a look at all tiles
+        poses: dict[tuple[str, bytes], bytes] = {}  # its sight of all tiles takes time
         for k, file in enumerate(files):
             if k < newest and file.written_us < begin_us:
                 continue
@@ -230,7 +230,7 @@ class Intake:
                     if kind == FRAMES and first_time_us(payload) >= begin_us - SPAN_US:
                         self._take_again(sensor, payload, poses, begin_us)
         for name, payload in {name: payload for (name, _), payload in poses.items()}.items():
-            self._take_pose(self.sensors[name], payload)  # the newest of each
+            self._take_pose(self.sensors[name], payload)  # the newest of each sensor
         for (name, stream), payload in last.items():
             envelope, content = unpack_message(payload)
             known = (envelope.number, check_of(content))
@@ -248,7 +248,7 @@ class Intake:
         self, sensor: SensorState, message: bytes, poses: Mapping[tuple[str, bytes], bytes],
         begin_us: int,
     ) -> None:  # fmt: skip
-        """Count frames for the map once more, after a new start."""
+        """Count frames for the map again, after a restart."""
         name = sensor.health.name
         key, frames = unpack_detections(unpack_message(message)[1])
         if (name, key) in poses:
@@ -260,7 +260,7 @@ class Intake:
                 self._windows.add(name, step, seen)
 
     def handle(self, message: Received) -> None:
-        """Take a message: count it, store it, or say why not."""
+        """Process a message: count it, store it, or refuse it with a reason."""
         name, kind = parts_of(message.topic)
         sensor = self.sensors.get(name)
         if sensor is None:
@@ -330,7 +330,7 @@ class Intake:
             self._pass_over(sensor, message, envelope, content, "off_time", reason)
             return
         known = sensor.poses.get(key)
-        if known is None:  # the sensor sends it again, too
+        if known is None:  # asked to send again, the sensor also sends the pose again
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
         elif known.other_tiles:
             expected = self._road.fingerprint
@@ -343,7 +343,7 @@ class Intake:
             self._take_frames(sensor, message, envelope, content, key, frames)
 
     def _follows(self, sensor: SensorState, envelope: Envelope) -> bool:
-        """Return whether a message is the next one; ask for those that are missing."""
+        """Return whether a message is the next of its stream; ask for missing ones."""
         mark, number = sensor.mark, envelope.number
         if number <= mark.received:
             sensor.health.counts["duplicates"] += 1
@@ -357,13 +357,13 @@ class Intake:
         if not envelope.first:
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
             return False
-        if mark.received:  # of a disk of fusion that is older than what it acknowledged
+        if mark.received:  # fusion's disk was restored from before its last acknowledgement
             lost = Text("{:,} messages that the sensor no longer has", number - 1 - mark.received)
             sensor.health.alarm("lost", lost)
         return True
 
     def _reason_against(self, frames: Sequence[FrameDetections], now_s: float) -> str:
-        """Return why frames cannot be of now, or of an outage lately."""
+        """Return why frames can neither be new nor be of a recent outage; empty if they can."""
         times = [each.time_us for each in frames]
         if any(one >= other for one, other in pairwise(times)):
             raise InputError("a message whose frames do not ascend in time")
@@ -377,7 +377,7 @@ class Intake:
         return ""
 
     def _ask(self, sensor: SensorState, *, again: bool = False) -> bool:
-        """Acknowledge anew, at most each second: the sensor does not know what is stored."""
+        """Repeat the acknowledgement, at most each second; with `again` ask to send again."""
         now = time.monotonic()
         if now - (sensor.missed_s if again else sensor.asked_s) < ACK_S:
             return False
@@ -387,7 +387,7 @@ class Intake:
         return True
 
     def _refuse(self, sensor: SensorState, reason: str) -> None:
-        """Leave a stream unacknowledged, and say why: it waits at the sensor."""
+        """Refuse a stream with a reason: it stays unacknowledged and waits at the sensor."""
         sensor.health.counts["refused"] += 1
         sensor.health.alarm("refused", reason)
         sensor.due = sensor.due or sensor.refused != reason
@@ -397,7 +397,7 @@ class Intake:
         self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
         kind: str, reason: str,
     ) -> None:  # fmt: skip
-        """Go past a message that cannot be taken: it would come again for ever."""
+        """Skip a message that cannot be used, as else it would be sent again for ever."""
         sensor.health.counts["damaged"] += kind == "damaged"
         sensor.health.alarm(kind, Text("number {}: {}", envelope.number, reason))
         self._received(sensor, SpooledFrames(sensor.health.name, b"", message.payload),
@@ -453,7 +453,7 @@ class Intake:
         )  # fmt: skip
 
     def _forget(self, sensor: SensorState, key: bytes) -> None:
-        """Forget a pose; a sensor that names it again sends it again."""
+        """Forget a pose; a sensor that refers to it again must send it again."""
         del sensor.poses[key]
         if self.vehicles is not None:
             self.vehicles.forget(sensor.health.name, key)
@@ -478,7 +478,7 @@ class Intake:
     def _seen(
         self, frames: Sequence[FrameDetections], known: KnownPose
     ) -> Iterator[tuple[int, Seen]]:
-        """Yield by frame its step, and the tiles that it hits."""
+        """Yield for each frame its step and the tiles that it hits."""
         assert known.numbers is not None  # noqa: S101 - the caller has looked
         for each in frames:
             (counted,) = self._counter.count(each.as_rows(), known.numbers)

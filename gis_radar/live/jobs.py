@@ -1,7 +1,7 @@
-"""Which hours and quarters are to be measured, and the worker that does it beside fusion.
+"""Jobs of measuring hours and quarters, which a worker process does beside fusion.
 
-At low priority, on the cores that fusion leaves, one piece of work at a time: fusion and its map
-never wait for it. The log reports the backlog.
+The worker runs at low priority, on the cores that fusion leaves, one job at a time: fusion and its
+map never wait for it. The log reports the backlog.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from gis_radar.live.quarters import Quarters
 from gis_radar.live.recordings import end_of_hour_s
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 
-NICE = 15  # the map goes first
-BEHIND_S = 900.0  # from which on it is told how far hours are behind, and at each doubling
+NICE = 15  # niceness of the worker: the map has priority
+BEHIND_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
 LOOK_S = 0.1
 DOUBTS = "doubts.json"
-MOST_SAID = 1_000  # warnings that are known, and not told again
+MOST_SAID = 1_000  # most warnings remembered, which are not logged again
 
 Work = Callable[[MeasuredSite, Sequence[Path]], Done]
 
@@ -70,9 +70,9 @@ class _Unmeasured:
     Parameters
     ----------
     why : str
-        What keeps it from that.
+        The reason.
     tried, waits : int
-        The quarter in which it was tried, and after how many it is tried again.
+        The quarter in which it was tried, and the number of quarters until the next try.
     """
 
     why: str
@@ -81,28 +81,28 @@ class _Unmeasured:
 
 
 class HourJobs:
-    """Has hours and quarters measured once they are over.
+    """Jobs of a site: hours and quarters are measured once they are over.
 
     Parameters
     ----------
     site : MeasuredSite
         The site.
     quarters : Quarters
-        Takes in what was measured.
+        Receives the measured quarters.
     settings : LiveSettings
-        How long it is waited for frames.
+        How long a job waits for frames.
     process : callable
-        Starts the process that works.
+        Starts the worker process.
     reporter : Reporter
-        Receives warnings of the work.
+        Receives warnings of the jobs.
 
     Attributes
     ----------
     touched : dict
-        Hours of recordings that are to be made, and when a frame of each came last (monotonic
+        Hours whose recordings have to be made, each with the arrival of its last frame (monotonic
         seconds).
     wanted : bool
-        Whether work waits for the spool to be closed.
+        Whether a job waits for the spool to be closed.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class HourJobs:
         self._process = process
         self._running: Future[Done] | None = None
         self._next: Work | None = None
-        self._hours: dict[int, float | None] = {}  # that are being made, and when they were touched
+        self._hours: dict[int, float | None] = {}  # hours being made, as in `touched` at the start
         self._unmeasured: dict[int, _Unmeasured] = {}
         self._now = 0  # the quarter that runs
         self._quarter = 0  # that was measured last
@@ -126,16 +126,16 @@ class HourJobs:
         self._again_at, self._told_s = 0.0, BEHIND_S
 
     def take_up(self, spooled: Sequence[Path]) -> None:
-        """Begin with what an earlier run left."""
+        """Start with the hours that an earlier run left."""
         self._submit(take_up, spooled)
 
     @property
     def wanted(self) -> bool:
-        """Whether work waits until the spool goes on in another file."""
+        """Whether a job waits until the spool continues in another file."""
         return self._next is not None and self._running is None
 
     def turn(self, now_s: float, newest: Mapping[str, float], *, full: bool = False) -> None:
-        """Take in what was done, and choose what is next.
+        """Process the result of a job that has ended, and choose the next one.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class HourJobs:
         self._now = int(now_s * 1e6) // QUARTER_US
         again = (h for h, each in self._unmeasured.items() if self._now >= each.tried + each.waits)
         hours = sorted({*due, *again})
-        if quarter is not None and self.behind_s < BEHIND_S:  # the page waits for it
+        if quarter is not None and self.behind_s < BEHIND_S:  # first, as the page shows it
             left = quarter - self._quarter - 1 if self._quarter else 0
             self.quarters_left_out += max(left, 0)
             self._quarter = quarter
@@ -169,7 +169,7 @@ class HourJobs:
             self._next = make_recordings
 
     def _is_due(self, hour: int, now_s: float, newest: Mapping[str, float]) -> bool:
-        """Return whether all frames of an hour are there, or none came for long."""
+        """Return whether all frames of an hour are there, or the wait for them is over."""
         end_s = end_of_hour_s(hour)
         if now_s < end_s:
             return False
@@ -178,7 +178,7 @@ class HourJobs:
         return all_there or (settled and now_s >= end_s + self._settings.settle_s)
 
     def _due_quarter(self, now_s: float, newest: Mapping[str, float]) -> int | None:
-        """Return the newest quarter that is over, if it was not measured and frames came of it."""
+        """Return the newest quarter that is over, if it has frames and was not measured yet."""
         after_s = AFTER_US / 1e6
         quarter = int((now_s - after_s) * 1e6) // QUARTER_US - 1
         end_s = (quarter + 1) * QUARTER_US / 1e6 + after_s
@@ -189,7 +189,7 @@ class HourJobs:
         return quarter if any(each >= begin_s for each in newest.values()) else None
 
     def _look_behind(self, now_s: float, due: Sequence[int]) -> None:
-        """Tell how far hours are behind, at each doubling; and once they no longer are."""
+        """Log the backlog of hours at each doubling, and its end."""
         self.behind_s = now_s - end_of_hour_s(due[0]) if due else 0.0
         if self.behind_s >= self._told_s:
             self._told_s = 2.0 * self.behind_s
@@ -203,19 +203,19 @@ class HourJobs:
             self._told_s = BEHIND_S
 
     def begin(self, spooled: Sequence[Path]) -> None:
-        """Begin what is wanted, now that the spool is closed up to here."""
+        """Start the waiting job, now that the spool is closed up to here."""
         work, self._next = self._next, None
         if work is not None:
             self._submit(work, spooled)
 
     def _submit(self, work: Work, spooled: Sequence[Path]) -> None:
-        """Hand work to the process, which is started where there is none."""
+        """Submit work to the worker process, which is started if there is none."""
         if self._pool is None:
             self._pool = self._process()
         self._running = self._pool.submit(work, self._site, list(spooled))
 
     def _take(self) -> None:
-        """Take in what was done; what failed is tried again later."""
+        """Process the result of the job; hours that failed are tried again later."""
         if self._running is None or not self._running.done():
             return
         work, self._running = self._running, None
@@ -231,7 +231,7 @@ class HourJobs:
             self.stop()
             return
         for hour, touched in hours.items():
-            if self.touched.get(hour) == touched:  # else frames came meanwhile: once more
+            if self.touched.get(hour) == touched:  # else frames came meanwhile: make it again
                 self.touched.pop(hour, None)
             if hour not in done.not_measured:
                 self._unmeasured.pop(hour, None)
@@ -244,9 +244,9 @@ class HourJobs:
 
     @property
     def doubts(self) -> dict[str, str | None]:
-        """By sensor, what the check doubts of its pose and recording; None once it found they fit.
+        """By sensor, the check's doubt of its pose and recording; None once they were found to fit.
 
-        With the hour from which on there was too little traffic to tell: that ends no doubt.
+        Too little traffic for a verdict does not end a doubt; its hour is then added to the text.
         """
         again = "{}; since {} too little traffic to check it again"
         return {
@@ -256,7 +256,7 @@ class HourJobs:
         }  # fmt: skip
 
     def _doubt(self, done: Done) -> None:
-        """Take in what the check found, and keep it for a fusion that begins anew."""
+        """Record the findings of the check, and store them for a restart of fusion."""
         if not done.doubts and not done.untold:
             return
         self._doubts |= done.doubts
@@ -270,11 +270,11 @@ class HourJobs:
         try:
             with atomic_write(path) as part:
                 part.write_text(json_text(document, indent=1) + "\n", encoding="utf-8")
-        except GisRadarError as error:  # alarms stand all the same
+        except GisRadarError as error:  # the alarms stay even if they cannot be stored
             self._say([error.message])
 
     def _wait(self, hour: int, why: str) -> None:
-        """Name an hour that is not measured; try it again after a quarter, then twice that, ..."""
+        """Log an hour that failed; try it again after one quarter, then two, four, ..."""
         known = self._unmeasured.get(hour)
         if known is None or known.why != why:
             self._reporter.warn("{} is not measured: {}", hour_text(hour), why)
@@ -282,11 +282,11 @@ class HourJobs:
         self._unmeasured[hour] = _Unmeasured(why=why, tried=self._now, waits=waits)
 
     def touch(self, hours: Iterable[int]) -> None:
-        """Take note of hours of which frames came."""
+        """Record hours of which frames came."""
         self.touched |= dict.fromkeys(hours, time.monotonic())
 
     def _say(self, lines: Iterable[str]) -> None:
-        for line in lines:  # once, of whatever hour
+        for line in lines:  # each line once, whatever its hour
             words = " ".join(word for word in line.split() if not word[0].isdigit())
             if words not in self._said:
                 self._said = {words} if len(self._said) >= MOST_SAID else self._said | {words}
@@ -309,7 +309,7 @@ class HourJobs:
         self._pool, self._running, self._next = None, None, None
 
     def figures(self) -> dict[str, float]:
-        """Return how far the work is, by name, for Prometheus."""
+        """Return the progress of the jobs, by name, for Prometheus."""
         return {
             "hours_waiting": float(len(self.touched)),
             "hours_behind_seconds": self.behind_s,
@@ -319,13 +319,13 @@ class HourJobs:
 
 
 def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], dict[str, int]]:
-    """Return what an earlier fusion doubted; what cannot be read is told, and stops nothing."""
+    """Return the doubts of an earlier run of fusion; a file that cannot be read is logged."""
     if not path.exists():
         return {}, {}
     try:
         found = restored(read_json(path, what="doubts"))
         doubts, untold = dict(found["doubts"]), dict(found["untold"])
-        "".join(each for each in doubts.values() if each is not None)  # else a TypeError
+        "".join(each for each in doubts.values() if each is not None)  # TypeError if one is no text
         [hour_text(hour) for hour in untold.values()]
     except (GisRadarError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
         reporter.warn("{}: cannot be read: alarms of poses begin anew", path)
@@ -334,9 +334,9 @@ def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None],
 
 
 def _make_all(site: MeasuredSite, spooled: Sequence[Path], touched: Sequence[int]) -> Done:
-    """Make recordings of what is there, and measure the hours that are over."""
+    """Make recordings from all frames received, and measure the hours that are over."""
     done = take_up(site, spooled)
-    hours = sorted({*touched, *done.hours})  # what was touched may be half made
+    hours = sorted({*touched, *done.hours})  # touched hours may be partly made
     over = [hour for hour in hours if end_of_hour_s(hour) <= time.time()]
     if not over:
         return done

@@ -1,4 +1,4 @@
-"""Lane measures by interval, which wait on disk until a SensorThings server has taken them."""
+"""Push of lane measures by interval, which wait on disk until a SensorThings server has them."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from gis_radar.live.snapshot import Place
 from gis_radar.site import SensorThingsTable
 
 FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0
-MOST_WAITING = 50_000  # measures: ten days of 50 lanes by 15 minutes
+MOST_WAITING = 50_000  # most waiting measures: ten days of 50 lanes by 15 minutes
 DIGITS = 3
 
 
 class LanePush:
-    """Pushes measures of lanes, on a thread of its own, until the server has them.
+    """Push of measures of lanes, on a thread of its own, until the server has them.
 
     Parameters
     ----------
     table : SensorThingsTable
-        Of the site's file.
+        The table of the site's file.
     place : Place
         The site's lanes.
     site : str
-        Its name in topics.
+        The site's name in topics.
     path : Path
-        Where measures wait.
+        File of the waiting measures.
     retry_s : float
-        After which what failed is tried again at first, seconds; then after twice as long.
+        Seconds until the first retry; each further one waits twice as long.
     reporter : Reporter
         Receives a line when the server cannot be reached, and when it is again.
 
@@ -71,16 +71,16 @@ class LanePush:
 
     @property
     def waiting(self) -> int:
-        """Measures that the server has not taken yet."""
+        """Number of measures that the server has not taken yet."""
         return len(self._waiting)
 
     def take(self, number: int, counts: Integers) -> None:
-        """Take an interval that is over.
+        """Add the measures of an interval that is over.
 
         Parameters
         ----------
         number : int
-            Its number since 1970.
+            Number of the interval since 1970.
         counts : (2, n) int array
             Steps in which tiles were hit and observed.
         """
@@ -106,7 +106,7 @@ class LanePush:
         ]
 
     def regular(self) -> None:
-        """Do what is due: take in what was sent, and send what waits."""
+        """Do what is due: process what was sent, and send waiting measures."""
         if self._work.busy:
             self._take_sent()
         if self._waiting and not self._work.busy and time.monotonic() >= self._try_at:
@@ -135,7 +135,7 @@ class LanePush:
         self._patience_s, self._said = self._retry_s, ""
 
     def _failed(self, error: Exception) -> None:
-        """Try again later; each new reason is told once."""
+        """Plan a retry; log each new reason once."""
         self._again, self._try_at = True, time.monotonic() + self._patience_s
         self._patience_s = min(2.0 * self._patience_s, SLOWEST_RETRY_S)
         if isinstance(error, GisRadarError):
@@ -155,7 +155,7 @@ class LanePush:
 
 
 def _read(path: Path, reporter: Reporter) -> list[LaneMeasure]:
-    """Return measures that waited when fusion ended; a damaged file is put aside, and one line."""
+    """Return measures that waited when fusion ended; rename and log a damaged file."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
         return [LaneMeasure(*map(int, row[:3]), *map(float, row[3:])) for row in rows]
@@ -163,7 +163,7 @@ def _read(path: Path, reporter: Reporter) -> list[LaneMeasure]:
         return []
     except (OSError, ValueError, TypeError, ArithmeticError, RecursionError):
         aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
-        with suppress(OSError):  # else it is replaced once there is something that waits
+        with suppress(OSError):  # if it cannot be renamed, the next waiting measures replace it
             path.rename(aside)
         reporter.warn("{}: it is damaged, and put aside as {}", path, aside.name)
         return []

@@ -1,4 +1,4 @@
-"""The map of now: windows of 50 ms that all sensors fill, and what is hit in the last one."""
+"""Map of now: windows of 50 ms that all sensors fill, and the tiles hit in the last closed one."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from gis_radar.base import STEP_US, Booleans, Integers, iso_from_step
 from gis_radar.measures import valid_steps
 
-MOST_STEPS = 1_200  # that are closed at once: after a longer standstill the map begins anew
-BACK_STEPS = 40  # a clock that is set back by more begins anew: 2 s
+MOST_STEPS = 1_200  # most steps closed at once: after a longer pause the map begins anew
+BACK_STEPS = 40  # the map begins anew if a clock is set back by more: 2 s
 
 
 class Seen(NamedTuple):
-    """What a sensor reports of a step.
+    """Report of a sensor about a step.
 
     Parameters
     ----------
     tiles : (k,) int64 array
-        Positions of the tiles that it hit.
+        Positions of the tiles that the sensor hit.
     in_sight : (n,) int64 array
-        Positions of the tiles that it sees.
+        Positions of the tiles in the sensor's sight.
     """
 
     tiles: Integers
@@ -31,10 +31,10 @@ class Seen(NamedTuple):
 
 
 class Windows:
-    """Steps that are open: frames may still come.
+    """Windows: steps that are open for frames on their way.
 
-    A step is closed once its end is `lateness_s` ago; a frame that comes later is stored like any
-    other, and left out of the map of now.
+    A step is closed `lateness_s` after its end; a frame that arrives later is stored like any
+    other, but left out of the map of now.
 
     Parameters
     ----------
@@ -46,17 +46,17 @@ class Windows:
     Attributes
     ----------
     late : int
-        Frames of steps that were closed.
+        Number of frames that came after their step was closed.
     """
 
     def __init__(self, lateness_s: float, *, closed: int | None = None) -> None:
         self.late = 0
         self._lateness_us = round(lateness_s * 1e6)
         self._open: dict[int, dict[str, Seen]] = {}
-        self._closed = closed  # the last step
+        self._closed = closed  # the last closed step
 
     def add(self, sensor: str, step: int, seen: Seen) -> bool:
-        """Take a frame; return whether its step was still open."""
+        """Add a frame; return whether its step was still open."""
         if self._closed is not None and step <= self._closed:
             self.late += 1
             return False
@@ -74,7 +74,7 @@ class Windows:
         now_us : int
             Microseconds since 1970.
         held_s : float
-            How long a frame is valid at the most, seconds.
+            Longest validity of a frame, seconds.
         """
         if not self._open:
             return iter(())
@@ -85,14 +85,14 @@ class Windows:
     def close(
         self, now_us: int, *, most: int = MOST_STEPS
     ) -> Iterator[tuple[int, dict[str, Seen]]]:
-        """Close the steps that are over, in order; yield each with what was seen by sensor.
+        """Close the steps that are over, in order; yield each with the reports by sensor.
 
         Parameters
         ----------
         now_us : int
             Microseconds since 1970.
         most : int
-            How many are closed at most; of more, the earliest are left out.
+            Most steps to close; of more, the earliest are left out.
         """
         last = (now_us - self._lateness_us) // STEP_US - 1
         if self._closed is None:
@@ -112,14 +112,14 @@ class Windows:
 
 @dataclass(frozen=True, kw_only=True)
 class MapState:
-    """The map as it stands, to be looked at by other threads.
+    """Immutable state of the map, for other threads.
 
     Parameters
     ----------
     step : int
-        The last step that counts.
+        The last closed step.
     hit, observed : (n,) bool arrays
-        In that step, by position of the tiles.
+        Whether each tile is hit and observed in that step, by position.
     """
 
     step: int
@@ -128,17 +128,17 @@ class MapState:
 
     @property
     def time(self) -> str:
-        """When the step begins, ISO 8601."""
+        """Begin of the step, ISO 8601."""
         return iso_from_step(self.step)
 
 
 class MapOfNow:
-    """What is hit in the last closed window; frames are valid in steps as in a dataset.
+    """Map of the tiles hit in the last closed window; frames are valid as in a dataset.
 
     Parameters
     ----------
     tiles : int
-        How many there are.
+        Number of tiles.
     """
 
     def __init__(self, tiles: int) -> None:
@@ -149,14 +149,14 @@ class MapOfNow:
         self._state = MapState(step=0, hit=nowhere, observed=nowhere)
 
     def take(self, step: int, frames: Mapping[str, Seen]) -> MapState:
-        """Take a closed step and return the map of it.
+        """Process a closed step, and return the map of it.
 
         Parameters
         ----------
         step : int
-            The step; steps come in order, none left out, until a clock is set back.
+            The step; steps come in order, without gaps, until a clock is set back.
         frames : mapping
-            What sensors that have a frame in it report.
+            Reports of the sensors that have a frame in it.
         """
         hit, observed = (np.zeros(self._tiles, np.bool_) for _ in range(2))
         if step <= self._state.step:
@@ -167,16 +167,16 @@ class MapOfNow:
             if step - since <= valid_steps(self.holds_s.get(sensor, 0.0)):
                 hit[seen.tiles] = True
                 observed[seen.in_sight] = True
-        hit &= observed  # as a heat map: a hit beyond every view is none
-        # whoever looks meanwhile has the last one: arrays of a state never change
+        hit &= observed  # as in a heat map, a hit outside every sight does not count
+        # a new state, as other threads may still read the last one
         self._state = MapState(step=step, hit=hit, observed=observed)
         return self._state
 
     @property
     def step(self) -> int:
-        """The last step that counts."""
+        """The last closed step."""
         return self._state.step
 
     def state(self) -> MapState:
-        """Return the map as it stands."""
+        """Return the present state of the map."""
         return self._state

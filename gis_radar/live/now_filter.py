@@ -1,7 +1,7 @@
-"""The vehicles of now, followed detection by detection: nothing later corrects what is shown.
+"""Vehicles of now, followed detection by detection: no later data correct what is shown.
 
-The tracker's filter takes what moves; who stands longer than it remembers stays shown where it
-stood, until somebody drives there, or for three minutes.
+The tracker's filter follows moving vehicles. A vehicle that stands longer than the filter remembers
+is still shown at its place, until a vehicle drives there, or for three minutes.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from gis_radar.tracking import (
     usual_rcs,
 )
 
-HEAVY_M = 7.0  # the contract: who is longer counts as heavy
+HEAVY_M = 7.0  # longer vehicles count as heavy (contract)
 LENGTHS_M, HEAVY_WIDTH_M, WIDTH_M = (4.6, 18.75), 2.5, 1.85
-SURE_HITS = 6  # detections of a vehicle: with fewer the filter follows it for a moment only
-FOLLOWED_S = 60.0  # after its last detection a vehicle is no longer shown as one that moves
-HELD_S = 180.0  # one that stood when the filter lost it is shown for so long
-GONE_MPS = 0.7  # who was faster when it was lost has left
-SAME_M = 2.5  # what is nearer to where one stood is the same
-RCS_KEPT, JUDGED = 40, 400  # cross sections of a vehicle, and vehicles by which walkers are told
+SURE_HITS = 6  # least detections of a shown vehicle
+FOLLOWED_S = 60.0  # longest time after its last detection that a vehicle is shown as followed
+HELD_S = 180.0  # time that a vehicle which stood when the filter lost it is still shown
+GONE_MPS = 0.7  # a vehicle that was faster when it was lost has left
+SAME_M = 2.5  # a vehicle nearer than this to the place of a standing one is the same
+RCS_KEPT, JUDGED = 40, 400  # cross sections kept of a vehicle; vehicles that tell walkers apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +42,11 @@ class VehiclesNow:
     time : float
         UNIX seconds.
     vehicle : (n,) int64 array
-        Numbers that mean nothing elsewhere.
+        Numbers of the vehicles, which no table shares.
     place : (n, 2) array
-        Easting and northing of the middle.
+        Easting and northing of the middle, metres.
     heading, speed, length_m, width_m : (n,) arrays
-        Degrees as a yaw, m/s, metres.
+        Yaw in degrees, m/s, metres.
     """
 
     time: float
@@ -62,12 +62,12 @@ class VehiclesNow:
 
     @property
     def heavy(self) -> np.ndarray:
-        """Which are longer than 7 m."""
+        """Whether each vehicle is heavy: longer than 7 m."""
         return np.asarray(self.length_m > HEAVY_M)
 
     @classmethod
     def of(cls, time: float, rows: Floats) -> VehiclesNow:
-        """Return those of rows (number, easting, northing, heading, speed, length)."""
+        """Return the vehicles of rows (number, easting, northing, heading, speed, length)."""
         length = np.clip(rows[:, 5], *LENGTHS_M)
         return cls(
             time=time, vehicle=rows[:, 0].astype(np.int64), place=rows[:, 1:3],
@@ -83,7 +83,7 @@ class VehiclesNow:
 
 @dataclass(kw_only=True)
 class _Known:
-    """What was learned of a vehicle that the filter follows."""
+    """Cross sections and speeds learned of a vehicle that the filter follows."""
 
     rcs: deque[float]
     fast: float = 0.0
@@ -91,7 +91,7 @@ class _Known:
 
 @dataclass(kw_only=True)
 class NowFilter:
-    """Follows vehicles as detections come; nothing later corrects what it says.
+    """Filter that follows vehicles as detections come; no later data correct its result.
 
     Parameters
     ----------
@@ -101,14 +101,14 @@ class NowFilter:
     Attributes
     ----------
     late : int
-        Frames of which detections were too old to be followed.
+        Number of frames whose detections came too late.
     """
 
     graph: LaneGraph
     late: int = 0
     _waiting: list[MapDetections] = field(default_factory=list)
     _known: dict[int, _Known] = field(default_factory=dict)
-    _stood: dict[int, Floats] = field(default_factory=dict)  # by number, the row and when it was
+    _stood: dict[int, Floats] = field(default_factory=dict)  # by number, the row and its time
     _shown: dict[int, Floats] = field(default_factory=dict)
     _same: dict[int, int] = field(default_factory=dict)
     _reached: float = -np.inf
@@ -118,17 +118,17 @@ class NowFilter:
         self._filter = ForwardFilter(self.graph)
 
     def take(self, detections: MapDetections) -> None:
-        """Take the detections of a frame, unless it is older than the last published moment."""
+        """Add the detections of a frame, unless it is older than the last published time."""
         fresh = detections.take(detections.time > self._reached)
         self.late += len(fresh) < len(detections)
         self._waiting.append(fresh)
 
     def go_on(self, until: float) -> None:
-        """Follow what came up to a time."""
+        """Filter the detections up to a time (UNIX seconds)."""
         waiting = MapDetections.join(self._waiting)
         ready = waiting.time <= until
         self._waiting = [waiting.take(~ready)]
-        if until > self._reached + STAND_S:  # nothing came for long
+        if until > self._reached + STAND_S:  # no detections for long
             self._stood, self._shown = {}, {}
         self._reached = max(self._reached, until)
         detections = waiting.take(ready)
@@ -138,7 +138,7 @@ class NowFilter:
         self._show()
 
     def _learn(self, detections: MapDetections, number: np.ndarray, states: Floats) -> None:
-        """Note cross sections and speeds, by which walkers are told."""
+        """Record cross sections and speeds, by which walkers are told from vehicles."""
         still = np.abs(detections.range_rate) < MOVING_MPS
         known = usual_rcs(detections.rcs[still])
         self._still = known if np.isnan(self._still) else self._still
@@ -149,7 +149,7 @@ class NowFilter:
             found = self._known.pop(each, None) or _Known(rcs=deque(maxlen=RCS_KEPT))
             found.rcs.extend(detections.rcs[rows].tolist())
             found.fast = max(found.fast, float(states[rows, columns.SPEED].max()))
-            self._known[each] = found  # the latest last
+            self._known[each] = found  # the latest is last
         while len(self._known) > JUDGED:
             del self._known[next(iter(self._known))]
 
@@ -163,7 +163,7 @@ class NowFilter:
         return {numbers[k] for k in np.flatnonzero(person).tolist()}
 
     def _show(self) -> None:
-        """Take in the bodies of the filter, and whom it has lost since."""
+        """Update the shown vehicles by the filter's bodies, and hold those that it has lost."""
         bodies = self._filter.bodies
         recent = bodies[:, columns.LAST] > self._reached - FOLLOWED_S
         sure = (bodies[:, columns.HITS] >= SURE_HITS) & recent
@@ -181,7 +181,7 @@ class NowFilter:
                 self._stood[number] = np.array([*row, self._reached])
         for number in [*self._stood]:
             near = self._near(self._stood[number][:2], places)
-            if near is not None:  # it drives on, or another one is there
+            if near is not None:  # the vehicle drives on, or another one is at its place
                 new = [*alive][near]
                 self._same.setdefault(new, self._same.get(number, number))
             late = self._reached - self._stood[number][5] > HELD_S

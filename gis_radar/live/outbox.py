@@ -1,4 +1,4 @@
-"""The outbox of a sensor: sends what waits in the disk buffer, and drops what fusion has stored."""
+"""Outbox of a sensor: send the messages of the disk buffer, and drop those that fusion stored."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from gis_radar.live.payload import (
 )
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 
-AT_ONCE = 100  # messages read from the buffer in one go
-# Messages ahead of the acknowledgement at first, and after a loss: 2 s of a radar, the way to
-# fusion's disk and back. More follow as acknowledgements come (slow start, RFC 5681): many sensors
-# that all send again at once what waits fill the broker with what fusion has, and none gets on.
+AT_ONCE = 100  # most messages read from the buffer at once
+# Messages sent ahead of the acknowledgement at first, and after a loss: 2 s of a radar, the way to
+# fusion's disk and back. More follow as acknowledgements come (slow start, RFC 5681): if many
+# sensors sent all again at once, copies of stored messages would fill the broker.
 FIRST_AHEAD = 40
 STATUS_S = 2.0  # between two reports of a sensor's state
 ONLINE, OFFLINE = "online", "offline"
@@ -38,29 +38,29 @@ def status_message(state: str, **figures: object) -> bytes:
 
 
 class Outbox:
-    """Sends messages in order, again where they got lost, until they are acknowledged.
+    """Sender of messages in order, again where they got lost, until they are acknowledged.
 
     Parameters
     ----------
     buffer : DiskBuffer
-        Where they wait.
+        The buffer of the messages.
     link : Link
-        To the broker.
+        Link to the broker.
     topics : SensorTopics
-        Of the sensor.
+        Topics of the sensor.
     figures : callable
-        What the sensor's status says beside its state.
+        Returns the figures of the sensor's status messages.
     settings : LiveSettings
-        How many go ahead of the acknowledgement, and when they are sent again.
+        How many messages go ahead of the acknowledgement, and when they are sent again.
     reporter : Reporter
         Receives a line when the buffer is full or fusion refuses the stream.
 
     Attributes
     ----------
     lost : int
-        Messages that were too long, or that the buffer did not take.
+        Number of messages that were too long, or that the buffer did not take.
     stored : int
-        The number up to which fusion has stored.
+        The number up to which fusion has stored messages.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class Outbox:
         self._full = self._too_long = False
 
     def put(self, content: bytes) -> bool:
-        """Add a message; return whether it is not lost: too long, or the buffer full."""
-        if len(content) > MOST_CONTENT:  # the broker would cut the link, again and again
+        """Add a message; return False if it is lost, as it is too long or the buffer is full."""
+        if len(content) > MOST_CONTENT:  # the broker would cut the link at each try
             if not self._too_long:
                 self._reporter.warn("a message of {:,} bytes is too long", len(content))
             self._too_long = True
@@ -93,7 +93,7 @@ class Outbox:
         return taken
 
     def put_pose(self, message: bytes) -> bool:
-        """Add the pose that the next messages are found by; return whether it is kept."""
+        """Add the pose by which the next messages are selected; return whether it is stored."""
         return self._kept(lambda: self._buffer.add_pose(message))
 
     def _kept(self, write: Callable[[], object]) -> bool:
@@ -110,7 +110,7 @@ class Outbox:
 
     @property
     def empty(self) -> bool:
-        """Whether fusion has stored all."""
+        """Whether fusion has stored all messages."""
         return self.stored >= self._buffer.last
 
     def pump(self) -> None:
@@ -155,7 +155,7 @@ class Outbox:
                 self._on_way.append(each.number)
 
     def _send_pose(self, waiting: Waiting) -> None:
-        """Send the pose that a message was found by, where it is not that of the one before."""
+        """Send the pose of a message, if it is not that of the message before."""
         key = waiting.content[:POSE_BYTES]
         if key != self._pose_sent:
             pose = self._buffer.pose_of(waiting.number)
@@ -163,13 +163,13 @@ class Outbox:
             self._pose_sent = key
 
     def _rewind(self) -> None:
-        """Send again all that fusion has not stored, slowly at first."""
+        """Send again all messages that fusion has not stored, slowly at first."""
         self._on_way.clear()
         self._ahead = FIRST_AHEAD
         self._sent, self._progress, self._pose_sent = self.stored, time.monotonic(), b""
 
     def _drop(self) -> None:
-        """Drop what fusion has stored; where the disk is full, again with the next status."""
+        """Drop stored messages; if the disk is full, try again with the next status."""
         if self._dropped == self.stored:
             return
         try:
@@ -210,14 +210,14 @@ class Outbox:
             self._rewind()
 
     def _is_ours(self, found: Acknowledgement) -> bool:
-        """Return whether the message that fusion stored last is the one of that number here."""
+        """Return whether fusion's last stored message equals the one with its number here."""
         here = list(self._buffer.read_after(found.stored - 1, 1))
         return any(
             each.number == found.stored and check_of(each.content) == found.check for each in here
         )
 
     def _begin_anew(self) -> None:
-        """Send all that waits as a new stream: another program, or an older copy, used this one."""
+        """Send all waiting messages as a new stream: another program or copy used this one."""
         self._reporter.warn(
             "fusion has stored other messages of this stream: all that waits is sent as a new one",
         )

@@ -1,4 +1,4 @@
-"""The pose of a sensor by its own traffic: found at the start, and followed every 5 s."""
+"""Own pose of a sensor by its traffic: found at the start, and followed every 5 s."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from gis_radar.poses import ANGLES, DECIMALS, POSITION, Pose, View
 from gis_radar.recordings import Detections
 from gis_radar.scans import read_road
 
-AGAIN_FRAMES = 500  # that come before the next try, where no pose follows: 25 s
-WAITING_FRAMES = 2_000  # for a fit to end: 100 s
-ROWS_KEPT = 1_440  # poses that the follower remembers: 2 h
+AGAIN_FRAMES = 500  # frames before the next try to find a pose: 25 s
+WAITING_FRAMES = 2_000  # most frames that wait for a fit to end: 100 s
+ROWS_KEPT = 1_440  # poses that the follower keeps: 2 h
 
 
 def rounded(pose: Pose) -> Pose:
-    """Return a pose with as many digits as a pose track holds, so that both are the same."""
+    """Round a pose to the digits of a pose track, so that both are the same."""
     names = (*POSITION, *ANGLES)
     return replace(pose, **{name: round(getattr(pose, name), DECIMALS) for name in names})
 
@@ -49,9 +49,9 @@ def find_own_pose(file: EdgeFile, frames: deque[Detections], *, reporter: Report
     Parameters
     ----------
     file : EdgeFile
-        The sensor's, with guess, map and road.
+        The sensor's file, with guess, map and road.
     frames : deque of Detections
-        The last ones.
+        The last frames.
     reporter : Reporter
         Receives remarks.
 
@@ -82,22 +82,22 @@ def find_own_pose(file: EdgeFile, frames: deque[Detections], *, reporter: Report
 
 
 def view_of(file: EdgeFile) -> View | None:
-    """Return what a sensor sees, as its file states it."""
+    """Return the view in a sensor's file, or None."""
     return None if file.view is None else View(**vars(file.view))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Followed:
-    """What the follower states of the pose.
+    """Result of the follower.
 
     Parameters
     ----------
     pose : Pose
-        From now on.
+        The pose from now on.
     trusted : bool
         False from a move until a whole window of traffic has corrected the pose again.
     refused : str
-        Why the traffic does not confirm the start pose; empty where it does.
+        The reason why the traffic does not confirm the start pose; empty where it does.
     """
 
     pose: Pose
@@ -106,22 +106,22 @@ class Followed:
 
 
 class PoseFollower:
-    """Follows the pose in a thread of its own: a fit takes longer than a frame.
+    """Follower of the pose in a thread of its own, as a fit takes longer than a frame.
 
-    The tracking is that of `gis-radar track`. It learns of a move after the fact and then replaces
-    earlier poses; what was sent by these is sent. So the pose counts as unknown from the moment the
-    move is noticed.
+    The tracking is that of `gis-radar track`. It notices a move afterwards and replaces earlier
+    poses, but detections selected by these are already sent. So the pose counts as unknown from the
+    moment at which the move is noticed.
 
     Parameters
     ----------
     follower : Follower
         Fits the pose to windows of frames.
     problem : Problem
-        What it is fitted to.
+        Map, road and place for the fits.
     start : Pose
-        Where it stands.
+        The start pose.
     begin : float
-        UNIX seconds of the first frame that follows.
+        UNIX seconds of the first frame to follow.
     doubted : bool
         Whether traffic refused the pose before: it is trusted only once traffic confirms it.
     """
@@ -144,7 +144,7 @@ class PoseFollower:
         cls, file: EdgeFile, start: Pose, begin: float, *, doubted: bool = False,
         reporter: Reporter = QUIET,
     ) -> PoseFollower:  # fmt: skip
-        """Follow the pose of a sensor by map and road of its file; say each move."""
+        """Follow the pose of a sensor by map and road of its file, and log each move."""
         roads, road = _map_of(file, start)
         problem = Problem(
             name=start.sensor, roads=roads, road=road, guess=start.position[:2], heading=None
@@ -165,7 +165,7 @@ class PoseFollower:
         return True
 
     def latest(self) -> Followed | None:
-        """Return the newest pose, if there is one since the last call; raise what broke."""
+        """Return a pose newer than the last call, or None; raise an error of the thread."""
         newest = None
         while not self._found.empty():
             found = self._found.get()

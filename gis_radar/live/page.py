@@ -60,9 +60,9 @@ from gis_radar.products import BREAKS, MAP_WORDS, NEVER_HIT, NOT_OBSERVED, colou
 from gis_radar.site import PageTable
 
 _LOGGER = logging.getLogger(__name__)
-EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
-WAITING = 8  # events that a slow reader may lag behind; then the whole map is sent anew
-MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands behind a proxy
+EVENTS_PER_S = 3.0  # as a person can follow; a step is 50 ms
+WAITING = 8  # most events that a slow reader may lag behind; then the whole map is sent again
+MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page needs a proxy
 COOKIE = "gis_radar"
 WEB = Path(__file__).with_name("web")
 _TEMPLATE = Environment(
@@ -70,10 +70,10 @@ _TEMPLATE = Environment(
 ).from_string((WEB / "page.html").read_text(encoding="utf-8"))
 # Long words may break before these on a phone, whose browser need not know where German words do.
 SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|zyklen)")
-# Of a tile that is hit now: blue is no colour of the ramp, as light as this not for eyes that
-# confuse red and green, whose purple is a deep blue.
+# Colour of a tile that is hit now: no colour of the ramp is blue, nor one as light as this for the
+# red-green blind, to whom the ramp's purple is a deep blue.
 HIT = "#0090e0"
-VEHICLE = "#12805c"  # so is green; all are rimmed in white, heavy ones are longer
+VEHICLE = "#12805c"  # nor is green in the ramp; vehicles have a white rim, heavy ones are longer
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: "
     "blob:; connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
@@ -88,14 +88,14 @@ _HEADERS = {
 
 
 def make_app(live: ShownMap, token: str = "") -> Starlette:
-    """Return the page and its services as an application: read only.
+    """Return the read-only application of the page and its services.
 
     Parameters
     ----------
     live : ShownMap
         The map that is shown.
     token : str
-        Required of readers; empty: none.
+        Token that readers must show; empty for none.
     """
     changes = Changes(live)
     answers = _Answers(live)
@@ -129,7 +129,7 @@ class _Answers:
 
     def __init__(self, live: ShownMap) -> None:
         self._live = live
-        self._sites: dict[str, bytes] = {}  # tiles and lanes by language, made once
+        self._sites: dict[str, bytes] = {}  # cache of tiles and lanes as JSON, by language
 
     def page(self, request: Request) -> Response:
         followed = self._live.snapshot().vehicles is not None
@@ -149,7 +149,7 @@ class _Answers:
 
 
 class _Guard:
-    """Require the token, by header, cookie, or once in the address; add headers to responses."""
+    """Guard that requires the token in header, cookie or address, and adds response headers."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app, self._token = app, token
@@ -187,7 +187,7 @@ class _Guard:
 
 
 class Changes:
-    """Server-sent events of what changes on the map; each is made once for all readers.
+    """Server-sent events with the map's changes; each is made once for all readers.
 
     Parameters
     ----------
@@ -197,11 +197,11 @@ class Changes:
 
     def __init__(self, live: ShownMap) -> None:
         self._live = live
-        self._shown: dict[str, Any] = {}  # the state of the readers, where there are any
+        self._shown: dict[str, Any] = {}  # the state that readers have, if there are any
         self._readers: set[asyncio.Queue[str | None]] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer with the whole map, then what changes."""
+        """Respond with the whole map, then with its changes."""
         if len(self._readers) >= MOST_READERS:
             refusal = PlainTextResponse("too many readers\n", 503, {"Retry-After": "30"})
             await refusal(scope, receive, send)
@@ -218,13 +218,13 @@ class Changes:
             self._readers.discard(queue)
 
     async def run(self) -> None:
-        """Look at the map a few times a second for as long as somebody reads."""
+        """Send changes of the map `EVENTS_PER_S` times a second while there are readers."""
         while True:
             await asyncio.sleep(1.0 / EVENTS_PER_S)
             if self._readers:
                 try:
                     self._send(self._live.snapshot())
-                except Exception:  # readers wait for the next one, and see how old theirs is
+                except Exception:  # readers wait for the next event, and see the map's age
                     _LOGGER.exception("the page's map could not be made")
 
     def _send(self, snapshot: Snapshot) -> None:
@@ -234,7 +234,7 @@ class Changes:
         for queue in list(self._readers):
             try:
                 queue.put_nowait(text)
-            except asyncio.QueueFull:  # a slow reader: its stream ends, and it connects again
+            except asyncio.QueueFull:  # a slow reader's stream ends, and the reader reconnects
                 self._readers.discard(queue)
                 while not queue.empty():
                     queue.get_nowait()
@@ -248,7 +248,7 @@ async def _texts(queue: asyncio.Queue[str | None]) -> AsyncIterator[str]:
 
 
 def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
-    """Return the map as the page takes it: hit tiles, classes by tile, lanes, sensors."""
+    """Return the whole map for the page: hit tiles, classes by tile, lanes, sensors."""
     begin = step_begin(snapshot.step)
     share = snapshot.by_lane(place)
     return {
@@ -280,7 +280,7 @@ def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
 
 
 def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
-    """Return of each vehicle: number, rear and front in degrees, width, speed, heavy (0 or 1)."""
+    """Return each vehicle's number, rear, front (deg), width (m), speed (m/s), heavy (0 or 1)."""
     now = snapshot.vehicles
     if now is None:
         return None
@@ -291,7 +291,7 @@ def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
 
 
 def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
-    """Return by lane: occupancy in permille, passages, mean speed in km/h."""
+    """Return for each lane occupancy in permille, passages, mean speed in km/h."""
     if snapshot.lately is None:
         return {}
     table = snapshot.lately.lanes
@@ -324,7 +324,7 @@ def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
 
 @lru_cache(256)
 def in_each_language(text: str) -> dict[str, str]:
-    """Return the details of an alarm by language: one stream serves readers of all."""
+    """Return the details of an alarm by language, as one stream serves all readers."""
     texts = {}
     for language in LANGUAGES:
         with speaking(language):
@@ -362,7 +362,7 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
 
 
 def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
-    """Return title, note and classes (colour, label) of each measure that the page may show."""
+    """Return title, note and classes (colour, label) of each measure of the page."""
     hits = _colours_in_words("hit_share", language)
     legends = {
         "lately": {
@@ -388,20 +388,20 @@ def _legends(language: str, *, followed: bool) -> dict[str, dict[str, Any]]:
 
 
 def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
-    """Return the classes of a measure, highest first, and that of missing values last."""
+    """Return colour and label of a measure's classes, highest first, missing values last."""
     classes = [(each.colour, class_label(each.label, language)) for each in colour_classes(measure)]
     return [*reversed(classes), (NOT_OBSERVED, tr(MAP_WORDS[measure].unknown))]
 
 
 def _site_json(place: Place, language: str) -> bytes:
-    """Return tiles and lanes, which do not change, in longitude and latitude."""
+    """Return tiles and lanes, which do not change, as JSON in longitude and latitude."""
     lanes = place.lanes.set_index("lane").reindex(place.lane_numbers)
     tiles = place.in_degrees(place.tiles).geometry
     west, south, east, north = tiles.total_bounds.round(DEGREES).tolist()
     with speaking(language):
         named = [
             {
-                "number": str(each.Index),  # ids reach 9e18, numbers of a browser 9e15
+                "number": str(each.Index),  # ids reach 9e18, exact numbers of a browser only 9e15
                 "street": street_label(each.street, each.street_part),
                 "direction": tr(each.direction),
             }
@@ -451,14 +451,14 @@ def read_token(path: Path) -> str:
 def page_server(
     fusion: FusedMap, site: LiveSite, table: PageTable, tiles: gpd.GeoDataFrame
 ) -> WebServer:
-    """Return what serves the page of a site's live map once it is opened.
+    """Return the web server of a site's live page, which serves once it is opened.
 
     Parameters
     ----------
     fusion : FusedMap
         The map of now, sensors, vehicles.
     site : LiveSite
-        Of the site's file.
+        The site's file.
     table : PageTable
         Address of the page and access to it.
     tiles : GeoDataFrame

@@ -1,9 +1,9 @@
-"""Messages between sensors and fusion: their bytes.
+"""Pack and unpack messages between sensors and fusion.
 
-What must not be lost is a stream of numbered messages: frames with their detections near the road.
-They name the pose that these were found by with a key that follows from its content, so that a pose
-may come at any time, and again. Numbers are varints (LEB128); `docs/live.md` has the layout. Pose,
-status and acknowledgement are JSON.
+Frames with their detections near the road, which must not be lost, are a stream of numbered
+messages. Each names the pose by which they were selected with a key that follows from the pose's
+content, so that a pose may come at any time, and repeatedly. Numbers are varints (LEB128);
+`docs/live.md` has the layout. Pose, status and acknowledgement are JSON.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from gis_radar.base import InputError, Text, parsed_json
 
 VERSION = 2
 DETECTIONS, POSE = "detections", "pose"  # topics
-_LIVE, _FIRST = 0x80, 0x40  # flags: sent as soon as it was made; none before it is kept
+_LIVE, _FIRST = 0x80, 0x40  # flags: sent at once; no earlier message is in the sensor's buffer
 _HEAD = struct.Struct(">BB4s")
-HEAD_BYTES = _HEAD.size  # before the number
-STREAM_BYTES, POSE_BYTES = 4, 4
-MOST_BYTES = 65_536  # of a message; a frame takes 350
-MOST_FRAMES = 100  # in a message
+HEAD_BYTES = _HEAD.size  # bytes before the number
+STREAM_BYTES, POSE_BYTES = 4, 4  # bytes of a stream's id, and of a pose's key
+MOST_BYTES = 65_536  # most bytes of a message; a frame takes 350
+MOST_FRAMES = 100  # most frames of a message
 _MOST_VARINT = 9  # bytes of a number under 2**63
-MOST_CONTENT = MOST_BYTES - _HEAD.size - _MOST_VARINT  # of a message, without its envelope
+MOST_CONTENT = MOST_BYTES - _HEAD.size - _MOST_VARINT  # most bytes without the envelope
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Envelope:
-    """What a message says of itself before its content.
+    """Envelope of a message, before its content.
 
     Parameters
     ----------
     stream : bytes
-        Which run of a sensor's program it is from: 4 random bytes.
+        Id of the stream: 4 random bytes for each run of a sensor's program.
     number : int
-        Its number in the stream, one more than that of the message before it.
+        Number of the message in the stream, one more than that of the message before it.
     first : bool
-        Whether the sensor keeps no message before it.
+        Whether the sensor's buffer holds no earlier message.
     live : bool
         Whether it was sent as soon as it was made.
     """
@@ -92,23 +92,23 @@ def stream_of(message: bytes) -> str:
 
 
 class VersionError(InputError):
-    """A message of a version that is not known here."""
+    """Error of a message with an unknown version."""
 
 
 def check_of(content: bytes) -> int:
-    """Return a check sum of the content of a message, by which sensor and fusion compare it."""
+    """Return the check sum of a message's content, by which sensor and fusion compare it."""
     return zlib.crc32(content)
 
 
 def in_parts(frames: Sequence[T], pack: Callable[[Sequence[T]], bytes]) -> Iterator[bytes]:
-    """Yield frames as contents that a message can hold; a single frame may still be too long.
+    """Yield frames as contents that fit in messages; a single frame may still be too long.
 
     Parameters
     ----------
     frames : sequence
         In order of time.
     pack : callable
-        Makes the content of some of them.
+        Packs some of the frames to a content.
     """
     content = pack(frames)
     if len(content) <= MOST_CONTENT or len(frames) == 1:
@@ -120,7 +120,7 @@ def in_parts(frames: Sequence[T], pack: Callable[[Sequence[T]], bytes]) -> Itera
 
 
 def varint(value: int) -> bytes:
-    """Return a number from 0 in groups of seven bits (LEB128)."""
+    """Return a number >= 0 in groups of seven bits (LEB128)."""
     found = bytearray()
     while value > 0x7F:
         found.append(value & 0x7F | 0x80)
@@ -130,7 +130,7 @@ def varint(value: int) -> bytes:
 
 
 class Numbers:
-    """Varints, one after the other."""
+    """Reader of varints and bytes, one after the other."""
 
     def __init__(self, data: bytes, at: int) -> None:
         self._data, self.at = data, at
@@ -138,7 +138,7 @@ class Numbers:
             raise InputError("a message ends after {} bytes", len(data))
 
     def take(self) -> int:
-        """Take a number."""
+        """Read a number."""
         value = 0
         for shift in range(0, 7 * _MOST_VARINT, 7):
             if self.at >= len(self._data):
@@ -151,14 +151,14 @@ class Numbers:
         raise InputError("a message ends within a number, after {} bytes", len(self._data))
 
     def bytes(self, size: int) -> bytes:
-        """Take so many bytes."""
+        """Read `size` bytes."""
         if size > len(self._data) - self.at:
             raise InputError("a message ends too soon, after {} bytes", len(self._data))
         self.at += size
         return self._data[self.at - size : self.at]
 
     def end(self) -> None:
-        """Refuse what is left."""
+        """Refuse bytes after the end."""
         if self.at != len(self._data):
             raise InputError("a message has {} bytes too many", len(self._data) - self.at)
 
@@ -170,9 +170,9 @@ class PoseContent:
     Parameters
     ----------
     pose : dict
-        As a pose file holds it.
+        The record of a pose file.
     fingerprint : str
-        Of the tiles near which detections are sent.
+        Fingerprint of the tiles near which detections are sent.
     """
 
     pose: dict[str, Any]
@@ -201,22 +201,22 @@ def key_of_pose(message: bytes) -> bytes:
 
 @dataclass(frozen=True, kw_only=True)
 class Acknowledgement:
-    """What fusion has stored of a sensor's stream.
+    """Acknowledgement: what fusion has stored of a sensor's stream.
 
     Parameters
     ----------
     stream : str
-        Which, in hexadecimal digits.
+        The stream, in hexadecimal digits.
     stored : int
-        All messages up to this number lie in recordings at fusion, on its disk.
+        All messages up to this number are on fusion's disk.
     check : int
         Check sum of the content of that message: a sensor whose own differs begins a new stream.
     session : str
-        Which run of fusion says so: after a new one all later messages are sent again.
+        Id of fusion's run: when it changes, all later messages are sent again.
     resend : int
-        Grows by one each time that messages are missing: those after `stored` are to be sent again.
+        Grows by one each time that messages are missing; those after `stored` are then sent again.
     refused : str
-        Why the stream is not taken; empty where it is.
+        The reason why the stream is refused; empty where it is taken.
     """
 
     stream: str
@@ -245,7 +245,7 @@ class Acknowledgement:
 
 
 def _fields(data: bytes, what: str, kinds: Mapping[str, type]) -> dict[str, Any]:
-    """Return the fields of a message, each of its kind."""
+    """Return the fields of a message, after checking the type of each."""
     record = read_record(data, what=what, version=VERSION)
     for name, kind in kinds.items():
         if not isinstance(record.get(name), kind):
@@ -261,9 +261,9 @@ def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[s
     data : bytes
         The message, or its content.
     what : str
-        What it should be, for messages.
+        Its kind, for error messages.
     version : int, optional
-        Which it must state.
+        Version that it must state.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""What was measured by quarter of an hour: tiles of the last one, lanes of the last day.
+"""Measures by quarter of an hour: of tiles in the last one, of lanes over the last day.
 
-Read from the dataset, and of quarters whose hour is not over from their provisional ones.
+They are read from the dataset or, while the hour is not over, from provisional quarters.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ KEPT = 96  # quarters: a day
 
 
 def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
-    """Return parts as shares, NaN where the whole is 0."""
+    """Divide parts by wholes; NaN where the whole is 0."""
     share = np.full(len(whole), np.nan)
     np.divide(part, whole, out=share, where=whole > 0)
     return share
@@ -30,7 +30,7 @@ def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class TileOccupancy:
-    """Steps of tiles: in which each was visible, and occupied while it was.
+    """Steps in which each tile was visible, and occupied while visible.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class TileOccupancy:
 
 @dataclass(frozen=True, kw_only=True)
 class Lately:
-    """The last quarter of an hour that was measured.
+    """Measures of a quarter of an hour.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Quarters:
         self._known: dict[int, Lately] = {}
 
     def add(self, found: Iterable[Lately]) -> None:
-        """Take in quarters, in place of those that are known."""
+        """Add quarters; they replace earlier measures of the same ones."""
         known = self._known | {each.until_step: each for each in found}
         self._known = {step: known[step] for step in sorted(known)[-KEPT:]}
 
@@ -97,16 +97,16 @@ class Quarters:
 def read_quarters(
     dataset: Dataset, tiles: gpd.GeoDataFrame, quarters: Sequence[int]
 ) -> list[Lately]:
-    """Read quarters of a dataset, those that are not there left out.
+    """Read those of some quarters that a dataset has.
 
     Parameters
     ----------
     dataset : Dataset
-        It.
+        The dataset.
     tiles : GeoDataFrame
         Its tiles.
     quarters : sequence of int
-        Since 1970, ascending.
+        Quarters since 1970, ascending.
     """
     if not quarters:
         return []
@@ -154,7 +154,7 @@ def _quarter(
 
 
 def _passed(passages: pd.DataFrame, lane_of: dict[int, int], size: int) -> tuple[Integers, Floats]:
-    """Return how often each lane was passed, once by a vehicle, and the mean speed, m/s."""
+    """Return the number of vehicles that passed each lane, and their mean speed, m/s."""
     lane = passages["lanelet_id"].map(lane_of)
     found = passages.assign(lane=lane).dropna(subset="lane").sort_values("step")
     found = found.drop_duplicates(["vehicle", "lane"])

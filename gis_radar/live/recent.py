@@ -1,4 +1,4 @@
-"""Steps in which tiles were hit and observed lately, which a new start takes up from disk."""
+"""Recent counts of steps in which tiles were hit and observed, restored from disk at a restart."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ import numpy as np
 from gis_radar.base import QUIET, Booleans, Integers, Reporter, atomic_write, output_errors
 
 MINUTE = 1_200  # steps
-MINUTES = 15  # of a moving sum
-QUARTER, QUARTERS = 15 * MINUTE, 5  # kept until the dataset has them: an hour and the one that runs
+MINUTES = 15  # length of a moving sum
+QUARTER, QUARTERS = 15 * MINUTE, 5  # quarters kept until the dataset has them: an hour and more
 Ended: TypeAlias = tuple[int, Integers]
 """Number of an interval, and (2, n) steps in which tiles were hit and observed in it."""
 
 
 class _Intervals:
-    """Counts of the last intervals, a row each in turn."""
+    """Counts of the last intervals, in a ring of rows."""
 
     def __init__(self, tiles: int, steps: int, kept: int) -> None:
         self.steps, self.number = steps, -1
         self.rows = np.zeros((kept, 2, tiles), np.int32)
 
     def take(self, step: int, hit: Booleans, observed: Booleans) -> Ended | None:
-        """Count a step; return the interval that it ends, if it does."""
+        """Count a step; return the interval that ended before it, if one did."""
         number, before, kept = step // self.steps, self.number, len(self.rows)
         ended = None
         if number != before:
@@ -40,15 +40,15 @@ class _Intervals:
 
 
 class RecentCounts:
-    """Counts steps in which tiles are hit and observed; safe to read from another thread.
+    """Counter of steps in which tiles are hit and observed; safe to read from another thread.
 
     Parameters
     ----------
     tiles : int
-        How many there are.
+        Number of tiles.
     interval, pushed : int
-        Steps over which the cumulative map counts, and the push of lanes; intervals begin at
-        multiples of them.
+        Lengths of the intervals of the cumulative map and of the push of lanes, steps; intervals
+        begin at multiples of them.
     """
 
     def __init__(self, tiles: int, *, interval: int = QUARTER, pushed: int = QUARTER) -> None:
@@ -69,21 +69,21 @@ class RecentCounts:
         step : int
             The step; steps ascend, until a clock is set back.
         hit, observed : (n,) bool arrays
-            Which tiles are, in it.
+            Whether each tile is hit and observed in it.
         """
         with self._lock:
-            if step <= self.step:  # the clock was set back: all begins anew
+            if step <= self.step:  # the clock was set back: start from zero
                 for each in self._kinds.values():
                     each.number, each.rows[:] = -1, 0
             self.step = step
             return [each.take(step, hit, observed) for each in self._kinds.values()][-1]
 
     def last_minutes(self) -> tuple[Integers, Integers]:
-        """Return the steps in which each tile was hit and observed: 14 to 15 minutes."""
+        """Return the steps of the last 14 to 15 min in which each tile was hit and observed."""
         return self._sums("minutes")
 
     def since_begin(self) -> tuple[Integers, Integers]:
-        """Return the same of the interval of the cumulative map that runs."""
+        """Return the same for the present interval of the cumulative map."""
         return self._sums("interval")
 
     def _sums(self, kind: str) -> tuple[Integers, Integers]:
@@ -100,21 +100,21 @@ class RecentCounts:
         return [(number, counts) for number, counts in rows if counts[1].any()]
 
     def arrays(self) -> dict[str, Any]:
-        """Return a copy of all counts, by name, to be kept by :func:`keep_counts`."""
+        """Return a copy of all counts, by name, for :func:`keep_counts`."""
         with self._lock:
             rows = {name: each.rows.copy() for name, each in self._kinds.items()}
             numbers = [(each.steps, each.number) for each in self._kinds.values()]
             return rows | {"state": np.array([self.step, *np.ravel(numbers)], np.int64)}
 
     def restore(self, path: Path, fingerprint: str, reporter: Reporter = QUIET) -> None:
-        """Take up the counts in a file, those over intervals of the same length.
+        """Restore the counts of a file, if its intervals have the same lengths.
 
         Parameters
         ----------
         path : Path
-            Of the file; where there is none, or one of other tiles, all begins anew.
+            The file; if it is missing or of other tiles, counting starts from zero.
         fingerprint : str
-            Of the tiles.
+            Fingerprint of the tiles.
         reporter : Reporter
             Receives a warning where it cannot be read.
         """
@@ -138,7 +138,7 @@ class RecentCounts:
 
 
 def keep_counts(path: Path, arrays: dict[str, Any], fingerprint: str) -> None:
-    """Write counts to a file, for a new start.
+    """Write counts to a file, for a restart.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Recordings at the centre: made of the spool, an hour and a sensor each.
+"""Recordings at fusion, made from the spool, one for each hour and sensor.
 
 A recording begins and ends two minutes after the full hour, so that an hour of the dataset has all
-that it follows from once its recording is added, and is made once. Parts of it lie beside it until
-then. A frame is in it once, in the order of time, whenever and however often it came in.
+its inputs once its recording is added, and is made once. Until then parts of the recording wait
+beside it. It holds each frame once, in the order of time, whenever and however often it arrived.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from gis_radar.poses import PoseTrack, pose_from_dict, read_track, write_pose, w
 from gis_radar.recordings import open_recording
 
 HOUR_US = 3_600_000_000
-CUT_US = MARGIN_STEPS * STEP_US  # after the full hour
+CUT_US = MARGIN_STEPS * STEP_US  # begin and end of a recording, after the full hour
 RECORDINGS, PARTS = "recordings", "parts"
-AT_ONCE = 20_000  # frames of a sensor in memory: a quarter of an hour
+AT_ONCE = 20_000  # most frames of a sensor in memory: a quarter of an hour
 ROWS_OF_GROUP = 131_072
 REPEATED = ["time", "z", "range_rate", "rcs", "pose"]  # columns with few values, as sent
 _POSES = b"gis_radar.poses"  # key of the file's metadata
@@ -52,17 +52,17 @@ _SCHEMA = pa.schema(
 
 
 def hour_of_time(time_us: int) -> int:
-    """Return in the recording of which hour (since 1970) a time lies."""
+    """Return the hour since 1970 whose recording holds a time."""
     return (time_us - CUT_US) // HOUR_US
 
 
 def end_of_hour_s(hour: int) -> float:
-    """Return when the recording of an hour ends, UNIX seconds."""
+    """Return the end of the recording of an hour, UNIX seconds."""
     return ((hour + 1) * HOUR_US + CUT_US) / 1e6
 
 
 def name_of_time(time_us: int) -> str:
-    """Return a time as it stands in names of files, such as 20261123T0702Z."""
+    """Format a time for names of files, such as 20261123T0702Z."""
     return f"{datetime.fromtimestamp(time_us / 1e6, tz=UTC):%Y%m%dT%H%MZ}"
 
 
@@ -73,22 +73,22 @@ def time_of_name(name: str) -> int:
 
 
 def name_of_hour(hour: int) -> str:
-    """Return the name of the recordings of an hour: when they begin."""
+    """Return the name of the recordings of an hour: the time of their begin."""
     return name_of_time(hour * HOUR_US + CUT_US)
 
 
 def recording_path(folder: Path, sensor: str, hour: int) -> Path:
-    """Return where the recording of an hour lies."""
+    """Return the path of the recording of an hour."""
     return folder / RECORDINGS / sensor / f"{name_of_hour(hour)}.parquet"
 
 
 def parts_of_hour(folder: Path, sensor: str, hour: int) -> list[Path]:
-    """Return the parts of a recording that are not in it yet, in the order in which they came."""
+    """Return the parts that are not joined to a recording yet, in the order of arrival."""
     return sorted((folder / PARTS / sensor).glob(f"{name_of_hour(hour)}.*.parquet"))
 
 
 def waiting_hours(folder: Path) -> set[int]:
-    """Return the hours of which parts wait."""
+    """Return the hours with waiting parts."""
     found = set()
     for path in (folder / PARTS).glob("*/*.*.parquet"):
         with suppress(ValueError):
@@ -97,9 +97,9 @@ def waiting_hours(folder: Path) -> set[int]:
 
 
 def make_parts(folder: Path, spooled: Path, reporter: Reporter = QUIET) -> None:
-    """Make parts of recordings of a file of the spool, then remove it; keep a damaged one aside.
+    """Make parts of recordings from a file of the spool, then remove it; rename a damaged one.
 
-    Killed at any moment, it is done again and gives the same.
+    If it is killed at any moment, the next call gives the same parts.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def _frames(
             pose, frames = unpack_detections(unpack_message(record.payload)[1])
             if pose.hex() in poses:
                 rows += [(each, pose.hex()) for each in frames]
-            else:  # its record is damaged
+            else:  # the record of its pose is damaged
                 file.damaged = True
         if len(rows) >= AT_ONCE:
             yield rows
@@ -167,9 +167,9 @@ def _warn_of_differing(sensor: str, count: int, path: Path, reporter: Reporter) 
 
 
 def _table(rows: Sequence[tuple[FrameDetections, str]]) -> tuple[pa.Table, int]:
-    """Return frames as rows of a recording, in the order of time, each time once.
+    """Return frames as rows of a recording in the order of time, and how many were left out.
 
-    Of two frames of one time the first counts; the others that differ from it are counted.
+    Of frames with one time the first is taken; those that differ from it are counted.
     """
     known: dict[int, tuple[FrameDetections, str]] = {}
     differing = 0
@@ -194,7 +194,7 @@ def _table(rows: Sequence[tuple[FrameDetections, str]]) -> tuple[pa.Table, int]:
 
 
 def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
-    """Write a table of rows whole, and to the disk."""
+    """Write a table of rows whole or not at all, and flush it to the disk."""
     named = {key: poses[key] for key in sorted(table["pose"].unique().to_pylist())}
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -208,19 +208,19 @@ def _write(path: Path, table: pa.Table, poses: dict[str, Any]) -> None:
 
 
 class JoinedRows:
-    """Rows of a sensor from several files; each frame occurs once.
+    """Rows of a sensor from several files, each frame once.
 
     Parameters
     ----------
     paths : sequence of Path
-        Recordings and parts: of two frames of one time that of the earlier file counts.
+        Recordings and parts: of two frames of one time that of the earlier file is taken.
     begin_us, end_us : int
-        Only frames from one time to before another.
+        Microseconds since 1970: begin and exclusive end of the frames.
 
     Attributes
     ----------
     differing : int
-        Frames that were left out for one of the same time with other detections.
+        Number of frames left out, as another of the same time has other detections.
     """
 
     def __init__(self, paths: Sequence[Path], begin_us: int = 0, end_us: int = 1 << 62) -> None:
@@ -245,7 +245,7 @@ class JoinedRows:
         self.table = merged if (np.diff(order) == 1).all() else merged.take(pa.array(order))
 
     def write(self, path: Path) -> PoseTrack:
-        """Write them as a recording, with the poses of the sensor beside it; return these."""
+        """Write the rows as a recording, and the sensor's poses beside it; return the poses."""
         _write(path, self.table, self.poses)
         track = self._track(path.parent.name)
         alone = len(track.poses) == 1
@@ -272,7 +272,7 @@ class JoinedRows:
 
 
 def _checks(table: pa.Table, frames: FrameIndex) -> Integers:
-    """Return a sum of each frame's positions, by which two frames of one time are told apart."""
+    """Return a sum of each frame's positions, which distinguishes two frames of one time."""
     x, y = (table[name].to_numpy().view(np.uint32).astype(np.int64) for name in ("x", "y"))
     return np.asarray(np.add.reduceat(x + 31 * y, frames.begins))
 
@@ -307,7 +307,7 @@ def join_parts(folder: Path, sensor: str, hour: int, reporter: Reporter) -> Path
 
 
 def track_beside(path: Path) -> PoseTrack:
-    """Read the poses that lie beside a recording."""
+    """Read the pose track beside a recording."""
     alone = path.with_suffix(".json")
     return read_track(alone if alone.exists() else path.with_suffix(".csv"))
 
@@ -316,7 +316,7 @@ def remove_old(
     folder: Path, *, keep_s: float, most_bytes: float, reporter: Reporter,
     is_needed: Callable[[Path], bool] = lambda _: False,
 ) -> None:  # fmt: skip
-    """Remove recordings that are too old and not needed, or that have no room, the oldest first."""
+    """Remove recordings that are old and not needed, or exceed the room, the oldest first."""
     paths = sorted((folder / RECORDINGS).glob("*/*.parquet"), key=lambda each: each.name)
     sizes = {each: each.stat().st_size for each in paths}
     before = name_of_time(int((time.time() - keep_s) * 1e6))

@@ -26,7 +26,7 @@ from gis_radar.site import SensorThingsTable
 
 TIMEOUT_S = 30.0
 AT_ONCE = 500  # observations in a request
-ASKED_BACK = 100  # intervals of a lane that a server is asked for: what FROST answers at once
+ASKED_BACK = 100  # intervals of a lane that are requested from a server: one page of FROST
 MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
 PERCENT = {"name": "percent", "symbol": "%", "definition": "https://qudt.org/vocab/unit/PERCENT"}
 PROPERTY = {
@@ -36,23 +36,23 @@ PROPERTY = {
     "lane, the mean of its tiles. It is below the share in which vehicles occupy them.",
 }
 COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
-_NOT_OFFERED = {404, 405, 501}  # of a server without the extension for many observations at once
-_UNWRITTEN = "error"  # what such a server puts in the place of a link
+_NOT_OFFERED = {404, 405, 501}  # status of servers without the extension for many observations
+_UNWRITTEN = "error"  # entry in place of the link of an observation that was not stored
 
 
 class LaneMeasure(NamedTuple):
-    """What is pushed: the hit share of a lane over an interval.
+    """Measure of a lane over an interval: its hit share.
 
     Parameters
     ----------
     lane : int
-        Its number.
+        Number of the lane.
     begin, end : int
-        Steps, the end left out.
+        Begin and exclusive end of the interval, steps.
     percent : float
-        Hit of observed steps.
+        Hit share, percent.
     observed_s : float
-        Seconds that its tiles were observed, their mean.
+        Mean over its tiles of the observed time, seconds.
     """
 
     lane: int
@@ -63,11 +63,11 @@ class LaneMeasure(NamedTuple):
 
 
 class ServerError(GisRadarError):
-    """A server that cannot be reached, or does not take what it gets."""
+    """Error of a server that cannot be reached, or refuses a request."""
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """Follows nothing: the log-in would go to any host, and a POST would become a GET."""
+    """Refusal of redirects: the log-in would go to any host, and a POST would become a GET."""
 
     def redirect_request(self, *_: Any) -> None:
         """Return nothing, so that the answer is an error."""
@@ -82,7 +82,7 @@ class Service:
     root : str
         Its address with the version, without a slash at the end.
     headers : mapping
-        Of each request.
+        Headers of each request.
     """
 
     root: str
@@ -90,7 +90,7 @@ class Service:
 
     @classmethod
     def of(cls, table: SensorThingsTable) -> Service:
-        """Return the service that a site's file names.
+        """Return the service of the table in a site's file.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Service:
         return self._ask(path, None)
 
     def post(self, path: str, record: Any) -> Any:
-        """Post JSON; return what comes back, or nothing."""
+        """Post JSON; return the JSON of the response, or None."""
         return self._ask(path, json.dumps(record).encode())
 
     def _ask(self, path: str, body: bytes | None) -> Any:
@@ -153,13 +153,13 @@ class Service:
         return ServerError("{}: has moved; the address to use is {}", self.root, place)
 
     def odd(self, path: str) -> ServerError:
-        """Return the error of an answer that is not what the standard says."""
+        """Return the error of a response that is against the standard."""
         return ServerError(
             "{}: its answer to {} is none of SensorThings", self.root, path.partition("?")[0]
         )
 
     def rows(self, path: str) -> tuple[list[dict[str, Any]], bool]:
-        """Return the entities at a path, and whether the server has more of them."""
+        """Return the first page of entities at a path, and whether there are more."""
         found = self.get(path)
         rows = found.get("value") if isinstance(found, dict) else None
         if not isinstance(rows, list) or not all(isinstance(each, dict) for each in rows):
@@ -173,12 +173,12 @@ class Service:
         if not rows:
             return None
         if not isinstance(found := rows[0].get("@iot.id"), int | str):
-            raise self.odd(entities)  # taken as missing, it would be made again each time
+            raise self.odd(entities)  # taken as missing, the entity would be made at each push
         return found
 
 
 class LaneServer:
-    """The lanes of a site on a server: entities are made where they are missing.
+    """Lanes of a site on a server; missing entities are made.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class LaneServer:
     place : Place
         Lanes and title of the site.
     site : str
-        Its name in topics, which begins all names.
+        The site's name in topics, the prefix of all names.
     """
 
     def __init__(self, service: Service, place: Place, site: str) -> None:
@@ -201,19 +201,19 @@ class LaneServer:
         self._streets = dict(zip(lanes.index.tolist(), names, strict=True))
 
     def push(self, measures: Sequence[LaneMeasure], *, again: bool = False) -> int:
-        """Push measures; return how many the server did not take.
+        """Push measures; return the number that the server did not store.
 
         Parameters
         ----------
         measures : sequence of LaneMeasure
             In order of lane and time.
         again : bool
-            Whether some of them may have arrived before: then the server is asked.
+            Whether some may have arrived before, so that the server's are compared first.
 
         Raises
         ------
         ServerError
-            If the server cannot be reached or refuses: none, or some of them, arrived.
+            If the server cannot be reached or refuses; none or some of them arrived.
         """
         refused = 0
         rows = self._new(measures) if again else iter(measures)
@@ -222,13 +222,13 @@ class LaneServer:
         return refused
 
     def _new(self, measures: Sequence[LaneMeasure]) -> Iterator[LaneMeasure]:
-        """Yield those whose interval the server does not have of their lane."""
+        """Yield the measures whose interval the server does not have for their lane."""
         for lane, group in groupby(measures, lambda each: each.lane):
             there, since = self._there(lane)
             yield from (each for each in group if each.begin >= since and each.begin not in there)
 
     def _there(self, lane: int) -> tuple[set[int], float]:
-        """Return steps at which intervals of a lane on the server began, and since when all."""
+        """Return begins (steps) of a lane's intervals on the server, and since when all count."""
         path = f"Datastreams({_key(self._stream(lane))})/Observations"
         asked = f"$orderby=phenomenonTime%20desc&$top={ASKED_BACK}&$select=phenomenonTime"
         rows, more = self._service.rows(f"{path}?{asked}")
@@ -264,7 +264,7 @@ class LaneServer:
         return sum(str(link).startswith(_UNWRITTEN) for link in links or [])
 
     def _stream(self, lane: int) -> Any:
-        """Return the id of a lane's Datastream; it is made where there is none."""
+        """Return the id of a lane's Datastream, which is made if it is missing."""
         if lane not in self._streams:
             name = f"{self._site}/lane/{lane}/hits"
             found = self._service.find("Datastreams", name)
@@ -316,7 +316,7 @@ def _values(each: LaneMeasure) -> list[Any]:
 
 
 def _key(found: Any) -> str:
-    """Return an id as it stands in an address."""
+    """Return an id as in the path of a URL."""
     if isinstance(found, int):
         return str(found)
     text = str(found).replace("'", "''")
@@ -324,7 +324,7 @@ def _key(found: Any) -> str:
 
 
 def _step_of(text: str) -> int | None:
-    """Return the step at a time that a server states; nothing where it states none."""
+    """Return the step at a time stated by a server; None where it states none."""
     try:
         return round(datetime.fromisoformat(text).timestamp() / STEP_S)
     except (ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""What the page and its services show of the live map: what stays, and what is so at one moment."""
+"""Live map for the page and its services: its constant part, and snapshots of one moment."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
 NOT_OBSERVED = -1  # in place of a class
-DEGREES = 7  # digits after the point: a centimetre
-RINGS = 1_000  # views that are kept: poses of a following sensor change every 5 s
-RATE_S = 10.0  # over which frames are counted
-GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: what web maps and OGC API - Features take
+DEGREES = 7  # digits after the point of a degree: a centimetre
+RINGS = 1_000  # most rings of views in the cache: poses of a following sensor change every 5 s
+RATE_S = 10.0  # time over which frames are counted
+GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: as web maps and OGC API - Features use
 
 
 def geometries(shapes: Any) -> list[dict[str, Any] | None]:
-    """Return shapes in longitude and latitude as GeoJSON has them; None where there is none."""
+    """Return shapes in longitude and latitude as GeoJSON geometries; None for missing ones."""
     rounded = shapely.set_precision(shapes, 10.0**-DEGREES, mode="pointwise")
     return [text and json.loads(text) for text in shapely.to_geojson(rounded)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """What of a live map stays as it is.
+    """Constant part of a live map.
 
     Parameters
     ----------
     title : str
-        Of the site.
+        Title of the site.
     zone : ZoneInfo
-        The site's.
+        Time zone of the site.
     tiles : GeoDataFrame
         As from :func:`gis_radar.read_tiles`.
     lanes : GeoDataFrame
@@ -66,12 +66,12 @@ class Place:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Of the tiles."""
+        """Fingerprint of the tiles."""
         return fingerprint(self.tiles)
 
     @cached_property
     def lane_of_tile(self) -> Integers:
-        """Of each tile, the position of its lane in :attr:`lane_numbers`."""
+        """Position of each tile's lane in :attr:`lane_numbers`."""
         return lanes_with_tiles(self.tiles)[1]
 
     @cached_property
@@ -97,7 +97,7 @@ class Place:
         return float(east), float(north)
 
     def view_of(self, pose: Pose) -> list[list[float]]:
-        """Return what a sensor looks at: a ring of longitudes and latitudes."""
+        """Return the outline of a sensor's view: a ring of longitudes and latitudes."""
         key = (pose.easting, pose.northing, pose.yaw, pose.pitch, pose.roll, pose.view)
         if key not in self._rings:
             if len(self._rings) >= RINGS:
@@ -118,7 +118,7 @@ class Place:
 
     @cached_property
     def _rings(self) -> dict[object, list[list[float]]]:
-        """Rings of views that were asked for: made once, as a view is shown many times."""
+        """Cache of rings of views, as a view is shown many times."""
         return {}
 
     @cached_property
@@ -128,24 +128,24 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True)
 class ShownSensor:
-    """How a sensor does.
+    """State of a sensor as it is shown.
 
     Parameters
     ----------
     name : str
         Its name in the site file.
     online : bool
-        Whether the broker holds its link; what does not arrive is an alarm.
+        Whether it is linked to the broker; missing frames are an alarm.
     alarms : mapping
-        What is wrong, by kind of :data:`gis_radar.live.health.ALARMS`, in a few words.
+        Details of its alarms, by kind of :data:`gis_radar.live.health.ALARMS`.
     pose : Pose, optional
-        Where it stands, once that is known.
+        Its pose, once that is known.
     lag_s : float
         From a frame's time to its arrival, seconds, the median of the last frames; NaN without.
     frames_per_s : float
         Frames that arrived in the last 10 s.
     lost : int
-        Messages that the sensor lost since it began, as its buffer was full.
+        Messages that the sensor lost since its start, as its buffer was full.
     """
 
     name: str
@@ -164,19 +164,19 @@ class Snapshot:
     Parameters
     ----------
     step : int
-        The last step that is complete.
+        The last closed step.
     now : (k,) int64 array
         Positions of the tiles that are hit in it, ascending.
     observed_now : (n,) bool array
         Which tiles are observed in it.
     hit, observed : (n,) int64 arrays
-        Steps of the last 15 minutes in which each tile is.
+        Steps of the last 15 minutes in which each tile was hit and observed.
     sensors : sequence of ShownSensor
-        All that the site file names.
+        All sensors of the site file.
     vehicles : VehiclesNow, optional
-        Those of this moment, where vehicles are followed.
+        Vehicles of this moment, where they are followed.
     lately : Lately, optional
-        What vehicles occupied in the 15 minutes up to the last block, once there is one.
+        The newest measured quarter of an hour with vehicles, once there is one.
     """
 
     step: int
@@ -193,11 +193,11 @@ class Snapshot:
         return share_of(self.hit, self.observed)
 
     def classes(self) -> Integers:
-        """Return the class of each tile's hit share: 0 never hit, then as in the legend; or -1."""
+        """Return each tile's class of hit share: 0 never hit, then as the legend, -1 unobserved."""
         return classes_of(self.hit_share())
 
     def occupancy_classes(self) -> Integers:
-        """Return the same of each tile's occupancy; -1 where it was not visible."""
+        """Return each tile's class of occupancy, alike; -1 where it was not visible."""
         if self.lately is None:
             return np.full(len(self.observed), NOT_OBSERVED)
         return classes_of(self.lately.tiles.share())
@@ -270,7 +270,7 @@ class ShownMap:
         )
 
     def lane_intervals(self) -> pd.DataFrame:
-        """Return what was measured of each lane by quarter of an hour, and hits since then."""
+        """Return the measures of each lane by quarter of an hour, and hits since the last one."""
         tables = [self._fusion.quarters.intervals()]
         for number, counts in self._fusion.counts.quarters():
             hit_s, observed_s = (STEP_S * self._place.means_by_lane(each) for each in counts)
@@ -288,7 +288,7 @@ class ShownMap:
         return self._fusion.metrics()
 
     def _rates(self) -> dict[str, float]:
-        """Return frames a second of each sensor over the last seconds."""
+        """Return the frames a second of each sensor over the last `RATE_S`."""
         now = time.monotonic()
         counts = {name: each.health.counts["frames"] for name, each in self._fusion.sensors.items()}
         with self._lock:
@@ -314,7 +314,7 @@ class ShownMap:
 
 
 def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
-    """Return what of a site's live map stays.
+    """Return the constant part of a site's live map.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Where a sensor's frames come from: the radar itself, a capture, or a recording that is replayed.
+"""Sources of a sensor's frames: the radar itself, a capture, or a recording that is replayed.
 
-Each is an iterator over whole frames in order of time; None stands for a moment without one, so
-that whoever reads can do other things meanwhile.
+Each is an iterator over whole frames in order of time; it yields None while there is no frame, so
+that the reader can do other work meanwhile.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from gis_radar.recordings import (
     open_recording,
 )
 
-IDLE_S = 0.02  # between two looks while no frame is there
-SET_BACK_S = 0.5  # a frame that is earlier by less came out of order
-WAITING_FRAMES = 1_000  # of a radar, while its frames are worked on: 50 s
+IDLE_S = 0.02  # between two looks while there is no frame
+SET_BACK_S = 0.5  # a frame earlier by less came out of order; by more, the clock was set back
+WAITING_FRAMES = 1_000  # most frames of a radar that wait to be processed: 50 s
 Frames = Iterator[Detections | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """How a recording is replayed.
+    """Replay of a recording.
 
     Parameters
     ----------
     path : Path
         The recording.
     speed : float
-        1 as it was recorded, 2 twice as fast; 0 as fast as can be.
+        1 as it was recorded, 2 twice as fast; 0 as fast as possible.
     loop_s : float, optional
-        Its frames come again each so many seconds, for ever, and their times are those of now: the
-        same for all that loop alike, whenever each was started. Without it frames come once, at the
-        times that they were recorded.
+        Period in seconds with which the frames are repeated, for ever, with present times: the same
+        for all replays with this period, whenever each was started. By default frames come once,
+        with the recorded times.
     """
 
     path: Path
@@ -68,7 +68,7 @@ class Replay:
                     break
                 due_s = (time_us + turn * length_us) / 1e6
                 if due_s < time.time() - 1.0:
-                    continue  # begun in the midst of it
+                    continue  # the replay began in the middle of a loop
                 yield from _until(due_s - time.time())
                 yield replace(frame, time=np.full(len(frame), due_s))
             turn += 1
@@ -108,16 +108,16 @@ class Radar:
     source : str
         Such as `udp://224.0.2.2:42102`, or a file that `gis-radar convert` takes.
     sensor : str, optional
-        Which, where there are several.
+        Name of the sensor, where there are several.
     reporter : Reporter
         Receives remarks.
     read : callable, optional
-        Yields its frames; by default as its address or name says.
+        Yields its frames; by default chosen by the address or file name.
 
     Attributes
     ----------
     counts : Counter
-        What was left out, by kind.
+        Number of things left out, by kind.
     """
 
     source: str
@@ -188,7 +188,7 @@ class Radar:
         return Detections(time=rows, points=points, range_rate=rate, rcs=rcs, further=NO_FURTHER)
 
     def _time(self, frame: Frame) -> float:
-        """Return the sensor's time where it is right, else that of arrival, from there on."""
+        """Return the sensor's time while it is right, else the arrival time, also later on."""
         theirs, ours = frame.sensor_time, frame.recorder_time
         if ours is None or (self._by_recorder is False and _is_right(frame)):
             if theirs is None:

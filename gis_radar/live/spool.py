@@ -1,7 +1,7 @@
-"""The spool of fusion: what sensors sent, as it came, until it lies in recordings.
+"""Spool of fusion: files in which messages wait, as they came, until they are in recordings.
 
-Files of records that are appended and synced. Each begins with the marks of all streams, so that
-the newest one tells where each goes on, and holds the poses that its frames name.
+Records are appended and synced. Each file begins with the marks of all streams, so that the newest
+one tells where each stream continues, and holds the poses that its frames refer to.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from typing import NamedTuple
 from gis_radar.base import output_errors
 from gis_radar.dataset import sync_folder
 
-HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; messages that were passed over
+HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; PASSED: a message that was skipped
 ENDING = ".spool"
-_BEGIN = struct.Struct(">II")  # of a record: its length, and the CRC-32 of what follows
-_MOST_RECORD = 1 << 24  # bytes; the marks of thousands of sensors
-_ZEROS = bytes(8)  # that a power loss leaves at the end
+_BEGIN = struct.Struct(">II")  # begin of a record: its length, and the CRC-32 of its content
+_MOST_RECORD = 1 << 24  # most bytes of a record: the marks of thousands of sensors
+_ZEROS = bytes(8)  # may stand at the end after a power loss
 Marks = Mapping[str, Mapping[str, tuple[int, int]]]
 """By sensor and stream, up to which number it is stored, and the check sum of that message."""
 
@@ -39,7 +39,7 @@ class Record(NamedTuple):
     sensor : str
         Name of the sensor; empty for the head.
     payload : bytes
-        A message as it came, or the marks as JSON.
+        A message as it arrived, or the marks as JSON.
     """
 
     kind: int
@@ -53,11 +53,11 @@ class SpooledFrames(NamedTuple):
     Parameters
     ----------
     sensor : str
-        Whose it is.
+        Name of the sensor.
     pose : bytes
-        Message of the pose that it names; empty for one that is passed over.
+        Message of the pose that it refers to; empty for a skipped message.
     payload : bytes
-        As it came.
+        The message as it arrived.
     """
 
     sensor: str
@@ -66,12 +66,12 @@ class SpooledFrames(NamedTuple):
 
 
 class Spool:
-    """Appends messages to files; `add`, `collect` are for one thread, the rest for one other.
+    """Spool of messages; `add` and `collect` are for one thread, the rest for one other.
 
     Parameters
     ----------
     folder : Path
-        Of the files; made where there is none. The first one is begun by :meth:`rotate`.
+        Folder of the files, made where there is none; :meth:`rotate` begins the first file.
 
     Raises
     ------
@@ -90,31 +90,31 @@ class Spool:
 
     @property
     def waiting(self) -> int:
-        """Messages that are not on disk yet."""
+        """Number of messages that are not on disk yet."""
         return len(self._waiting) + len(self._batch)
 
     @property
     def size(self) -> int:
-        """Bytes of the file that is open."""
+        """Bytes of the open file."""
         return self._size
 
     def add(self, message: SpooledFrames) -> None:
-        """Take a message."""
+        """Add a message to the next batch."""
         self._waiting.append(message)
 
     def collect(self) -> bool:
-        """Make what came so far the next batch to be written; return whether there is any."""
+        """Close the batch of messages for `write`; return whether there are any."""
         self._batch += self._waiting
         self._waiting = []
         return bool(self._batch)
 
     def write(self) -> None:
-        """Bring the batch to the disk.
+        """Write the batch to the disk.
 
         Raises
         ------
         OutputError
-            If it cannot be written: nothing of it is kept, and the next call tries it again.
+            If it cannot be written; then none of it is in the file, and the next call retries.
         """
         written, parts = set(self._written), list[bytes]()
         for each in self._batch:
@@ -135,14 +135,14 @@ class Spool:
                     rest = rest[os.write(self._handle, rest) :]
                 os.fsync(self._handle)
         except BaseException:
-            with suppress(OSError):  # a rest of it would hide what comes after
+            with suppress(OSError):  # a torn record would hide those after it
                 os.ftruncate(self._handle, self._size)
                 os.lseek(self._handle, self._size, os.SEEK_SET)
             raise
         self._size += len(data)
 
     def rotate(self, marks: Marks) -> None:
-        """Go on in a new file, which begins with the marks of all streams.
+        """Continue in a new file, which begins with the marks of all streams.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class Spool:
 
     @property
     def closed(self) -> list[Path]:
-        """The files that are not written to any more, in order."""
+        """The closed files, in order."""
         return [each for each in spool_files(self.folder) if each != self._path]
 
     def close(self) -> None:
@@ -191,7 +191,7 @@ def spool_files(folder: Path) -> list[Path]:
 
 
 class SpoolFile:
-    """A file of the spool, to be read; damaged records are skipped.
+    """Reader of a file of the spool, which skips damaged records.
 
     Parameters
     ----------
@@ -212,17 +212,17 @@ class SpoolFile:
 
     @property
     def has_head(self) -> bool:
-        """Whether it begins with the marks of all streams, as it does unless a crash tore it."""
+        """Whether it begins with the marks of all streams; a crash may have torn them."""
         first = self.at(0)
         return first is not None and first.kind == HEAD
 
     @property
     def written_us(self) -> int:
-        """When it was written to last, microseconds since 1970."""
+        """Time of the last write, microseconds since 1970."""
         return self.path.stat().st_mtime_ns // 1000
 
     def records(self) -> Iterator[tuple[int, Record]]:
-        """Yield all records, each with where it begins."""
+        """Yield all records, each with its offset in the file."""
         at = end = 0  # end: of the last whole record
         while at < len(self._data):
             if (record := self.at(at)) is None:
@@ -234,14 +234,14 @@ class SpoolFile:
         self.damaged = self.damaged or not self._is_torn(end)
 
     def _is_torn(self, end: int) -> bool:
-        """Return whether what follows the last whole record was never written whole."""
+        """Return whether the bytes after the last whole record are a torn end of a crash."""
         rest = len(self._data) - end - _BEGIN.size
         if rest < 0 or self._data[-len(_ZEROS) :] == _ZEROS:
             return True
         return bool(_BEGIN.unpack_from(self._data, end)[0] > rest)
 
     def at(self, at: int) -> Record | None:
-        """Return the record that begins somewhere; None where none does that is whole."""
+        """Return the record at an offset; None where there is no whole one."""
         if at + _BEGIN.size > len(self._data):
             return None
         size, check = _BEGIN.unpack_from(self._data, at)
@@ -254,7 +254,7 @@ class SpoolFile:
         return Record(kind, body[3 : 3 + length].decode(), body[3 + length :])
 
     def by_sensor(self) -> dict[str, array[int]]:
-        """Return by sensor where its records begin."""
+        """Return the offsets of each sensor's records."""
         found: dict[str, array[int]] = {}
         for at, record in self.records():
             if record.sensor:

@@ -1,4 +1,4 @@
-"""The process that follows the vehicles of now, for which fusion never waits."""
+"""Process that follows the vehicles of now; fusion never waits for it."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from gis_radar.measures import rows_of
 from gis_radar.poses import Pose
 from gis_radar.tracking import map_detections
 
-NOW_S, REORDER_S = 0.5, 0.3  # how often they are told; how long frames wait for other sensors
-OLD_S = 5.0  # vehicles of now that are older are none
-MOST_WAITING = 20_000  # messages, while the process is busy: 10 s of a hundred sensors
-AGAIN_S = 30.0  # after which a process that ended is started anew
-SAMPLE_FRAMES = 100  # 5 s: with so many, vehicles are found
+NOW_S, REORDER_S = 0.5, 0.3  # period of the results; how long frames wait for other sensors
+OLD_S = 5.0  # older results are not shown
+MOST_WAITING = 20_000  # most messages that wait for the process: 10 s of a hundred sensors
+AGAIN_S = 30.0  # time until a process that ended is started again
+SAMPLE_FRAMES = 100  # frames of the sample that are followed: in 5 s vehicles are found
 
 Placed = tuple[int, Pose, float]
 """Number of a sensor, its pose, and the height of the road near it (m; NaN where not known)."""
@@ -55,14 +55,14 @@ def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
 
 
 class VehiclesAnswer(NamedTuple):
-    """What the process returns for a batch of messages.
+    """Answer of the process to a batch of messages.
 
     Parameters
     ----------
     now : VehiclesNow
         The vehicles.
     unread, late : int
-        Messages that are damaged or of no known pose, and frames that were too old, of this turn.
+        Numbers of messages that were damaged or of no known pose, and of frames that were too old.
     """
 
     now: VehiclesNow
@@ -71,7 +71,7 @@ class VehiclesAnswer(NamedTuple):
 
 
 class VehicleFollower:
-    """Follows the vehicles of now from messages of sensors, in a process of its own.
+    """Follower of the vehicles of now from messages of sensors, in a process of its own.
 
     Parameters
     ----------
@@ -89,14 +89,14 @@ class VehicleFollower:
         self, placed: Mapping[PoseName, Placed], gone: Collection[PoseName],
         rows: Sequence[Message],
     ) -> VehiclesAnswer:  # fmt: skip
-        """Take new poses and messages; return the vehicles up to a moment before the newest.
+        """Process new poses and messages; return the vehicles `REORDER_S` before the newest.
 
         Parameters
         ----------
         placed : mapping
             Number, pose and road height (m) of a sensor, by its name and the key of the pose.
         gone : collection
-            Poses that no message is found by any more.
+            Poses to which no message refers any more.
         rows : sequence of Message
             In order of time.
         """
@@ -129,7 +129,7 @@ class VehicleFollower:
             )
 
 
-_following: VehicleFollower | None = None  # of the process
+_following: VehicleFollower | None = None  # the follower of this process
 
 
 def _start(graph: LaneGraph | None) -> None:
@@ -146,7 +146,7 @@ def _go_on(
 
 
 def run_vehicles_once() -> None:
-    """Follow a few seconds of the sample, by which all is compiled."""
+    """Follow a few seconds of the sample, so that all loops are compiled."""
     sample = SampleSensor()
     selector, key = DetectionSelector(sample.road), bytes(POSE_BYTES)
     following = VehicleFollower(lane_graph(sample.roads.lanelets))
@@ -164,20 +164,20 @@ class LiveVehicles:
     graph : LaneGraph
         The lanes.
     sensors : sequence of str
-        The site's.
+        Names of the site's sensors.
     crs : CRS
         The map frame.
     again_s : float
-        After which a process that ended is started anew, seconds.
+        Time until a process that ended is started again, seconds.
     reporter : Reporter
         Receives a line where the process ends.
 
     Attributes
     ----------
     dropped : int
-        Messages that the process was too busy for or could not read, or that ended with it.
+        Number of messages dropped as the process was too busy, could not read them, or ended.
     late : int
-        Frames that came too late to be followed.
+        Number of frames that came too late to be followed.
     """
 
     def __init__(
@@ -194,11 +194,11 @@ class LiveVehicles:
         self._waiting: list[Message] = []
         self._pool: ProcessPoolExecutor | None = None
         self._work: Future[VehiclesAnswer] | None = None
-        self._handed = 0  # messages that the process has at the moment
+        self._handed = 0  # number of messages that the process has now
         self._now, self._told, self._start_at = VehiclesNow.none(), 0.0, 0.0
 
     def make_ready(self) -> Future[None]:
-        """Start the process; what it runs is compiled there first, which the answer waits for."""
+        """Start the process; the future is done once its loops are compiled."""
         self._fresh, self._gone = dict(self._placed), set()
         context = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(
@@ -207,24 +207,24 @@ class LiveVehicles:
         return self._pool.submit(run_vehicles_once)
 
     def place(self, sensor: str, key: bytes, pose: Pose, road_m: float) -> None:
-        """Take in a pose that messages name."""
+        """Add a pose to which messages refer."""
         self._placed[sensor, key] = self._fresh[sensor, key] = (self._number[sensor], pose, road_m)
         self._gone.discard((sensor, key))
 
     def forget(self, sensor: str, key: bytes) -> None:
-        """Forget a pose that no message names any more."""
+        """Forget a pose to which no message refers any more."""
         self._placed.pop((sensor, key), None)
         self._gone.add((sensor, key))
 
     def take(self, sensor: str, content: bytes) -> None:
-        """Take the content of a message."""
+        """Add the content of a message."""
         if len(self._waiting) < MOST_WAITING:
             self._waiting.append((sensor, content))
         else:
             self.dropped += 1
 
     def turn(self) -> None:
-        """Hand on what came, and take in what was found; called often."""
+        """Submit waiting messages, and receive the process's answer; called often."""
         now = time.monotonic()
         if self._work is not None:
             if not self._work.done():
@@ -249,7 +249,7 @@ class LiveVehicles:
                 self._lose(error)
 
     def _lose(self, error: Exception) -> None:
-        """Go on without the process for a while."""
+        """Continue without the process for a while."""
         self.restarts += 1
         self.dropped += self._handed + len(self._waiting)
         self._handed = 0
@@ -269,7 +269,7 @@ class LiveVehicles:
         self._now = VehiclesNow.none()
 
     def now(self) -> VehiclesNow:
-        """Return the vehicles of now; none where nothing came for long."""
+        """Return the vehicles of now; none where the last answer is older than `OLD_S`."""
         return self._now if time.monotonic() - self._told < OLD_S else VehiclesNow.none()
 
     def figures(self) -> dict[str, float]:

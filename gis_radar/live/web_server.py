@@ -1,4 +1,4 @@
-"""Serve an application over HTTP on a thread of its own, with bounds on what clients may hold."""
+"""Serve an application over HTTP on a thread of its own, with bounds for slow clients."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from gis_radar.base import OutputError
 
 MOST_CONNECTIONS = 300  # a third of the 1,024 files that a process may usually open
 BACKLOG = 64  # connections that are accepted at once, beyond these
-REQUEST_S = 5.0  # for a whole request; browsers open connections that they may need, and wait
-UNREAD_S = 60.0  # for taking what was sent: a megabyte at 20 kB/s
+REQUEST_S = 5.0  # longest wait for a whole request; browsers also open spare connections
+UNREAD_S = 60.0  # longest wait for a client to read an answer: a megabyte at 20 kB/s
 END_S = 2.0
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
 
 
 class BoundedConnection(H11Protocol):
-    """A connection that is closed where its client sends no request, or does not read the answer.
+    """Connection that is closed if its client sends no request, or does not read the answer.
 
     uvicorn has no such bounds: its own time-out begins after the first answer and ends with the
-    next byte. Of too many connections the one that has waited longest for a request is closed.
+    next byte. Of too many connections, the one waiting longest for a request is closed.
     """
 
     def __init__(self, *given: Any, unread_s: float, **more: Any) -> None:
@@ -44,7 +44,7 @@ class BoundedConnection(H11Protocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def connection_made(self, transport: Transport) -> None:  # type: ignore[override]
-        """Wait for the first request."""
+        """Start waiting for the first request."""
         super().connection_made(transport)
         self.request_due = self.loop.call_later(REQUEST_S, transport.close)
         if len(self.connections) > MOST_CONNECTIONS:
@@ -55,7 +55,7 @@ class BoundedConnection(H11Protocol):
             oldest.transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        """Take a part of a request."""
+        """Process a part of a request."""
         super().data_received(data)
         if self.answering:
             self.request_due.cancel()
@@ -67,37 +67,37 @@ class BoundedConnection(H11Protocol):
             self.request_due = self.loop.call_later(REQUEST_S, self.transport.close)
 
     def pause_writing(self) -> None:
-        """Wait for the client to read."""
+        """Start waiting for the client to read."""
         super().pause_writing()
         self._reading_due = self.loop.call_later(self._unread_s, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Go on, as the client has read."""
+        """Stop waiting, as the client has read."""
         super().resume_writing()
         if self._reading_due is not None:
             self._reading_due.cancel()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no more."""
+        """Stop all waits."""
         super().connection_lost(exc)
         self.request_due.cancel()
         self.resume_writing()
 
 
 class WebServer:
-    """Serves an application until it is closed.
+    """Server of an application, until it is closed.
 
     Parameters
     ----------
     app : ASGI application
-        What is served.
+        The application.
     address : str
         HOST:PORT.
     names : sequence of str
-        Names by which browsers may ask for it, besides this machine's own; without them any where
-        other machines reach the address, so that no other page asks in the name of this machine.
+        Host names that requests may have besides this machine's own, so that no other page can
+        reach it through a browser; by default any, where other machines reach the address.
     unread_s : float
-        How long a client may not take what was sent, seconds.
+        Longest wait for a client to read an answer, seconds.
 
     Raises
     ------
@@ -133,12 +133,12 @@ class WebServer:
         )
 
     def open(self) -> str:
-        """Begin to serve; return the address."""
+        """Start serving, and return the address."""
         self._thread.start()
         return f"http://{self._host}:{self._socket.getsockname()[1]}/"
 
     def close(self) -> None:
-        """Serve no more."""
+        """Stop serving."""
         self._server.should_exit = True
         if self._thread.is_alive():
             self._thread.join(END_S)

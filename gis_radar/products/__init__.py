@@ -1,4 +1,4 @@
-"""What people and other programs take away: heat maps, reports, QGIS projects, layers.
+"""Products for people and other programs: heat maps, reports, QGIS projects, layers.
 
 What the room offers is listed in `__init__.pyi` and loaded when it is first used.
 """

@@ -48,19 +48,19 @@ _SCHEMA = pa.schema([
     ("geometry", pa.binary()),
 ])  # fmt: skip
 
-# A vehicle has a row every so many steps, those of absolute time that so many divide: half a
-# second, in which a car at 50 km/h goes 7 m, one and a half of its lengths. All steps would be ten
-# times as many rows.
+# A vehicle has a row at the steps of absolute time that are multiples of this: half a second, in
+# which a car at 50 km/h moves 7 m, one and a half of its lengths. All steps would be ten times as
+# many rows.
 EVERY_STEPS = 10
 SHOWN_S = EVERY_STEPS * STEP_S  # how long a row is shown
 STANDING_KMH = 5.0  # a slower vehicle is standing: as traffic engineering counts stops
 
 
 def write_footprints(dataset: Dataset, path: str | Path, *, reporter: Reporter = QUIET) -> int:
-    """Write the footprints of single vehicles as a layer, a row a vehicle and half second.
+    """Write the footprints of single vehicles as a layer, a row for each vehicle and half second.
 
     It holds tracks of single vehicles, as the dataset does: a working file, not to be published.
-    Memory is that of an hour.
+    Memory holds one hour.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def write_footprints(dataset: Dataset, path: str | Path, *, reporter: Reporter =
     Returns
     -------
     int
-        How many rows were written.
+        Number of rows written.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def footprint_style() -> str:
 
 
 class _Rows:
-    """The rows of the layer as batches, made while the tracks are read, once."""
+    """Rows of the layer in batches, made while the tracks are read; iterable once."""
 
     def __init__(self, dataset: Dataset, reporter: Reporter) -> None:
         self._dataset, self._reporter = dataset, reporter
@@ -126,7 +126,7 @@ class _Rows:
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         hours = len(self._dataset.records())
         book = PathBook()
-        every = math.gcd(TRACK_EVERY_STEPS, EVERY_STEPS)  # rows, and where paths bend
+        every = math.gcd(TRACK_EVERY_STEPS, EVERY_STEPS)  # steps of rows and of paths' points
         states_by_hour = states_of(self._dataset, every=every)
         for done, (table, states) in enumerate(states_by_hour, start=1):
             level_m = np.full(len(states), np.nan)  # shapes need no heights

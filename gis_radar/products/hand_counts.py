@@ -1,4 +1,4 @@
-"""Counts by hand beside ours: differences, GEH, and whether both agree within their errors."""
+"""Compare counts by hand with ours: differences, GEH, and agreement within their errors."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def beside_hand_counts(
         where known, `volume_se`, the standard error of the count by hand: 0 without it. As Excel
         writes it in Germany, too: semicolons, Windows-1252, times such as 12.06.2025 07:30.
     lanes, sections : DataFrame
-        Ours by interval, as of :meth:`gis_radar.Dataset.traffic` and
+        Our volumes by interval, from :meth:`gis_radar.Dataset.traffic` and
         :func:`gis_radar.count_sections`.
     zone : ZoneInfo
-        Of the site.
+        Time zone of the site.
 
     Returns
     -------
@@ -51,8 +51,8 @@ def beside_hand_counts(
     Raises
     ------
     InputError
-        If the file is no such table, names no lane or section of ours, or a time of it is within
-        one of our intervals.
+        If the file is no such table, has an unknown lane or section, or a time inside one of our
+        intervals.
     """
     found = []
     for number, row in _read(path):
@@ -80,7 +80,7 @@ def beside_hand_counts(
 
 
 def _read(path: str | Path) -> list[tuple[int, dict[str, str]]]:
-    """Return the rows that hold anything, with their line in the file."""
+    """Return the rows that are not empty, each with its line number in the file."""
     try:
         text = _decoded(Path(path).read_bytes())
         separator = ";" if ";" in text.partition("\n")[0] else ","  # as Excel writes it in Germany
@@ -102,7 +102,7 @@ def _read(path: str | Path) -> list[tuple[int, dict[str, str]]]:
             raise InputError(
                 "{}: has more values than the header", f"{path}, line {number}", hint=hint
             )
-    # as Excel leaves them below a table: separators alone
+    # without rows of separators alone, which Excel leaves below a table
     filled = [(number, row) for number, row in rows if any(_text(row, name) for name in row)]
     if not filled:
         raise InputError("{}: holds no counts", path)
@@ -129,7 +129,7 @@ def _number(row: Mapping[Any, Any], name: str, what: str, missing: float | None 
         value = float(text)
     except ValueError:
         value = np.nan
-    in_thousands = name == "volume" and _THOUSANDS.fullmatch(text)  # or three decimals: who knows
+    in_thousands = name == "volume" and _THOUSANDS.fullmatch(text)  # may also be three decimals
     if in_thousands or not 0.0 <= value < np.inf:
         raise InputError(
             "{}: {} is {}, expected a number of vehicles", what, name, repr(_text(row, name)),
@@ -151,7 +151,7 @@ def _moment(text: str, zone: ZoneInfo, what: str) -> pd.Timestamp:
 def _ours_at(
     row: Mapping[Any, Any], lanes: pd.DataFrame, sections: pd.DataFrame | None, what: str
 ) -> tuple[str, pd.DataFrame]:
-    """Return the name of a place that was counted, and our rows of it."""
+    """Return the name of a counted place, and our rows of it."""
     section, lane, direction = (_text(row, name) for name in (*_PLACES, "direction"))
     if section:
         if sections is None:
@@ -177,7 +177,7 @@ def _ours_at(
 
 
 def _within(ours: pd.DataFrame, begin: pd.Timestamp, end: pd.Timestamp, what: str) -> pd.DataFrame:
-    """Return our intervals from begin to end; none unless they fill it."""
+    """Return our intervals from begin to end; none unless they cover it completely."""
     if begin >= end:
         raise InputError("{}: ends before it begins", what)
     cut = ours[((ours["begin"] < begin) & (ours["end"] > begin)) | (

@@ -1,7 +1,7 @@
 """A dataset in PostGIS: tiles, lanes, sensors and traffic by quarter of an hour as tables.
 
-One transaction brings a schema to what the dataset holds: dates that are new or were measured again
-are sent, dates that the dataset no longer has are taken out, all others stay as they are.
+One transaction makes a schema equal to the dataset: dates that are new or were measured again are
+sent, dates that the dataset no longer has are removed, all others stay as they are.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from psycopg import Connection, Cursor
 
 VERSION = 1  # of the tables; raised when they change
-_MARK = "gis_radar,"  # with which the comment on a schema of ours begins
-CHANNEL = "qgis"  # on which QGIS listens for "Refresh layer on notification"
-CONNECT_S = 10  # after which a server that does not answer is given up, seconds
+_MARK = "gis_radar,"  # begin of the comment on a schema of ours
+CHANNEL = "qgis"  # channel on which QGIS listens for "Refresh layer on notification"
+CONNECT_S = 10  # longest wait for a server's answer, seconds
 _STEPS_PER_DAY = 24 * STEPS_PER_HOUR
 _EPOCH = date(1970, 1, 1)
 _NAME = re.compile(r"[a-z_][a-z0-9_]{0,62}")
@@ -81,14 +81,14 @@ _VIEWS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Publication:
-    """What was published.
+    """Result of a publication.
 
     Parameters
     ----------
     place : str
         Database and schema, without user and password.
     sent, kept, removed : int
-        Dates that were sent, that were there already, and that were taken out.
+        Number of dates that were sent, kept as they were, and removed.
     rows : dict
         Rows sent, by table.
     """
@@ -100,7 +100,7 @@ class Publication:
     rows: Mapping[str, int]
 
     def figures(self) -> dict[str, Any]:
-        """Return all of it for people."""
+        """Return the result as figures with titles."""
         return {
             "database": self.place, "dates_sent": self.sent, "dates_kept": self.kept,
             "dates_removed": self.removed, **{f"rows_of_{k}": n for k, n in self.rows.items()},
@@ -111,7 +111,7 @@ def publish(
     dataset: Dataset, url: str, *, schema: str = "gis_radar", reader: str | None = None,
     reporter: Reporter = QUIET,
 ) -> Publication:  # fmt: skip
-    """Bring a schema of a PostGIS database to what a dataset holds, in one transaction.
+    """Make a schema of a PostGIS database equal to a dataset, in one transaction.
 
     Tables `tiles`, `lanes`, `sensors`, `tile_counts`, `lane_measures` and `turns` with keys,
     indexes of space and time and comments on columns; views `occupancy` and `latest_traffic`.
@@ -125,7 +125,7 @@ def publish(
         The database, as libpq takes it: `postgresql://user@host/database`. The password may come
         from `PGPASSWORD` or `~/.pgpass`.
     schema : str
-        Where the tables go; one for each site.
+        Schema of the tables; one for each site.
     reader : str, optional
         A role that may read the tables and nothing more.
     reporter : Reporter
@@ -139,7 +139,7 @@ def publish(
     Raises
     ------
     UsageError
-        If the address or the schema's name is none.
+        If the address or the schema's name is invalid.
     CrsError
         If the coordinate system has no EPSG code.
     OutputError
@@ -171,9 +171,9 @@ def publish(
 
 
 def _digests(dataset: Dataset) -> dict[date, str]:
-    """Return what the tables of each date follow from: the parts of its hours and of one before.
+    """Return the digest of each date's inputs: the parts of its hours and of the hour before.
 
-    And the poses, which standard errors rest on.
+    The poses, on which standard errors rest, are included.
     """
     records, poses = dataset.records(), pd.DataFrame(dataset.poses()).drop(columns="geometry")
     found = {}
@@ -187,7 +187,7 @@ def _digests(dataset: Dataset) -> dict[date, str]:
 
 @contextmanager
 def _connected(url: str, schema: str) -> Iterator[tuple[Connection, str]]:
-    """Open a connection whose changes are kept if nothing is raised."""
+    """Open a connection whose changes are committed if nothing is raised."""
     try:
         import psycopg  # noqa: PLC0415 - an extra
         from psycopg.conninfo import conninfo_to_dict  # noqa: PLC0415
@@ -223,7 +223,7 @@ def _hint(reason: str) -> Text:
 
 
 class _Session:
-    """The transaction in which a schema is brought up to date."""
+    """Transaction in which a schema is updated."""
 
     def __init__(self, *, cursor: Cursor, schema: str, place: str, srid: int) -> None:
         self.cursor, self.schema, self.place, self.srid = cursor, schema, place, srid
@@ -245,7 +245,7 @@ class _Session:
         return None if row is None else row[0]
 
     def prepare(self, tiles: str) -> None:
-        """Make the schema where it is not there; refuse one of another version or other tiles."""
+        """Make the schema if it is missing; refuse one of another version or other tiles."""
         self.run("CREATE EXTENSION IF NOT EXISTS postgis")
         there = self.ask("SELECT to_regnamespace(%s) IS NOT NULL", self.schema)
         if not there:  # else no right to make one is needed
@@ -276,12 +276,12 @@ class _Session:
         return bool(self.ask(asked, self.schema))
 
     def published(self) -> dict[date, str]:
-        """Return the dates that are there, with their digests."""
+        """Return the published dates, with their digests."""
         self.run("SELECT day, digest FROM {schema}.publication")
         return dict(self.cursor.fetchall())
 
     def remove(self, days: list[date]) -> None:
-        """Take dates out of all tables."""
+        """Remove dates from all tables."""
         for day in days:
             begin = datetime.combine(day, datetime.min.time(), UTC)
             for table in filter(self._is_there, _BY_DAY):
@@ -308,7 +308,7 @@ class _Session:
             self._copy(name, table)
 
     def send_day(self, dataset: Dataset, day: date, digest: str) -> None:
-        """Send what was measured on a date."""
+        """Send the measures of a date."""
         begin = (day - _EPOCH).days * _STEPS_PER_DAY
         end = begin + _STEPS_PER_DAY
         counts = dataset.tile_counts(begin=begin, end=end)
@@ -325,7 +325,7 @@ class _Session:
         self.run("INSERT INTO {schema}.publication VALUES (%s, %s)", day, digest)
 
     def finish(self, reader: str | None) -> None:
-        """Make the views, give the reader its rights, and notify who listens."""
+        """Make the views, give the reader its rights, and notify listeners."""
         for name, (statement, comment) in _VIEWS.items():
             if self._is_there("lane_measures"):
                 self.run(statement)
@@ -338,7 +338,7 @@ class _Session:
         self.run("SELECT pg_notify(%s, %s)", CHANNEL, f"gis_radar {self.schema}")
 
     def _create(self, name: str, table: pd.DataFrame) -> None:
-        """Make a table where it is not there: with key, indexes, and comments."""
+        """Make a table if it is missing, with key, indexes and comments."""
         if self._is_there(name):
             return
         types = {_TIMES.get(str(c), str(c)): self._type_of(table, str(c)) for c in table}
@@ -386,7 +386,7 @@ class _Session:
 
 
 def _last_poses(dataset: Dataset) -> gpd.GeoDataFrame:
-    """Return the pose of each sensor that its last recording was measured by."""
+    """Return for each sensor the pose by which its last recording was measured."""
     used = dataset.recordings().groupby("pose")["end"].max()
     poses = dataset.poses().drop(columns="document")
     order = poses.assign(used=used.reindex(poses["track"]).array).sort_values(
@@ -396,7 +396,7 @@ def _last_poses(dataset: Dataset) -> gpd.GeoDataFrame:
 
 
 def _meaning(table: str, column: str) -> str:
-    """Return what a column says, with its unit."""
+    """Return the meaning of a column, with its unit."""
     if table == "tile_counts":
         counts = {each.name: each.means for each in TILE_COUNTS.columns}
         return counts.get(column, "begin of the quarter of an hour" if column == "begin" else "")

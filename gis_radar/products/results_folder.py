@@ -26,16 +26,16 @@ def write_results(
     Parameters
     ----------
     folder : str or Path
-        Where; an earlier result there is replaced.
+        The folder; an earlier result there is replaced.
     writers : mapping
-        By name of the file, what writes it to a path; in this order, all into one folder. A folder
-        whose names are these up to the first point counts as an earlier result, which goes.
+        By name of the file, a function that writes it to a path; called in this order. A folder
+        whose files have these names up to the first point counts as an earlier result.
     name : str
-        Of the GeoPackage, without its ending.
+        Name of the GeoPackage, without its suffix.
     stage : str
-        What progress is called.
+        Name of the stage for progress.
     language : str, optional
-        Of what is written, `en` or `de`; the current one without it.
+        Language of the files, `en` or `de`; by default the current one.
     reporter : Reporter
         Receives progress.
 

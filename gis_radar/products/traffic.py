@@ -1,4 +1,4 @@
-"""Traffic for those who count it: tables, a spreadsheet, layers for QGIS, files for SUMO."""
+"""Export the traffic of a dataset: tables, a spreadsheet, layers for QGIS, files for SUMO."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ class Traffic:
     Parameters
     ----------
     lanes, turns : GeoDataFrame
-        As of :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
+        From :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
     sections : GeoDataFrame, optional
-        As of :func:`gis_radar.count_sections`.
+        From :func:`gis_radar.count_sections`.
     hand_counts : DataFrame, optional
         Counts by hand beside ours: `place`, `direction`, `begin`, `end`, `volume_by_hand`,
         `volume`, `volume_se`, `difference`, `geh`, `agrees` (within two standard errors of the
@@ -92,7 +92,7 @@ class Traffic:
     hand_counts: pd.DataFrame | None = None
 
     def figures(self) -> dict[str, Any]:
-        """Return how many lanes, turns and intervals there are, and what was counted."""
+        """Return the numbers of lanes, turns and intervals, and the sums of the counts."""
         rows = self.lanes
         known: dict[str, Any] = {}
         if self.sections is not None:
@@ -125,9 +125,9 @@ class Traffic:
         Parameters
         ----------
         folder : str or Path
-            Where; an earlier result there is replaced.
+            The folder; an earlier result there is replaced.
         language : str, optional
-            Of titles in sheets and layers, `en` or `de`; the current one without it.
+            Language of titles in sheets and layers, `en` or `de`; by default the current one.
         reporter : Reporter
             Receives warnings.
 
@@ -219,12 +219,12 @@ def make_traffic(
     hand_counts: str | Path | None = None,
     language: str | None = None,
 ) -> Traffic:
-    """Return the traffic of a dataset by lane and turn, and at sections that somebody drew.
+    """Return the traffic of a dataset by lane and turn, and at sections.
 
     Parameters
     ----------
     dataset : Dataset
-        With vehicles, from :func:`gis_radar.open_dataset`.
+        A dataset with vehicles, from :func:`gis_radar.open_dataset`.
     interval, begin, end, language
         As for :meth:`gis_radar.Dataset.traffic`.
     sections : GeoDataFrame, str or Path, optional
@@ -271,7 +271,7 @@ def _for_people(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _fix_dates(path: Path) -> None:
-    """Write an archive anew with one date for all of its files: equal tables, equal bytes."""
+    """Rewrite an archive with one date for all files: equal tables then give equal bytes."""
     with zipfile.ZipFile(path) as file:
         parts = {name: file.read(name) for name in file.namelist()}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
@@ -313,7 +313,7 @@ def _intervals(
 def _write_mean_data(
     table: gpd.GeoDataFrame, zero: pd.Timestamp, path: Path, *, by_lane: bool
 ) -> None:
-    """Write SUMO's edgeData or laneData: what is not known has no attribute."""
+    """Write SUMO's edgeData or laneData, without attributes for unknown values."""
     root = Element("meandata")
     columns = {
         "entered": ("volume", 1.0), "speed": ("speed_kmh", 1 / 3.6),

@@ -15,16 +15,16 @@ from gis_radar.base import Clock, figure_text, picture_file, tr, zone_of
 from gis_radar.products.heatmap.picture import INK, SOFT
 
 WIDTH_IN, DPI = 10.0, 160
-AROUND_M = 45.0  # of road shown around the turns: room for the numbers
+AROUND_M = 45.0  # length of road shown around the turns, for the numbers
 VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
 HEAD = (4.0, 1.2)  # size of an arrow's head: points, and those of its line's width
-_BEFORE_M = 2.0  # where the numbers begin, before the turn
+_BEFORE_M = 2.0  # distance of the numbers before the turn
 ROAD, FLOW = "#d5d8db", "#ba1c4d"  # differ in grey and for the colour-blind
 _ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
 
 
 def mean_turns(turns: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return a row a turn: its mean volume over all intervals in which it is known.
+    """Return a row for each turn: its mean volume over all intervals in which it is known.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The look of lanes and turns in QGIS: coloured by classes, turns as wide as their volume."""
+"""QGIS style of lanes and turns: coloured by classes, turns as wide as their volume."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMED = {
 
 
 class LineClass(NamedTuple):
-    """Values from `low` to `high` that a layer shows in one colour, and what they are called."""
+    """Class of a layer: values from `low` to `high`, their colour and label."""
 
     low: float
     high: float
@@ -35,11 +35,11 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], layer: str) -> s
     Parameters
     ----------
     interval_s : float
-        For how long the temporal controller shows a row from its `begin`.
+        Time for which the temporal controller shows a row from its `begin`, seconds.
     titles : mapping
-        Of the columns, by name.
+        Titles of the columns, by name.
     layer : {"lanes", "turns", "sections"}
-        Which; the lines of turns are as wide as their volume, with an arrow at the end.
+        The layer; the lines of turns are as wide as their volume, with an arrow at the end.
     """
     root = Element(
         "qgis", {"version": "3.34", "styleCategories": "Symbology|MapTips|Fields|Temporal"}
@@ -128,7 +128,7 @@ def _symbol(parent: Element, kind: str, name: str) -> Element:
 
 
 def _set_by_expression(layer: Element, name: str, expression: str) -> None:
-    """Let an expression of QGIS give a property of a symbol's layer."""
+    """Set a property of a symbol's layer by a QGIS expression."""
     properties = SubElement(SubElement(layer, "data_defined_properties"), "Option", {"type": "Map"})
     _add_options(properties, {"name": "", "type": "collection"})
     listed = SubElement(properties, "Option", {"name": "properties", "type": "Map"})
@@ -144,7 +144,7 @@ def _add_options(parent: Element, values: dict[str, str]) -> None:
 
 
 def _tip(layer: str) -> str:
-    """Return what QGIS shows under the cursor; names are text, not HTML."""
+    """Return the map tip of QGIS, in which names are escaped."""
 
     def text(column: str) -> str:
         return f"[% replace(replace(\"{column}\", '&', '&amp;'), '<', '&lt;') %]"

@@ -1,4 +1,4 @@
-"""Tracks of vehicles for other programs: points, and MovingPandas, which writes Moving Features."""
+"""Export tracks of vehicles as points, and to MovingPandas, which writes Moving Features."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ def track_points(
     dataset: Dataset, *, every: str = EVERY, begin: Any = None, end: Any = None,
     timezone: str = "UTC",
 ) -> gpd.GeoDataFrame:  # fmt: skip
-    """Return the states of vehicles as points, a row a vehicle and moment.
+    """Return the states of vehicles as points, a row for each vehicle and moment.
 
     They are tracks of single vehicles: for analysis, not to be published.
 
     Parameters
     ----------
     dataset : Dataset
-        With vehicles, from :func:`gis_radar.open_dataset`.
+        A dataset with vehicles, from :func:`gis_radar.open_dataset`.
     every : str
-        How far apart in time, such as `500ms`; `50ms` gives every state.
+        Time between states, such as `500ms`; `50ms` gives every state.
     begin, end : str or datetime, optional
-        Only what is between these times; without an offset they are by the clocks of `timezone`.
+        Times between which states are given; without an offset they are by `timezone`.
     timezone : str
-        The site's, such as Europe/Berlin.
+        Time zone of the site, such as Europe/Berlin.
 
     Returns
     -------

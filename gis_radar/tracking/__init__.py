@@ -1,4 +1,4 @@
-"""Vehicles: followed along the lanes, with what they occupy and hide.
+"""Tracking of vehicles along the lanes, with the tiles that they occupy and hide.
 
 What the room offers is listed in `__init__.pyi` and loaded when it is first used.
 """

@@ -1,4 +1,4 @@
-"""Motions of blocks of time as the tables of a folder: vehicles keep their numbers over blocks."""
+"""Batches: tables of the vehicles of each block of time, which keep their numbers over blocks."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.routes import route_of
 from gis_radar.tracking.tables import TRACKS, VEHICLES
 
-WAY_RAD = np.pi / 9.0  # lanes within it show the same side of a pose
-BEND_M, BEND_RAD = 5.0, 0.1  # who turns is where it suits
-LEAST_ROWS = 5  # detections of a vehicle on a lane, of which the median tells its side
-SURE = 4.0  # sigma of a shift that is named: of hundreds of sensors hardly one is blamed wrongly
-DRAWN = 0.75  # who is off by a smaller share of the worst is drawn along by that one
+WAY_RAD = np.pi / 9.0  # width of a bin of directions, in which lanes show the same shift of a pose
+BEND_M, BEND_RAD = 5.0, 0.1  # a lane that bends by so much within so far is left out
+LEAST_ROWS = 5  # least detections of a vehicle on a lane for the median of their distances from it
+SURE = 4.0  # sigmas of a shift that is reported: hardly one of hundreds of sensors by mistake
+DRAWN = 0.75  # a sensor off by a smaller share of the worst one's shift is not reported
 SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 SEEN_S = 0.5  # a state is seen within so many seconds of a detection (the contract)
 THROUGH_MPS = 3.0  # slower vehicles may turn in, park or load beside the lanes
-LEAST_JUDGED = 8  # vehicles by which a pose is judged
+LEAST_JUDGED = 8  # least vehicles by which a pose is judged
 MOST_OFF_LANE = 0.2  # share of a sensor's vehicles on no lanelet above which its pose is doubtful
-# Distance from the centres of lanes, common to all vehicles of a sensor or beyond that of other
-# sensors, above which its pose is doubtful.
+# Shift of all vehicles of a sensor from the centres of lanes, or from those of other sensors, above
+# which its pose is doubtful.
 MOST_BESIDE_M = 0.6
-# Sigma: of the mean distance from a lane's centre of all its drivers, as recorded at three
-# junctions; of a driver from that; of a pose.
+# Sigma of the mean distance of a lane's drivers from its centre, as recorded at three junctions; of
+# a driver's distance from that mean; of a pose.
 LANE_M, BESIDE_M, SHIFT_M = 0.25, 0.7, 1.0
 POSE_HINT = "gis-radar track, gis-radar localize"
 
@@ -44,7 +44,7 @@ class VehicleBatch:
     Parameters
     ----------
     first_step, last_step : int
-        The span, inclusive; after that of the batch before. The last batch ends with a frame.
+        The span, inclusive, which follows that of the batch before. The last one ends with a frame.
     tracks : DataFrame
         The columns of `TRACKS`, by step and vehicle: all states in the span, one for each step from
         a vehicle's first to its last. `easting` and `northing` are the middle of the rectangle of
@@ -62,7 +62,7 @@ class VehicleBatch:
 
 
 class BatchMaker:
-    """Makes the batches of a folder from what was found in each block.
+    """Maker of batches from the motions found in each block.
 
     Parameters
     ----------
@@ -79,13 +79,13 @@ class BatchMaker:
         self.numbers: list[int] = []  # of the vehicles of the last block, in the order of motions
 
     def forget_lanes(self) -> None:
-        """Drop the places of vehicles by sensor: for programs that run without end."""
+        """Drop the places of vehicles by sensor, which else accumulate."""
         self._on_lanes = []
 
     def batch(self, block: Block, motions: list[Motion]) -> VehicleBatch:
         """Return the states of the vehicles in the span of a block.
 
-        A vehicle is the one of the block before with which it shares most detections.
+        A vehicle's number is that of the earlier vehicle with which it shares most detections.
         """
         states = [_States.of(each, block) for each in motions]
         inside = [k for k, each in enumerate(states) if len(each.step)]
@@ -116,7 +116,7 @@ class BatchMaker:
         )  # fmt: skip
 
     def on_lanes(self, sensors: Sequence[str]) -> list[pd.DataFrame]:
-        """Return where sensors see vehicles drive, by their names, for :func:`warn_of_poses`."""
+        """Return the places of vehicles by sensor, with names, for :func:`warn_of_poses`."""
         names = np.array(sensors, object)
         return [each.assign(sensor=names[each["sensor"]]) for each in self._on_lanes]
 
@@ -188,7 +188,7 @@ class BatchMaker:
                 "s_m": route.s_m,
                 "d_m": route.d_m,
                 "seen": states.seen,
-                "towards": towards,  # of the lane where it is straight, for the check of poses
+                "towards": towards,  # direction of the lane where it is straight, to check poses
             }
         )
         return table, route.lanelets(graph)
@@ -197,7 +197,7 @@ class BatchMaker:
 def _driven(
     number: int, table: pd.DataFrame, motion: Motion, detections: MapDetections
 ) -> pd.DataFrame:
-    """Return the detections of a vehicle while it drives: how far left of its lane it is then."""
+    """Return the detections of a vehicle while it drives, with its distance left of its lane."""
     step = (detections.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
     inside = np.flatnonzero((step >= 0) & (step < len(table)))
     drives = inside[table["speed"].to_numpy()[step[inside]] > THROUGH_MPS]
@@ -219,9 +219,9 @@ def _driven(
 
 
 def _on_lanes(driven: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return where each sensor sees each vehicle drive: how far left of its lane, by heading.
+    """Return each vehicle's distance left of its lane by each sensor, by heading.
 
-    All of a block at once: grouping takes as long for one vehicle as for a hundred.
+    All vehicles of a block are grouped at once, which takes no longer than for one.
     """
     return pd.concat(driven, ignore_index=True).groupby(["vehicle", "sensor", "way"]).agg(
         towards=("towards", "mean"), size=("on", "size"), on=("on", "sum"),
@@ -230,7 +230,7 @@ def _on_lanes(driven: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 
 def joined_rows(known: dict[str, Any] | None, row: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of a continued vehicle: the better known size, lanelets of both."""
+    """Join two rows of a continued vehicle: the better known size, lanelets of both."""
     if known is None:
         return row
     best = min((row, known), key=lambda each: float(each["length_sigma_m"]))
@@ -246,12 +246,12 @@ def joined_rows(known: dict[str, Any] | None, row: dict[str, Any]) -> dict[str, 
 
 
 def warn_of_poses(seen: Sequence[pd.DataFrame]) -> list[str]:
-    """Return a line for each sensor whose vehicles do not drive where the lanes are.
+    """Return a warning for each sensor whose vehicles do not drive on the lanes.
 
     Parameters
     ----------
     seen : sequence of DataFrame
-        Of :meth:`BatchMaker.on_lanes`; vehicles of different tables are different ones.
+        From :meth:`BatchMaker.on_lanes`; vehicles of different tables are different ones.
     """
     if not seen:
         return []
@@ -265,14 +265,14 @@ def warn_of_poses(seen: Sequence[pd.DataFrame]) -> list[str]:
 
 
 def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
-    """Return a line for each sensor whose vehicles drive beside the lanes: its pose may be off.
+    """Return a warning for each sensor whose vehicles drive beside the lanes: its pose may be off.
 
     Parameters
     ----------
     seen : DataFrame
-        ``vehicle sensor way towards size on count left_m``: how often each sensor detected a
-        vehicle while it drove, how often on a lanelet, how often where that is straight in a
-        direction (steps of 20 degrees, and the mean, radians), and how far left of its centre.
+        ``vehicle sensor way towards size on count left_m``: numbers of a sensor's detections of a
+        vehicle while it drove (`size`), on a lanelet (`on`), where that is straight (`count`), by
+        direction (bins of 20 degrees, and the mean, radians); distance left of its centre.
     sensors : sequence of str
         Names, by number.
     """
@@ -313,12 +313,10 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str]) -> list[str]:
 
 
 def _shift(left: pd.DataFrame) -> tuple[Floats, float]:
-    """Return by how much all vehicles of a sensor are beside their lanes, east and north, metres.
+    """Return the common shift of a sensor's vehicles, (east, north) in metres, and its sigma.
 
-    Beside it the 1 sigma of how much that is.
-
-    Vehicles of one direction show it across that. Those of a lane are off alike, so that many count
-    little more than a few; a prior holds the direction in which nobody drives.
+    Vehicles show the shift across their direction. Those of one lane share an offset, so that many
+    count little more than a few; a prior fixes the direction in which nobody drives.
     """
     ways = left.groupby("way").agg(
         towards=("towards", "mean"), left_m=("left_m", "median"), count=("left_m", "size")
@@ -336,7 +334,7 @@ def _shift(left: pd.DataFrame) -> tuple[Floats, float]:
 
 
 class _States:
-    """A vehicle in the span of a block, step by step."""
+    """States of a vehicle in the span of a block, step by step."""
 
     def __init__(
         self, step: Integers, middle: Floats, heading: Floats, speed: Floats, seen: Booleans

@@ -39,10 +39,10 @@ from gis_radar.tracking.columns import (  # fmt: skip
 )
 
 FASTEST_MPS = 60.0
-# A track begins with so many detections within this time whose places and range rates agree: beyond
-# 150 m a car gives one in half a second; false moving detections are at most one a frame, anywhere.
+# Least number of detections, within this time, whose places and range rates agree, that begin a
+# track: beyond 150 m a car gives one in half a second, false moving ones are one a frame at most.
 BIRTHS, BIRTH_S = 3, 1.5
-LEAST_COS = 0.3  # between line of sight and lane, from which on a range rate gives the speed
+LEAST_COS = 0.3  # least cosine between line of sight and lane at which a range rate gives the speed
 CAR_M = 4.6  # length of a car, the first guess for all vehicles
 
 
@@ -108,7 +108,7 @@ def begin(  # pragma: no cover - compiled
 def _agreeing(
     detection: Floats, speed: float, heading: float, waiting: Floats, count: int
 ) -> tuple[int, int]:  # pragma: no cover - compiled
-    """Return the number of agreeing detections, this one included, and of their moments."""
+    """Return the number of agreeing detections, this one included, and of their frames."""
     matches, moments, last, counted = 1, 1, detection[6], -1.0
     c, s = np.cos(heading), np.sin(heading)
     for j in range(count - 1, -1, -1):
@@ -120,7 +120,7 @@ def _agreeing(
         way = 0.5 * (wait[WAIT_SPEED] + speed) * (detection[6] - wait[WAIT_TIME])
         if abs(dx * c + dy * s - way) > 3.0 or abs(dy * c - dx * s) > 1.8:
             continue
-        if wait[WAIT_ROW] != counted:  # it waits once a lane
+        if wait[WAIT_ROW] != counted:  # a detection is stored once for each lane
             matches += 1
             counted = wait[WAIT_ROW]
         if wait[WAIT_TIME] < last:

@@ -1,4 +1,4 @@
-"""Blocks of time: the detections around a span of steps, in which vehicles are followed."""
+"""Blocks of time, with the detections around a span of steps in which vehicles are followed."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Block:
     Parameters
     ----------
     first_step, last_step : int
-        The span, inclusive: whole, but that the first block begins at the first frame and the last
-        one ends at the last frame, where there are none on the other side of the edge.
+        The span, inclusive. The first block begins at the first frame and the last one ends at the
+        last frame, where there are no frames on the other side of the edge.
     detections : MapDetections
-        Of the span and so much before and after as vehicles need to be known by.
+        Detections of the span and of the margins before and after it.
     """
 
     first_step: int

@@ -1,8 +1,8 @@
-"""Bodies: which detections are of one vehicle while it moves.
+"""Bodies: find which detections are of one vehicle while it moves.
 
-The filter follows detections as time runs and against it; where both agree, a vehicle is followed
-whole. What it took for several vehicles are often ends of one long vehicle, or what two sensors see
-of it: they keep their places in the frame that moves along with it, as no other vehicle does.
+The filter follows detections forward and backward in time; where both agree, a vehicle is followed
+whole. Several vehicles of the filter are often the ends of one long vehicle, or one vehicle as two
+sensors see it: they keep their places in the frame that moves along, as no other vehicle does.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
-UNKNOWN_SIZE = -1.0  # log odds of a person of whom no size is known: on lanes they are fewer
-# A part is split, at most so often, while a smaller share of it keeps its place in the moving
-# frame; of fewer rows it is none.
+UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer
+# A part is split, MOST_SPLIT times at most, while a smaller share of it keeps its place in the
+# moving frame; parts of fewer rows are dropped.
 LEAST_PURE, MOST_SPLIT, LEAST_ROWS = 0.95, 3, 5
-SEEN_S = 0.35  # before and after a detection: the state of its vehicle is known
+SEEN_S = 0.35  # time before and after a detection in which the state of its vehicle is known
 LEFT_M, BEARING_RAD = 1.7, 0.006  # half the width of a truck, error of a bearing: sideways
 # Tolerance of a range rate: noise, a share of the speed, and a share of it at which the ends of a
 # turning body swing.
@@ -31,10 +31,10 @@ RATE_MPS, WHEEL_SHARE, SWING = 0.8, 0.08, 0.6
 LEAST_FIT = 0.7  # share of detections whose places and range rates fit
 SCATTER_M = 2.5  # largest median scatter of places: scatterers change along a body
 PLACE_M = 0.4  # sigma of a mean place, for which scatterers last
-REACH_M = 16.5  # from the middle of what is detected to any part of a truck with trailer
+REACH_M = 16.5  # from the middle of its detections to any part of a truck with trailer
 CAR_M = 4.7  # length of a car
 GAP_S, GAP_SPREAD = 1.8, 0.6  # median time gap between drivers, and sigma of its logarithm
-LONG_SHARE = 0.12  # of vehicles over 7 m in traffic
+LONG_SHARE = 0.12  # share of vehicles over 7 m in traffic
 LEAST_ODDS = 0.5  # logarithm of the odds above which two parts are joined
 DRIVEN_MPS = 8.0  # vehicles above this speed certainly drive
 CYCLIST_MPS = 7.5  # largest speed of cyclists
@@ -42,12 +42,12 @@ CYCLIST_MPS = 7.5  # largest speed of cyclists
 # of detections, metres: most people return 4 to 10 dB less; a cyclist of 1.8 x 0.6 m spreads by
 # 0.55 m, a car by 1.4 m, bearing and smoothing add 0.5 m.
 PERSON, VEHICLE = (-7.0, 3.0, -0.3, 0.45), (0.0, 4.0, 0.4, 0.5)
-FAINT_DB = 9.0  # weaker ones are of no vehicle at any speed: persons next to a passing one
-# Share of such detections of a vehicle; of a person it is the rest: a tenth of a car's, a fifth of
-# a lorry's or a motorcycle's; nine tenths of a walker's, two thirds of a cyclist's.
+FAINT_DB = 9.0  # detections weaker by this are faint: persons, also next to a passing vehicle
+# Share of faint detections of a vehicle, and one less that of a person: a tenth of a car's, a fifth
+# of a lorry's or a motorcycle's; nine tenths of a walker's, two thirds of a cyclist's.
 FAINT_SHARE = 0.2
 FAINT_ODDS = 10.0  # log odds above which an end of a track is of a person: eight in a row
-STEADY = 0.5  # of the speed that is exceeded a tenth of the time: people hold it half of the time
+STEADY = 0.5  # share of the 90 % quantile of its speed that a person exceeds half of the time
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
@@ -60,15 +60,15 @@ def rows_by_number(number: Integers) -> list[Integers]:
 def join_directions(number: Integers, against: Integers, time: Floats) -> Integers:
     """Return one number for each detection from those of both directions of time.
 
-    A detection that only the direction against time claims goes with what is next to it there. Two
-    vehicles that one of the other direction follows one after the other are one.
+    A detection that only the backward direction claims gets the number of its neighbour there. Two
+    vehicles that one vehicle of the other direction follows one after the other are one.
 
     Parameters
     ----------
     number, against : (n,) int64 arrays
-        As the filter numbers detections as time runs, and against it.
+        The filter's numbers of detections, forward and backward in time.
     time : (n,) array
-        Of the detections, seconds.
+        Times of the detections, seconds.
     """
     rows = rows_by_number(number)
     if not rows:
@@ -102,21 +102,21 @@ def join_directions(number: Integers, against: Integers, time: Floats) -> Intege
 class _Groups:
     """Groups of tracks of one vehicle, by the spans of time in which they are followed."""
 
-    MOST_BOTH_S = 0.7  # a vehicle is followed twice for so long at most, where one ends
+    MOST_BOTH_S = 0.7  # longest time that a vehicle is followed twice, where one track ends
 
     def __init__(self, spans: dict[int, tuple[float, float]]) -> None:
         self._head = {value: value for value in spans}
         self._spans = {value: [span] for value, span in spans.items()}
 
     def of(self, value: int) -> int:
-        """Return the head of a vehicle's group."""
+        """Return the number that represents a vehicle's group."""
         while self._head[value] != value:
             self._head[value] = self._head[self._head[value]]
             value = self._head[value]
         return value
 
     def join(self, one: int, other: int) -> None:
-        """Join two groups, unless both were followed at a time."""
+        """Join two groups, unless both were followed at the same time."""
         one, other = self.of(one), self.of(other)
         if one == other:
             return
@@ -133,7 +133,7 @@ def absorb(
     parts: list[Integers],
     states: Floats,
 ) -> list[Motion]:
-    """Join parts that are of one body, the strongest first; return the motion of each vehicle.
+    """Join parts of one body, those with the highest odds first; return each vehicle's motion.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def absorb(
     parts : list of int64 arrays
         Rows that were followed as one vehicle.
     states : (n, 6) array
-        Of the vehicle, for every detection.
+        State of the vehicle, for every detection.
     """
     found = [each for rows in parts for each in purified(detections, rows, states)]
     boxes = [_box(detections, each.rows) for each in found]
@@ -188,7 +188,7 @@ def log_odds(detections: MapDetections, body: Motion, other: Motion) -> float:
     rows = rows[(detections.time[rows] > own[0] - 0.2) & (detections.time[rows] < own[-1] + 0.2)]
     if len(rows) < 3:
         return -np.inf
-    # only while the first is seen too is its frame known well
+    # the first body's frame is known well only while it is seen, too
     near = nearest(own, detections.time[rows])
     rows = rows[np.abs(own[near] - detections.time[rows]) < SEEN_S]
     if len(rows) < 3 or np.ptp(detections.time[rows]) < 0.1:
@@ -214,7 +214,7 @@ def _slack(body: Motion, along: Floats, speed: Floats) -> Floats:
 
 
 def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[Motion]:
-    """Return the motion of a part, split where it cannot be of one body."""
+    """Return the motions of a part, which is split where it cannot be of one body."""
     found: list[Motion] = []
     while len(rows) >= LEAST_ROWS and len(found) < MOST_SPLIT:
         body = fit_motion(detections, rows, states)
@@ -234,7 +234,7 @@ def purified(detections: MapDetections, rows: Integers, states: Floats) -> list[
 def _odds_of_places(time: Floats, along: Floats, speed: Floats, body: Motion, long: float) -> float:
     """Return the log odds from places in a moving frame: whether they stay, and are too near.
 
-    What speaks for a long vehicle otherwise counts for what lies beyond the body.
+    The other evidence for a long vehicle counts only for places beyond the body.
     """
     span = float(np.ptp(time))
     away = abs(float(np.median(along)))
@@ -247,9 +247,9 @@ def _odds_of_places(time: Floats, along: Floats, speed: Floats, body: Motion, lo
         rest = np.abs(along - np.median(along) - drift * centred)
         if np.median(rest) > SCATTER_M:
             return -np.inf
-        # of the slope of places that are independent every half a second
+        # sigma of the slope of places that are independent every half second
         sigma = np.hypot(PLACE_M * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
-        wide = np.hypot(1.0, sigma)  # 1 m/s: by how much drivers differ
+        wide = np.hypot(1.0, sigma)  # 1 m/s: sigma of the difference of drivers' speeds
         stays = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
     within = np.abs(along) < 0.5 * max(body.length_m, 3.0) + 1.0
     if within.mean() > 0.6:
@@ -262,7 +262,7 @@ def _odds_of_places(time: Floats, along: Floats, speed: Floats, body: Motion, lo
 
 
 def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Integers) -> Floats:
-    """Return the states as time runs, and those against it where only that claims a detection."""
+    """Return forward states, and backward ones where only these claim a detection."""
     return np.where(((number == NONE) & (joined != NONE))[:, None], states[1], states[0])
 
 
@@ -270,9 +270,9 @@ def is_person(detections: MapDetections, motions: Sequence[Motion]) -> list[bool
     """Return for each motion whether it is a walker or a cyclist: weak, small, slow and steady.
 
     The cross section of vehicles is that of fast ones in the same recordings, since radars
-    state cross sections on scales of their own. Still detections are about as strong: a track far
-    weaker than that is none of them, and where nobody else drives fast is a person. People keep
-    their pace; of who mostly stands, its returns tell less than those of what is around it.
+    state cross sections on scales of their own. Still detections are about as strong: where no
+    vehicle drives fast, a track far weaker than these is a person. People keep their pace; a track
+    that mostly stands cannot be told from its surroundings by its returns.
     """
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
@@ -285,13 +285,13 @@ def is_person(detections: MapDetections, motions: Sequence[Motion]) -> list[bool
 def are_persons(
     rcs: Floats, fast: Floats, spread_m: Floats, steady: Booleans, still: float
 ) -> Booleans:
-    """Return which are persons by their size, their cross section, and how they move.
+    """Return which tracks are persons by their size, cross section, and motion.
 
     Parameters
     ----------
     rcs, fast, spread_m : (n,) arrays
-        Of each the median cross section, dBm2, how fast it is, m/s, and how far its detections lie
-        apart on it: the standard deviation, metres, NaN where that is not known.
+        Median cross section of each, dBm2; its speed, m/s; and the standard deviation of its
+        detections' places on it, metres, NaN where that is not known.
     steady : (n,) bool array
         Whether it keeps its pace.
     still : float
@@ -310,7 +310,7 @@ def are_persons(
 
 
 def _log_density(value: Floats, usual: Sequence[float]) -> Floats:
-    """Return the logarithm of a normal density by its mean and standard deviation, but for pi."""
+    """Return the logarithm of a normal density up to a constant; `usual` is mean and sigma."""
     mean, sigma = usual
     return np.asarray(-0.5 * ((value - mean) / sigma) ** 2 - np.log(sigma))
 
@@ -328,19 +328,19 @@ def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans) -> float:
 def without_faint_ends(
     detections: MapDetections, motions: list[Motion], states: Floats
 ) -> list[Motion]:
-    """Return the motions without begins and ends in which a person was followed with them.
+    """Cut off begins and ends of motions in which a person was followed, too.
 
-    Nearly all detections of a person are faint, of a vehicle few: where the sum of their log odds
-    is highest is the cut. Those of which less than a body is left are none.
+    Nearly all detections of a person are faint, of a vehicle few: the cut is where the sum of their
+    log odds is highest. Motions of which less than a body remains are dropped.
 
     Parameters
     ----------
     detections : MapDetections
         All detections.
     motions : list of Motion
-        Of vehicles.
+        Motions of vehicles.
     states : (n, 6) array
-        Of the vehicle, for every detection.
+        State of the vehicle, for every detection.
     """
     found = []
     rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
@@ -364,12 +364,12 @@ def without_faint_ends(
 
 
 def usual_rcs(rcs: Floats, share: float = 0.5) -> float:
-    """Return the quantile of the cross sections that are known, NaN where none is."""
+    """Return a quantile of the known cross sections, dBm2; NaN where none is known."""
     known = rcs[np.isfinite(rcs)]
     return float(np.quantile(known, share)) if len(known) else np.nan
 
 
 def _fast(motion: Motion) -> float:
-    """Return the speed that a vehicle exceeds a tenth of the time in which it moves."""
+    """Return the speed (m/s) that a vehicle exceeds in a tenth of the time in which it moves."""
     moving = motion.speed[motion.speed > 0.2]
     return float(np.quantile(moving, 0.9)) if len(moving) else 0.0

@@ -1,7 +1,7 @@
-"""Expected number of detections of a vehicle by place: what is not detected in view is not there.
+"""Expected number of detections of a vehicle by place: without them, no vehicle is there.
 
 How often each sensor detects vehicles in a cell of the map is learned from those that drive
-through it, which counts range, aspect and what is built in between. Other vehicles hide what is
+through it, which includes the effects of range, aspect and obstacles. Other vehicles hide what is
 behind them.
 """
 
@@ -17,13 +17,13 @@ from gis_radar.base import STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import HALF_STEPS, Motion
 
-HALF_WIDTH_M = 1.5  # of what a body hides: half a lorry and the error of its place
-NEAREST_M = 1.0  # a body does not hide itself, nor does a sensor see what is under it
+HALF_WIDTH_M = 1.5  # half width of the strip that a body hides: half a lorry and an error of place
+NEAREST_M = 1.0  # bodies nearer to a place do not hide it; a nearer sensor does not see it
 # Size of the map cells in which the rate of detections is learned, together with their neighbours.
 CELL_M = 6.0
 DRIVING_MPS = 3.0  # least speed of the vehicles from which it is learned
 LEAST_S = 1.0  # least total time of vehicles in a cell; with less, the rate is unknown
-SILENT_S = 2.0  # shorter gaps between detections tell nothing
+SILENT_S = 2.0  # shorter gaps between detections are ignored
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,11 +63,11 @@ class Occluders:
         place : (2,) array
             East and north, metres.
         halves : (n,) int64 array
-            Of these.
+            Half seconds to choose from.
         owner : int
-            The one that does not count.
+            Number of the vehicle that does not count.
         within_m : float
-            From the place to the nearest end of a vehicle, about.
+            Largest distance from the place to the nearest end of a vehicle, approximately.
         """
         low, high = np.searchsorted(self.half, [halves[0], halves[-1] + 1])
         part = slice(int(low), int(high))
@@ -91,7 +91,7 @@ class Occluders:
 
     @classmethod
     def join(cls, parts: Sequence[Occluders]) -> Occluders:
-        """Return all of several in the order of time."""
+        """Join several in the order of time."""
         if not parts:
             none = np.zeros(0, np.int64)
             return cls(half=none, owner=none, shape=np.zeros((0, 5)))
@@ -110,17 +110,17 @@ class Detectability:
     Parameters
     ----------
     eyes : (k, 2) array
-        Sensors, in the map.
+        Places of the sensors in the map, metres.
     rate : (k, rows, columns) array
-        Detections of a vehicle in a cell, a second.
+        Detections a second of a vehicle in a cell.
     corner : (2,) array
-        Of the first cell.
+        South-west corner of the first cell.
     first_half : int
         Number of the first half second of `works`.
     works : (k, n) array
         1 in half seconds in which a sensor detected anything, else 0.
     occluders : Occluders
-        What hides.
+        Vehicles that hide others.
     """
 
     eyes: Floats
@@ -176,11 +176,11 @@ class Detectability:
         Parameters
         ----------
         places : (n, 2) array
-            Where its middle is.
+            Places of its middle.
         halves : (n,) int64 array
-            In which half seconds.
+            The half second at each place.
         owners : (int, int)
-            Occluders that it is itself, which do not hide it.
+            Numbers of the occluders that are the vehicle itself, which do not hide it.
         """
         return float(
             _due(
@@ -202,7 +202,7 @@ class Detectability:
         times : (float, float)
             UNIX seconds; one half second at either end does not count.
         owners : (int, int)
-            As of :meth:`due`.
+            As for :meth:`due`.
         """
         halves = np.arange(int(np.ceil(2.0 * times[0])) + 1, int(2.0 * times[1]) - 1)
         if len(halves) == 0:

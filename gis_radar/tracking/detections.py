@@ -13,19 +13,19 @@ from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
 
-LEAST_LEVEL = 0.3  # cosine of the elevation: what is steeper below tells nothing of its speed
-# Heights over the road between which vehicles scatter: reflections at the road seem lower, the
-# highest trucks are 4 m.
+LEAST_LEVEL = 0.3  # least cosine of the elevation: steeper below, range rates give no speed
+# Heights over the road between which vehicles scatter: reflections by the road seem to lie lower,
+# the highest trucks are 4 m.
 LOW_M, HIGH_M = -1.0, 4.5
 HEIGHT_RAD = 0.035  # tolerance of the height by the elevation: 2 sigma of a recorded ARS548
 MOVING_MPS = 0.15  # least absolute range rate of what moves: seven sigma of a recorded ARS548
-# The same in sigma of the sensor's own noise, where that is more: at 500 fixed detections a frame,
+# The same in sigmas of the sensor's own noise, where that is more: of 500 fixed detections a frame,
 # one seems to move every three minutes.
 STILL_SIGMAS = 5.0
 # The noise is measured in the first seconds, by slower detections, at least so many (a sigma to
 # 3 %); SLOW_MPS is also the upper bound of the threshold.
 NOISE_S, SLOW_MPS, LEAST_SLOW = 20.0, 0.3, 1000
-PEAK_SHARE = 0.5  # of those slower than a third of SLOW_MPS: evenly spread it would be a third
+PEAK_SHARE = 0.5  # least share of them below a third of SLOW_MPS; without noise it is a third
 AZIMUTH_RAD = 0.004  # sigma of a bearing, including the bias of each target
 
 
@@ -42,11 +42,11 @@ class MapDetections:
     height_m : (n,) array
         Over the road; NaN where the sensor measures no elevation or the road's height is unknown.
     range_rate : (n,) array
-        m/s, of the way over ground: divided by the cosine of the elevation.
+        Range rate in the plane, m/s: the measured one divided by the cosine of the elevation.
     sight : (n, 2) array
         Horizontal unit vectors from the sensor to the detection.
     range_m : (n,) array
-        From the sensor.
+        Distance from the sensor, metres.
     sensor : (n,) int64 array
         Number of the sensor.
     rcs : (n,) array
@@ -70,7 +70,7 @@ class MapDetections:
         return type(self)(**{each.name: getattr(self, each.name)[keep] for each in fields(self)})
 
     def eyes(self) -> Floats:
-        """Return (sensors, 2) where each sensor stands, metres; 0 for one without detections."""
+        """Return the sensors' places, (sensors, 2) metres; 0 for one without detections."""
         away = self.points - self.sight * self.range_m[:, None]
         found = np.zeros((int(self.sensor.max(initial=-1)) + 1, 2))
         for sensor in np.unique(self.sensor).tolist():
@@ -78,7 +78,7 @@ class MapDetections:
         return found
 
     def reversed(self) -> MapDetections:
-        """Return the same detections as they come when time runs backward."""
+        """Return the detections in reversed time, with negative times and range rates."""
         back = self.take(slice(None, None, -1))
         return replace(back, time=-back.time, range_rate=-back.range_rate)
 
@@ -93,7 +93,7 @@ class MapDetections:
 
     @classmethod
     def join(cls, parts: Sequence[MapDetections]) -> Self:
-        """Return the rows of several in the order of time."""
+        """Join several in the order of time."""
         if not parts:
             return cls.none()
         table = {
@@ -118,17 +118,17 @@ def map_detections(
     Parameters
     ----------
     read : Detections
-        All of them detections.
+        Rows of a recording, none of them an empty frame.
     pose : Pose
-        Where the sensor stood.
+        Pose of the sensor.
     number : int
-        Of the sensor.
+        Number of the sensor.
     graph : LaneGraph
         The lanes.
     road_m : float
-        Height of the road near the sensor, for one that measures no elevation.
+        Height of the road near the sensor, metres, for one that measures no elevation.
     still_mps : float
-        Largest range rate of still detections of this sensor: :func:`still_rate`.
+        Largest range rate of still detections of this sensor, from :func:`still_rate`.
     """
     points = pose.to_map(read.points, road_m=road_m) - [*graph.origin, 0.0]
     points[np.isnan(read.points[:, 2]), 2] = np.nan
@@ -158,8 +158,8 @@ def still_rate(range_rate: Floats) -> float:
     Parameters
     ----------
     range_rate : (n,) array
-        Of all detections of some seconds, m/s. With fixed targets, those near zero have a
-        peak, whose width is the noise; where only what moves is recorded there is none.
+        Range rates of all detections of some seconds, m/s. With fixed targets they have a peak at
+        zero, whose width is the noise; where only moving ones are recorded there is none.
     """
     slow = np.abs(range_rate[np.abs(range_rate) < SLOW_MPS])
     peak = (slow < SLOW_MPS / 3.0).mean() if len(slow) >= LEAST_SLOW else 0.0
@@ -171,7 +171,7 @@ def still_rate(range_rate: Floats) -> float:
 
 @compiled
 def _over_lanes(points: Floats, range_m: Floats, field: FieldArrays) -> tuple[Floats, Booleans]:
-    """Return the height over the lane that is nearest in height, and whether it fits one."""
+    """Return each point's height over the lane nearest in height, and whether it fits one."""
     out = np.empty((8, 6))
     height, on = np.full(len(points), np.nan), np.zeros(len(points), np.bool_)
     for i in range(len(points)):
@@ -179,7 +179,7 @@ def _over_lanes(points: Floats, range_m: Floats, field: FieldArrays) -> tuple[Fl
         more = HEIGHT_RAD * range_m[i]
         for k in range(found):
             over = points[i, 2] - out[k, 5]
-            if np.isnan(over):  # of a road or a sensor without heights
+            if np.isnan(over):  # road or sensor without heights
                 on[i] = True
             elif LOW_M - more <= over <= HIGH_M + more:
                 on[i] = True

@@ -1,4 +1,4 @@
-"""Footprints: the tiles whose middle cross-line a vehicle overlaps at the begin of a step.
+"""Footprints of vehicles, and the tiles whose middle cross-line they overlap at a step's begin.
 
 A vehicle is a rectangle; a longer one the strip of its width along the path its front took: a
 rectangle for each stretch of the path, with a disc at each joint between two. The overlap is the
@@ -18,41 +18,41 @@ from numpy.typing import NDArray
 from gis_radar.base import Booleans, Floats, Integers, compiled, ranges
 from gis_radar.hdmap import quads
 
-# A footprint occupies a tile when it overlaps the middle cross-line by so much, or by half of the
+# Least overlap of a footprint with the middle cross-line of a tile that it occupies; or half of the
 # cross-line or of the vehicle's width where that is less (the contract).
 OVERLAP_M = 0.5
-# It is on the level of a tile when their roads are within so much height (the contract): over a
-# crossfall, under the clearance of a bridge.
+# Largest difference of road heights on one level (the contract): above a crossfall, below the
+# clearance of a bridge.
 SAME_LEVEL_M = 2.0
 # A longer vehicle is the strip of its width along the path its front took (the contract): the
 # longest single vehicle without a joint.
 STRIP_M = 12.0
 # Distance of the points of such a path: on a curve of 10 m radius its chord is 1 cm off the arc.
 PATH_STEP_M = 1.0
-CELL_M = 2.0  # of the look-up: half a vehicle's length; twice or half of it is as fast
-MOST_CELLS = 16_000_000  # wider cells where a map is larger
-ROUNDING_M = 1e-9  # a car just on the edge occupies, however its place was rounded
-MOST_PARTS = 256  # of a strip, two a point of its path: road trains have 60
+CELL_M = 2.0  # side of a cell of the look-up; twice or half of it is as fast
+MOST_CELLS = 16_000_000  # most cells; in a larger map they are wider
+ROUNDING_M = 1e-9  # tolerance, so that rounding does not decide about an overlap on the limit
+MOST_PARTS = 256  # most parts of a strip, two for each point of its path: road trains have 60
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossLines:
-    """The middle cross-lines of tiles, found by place.
+    """Middle cross-lines of tiles, with a look-up by place.
 
     Parameters
     ----------
     lines : (n, 4) array
         x, y of the right and of the left end, metres from `origin`.
     height_m : (n,) array
-        Of the road, NaN where it is not known.
+        Height of the road, NaN where it is not known.
     origin : (2,) array
-        Of the coordinates, map frame, metres.
+        Origin of the coordinates, map frame, metres.
     cells : (first, tiles)
-        Where the tiles of each cell begin, and the tiles by cell.
+        Index of each cell's first tile in `tiles`, and the tiles by cell.
     columns, rows : int
-        Of the cells, which begin at the origin.
+        Numbers of cells along both axes; the first cell begins at the origin.
     cell_m : float
-        Their side.
+        Side of a cell.
     """
 
     lines: Floats
@@ -83,7 +83,7 @@ class CrossLines:
 def _fill(
     lines: Floats, columns: int, rows: int, cell_m: float
 ) -> tuple[Integers, NDArray[np.int32]]:
-    """Return where the lines of each cell begin, and the lines by cell, whose boxes meet it."""
+    """Return the index of each cell's first line, and the lines by cell whose boxes meet it."""
     low = (np.minimum(lines[:, :2], lines[:, 2:]) / cell_m).astype(np.int64)
     high = (np.maximum(lines[:, :2], lines[:, 2:]) / cell_m).astype(np.int64)
     wide, tall = (high - low + 1).T
@@ -98,12 +98,12 @@ def _fill(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Footprints:
-    """The footprints of states, in order of step.
+    """Footprints of states, in order of step.
 
     Parameters
     ----------
     step : (n,) int64 array
-        At the begin of which they are.
+        The step at whose begin each footprint is.
     boxes : (n, 6) array
         x and y of the middle, cosine and sine of the heading, half the length and half the width,
         metres from the origin of the cross-lines.
@@ -112,7 +112,7 @@ class Footprints:
     seen : (n,) bool array
         Whether the state was measured.
     path : (n,) int64 array
-        Of strips the last point of their path that lies behind the front; -1 of rectangles.
+        For a strip the last point of its path behind the front; -1 for a rectangle.
     points : (m, 2) array
         The points of all paths, from the back; `begins` marks the first of each.
     begins : (m,) bool array
@@ -129,7 +129,7 @@ class Footprints:
 
 @dataclass(kw_only=True)
 class PathBook:
-    """The paths that the fronts of long vehicles took, from batch to batch.
+    """Paths of the fronts of long vehicles, kept from batch to batch.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class PathBook:
     ) -> tuple[Integers, Floats, Booleans]:
         """Extend the paths of long vehicles; return `path`, `points`, `begins` of Footprints.
 
-        Vehicles without a state now are forgotten: states have no gap.
+        Vehicles without a state now are forgotten, as states have no gaps.
         """
         path = np.full(len(vehicle), -1)
         fronts = boxes[:, :2] + boxes[:, 2:4] * boxes[:, 4:5]
@@ -198,11 +198,11 @@ def footprints_of(
     states : DataFrame
         Rows of `tracks`, by step.
     vehicles : DataFrame
-        The vehicles that they are of.
+        The vehicles of these states.
     level_m : (n,) array
         Height of the road under each state, NaN where it is not known.
     origin : (2,) array
-        Of the cross-lines.
+        Origin of the cross-lines.
     book : PathBook
         Paths of long vehicles up to now.
     """
@@ -225,7 +225,7 @@ def clip_box(  # noqa: PLR0917 - numba takes plain numbers
     x0: float, y0: float, x1: float, y1: float,
     x: float, y: float, ahead_x: float, ahead_y: float, half_length: float, half_width: float,
 ) -> tuple[float, float]:  # pragma: no cover - compiled  # fmt: skip
-    """Return from where to where a segment is inside a rectangle, as shares; empty if not."""
+    """Return begin and end, as shares, of a segment's part in a rectangle; empty if outside."""
     low, high = 0.0, 1.0
     for side in range(2):
         if side == 0:
@@ -252,7 +252,7 @@ def _clip_wedge(
     line: Floats, x: float, y: float, radius: float,
     from_x: float, from_y: float, to_x: float, to_y: float,
 ) -> tuple[float, float]:  # pragma: no cover - compiled  # fmt: skip
-    """Return from where to where a segment is in the wedge of a disc that a joint leaves open.
+    """Return begin and end, as shares, of a segment's part in the wedge of a disc at a joint.
 
     The wedge is behind the end of the stretch in direction `from` and before the begin of that in
     direction `to`, both backwards along the path.
@@ -277,7 +277,7 @@ def _clip_wedge(
 
 @compiled
 def _joined_share(shares: Floats, count: int) -> float:  # pragma: no cover - compiled
-    """Return the length of the union of some intervals, which are sorted on the way."""
+    """Return the length of the union of intervals; sorts them in place."""
     for i in range(1, count):  # few, and nearly in order
         low, high = shares[i, 0], shares[i, 1]
         k = i - 1
@@ -298,16 +298,16 @@ def _joined_share(shares: Floats, count: int) -> float:  # pragma: no cover - co
 def overlapped_m(
     line: Floats, box: Floats, path: int, points: Floats, begins: Booleans, shares: Floats
 ) -> float:  # pragma: no cover - compiled
-    """Return how much of a cross-line a footprint overlaps, metres.
+    """Return the length of a cross-line that a footprint overlaps, metres.
 
     Parameters
     ----------
     line : (4,) array
         Both ends.
     box, path, points, begins
-        As of :class:`Footprints`, of one state.
+        As in :class:`Footprints`, of one state.
     shares : (2 * MOST_PARTS, 2) array
-        Room to work in.
+        Working memory.
     """
     x0, y0, x1, y1 = line
     length = math.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
@@ -381,7 +381,7 @@ def _tiles_under(  # noqa: PLR0917
     x, y, ahead_x, ahead_y, half_length, half_width = box
     reach_x = abs(ahead_x) * half_length + abs(ahead_y) * half_width
     reach_y = abs(ahead_y) * half_length + abs(ahead_x) * half_width
-    if path >= 0:  # wherever its path lies
+    if path >= 0:  # cells around its path, too
         reach_x = reach_y = 2.0 * half_length + half_width
     low_column = max(int((x - reach_x) / cell_m), 0) if x > reach_x else 0
     low_row = max(int((y - reach_y) / cell_m), 0) if y > reach_y else 0
@@ -426,8 +426,8 @@ def occupied_runs(  # noqa: PLR0917
     open_runs : (t, 3) int64 array
         First step, last step and `seen` of the latest run of each tile; a first step of -1 is none.
     stamps : (t, 3) int64 array
-        Room to work in: the last state that came near, the last step in which it was occupied,
-        whether seen then; -1 at first.
+        Working memory: the last state that came near, the last step in which the tile was occupied,
+        whether it was seen then; -1 at first.
     """
     out = np.empty((1024, 4), np.int64)
     done = 0

@@ -1,11 +1,11 @@
-"""Forward filter: follows moving vehicles detection by detection, and starts new ones.
+"""Forward filter, which follows moving vehicles detection by detection, and starts new ones.
 
 A vehicle is a body on the plane: a point of it, its heading, its speed, and how far it reaches to
-the front and to the rear. Where it is on a lane its heading turns as the lane does; where lanes
-fork, a branch of it follows each of them until detections tell which one it took. A detection
-belongs to the body that it lies in and whose motion its range rate fits; it corrects the speed by
-its range rate and the position only as far as it lies outside the body, since a radar hits a
-vehicle anywhere. What stands is left to `stationary`: here it would draw bodies to kerbs and signs.
+the front and to the rear. On a lane its heading turns as the lane does; where lanes fork, a branch
+of it follows each of them until detections decide which one it took. A detection belongs to the
+body that it lies in and whose motion its range rate fits; it corrects the speed by its range rate,
+and the position only as far as it lies outside the body, since a radar hits a vehicle anywhere.
+Still detections are left to `stationary`: here they would draw bodies to kerbs and signs.
 """
 
 from __future__ import annotations
@@ -55,28 +55,28 @@ from gis_radar.tracking.columns import (  # fmt: skip
 from gis_radar.tracking.detections import AZIMUTH_RAD, MOVING_MPS, MapDetections
 from gis_radar.tracking.size import LONGEST_M
 
-CAPACITY = 1024  # vehicles at a time
-WAITING = 2048  # detections at a time that no vehicle claims
-SPARE = 1024  # branches more than detections
-MOST_M = 30.0  # from the point of a body to any part of it, and what it may be off
-WIDE_M = 1.0  # half a vehicle
-FORK_M = 3.0  # from the begin of a lane: those that begin here are branches of a fork
-ONE_WAY_M, NEAR_M = 30.0, 1.0  # branches so near each other so long after are of one way
-# By how much a branch may fit worse than another one, and what one detection counts at most, both
+CAPACITY = 1024  # most vehicles at a time
+WAITING = 2048  # most detections at a time that no vehicle claims
+SPARE = 1024  # room for branches beyond the number of detections
+MOST_M = 30.0  # largest distance from the point of a body to any part of it, with its error
+WIDE_M = 1.0  # half the width of a vehicle
+FORK_M = 3.0  # lanes that begin within this of a place are branches of one fork
+ONE_WAY_M, NEAR_M = 30.0, 1.0  # branches so near each other so far after the fork are one
+# By how much the misfit of a branch may exceed another's, and most misfit by one detection, both in
 # squares of sigma: six outliers do not end a branch.
 MOST_MISFIT, MOST_TOLD = 24.0, 4.0
 ACCEL_MPS2 = 1.5  # sigma of the acceleration that drivers choose
 SIDEWAYS_MPS = 0.3  # sigma of the drift across the lane
 RATE_MPS = 0.25  # sigma of a range rate, including what a turning body adds
 ALONG_M, ACROSS_M = 1.2, 0.7  # how far outside of the body a detection may lie
-# A track is continued for so long without a detection: then it may be 3 m off; and for so long at
-# rest, where its detections are not used here. Under six detections it is dropped after BIRTH_S.
+# Longest time without a detection that a track is continued, after which it may be 3 m off; and at
+# rest, as still detections are not used. With under six detections it is dropped after BIRTH_S.
 COAST_S, STAND_S = 2.0, 20.0
 STANDING_MPS = 0.7  # below it a vehicle may stand
 
 
-# The branch of each detection; of each branch the one before it and the detection at which it left
-# that; rows (detection, branch, state) where there are several branches.
+# The branch of each detection; the parent of each branch and the detection at which it forked; rows
+# (detection, branch, state) where there are several branches.
 Past: TypeAlias = tuple[Integers, Integers, Floats]
 
 
@@ -106,14 +106,14 @@ class ForwardFilter:
         Returns
         -------
         number : (n,) int64 array
-            From 0 in the order in which vehicles begin, `NONE` for what is of none. Detections
-            that a vehicle began with carry its number where they are among these.
+            From 0 in the order in which vehicles begin, `NONE` for detections of none. Detections
+            with which a vehicle began have its number if they are among these.
         state : (n, 6) array
             East, north, heading, speed, and the reach to front and rear of that vehicle, corrected
-            by this detection: of the branch that it took by the end of these detections.
+            by this detection, by the branch that it had taken at the end of these detections.
         """
         number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
-        # Of a frame without moving detections its time matters: one row of it.
+        # Of a frame without moving detections one row is kept, for its time.
         taken = np.flatnonzero(
             (np.abs(detections.range_rate) >= MOVING_MPS)
             | (np.diff(detections.time, prepend=-np.inf) > 0.0)
@@ -143,7 +143,7 @@ class ForwardFilter:
 
     @property
     def bodies(self) -> Floats:
-        """Vehicles that are followed now, a row each: of branches the best; `columns` names all."""
+        """Vehicles followed now, a row each by the best branch; `columns` names the columns."""
         alive = self._bodies[: int(self._counts[ALIVE])]
         alive = alive[np.lexsort((alive[:, MISFIT], alive[:, NUMBER]))]
         _, best = np.unique(alive[:, NUMBER], return_index=True)
@@ -153,7 +153,7 @@ class ForwardFilter:
 def follow_both_ways(
     detections: MapDetections, graph: LaneGraph
 ) -> tuple[tuple[Integers, Integers], tuple[Floats, Floats]]:
-    """Follow vehicles as time runs and against it; return the numbers and states of both."""
+    """Follow vehicles forward and backward in time; return the numbers and states of both."""
     number, state = ForwardFilter(graph).push(detections)
     back = ForwardFilter(graph.reversed())
     against, state_against = back.push(detections.reversed())
@@ -325,7 +325,7 @@ def _predict(
 def _lane_of(
     x: float, y: float, heading: float, before: float, lanes: Floats, field: FieldArrays
 ) -> tuple[float, float, int]:
-    """Return the lane at a point most like a heading, best the one before; its own; how many."""
+    """Return the likeliest lane at a point, its direction (rad), and the number of lanes there."""
     best, lane, towards = 1e9, -1.0, heading
     found = lanes_at(x, y, field, lanes)
     for k in range(found):
@@ -368,7 +368,7 @@ def _misfit(detection: Floats, body: Floats) -> float:  # pragma: no cover - com
     ahead = min(ALONG_M, 0.5 + 0.2 * abs(body[SPEED]))
     ahead += 2.0 * np.sqrt(min(body[VAR_S], 1.0))
     if gap < 3.0 * noise:
-        # one that drives as fast and so near is the same: drivers keep a second apart
+        # a detection so near at the same speed is of this body: drivers keep a second apart
         ahead += 0.5 * min(body[SPEED], 6.0)
     elif beyond > ALONG_M:
         return np.inf
@@ -384,7 +384,7 @@ def _correct_branches(
     row: int, chosen: int, bodies: Floats, counts: Integers, detection: Floats,
     kept: Floats,
 ) -> int:  # fmt: skip  # pragma: no cover - compiled
-    """Correct all branches of a body that a detection fits, keep their states; return the best."""
+    """Correct all branches of a body that a detection fits, store their states; return the best."""
     best, least, first = chosen, np.inf, counts[KEPT]
     for k in range(counts[ALIVE]):
         if bodies[k, NUMBER] != bodies[chosen, NUMBER]:
@@ -400,7 +400,7 @@ def _correct_branches(
             kept[counts[KEPT], 2:] = bodies[k, : REAR + 1]
             counts[KEPT] += 1
     if counts[KEPT] == first + 1:
-        counts[KEPT] = first  # there is one branch only
+        counts[KEPT] = first  # with one branch only, its state need not be stored
     return best
 
 

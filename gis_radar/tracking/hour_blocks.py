@@ -1,4 +1,4 @@
-"""The blocks of an hour: spans of time in which vehicles are followed, with a margin each.
+"""Blocks of an hour: spans of time with margins, in which vehicles are followed.
 
 A block straddles each edge of the hour; the jobs of both hours make it from the same window. The
 others lie between them, at the same places in every hour.
@@ -19,7 +19,7 @@ from gis_radar.recordings import Detections
 from gis_radar.tracking.blocks import Block
 from gis_radar.tracking.detections import NOISE_S, MapDetections, map_detections, still_rate
 
-BLOCK_STEPS = 6000  # of a block, at whole multiples: five minutes
+BLOCK_STEPS = 6000  # length of a block, which begins at a multiple of it: five minutes
 # Steps before and after a block that are used to find its vehicles: a stationary vehicle is silent
 # for 25 s in one case of ten.
 MARGIN_STEPS = 1200
@@ -27,7 +27,7 @@ MARGIN_STEPS = 1200
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """Blocks that are made from one reading.
+    """Section of an hour: blocks that are made from one reading.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def blocks_of(
     (int, int)
         The block's place: its first step, and the step after its last.
     Block
-        It begins and ends there, but with the first and the last frame where there are none on
-        the other side of its edge.
+        The block there; it begins with the first and ends with the last frame where there are none
+        on the other side of its edge.
     """
     margin = MARGIN_STEPS
     steps = [sensor.frames.time_us // STEP_US for sensor in sensors]
@@ -101,7 +101,7 @@ def blocks_of(
             detections = _joined(held, begin - margin, after + margin)
             del held
             for each in streams:
-                each.forget(after - margin)  # with which the next block begins
+                each.forget(after - margin)  # the next block's margin begins there
             give_back_memory()
             yield (
                 (begin, after),
@@ -121,7 +121,7 @@ def _between(steps: Integers, first: int, after: int) -> Integers:
 
 
 def _joined(held: Sequence[tuple[MapDetections, int]], first: int, after: int) -> MapDetections:
-    """Return the detections from one step to before another."""
+    """Return the detections from step `first` to before step `after`."""
     parts = []
     for detections, _ in held:
         inside = (detections.time >= first / STEPS_PER_SECOND) & (
@@ -135,7 +135,7 @@ def _joined(held: Sequence[tuple[MapDetections, int]], first: int, after: int) -
 
 
 class _Stream:
-    """The detections of one sensor, read as far as they are needed."""
+    """Stream of the detections of one sensor, read as far as needed."""
 
     def __init__(self, batches: Iterator[tuple[MapDetections, int]]) -> None:
         self._batches = batches
@@ -159,7 +159,7 @@ def _batches(
 ) -> Iterator[tuple[MapDetections, int]]:
     """Yield the detections on lanes of a sensor in a section, with the last step of each batch.
 
-    Up to which range rate they may be of what stands is told by the section's first seconds.
+    The largest range rate of still detections is measured in the section's first seconds.
     """
     waiting: list[tuple[PlacedRecording, Detections]] = []
     still_mps: float | None = None
@@ -191,7 +191,7 @@ def _frames_of(
             time = clock.corrected(read.time)
             step = step_of(time)
             inside = (step >= section.first) & (step < section.after)
-            inside &= np.rint(time * 1e6) >= mine_us[0]  # before, an earlier recording counts
+            inside &= np.rint(time * 1e6) >= mine_us[0]  # before it, an earlier recording is used
             if inside.any():
                 yield source, rows_of(replace(read, time=time), inside)
 

@@ -1,7 +1,7 @@
-"""The vehicles of an hour: their tracks, what they occupy and hide, and which lanelets they pass.
+"""Vehicles of an hour: their tracks, the tiles that they occupy and hide, and their passages.
 
-The first block straddles the hour's begin: what vehicles do in it before the hour warms up what is
-counted after. All results are cut to the hour.
+The first block straddles the hour's begin: its states before the hour give visibility and passages
+their start values. All results are cut to the hour.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class HourVehicles:
     occupied, visible : DataFrame
         `tile_id first_step last_step seen`, by tile and step.
     on_lanes : list of DataFrame
-        Where sensors see vehicles drive, for :func:`gis_radar.tracking.batches.warn_of_poses`.
+        Places of vehicles by sensor, for :func:`gis_radar.tracking.batches.warn_of_poses`.
     """
 
     tracks: pd.DataFrame
@@ -88,11 +88,11 @@ def vehicles_of_hour(
     tiles : GeoDataFrame
         All tiles.
     sights : mapping
-        What sensors see, by name.
+        Sights of the sensors' poses, by name.
     graph : LaneGraph
         The lanes.
     processes : int
-        In how many blocks vehicles are looked for side by side.
+        Number of blocks in which vehicles are looked for in parallel.
     """
     engine = OccupancyEngine(tiles, sights)
     gathered = _Gathered(window=window, engine=engine, held=held)
@@ -103,7 +103,7 @@ def vehicles_of_hour(
         batch = makes.batch(block, motions)
         gathered.add(batch.tracks, batch.vehicles, makes.numbers)
         if begin < window.begin:
-            makes.forget_lanes()  # the hour before judges them
+            makes.forget_lanes()  # the job of the hour before checks poses by these
         del block, motions, batch  # before the next block is read
     return gathered.finish(makes.on_lanes([each.sensor for each in sensors]))
 
@@ -139,7 +139,7 @@ def _motions(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     return vehicles_in(replace(detections, sensor=number), graph)
 
 
-_graph: LaneGraph | None = None  # of a worker
+_graph: LaneGraph | None = None  # lanes of this worker process
 
 
 def _start(graph: LaneGraph) -> None:
@@ -169,7 +169,7 @@ class _Gathered:
     over_end: list[int] = field(default_factory=list)
 
     def add(self, states: pd.DataFrame, vehicles: pd.DataFrame, numbers: list[int]) -> None:
-        """Add the states of a block, which follow those so far, all advanced over."""
+        """Add the states of a block; all earlier ones must have been advanced over."""
         states, vehicles = TRACKS.typed(states), VEHICLES.typed(vehicles)
         begin, end = self.window.begin, self.window.end
         states = states[states["step"] <= end].reset_index(drop=True)
@@ -198,7 +198,7 @@ class _Gathered:
         self.reached, self.waiting = to, None
 
     def finish(self, on_lanes: list[pd.DataFrame]) -> HourVehicles:
-        """Return all, under final numbers."""
+        """Return all results, with final numbers of vehicles."""
         begin, end = self.window.begin, self.window.end
         self.advance(end + 1)
         occupied, visible = (_cut(each, begin, end) for each in self.engine.flush())
@@ -222,7 +222,7 @@ class _Gathered:
         )  # fmt: skip
 
     def _names(self) -> dict[int, int]:
-        """Return the final number of each vehicle: first those that go on over the hour's end.
+        """Return the final number of each vehicle; those that go on over the hour's end are first.
 
         The job of the next hour makes the block at that edge, too, and so knows their numbers.
         """

@@ -1,7 +1,7 @@
-"""Links from part to part of the tracks of vehicles, moving or standing.
+"""Links between parts of the tracks of vehicles, moving or standing.
 
-Who ends somewhere may be the one that begins there later, unless another one drove over the place
-in between, or it would have been seen. Ends and begins are matched together, at least cost.
+A part that ends somewhere may continue in one that begins there later, unless another vehicle drove
+over the place, or it would have been detected meanwhile. All are matched together, at least cost.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.stationary import StationaryTarget
 
-END_STEPS = 10  # half a second tells the speed at an end
-MOST_DUE = 60.0  # detections due and none observed: the vehicle is not there
+END_STEPS = 10  # steps over which the speed at an end is taken: half a second
+MOST_DUE = 60.0  # expected detections; if none of as many is observed, no vehicle is there
 # Costs are negative logarithms of odds.
-END_COST = 8.0  # of a track that ends or begins in view
+END_COST = 8.0  # cost of a track that ends or begins in view
 OVERLAP_S = 2.0  # largest overlap in time of the second part with the first
 # Largest speed at both ends, largest distance and turn of a vehicle that waits between its parts.
 WAITING_MPS, WAITING_M, WAITING_RAD = 5.0, 9.0, 0.6
 BRAKING_MPS2 = 3.0  # usual braking and acceleration, which give the way of a waiting vehicle
 PLACE_M = 1.0  # error of the ends of two parts of one vehicle: half a car
-# Of a stop and of each second of it: two minutes cost half as much as an end.
+# Cost of a stop and of each second of it: two minutes cost half as much as an end.
 STOP_COST, WAIT_COST = 0.5, 0.03
 # Longest time without detections and largest turn of a moving vehicle.
 UNSEEN_S, TURNING_RAD = 6.0, 1.9
@@ -83,11 +83,11 @@ def chains(parts: Sequence[Part], passes: Passes, seen: Detectability) -> list[l
     Parameters
     ----------
     parts : sequence of Part
-        Of all tracks.
+        Parts of all tracks.
     passes : Passes
-        When vehicles drove over which place.
+        Times at which vehicles drove over places.
     seen : Detectability
-        How many detections are due; its occluders are numbered as the parts.
+        Expected numbers of detections; its occluders are numbered as the parts.
     """
     following = _following(parts, passes, seen)
     found = []

@@ -1,4 +1,4 @@
-"""The map beside its tiles: what a manifest holds of it, and whether it is the tiles' map."""
+"""Check that a map is the one of the tiles, and describe it for a manifest."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from gis_radar.base import QUIET, InputError, Reporter, Text, UsageError, name_o
 from gis_radar.hdmap import LaneletMap, quads, read_map
 
 HINT = Text("give the map that the tiles were made from, with the same CRS and origin")
-SAME_PLACE_M = 0.01  # how far bounds of one map may be apart, by rounding
+SAME_PLACE_M = 0.01  # largest distance, by rounding, of the same bounds
 
 
 def map_of_tiles(
     path: str | Path, tiles: gpd.GeoDataFrame, reporter: Reporter = QUIET
 ) -> tuple[LaneletMap, dict[str, Any]]:
-    """Read the map that tiles were made from, where they lie, and describe it for a manifest.
+    """Read the map from which tiles were made, at their place, and describe it for a manifest.
 
-    Latitudes and longitudes may be empty or false: the tiles tell the system and the place of the
-    map's local (0, 0).
+    Latitudes and longitudes may be empty or false: CRS and the place of the map's local (0, 0) are
+    taken from the tiles.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def map_of_tiles(
 
 
 def _origin(local: LaneletMap, tiles: gpd.GeoDataFrame) -> tuple[float, float] | None:
-    """Return how far the first tile of a lanelet lies from its begin, to a millimetre."""
+    """Return the place (easting, northing) of a map's local (0, 0), by the tiles of a lanelet."""
     first = tiles[tiles["index"] == 0]
     starts = dict(zip(first["lanelet_id"].tolist(), quads(first)[:, 0].tolist(), strict=True))
     for ref, bound in zip(local.lanelets["lanelet_id"], local.lanelets["right"], strict=True):
@@ -64,16 +64,16 @@ def describe_map(
     *,
     origin: Sequence[float] | None = None,
 ) -> dict[str, Any]:
-    """Return what the manifest holds of a map; refuse one that the tiles were not made from.
+    """Return a manifest's entries for a map; refuse a map that is not the tiles'.
 
-    The tiles of each lanelet begin and end where its bounds do.
+    In the tiles' map, the tiles of each lanelet begin and end where its bounds do.
 
     Parameters
     ----------
     path : str or Path
         The map's file.
     roads : LaneletMap
-        What was read of it, in the tiles' CRS.
+        The map, in the tiles' CRS.
     tiles : GeoDataFrame
         All tiles.
     origin : (easting, northing), optional

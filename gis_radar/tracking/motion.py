@@ -1,8 +1,8 @@
-"""Motion of a vehicle: the path that it took, how far along it was when, and how long it is.
+"""Motion of a vehicle: its path, its place and speed along it by step, and its size.
 
-All detections of a vehicle, of its complete track, tell its motion together (fixed-interval
-smoothing, Rauch, Tung and Striebel 1965). In the frame that moves along with it, detections of one
-body stay where they are.
+The motion is estimated from all detections of the complete track together (fixed-interval
+smoothing, Rauch, Tung and Striebel 1965). In the frame that moves along with the vehicle,
+detections of its body stay where they are.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from gis_radar.tracking.paths import DIRECTION_RAD, Path, path_through
 from gis_radar.tracking.size import END_SHARE, Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
-# variances of a place, m2, and a speed, m2/s2, of which little is known
+# Variances of a hardly known place, m2, and speed, m2/s2.
 UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
-LOST = 6  # places in a row that do not fit, and no fewer than those that did
-STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
-SPACING_M = 1.0  # along the road between the points that a path is fitted through
+LOST = 6  # places in a row that do not fit after which the filter starts again
+STILL_COS = 0.05  # least cosine: nearer to square, a range rate holds nothing of the speed
+SPACING_M = 1.0  # distance along the road of the points through which a path is fitted
 ALONG_M = 0.3  # sigma of a detection along the road
 RANGE_RATE_MPS = 0.4  # sigma of a range rate, including what wheels and turning add
 ACCEL_VAR = 2.0  # variance that a driver's choice adds to the speed per second, m2/s3
 REPEATS = 4.0  # factor on the sigma of places, as a scatterer lasts for several frames
-MOST_WEIGHT = 8.0  # of the detections in two metres of a path sideways, 1/m2
+MOST_WEIGHT = 8.0  # most weight sideways of the detections in two metres of a path, 1/m2
 # Detections of a vehicle slower than this count for its length with this weight: things beside it
 # may be among them.
 DRIVING_MPS, STILL_TRUST = 1.0, 0.3
-# A detection whose range rate differs by more than this and this share of the speed does not count
-# for the length: wheels and turning.
+# A detection whose range rate differs from the motion's by more than both this and this share of
+# the speed does not count for the length, as it may be of a wheel or in a turn.
 LEAST_OFF_MPS, OFF_SHARE = 0.4, 0.05
 
 
@@ -46,17 +46,17 @@ class Motion:
     rows : (k,) int64 array
         Its detections, in the order of time.
     path : Path
-        Of its middle.
+        Path of its middle.
     first_step : int
-        Of the states.
+        First step of the states.
     s_m, speed : (n,) arrays
-        How far its middle is along the path, and m/s, a step each.
+        Distance of its middle along the path, metres, and its speed, m/s, at each step.
     var_s : (n,) array
         Variance of `s_m`.
     length_m, width_m, length_sigma_m, p_heavy : float
         Its size, and the probability that it is longer than 7 m.
     along_m, left_m : (k,) arrays
-        Where on the body each detection lies: from the middle forward, from the path to the left.
+        Place of each detection on the body: from the middle forward, from the path to the left.
     p_exists : float
         The probability that it exists; NaN while that is not known.
     """
@@ -82,11 +82,11 @@ class Motion:
 
     @cached_property
     def places(self) -> tuple[Floats, Floats]:
-        """Middle (n, 2) and heading (n,) at each step."""
+        """Middle (n, 2), metres, and heading (n,), radians, at each step."""
         return self.path.at(self.s_m)
 
     def at(self, time: Floats) -> tuple[Floats, Floats]:
-        """Return distance along the path and speed at times; beyond its ends at the last speed."""
+        """Return distance (m) along the path and speed (m/s) at times; constant beyond its ends."""
         place = time * STEPS_PER_SECOND - self.first_step
         inside = np.clip(place, 0.0, len(self.s_m) - 1.0)
         steps = np.arange(len(self.s_m))
@@ -94,14 +94,14 @@ class Motion:
         return np.interp(inside, steps, self.s_m) + (place - inside) * STEP_S * speed, speed
 
     def halves(self) -> tuple[Integers, Floats, Floats]:
-        """Return (half second, place, heading) where its steps are whole half seconds."""
+        """Return (half second, place, heading) at the steps that are whole half seconds."""
         place, heading = self.places
         every = np.arange(-self.first_step % HALF_STEPS, len(heading), HALF_STEPS)
         every = every if len(every) else np.zeros(1, np.int64)
         return (self.first_step + every) // HALF_STEPS, place[every], heading[every]
 
     def between(self, first: int, last: int, time: Floats) -> Motion | None:
-        """Return the motion from one step to another, where it has detections.
+        """Return the motion between two steps; None where it has no detections there.
 
         Parameters
         ----------
@@ -122,14 +122,14 @@ class Motion:
         )  # fmt: skip
 
     def frame(self, detections: MapDetections, rows: Integers) -> tuple[Floats, Floats, Floats]:
-        """Return detections in the frame that moves along.
+        """Return detections in the frame that moves along with the vehicle.
 
         Returns
         -------
         along_m, left_m : (k,) arrays
             From the middle of the vehicle forward, from its path to the left.
         rate_mps : (k,) array
-            By how much the range rate exceeds that of the vehicle.
+            Range rate of the detection less that of the vehicle.
         """
         s, speed = self.at(detections.time[rows])
         along, left = self.path.project(detections.points[rows], s, 25.0)
@@ -151,7 +151,7 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
     rows : (k,) int64 array
         Those of the vehicle.
     states : (n, 6) array
-        For all detections, what the filter said of the vehicle then.
+        State of the filter at each of all detections.
     """
     rows = rows[np.argsort(detections.time[rows], kind="stable")]
     path, guess = _fitted_path(detections, rows, states[rows])
@@ -190,7 +190,7 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
         speed = np.interp(place, np.arange(count), smoothed[1])
         off = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
         fits = off < LEAST_OFF_MPS + OFF_SHARE * speed
-        # who stands may seem as long as all that stands there
+        # a standing vehicle may seem as long as all still things there
         trust = np.where(speed > DRIVING_MPS, 1.0, STILL_TRUST) * fits
         size, shift = size_of(along, ends, noise, time, trust)
     return Motion(
@@ -202,7 +202,7 @@ def fit_motion(detections: MapDetections, rows: Integers, states: Floats) -> Mot
 
 
 def without_way_back(s_m: Floats) -> Floats:
-    """Return places that never decrease: the highest so far, or the lowest from there on.
+    """Return non-decreasing places: the highest so far, or the lowest from there on.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def without_way_back(s_m: Floats) -> Floats:
     Returns
     -------
     (n,) array
-        Of both the one that changes the places less, metres.
+        The one of both that changes the places less, metres.
     """
     held, until = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
     return np.asarray(min(held, until, key=lambda each: float(np.abs(each - s_m).sum())))
@@ -224,9 +224,9 @@ def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
     Parameters
     ----------
     path : Path
-        Of the car's middle.
+        Path of the car's middle.
     s_m : (k,) array
-        How far along it the detections lie, metres.
+        Distance of the detections along it, metres.
     sight : (k, 2) array
         Unit vectors from the sensor.
     """
@@ -251,7 +251,7 @@ def _fitted_path(detections: MapDetections, rows: Integers, states: Floats) -> t
     count = int(path.s_m[-1] / 2.0) + 1
     total = np.bincount(cell, weight, count)
     drift = np.bincount(cell, weight * np.clip(left, -2.0, 2.0), count)
-    # a scatterer that lasts is no better than its bias, however often it is detected
+    # repeated detections of a lasting scatterer do not reduce its bias
     cap = np.minimum(total, MOST_WEIGHT) / np.maximum(total, 1e-9)
     bell = np.exp(-0.5 * (np.arange(-10, 11) / 4.0) ** 2)
     near = np.convolve(total * cap, bell, "full")[10:-10]
@@ -288,7 +288,7 @@ def _smooth(  # pragma: no cover - compiled
             a += 2.0 * dt * b + dt * dt * c + q_ss
             b += dt * c + q_sv
             c += q_vv
-        if misses >= max(LOST, fitted):  # what it began with was of something else
+        if misses >= max(LOST, fitted):  # the first places were of something else
             a, c, misses, fitted = a + UNKNOWN_S, c + UNKNOWN_V, 0, 0
         ahead[i, 0], ahead[i, 1] = s, v
         wide[i, 0], wide[i, 1], wide[i, 2] = a, b, c
@@ -327,7 +327,7 @@ def _smooth(  # pragma: no cover - compiled
 def _look_back(
     mean: Floats, kept: Floats, ahead: Floats, wide: Floats
 ) -> None:  # pragma: no cover - compiled
-    """Smooth filtered states (s, v) and covariances (ss, sv, vv), given what was predicted."""
+    """Smooth filtered states (s, v) and covariances (ss, sv, vv), given the predictions."""
     dt = 1.0 / 20.0
     for i in range(len(mean) - 2, -1, -1):
         a, b, c = kept[i]

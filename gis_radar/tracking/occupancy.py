@@ -31,14 +31,14 @@ VAN_M = 5.2
 
 
 class OccupancyEngine:
-    """Runs of occupied and visible tiles, and passages, from states that come in ascending time.
+    """Engine that finds runs of occupied and visible tiles, and passages, by ascending time.
 
     Parameters
     ----------
     tiles : GeoDataFrame
         All tiles.
     sights : mapping
-        What sensors see, by name.
+        Sights of the sensors' poses, by name.
     """
 
     def __init__(self, tiles: gpd.GeoDataFrame, sights: Mapping[str, PoseSight]) -> None:
@@ -67,7 +67,7 @@ class OccupancyEngine:
         states : DataFrame
             Rows of `tracks` in the span.
         vehicles : DataFrame
-            The vehicles that they are of.
+            The vehicles of these states.
         held : DataFrame
             `sight, first_step, last_step`: runs of steps in which frames are valid.
         span : (int, int)

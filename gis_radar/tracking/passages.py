@@ -16,7 +16,7 @@ HEAVY = 0.5  # probability from which a vehicle counts as heavy
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LaneletPlaces:
-    """Begins of the tiles and length of each lanelet.
+    """Tiles along each lanelet, and its length.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class LaneletPlaces:
         return cls(lanelet_id=ids, length_m=ends, first=first, tile=order, s_m=s_m)
 
     def find(self, lanelet_id: pd.Series) -> Integers:
-        """Return the number of each lanelet, -1 where it has no tiles or is none."""
+        """Return the number of each lanelet, -1 where it has no tiles or is null."""
         known = lanelet_id.notna().to_numpy()
         wanted = lanelet_id.fillna(0).to_numpy(np.int64)
         place = np.minimum(np.searchsorted(self.lanelet_id, wanted), len(self.lanelet_id) - 1)
@@ -65,9 +65,9 @@ class LaneletPlaces:
 
 
 def levels_of(states: pd.DataFrame, places: LaneletPlaces, height_m: Floats) -> Floats:
-    """Return the height of the road under each state: that of its lanelet's tile at the front.
+    """Return the height of the road (m) under each state: that of the tile at its front.
 
-    Off the lanes it is that of the vehicle's nearest state in time on them.
+    Off the lanes, the height at the vehicle's nearest state in time on the lanes is taken.
     """
     number = places.find(states["lanelet_id"])
     tile = places.tile_at(number, states["s_m"].to_numpy(float))
@@ -80,12 +80,12 @@ def levels_of(states: pd.DataFrame, places: LaneletPlaces, height_m: Floats) -> 
 
 @dataclass(kw_only=True)
 class PassageBook:
-    """Passages from batch to batch: each vehicle passes the middle of a lanelet once.
+    """Book of passages from batch to batch: each vehicle passes a lanelet's middle once.
 
     Parameters
     ----------
     places : LaneletPlaces
-        Of the lanelets.
+        Places along the lanelets.
     last : DataFrame
         The last state of each vehicle up to now: `vehicle, step, number, s_m, speed`.
     counted : set of (vehicle, lanelet)
@@ -108,7 +108,7 @@ class PassageBook:
         states : DataFrame
             Rows of `tracks` that follow those so far.
         vehicles : DataFrame
-            The vehicles that they are of.
+            The vehicles of these states.
 
         Returns
         -------
@@ -128,7 +128,7 @@ class PassageBook:
         return found.assign(heavy=heavy.reindex(found["vehicle"]).to_numpy(np.bool_))
 
     def _crossings(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """Return each crossing of a middle between two states of a vehicle that follow."""
+        """Return each crossing of a middle between two successive states of a vehicle."""
         columns = (rows[name].to_numpy() for name in ("vehicle", "step", "number", "s_m", "speed"))
         vehicle, step, number, s_m, speed = columns
         pair = np.flatnonzero((vehicle[1:] == vehicle[:-1]) & (np.diff(step) == 1))
@@ -138,7 +138,7 @@ class PassageBook:
         before, after = s_m[pair], s_m[pair + 1]
         went_on = (one != other) & self._follows(before, after, length[one], speed[pair] * STEP_S)
         first = on & (before < half[one]) & (went_on | (after >= half[one]) & (one == other))
-        # a lane beside: its own middle, if the front came over it on the way
+        # after a change to a lane beside: that lane's middle, if the front crossed it on the way
         beside = (one != other) & ~went_on
         second = on & (after >= half[other]) & (went_on | beside & (before < half[other]))
         parts = [(pair[flag], lane[flag]) for flag, lane in ((first, one), (second, other))]
@@ -159,7 +159,7 @@ class PassageBook:
 
 
 def _distinct(found: pd.DataFrame, counted: set[tuple[int, int]]) -> pd.DataFrame:
-    """Return passages that were not counted yet, each once, by step; note them as counted."""
+    """Return passages not counted yet, each once, by step, and add them to `counted`."""
     order = list(PASSAGES.order)
     found = found.sort_values(order, ignore_index=True)
     new = []

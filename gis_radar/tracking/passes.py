@@ -13,14 +13,14 @@ from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.strips import Strips
 
-CELLS = 100_000  # of a strip, more than the longest has
-TWO_CELLS_M = 0.5  # length of two: `stationary` looks its places up here, half as long
+CELLS = 100_000  # most cells of a strip, more than the longest has
+TWO_CELLS_M = 0.5  # length of two cells, whose size is that of the cells in `stationary`
 # A vehicle drives over a place if it is at least so fast, was detected within this time of the
 # moment, and its middle comes so near to the place, or to the middle of the lane: half the width of
-# two cars and the error of their places; 0.7 and 1.3 m change the shares of time of towns by less
+# two cars and the error of their places. With 0.7 and 1.3 m the occupancies of towns change by less
 # than 0.3 %.
 PASS_MPS, PASS_SEEN_S, PASS_NEAR_M = 1.5, 0.75, 1.0
-FAST_MPS = 4.0  # next to a vehicle that drives over a place so fast, no vehicle stands there
+FAST_MPS = 4.0  # just before and after a pass at this speed, no vehicle stands at the place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +32,11 @@ class Passes:
     strips : Strips
         The strips.
     tree, when : cKDTree, (n,) array
-        Places (n, 2) of the middles of vehicles that drive, and UNIX seconds.
+        Places (n, 2) of the middles of driving vehicles, and their times, UNIX seconds.
     times : dict
-        By cell, ascending UNIX seconds.
+        By cell, the times of passes, ascending UNIX seconds.
     fast : dict
-        As `times`, of those only that nobody who stands would follow at once.
+        As `times`, of passes faster than `FAST_MPS` only.
     """
 
     strips: Strips
@@ -76,13 +76,13 @@ class Passes:
         )  # fmt: skip
 
     def after(self, body: Floats, time: float) -> float:
-        """Return the next pass over points of a body, (k, 2), at least a second later."""
+        """Return the next pass over points of a body, (k, 2), a second or more after a time."""
         known = self._over(body)
         k = int(np.searchsorted(known, time + 1.0))
         return float(known[k]) if k < len(known) else np.inf
 
     def before(self, body: Floats, time: float) -> float:
-        """Return the last pass over points of a body, at least a second before."""
+        """Return the time of the last pass over points of a body, a second before or more."""
         known = self._over(body)
         k = int(np.searchsorted(known, time - 1.0)) - 1
         return float(known[k]) if k >= 0 else -np.inf

@@ -1,4 +1,4 @@
-"""Paths of vehicles: polylines through what a filter says, where a vehicle can have driven."""
+"""Paths of vehicles: polylines through a filter's states that a vehicle can have driven."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from gis_radar.base import Floats, Integers, compiled, turned
 from gis_radar.tracking.size import LONGEST_M
 
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
-FASTEST_MPS = 70.0  # over 250 km/h: nobody but racers
-FREE_TURN = 0.35  # by which headings of two states may be off, radians
-# Standard deviation of a vehicle's direction about that of its path, radians: 3 degrees of bends as
-# maps draw them, of lane changes, of a body that swings.
+FASTEST_MPS = 70.0  # largest speed, 250 km/h
+FREE_TURN = 0.35  # largest error of the difference of two states' headings, radians
+# Standard deviation of a vehicle's direction about that of its path, radians: 3 degrees by bends as
+# drawn in maps, lane changes, and swinging bodies.
 DIRECTION_RAD = 0.05
 BELL_M = 3  # standard deviation of the bell by which a path is smoothed, whole metres
-ANCHORS = 5  # states from which progress is followed, one of which is hardly off the way
+ANCHORS = 5  # states tried as a start of the path: hardly all of them are off it
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Path:
 
     @cached_property
     def most_bend(self) -> float:
-        """The most that its heading changes within a metre of way, about, radians."""
+        """Largest change of heading within about a metre of the path, radians."""
         return float(np.abs(np.gradient(self.heading)).max()) if len(self.heading) > 1 else 0.0
 
     @cached_property
@@ -66,16 +66,16 @@ class Path:
         return np.column_stack([np.cos(self.heading), np.sin(self.heading)])
 
     def project(self, points: Floats, guess: Floats, reach_m: float) -> tuple[Floats, Floats]:
-        """Return how far along and how far left of the path points are, near a guess of the first.
+        """Return distances (m) of points along and left of the path, near a guess of the former.
 
         Parameters
         ----------
         points : (k, 2) array
             Metres.
         guess : (k,) array
-            About where along the path, metres.
+            Approximate distance along the path, metres.
         reach_m : float
-            How far the guess may be off.
+            Largest error of the guess, metres.
         """
         return _project(np.ascontiguousarray(points), guess, self.points, self.s_m, reach_m)
 
@@ -112,29 +112,29 @@ def _project(
 
 
 def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
-    """Return the path through states in the order of time, smoothed, and about where each is.
+    """Return the smoothed path through states in the order of time, and a place of each on it.
 
-    Only progress counts: states of the rear end of a body lie behind those of its front.
+    Only states ahead of earlier ones count: those of a body's rear lie behind those of its front.
 
     Parameters
     ----------
     states : (n, 4) array
-        East, north, heading, and when.
+        East, north (m), heading (radians), and time (s).
     spacing_m : float
-        Way between the states that count.
+        Distance between the states that count.
 
     Returns
     -------
     path : Path
         It goes on for 20 m before the first and after the last state.
     along_m : (n,) array
-        How far along it the last state that counts is by then.
+        Distance along it, at each state, of the last state that counts so far.
     """
     kept = _progress(np.ascontiguousarray(states[:, :4]), spacing_m)
     ends = states[kept[[0, -1]], 2]
     way = np.column_stack([np.cos(ends), np.sin(ends)])
     places = states[kept, :2]
-    # straight ends of a body's length, for what is of it beyond its first and last place
+    # straight ends as long as a body, for its parts beyond the first and last place
     before = places[0] - np.arange(20.0, 0.0, -1.0)[:, None] * way[0]
     after = places[-1] + np.arange(1.0, 21.0)[:, None] * way[1]
     path = _smoothed(np.vstack([before, _bridged(states[kept, :3]), after]))
@@ -145,7 +145,7 @@ def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
 
 
 def _progress(states: Floats, spacing_m: float) -> Integers:
-    """Return the rows between which so much way is made, both ways from where most of them are."""
+    """Return the rows of a track `spacing_m` apart, both ways from the start that gives most."""
     last = len(states) - 1
     ways: list[Integers] = []
     for anchor in np.unique(np.linspace(0, last, ANCHORS).astype(np.int64)).tolist():
@@ -197,8 +197,8 @@ def _bridged(states: Floats) -> Floats:
 def _smoothed(line: Floats) -> Path:
     """Return a line with a vertex a metre, smoothed so that its bends stay as they are.
 
-    A bell alone cuts the inner side of a bend and begins it early. What it takes away is smoothed
-    in turn, and given back, and that once more (Tukey's *twicing*): of a wave of 11 m half is left.
+    A bell alone cuts the inner side of a bend and begins it early. So the difference that it makes
+    is smoothed and added back, twice (Tukey's *twicing*): of a wave of 11 m half is left.
     """
     line = _every_metre(line)
     smooth = _blurred(line)
@@ -214,7 +214,7 @@ def _every_metre(line: Floats) -> Floats:
 
 
 def _blurred(line: Floats) -> Floats:
-    """Return a line, continued point by point about its ends, in a bell of `BELL_M`."""
+    """Smooth a line by a bell of `BELL_M`, mirrored about its end points."""
     reach = 3 * BELL_M
     bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / BELL_M) ** 2)
     padded = np.vstack(

@@ -13,12 +13,12 @@ from gis_radar.tracking.motion import Motion, fit_motion
 from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.stationary import RATE_SHARE, SILENCE_S
 
-END_M = 1.0  # by which an end of a vehicle may be off
+END_M = 1.0  # largest error of an end of a vehicle
 LEFT_M = 1.1  # half the width of a vehicle with the error of its place
-# Whether still detections belong to a vehicle that comes to rest or sets off is decided by how
-# often its place gives detections while it is empty: in the nearest EMPTY_S in which the vehicle is
-# at least AWAY_M beyond its length away, searched for up to SEARCH_S within the block and its
-# margins. The vehicle's own share must be at least OWN_SHARE.
+# Still detections belong to a vehicle that comes to rest or sets off if its place gives fewer of
+# them while it is empty: in the nearest EMPTY_S in which the vehicle is at least AWAY_M beyond its
+# length away, searched for up to SEARCH_S within the block and its margins. At least OWN_SHARE of
+# the detections must be the vehicle's.
 AWAY_M, EMPTY_S, SEARCH_S, OWN_SHARE = 2.0, 3.0, 60.0, 0.5
 
 
@@ -33,8 +33,8 @@ def with_rest(
 ) -> Motion:
     """Return a motion extended by the unassigned still detections on it while it is at rest.
 
-    One that comes to rest stands on until it is silent or another drives over its place, and one
-    that sets off stood there before.
+    A vehicle that comes to rest stands until it is silent or another one drives over its place; one
+    that sets off is assumed to have stood before, likewise.
     """
     slow = np.flatnonzero(motion.speed < STANDING_MPS)
     place, heading = motion.places
@@ -79,7 +79,7 @@ def with_rest(
 
 
 def _inner(motion: Motion, at: int) -> Floats:
-    """Return points (k, 2) along the middle of a vehicle at a step, a metre inside of its ends."""
+    """Return points (k, 2) along the middle of a vehicle at a step, a metre inside its ends."""
     place, heading = (each[at] for each in motion.places)
     half = max(0.5 * motion.length_m - END_M, 0.0)
     way = np.array([np.cos(heading), np.sin(heading)])
@@ -103,7 +103,7 @@ def _on_body(
     detections: MapDetections,
     rows: Integers,
 ) -> Booleans:
-    """Return which detections lie on a vehicle whose middle is so far along its path."""
+    """Return which detections lie on a vehicle whose middle is at a distance along its path."""
     if len(rows) == 0:
         return np.zeros(0, np.bool_)
     along, left = motion.path.project(detections.points[rows], s_m, 25.0)
@@ -119,30 +119,30 @@ def rate_without(
     free: Booleans,
     seen: Detectability,
 ) -> float:
-    """Return the rate of detections of its place before the vehicle came or after it left.
+    """Return the rate of still detections at a vehicle's place before it came or after it left.
 
-    What stands there then, and is no other vehicle, is of the road or is parked beside it. The
-    nearest seconds count in which no other vehicle is there.
+    Still detections without a vehicle there are of the road or of cars parked beside it. They are
+    counted in the nearest seconds in which no other vehicle is there.
 
     Parameters
     ----------
     number : int
-        Of the vehicle, among those that occlude.
+        Number of the vehicle among the occluders.
     motion : Motion
-        The vehicle's.
+        Motion of the vehicle.
     at : int
-        0 for where it came, before it; -1 for where it left, after it.
+        0 for its first place, before it came; -1 for its last place, after it left.
     detections : MapDetections
-        Of all sensors, by time.
+        Detections of all sensors, by time.
     free : (n,) array of bool
-        Which detections no vehicle has.
+        Which detections are of no vehicle.
     seen : Detectability
-        Knows where other vehicles are.
+        Has the places of other vehicles as occluders.
 
     Returns
     -------
     float
-        1/s; zero where the place is never without vehicles.
+        Detections a second; 0 where the place is never without vehicles.
     """
     away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + AWAY_M
     if not away.any():
@@ -165,7 +165,7 @@ def rate_without(
 
 
 def unbroken(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
-    """Return which ascending times continue a span in both directions without a longer gap."""
+    """Return the slice of ascending times around a span that has no gap over `silence_s`."""
     early = np.append(time[time < span[0]], span[0])
     late = np.insert(time[time > span[1]], 0, span[1])
     breaks = np.flatnonzero(np.diff(early) > silence_s)

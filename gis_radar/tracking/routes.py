@@ -1,4 +1,4 @@
-"""Routes: which lanelet a vehicle follows at each step, and where on it its front is."""
+"""Routes of vehicles: the lanelet that each follows at each step, and its front's place on it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from gis_radar.base import Floats, Integers, compiled, turned
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
 
-MOST = 8  # lanelets at one point
-# Sigma of the front's distance from the centre of its lanelet, and of its heading from that of it.
+MOST = 8  # most lanelets at one point
+# Sigma of the front's distance from the lanelet's centre, and of the heading from the lanelet's.
 LEFT_M, TURN_RAD = 1.0, 0.3
 MOST_RAD = 1.0  # largest difference of headings at which a vehicle follows a lanelet
 OFF_LANE = 9.0  # cost of a step off all lanelets: that of three sigma beside one
@@ -19,14 +19,14 @@ CHANGE = 30.0  # cost of a change to a lanelet that is no successor: half a seco
 
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """Place of a vehicle on the lanes, step by step.
+    """Route of a vehicle: its place on the lanes, step by step.
 
     Parameters
     ----------
     lane : (n,) int64 array
         Position of the lanelet in the graph; -1 off the lanes.
     s_m, d_m : (n,) arrays
-        How far along it, and how far left of its centre; NaN off the lanes.
+        Place along it, and distance to the left of its centre, metres; NaN off the lanes.
     """
 
     lane: Integers
@@ -43,8 +43,8 @@ class Route:
 def route_of(fronts: Floats, heading: Floats, graph: LaneGraph) -> Route:
     """Return the likeliest sequence of lanelets under a vehicle (Viterbi 1967).
 
-    A vehicle keeps to its lanelet or goes on to one that follows it; another one, beside or across,
-    takes more than a moment's nearness.
+    A vehicle stays on its lanelet or goes on to one that follows it; a change to another one,
+    beside or across, has a cost, so that being near it for a moment is not enough.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def _likeliest(
     fronts: Floats, heading: Floats, first: Integers, after: Integers, field: FieldArrays
 ) -> tuple[Integers, Floats, Floats]:  # pragma: no cover - compiled
     count, found = len(fronts), np.empty((MOST, 6))
-    # of each step its candidates (lane, s, d); the last one is: off the lanes
+    # candidates (lane, s, d) of each step; the last one stands for off the lanes
     known = np.full((count, MOST + 1, 3), np.nan)
     cost, before = np.full((count, MOST + 1), 1e18), np.zeros((count, MOST + 1), np.int64)
     for i in range(count):

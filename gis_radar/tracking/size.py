@@ -21,11 +21,11 @@ class Size:
 
 LONGEST_M = 18.75  # a lorry with trailer (directive 96/53/EC, annex I)
 LONG_M = 7.0  # longer vehicles are lorries and buses
-# Share of detections from an end of the vehicle at which a sensor looks squarely; the others come
-# from anywhere along the body.
+# Share of detections that come from the end of a vehicle seen squarely; the others come from
+# anywhere along the body.
 END_SHARE = 0.75
-SCATTERER_M, ASPECT_RAD = 0.5, 0.3  # along the body and of aspect: what is nearer is one scatterer
-# Weight of each detection of a scatterer, together at most one; less where a metre of the body is
+SCATTERER_M, ASPECT_RAD = 0.5, 0.3  # detections nearer along the body and in aspect are of one
+# Weight of each detection of a scatterer, 1 in all at most; less where a metre of the body is
 # detected in fewer half seconds than LASTING.
 WEIGHT, LASTING = 0.25, 4.0
 LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
@@ -56,20 +56,20 @@ def size_of(
     Parameters
     ----------
     along, noise : (n,) arrays
-        How far ahead of a first guess of the middle they lie, and its 1 sigma, metres.
+        Distances ahead of a first guess of the middle, and their 1 sigma, metres.
     ends : (n, 3) array
         The end that the sensor sees (1 front, -1 rear), and how squarely it sees the end and the
         side, from 0 to 1.
     time : (n,) array
         UNIX seconds.
     trust : (n,) array
-        What each counts, from 0 to 1.
+        Weight of each, from 0 to 1.
 
     Returns
     -------
     size : Size
     ahead_m : float
-        Of the middle from the first guess.
+        Distance of the middle ahead of the first guess, metres.
     """
     fits = trust > 0.0
     if not fits.any():
@@ -103,8 +103,8 @@ def _scatterers(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return place, visible end, noise and weight of each scatterer.
 
-    A body shows the same few to one that looks from one side; how often each is detected tells
-    nothing of the length. What comes in one half second only may be of another vehicle that passes.
+    A sensor sees the same few scatterers of a body from one side, and how often it detects each is
+    no evidence of the length. Detections in one half second only may be of a passing vehicle.
     """
     aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / ASPECT_RAD
     cell = np.clip(np.floor(along / SCATTERER_M), -400, 400).astype(np.int64)

@@ -1,10 +1,10 @@
-"""Stationary vehicles on lanes, distinguished from what is built beside them.
+"""Stationary vehicles on lanes, distinguished from fixed objects beside and above them.
 
 Stationary vehicles give detections like moving ones, but so does everything else that is still.
 Kerbs, parked cars and signs lie at the edge of a lane, a vehicle fills its middle; gantries and
-mast arms hang above it. So still detections well inside of a lane are of vehicles, and how they
-lie along it, with the end that each sensor looks at, tells where one vehicle ends and the next
-begins. Where a vehicle drives over a place, what stood there is gone.
+mast arms hang above it. So still detections well inside a lane are of vehicles. Their places along
+it, with the end that each sensor sees, show where one vehicle ends and the next begins. Where a
+vehicle drives over a place, no other one stands there any more.
 """
 
 from __future__ import annotations
@@ -24,35 +24,34 @@ from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.passes import CELLS, TWO_CELLS_M, Passes
 from gis_radar.tracking.size import LONGEST_M, length_prior
 
-FRONT, REAR, SIDE = range(3)  # what of a vehicle a sensor looks at
-SQUARE_COS = 0.5  # within 60 degrees of it
-SLOT_S = 0.5  # of counts of what is built
-CHANGE_M = 1.5  # by how much the ends of one vehicle may seem to move from second to second
+FRONT, REAR, SIDE = range(3)  # part of a vehicle that a sensor sees
+SQUARE_COS = 0.5  # least cosine of the aspect at which an end is seen: 60 degrees
+SLOT_S = 0.5  # time slot of the counts by which fixed objects are found
+CHANGE_M = 1.5  # largest apparent move of a vehicle's ends from second to second
 INSIDE_M = 0.5  # least distance from the lane's edge: kerbs, signs and parked cars lie nearer to it
 HIGH_M = 3.2  # a scatterer whose median height over the road is larger hangs above the lane
-CELL_M = 0.5 * TWO_CELLS_M  # of a strip: the scatter of a scatterer
+CELL_M = 0.5 * TWO_CELLS_M  # length of a cell of a strip: the spread of a scatterer's detections
 # After a longer gap without a detection a scatterer counts as a new one: a stationary vehicle is
-# silent for 9 to 25 s in one case of ten. One that is first detected so soon after the first
-# detection of all stood there before; so near the last of all, it stays.
+# silent for 9 to 25 s in one case of ten. A vehicle first detected so soon after the first of all
+# detections stood there before; one last detected so shortly before the last of all stays.
 SILENCE_S = 10.0
-SLICE_S = 1.0  # at which the stationary vehicles are determined
+SLICE_S = 1.0  # step of time at which the stationary vehicles are determined
 # Between these times before and after a vehicle drives over a place fast, no vehicle stands there.
 NEAR_S, FAR_S = 0.7, 2.5
-# Detections that appear there nevertheless, after so many passes and after this share of them,
-# belong to the road; except where the count over a car's length of the lane exceeds the usual count
-# by so many sigma.
+# Detections in these times after at least LEAST_BUILT passes, and BUILT_SHARE of all, belong to the
+# road; except where the count over CAR_M of the lane exceeds the usual count by MORE_SIGMAS.
 LEAST_BUILT, BUILT_SHARE, MORE_SIGMAS, CAR_M = 2, 0.5, 3.0, 4.5
-# Least gap in a queue; that which drivers keep without effort; cost of a smaller one, 1/m2.
+# Least gap in a queue; gap below which a cost begins, as drivers keep more; that cost, 1/m2.
 GAP_M, EASY_M, TIGHT = 1.0, 2.0, 8.0
 SHORTEST_M = 3.4  # anything shorter cannot be distinguished from a sign
 POWER = 0.5  # repeated detections of a scatterer weigh as their number to this power
-WINDOW_M, MOST_WEIGHT = 5.0, 24.0  # detections within it together weigh at most so much
-NEW_COST = 7.0  # logarithm of the odds that evidence exceeds where a vehicle is assumed
+WINDOW_M, MOST_WEIGHT = 5.0, 24.0  # most weight of all detections within such a window
+NEW_COST = 7.0  # cost of a vehicle: log odds that the evidence for one must exceed
 STICK = 12.0  # gain of a vehicle that stood in the same place one slice before
-LOG_CLUTTER = math.log(0.02)  # of detections that belong to no vehicle, 1/m
-END_M, END_SHARE = 0.35, 0.6  # sigma of those of an end, their share where it is seen squarely
-# Fewest detections, least duration, and least share of the rate at which vehicles of the same
-# recordings are detected at that range.
+LOG_CLUTTER = math.log(0.02)  # log density of detections of no vehicle, 1/m
+END_M, END_SHARE = 0.35, 0.6  # sigma of an end's detections, and their share if seen squarely
+# Least detections and duration of a vehicle, and its least rate of detections as a share of that of
+# vehicles in the same recordings at that range.
 LEAST_DETECTIONS, LEAST_S, RATE_SHARE = 6, 2.0, 0.1
 
 
@@ -63,11 +62,11 @@ class StationaryTarget:
     Parameters
     ----------
     strip : int
-        On which strip.
+        Number of the strip.
     rear_m, front_m : float
-        Along the strip.
+        Places of rear and front along the strip.
     begin, end : float
-        UNIX seconds, of the first and the last detection.
+        Times of the first and the last detection, UNIX seconds.
     rows : int64 array
         Its detections, in the order of time.
     """
@@ -121,7 +120,7 @@ def find_stationary(
     begin, end = np.full(count, np.inf), np.full(count, -np.inf)
     np.minimum.at(begin, still.episode, still.time)
     np.maximum.at(end, still.episode, still.time)
-    # what one sensor sees of one cell in one episode: a scatterer that lasts
+    # detections of one sensor in one cell and episode are of one lasting scatterer
     cell = (still.s_m / CELL_M).astype(np.int64)
     sensor = detections.sensor[still.row]
     key = np.column_stack([still.episode, cell, still.kind, sensor])
@@ -160,7 +159,7 @@ def _still_inside(detections: MapDetections, free: Booleans, passes: Passes) -> 
     )  # fmt: skip
     if len(row) == 0:
         return found
-    # what hangs above the lane is no vehicle: by the median height of each episode
+    # things above the lane, by the median height of each episode, are no vehicles
     height = np.nan_to_num(detections.height_m[row])
     rank = np.lexsort((height, found.episode))
     bounds = np.searchsorted(found.episode[rank], np.arange(found.episode.max() + 2))
@@ -193,9 +192,9 @@ def not_built(detections: MapDetections, free: Booleans, passes: Passes) -> Bool
 
 
 def _built(place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats]) -> Booleans:
-    """Return which detections belong to the road: detected also next to fast passes.
+    """Return which detections belong to the road, as they occur also next to fast passes.
 
-    Detections clearly more frequent than usual at passes, over a car's length, do not.
+    Detections clearly more frequent, over a car's length, than usual at passes do not.
     """
     built = np.zeros(len(place), np.bool_)
     if len(place) == 0:
@@ -220,7 +219,7 @@ def _built(place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floa
                 when = np.floor((empty - time.min()) / SLOT_S).astype(np.int64)
                 then = here[when[(when >= 0) & (when < len(here))]]
                 usual = float(np.median(then)) if len(then) else 0.0
-                # of few counts the sigma is that of one
+                # the sigma of small counts is at least that of one
                 more = MORE_SIGMAS * np.sqrt(max(usual, 1.0))
                 built[part] = here[slot[part]] <= usual + more
     return built
@@ -232,7 +231,7 @@ def _counts(place: Integers, slot: Integers, slots: int) -> Floats:
     count = np.zeros((int(cells.max()) + 1, slots))
     np.add.at(count, (cells, slot), 1.0)
     size = (int(CAR_M / CELL_M) // 2, 5)
-    # a running sum leaves traces of what has left it
+    # not by a running sum, which accumulates rounding errors
     counted = size[0] * size[1] * uniform_filter(count, size, mode="constant")
     return np.asarray(np.maximum(np.round(counted), 0.0))
 
@@ -284,7 +283,7 @@ def _on_strip(
 
 
 class _Followed:
-    """Associates the stationary vehicles of a strip from second to second."""
+    """Follower that associates the stationary vehicles of a strip from second to second."""
 
     def __init__(self, line: int, half_s: float) -> None:
         self._line, self._half = line, half_s
@@ -325,7 +324,7 @@ class _Followed:
         )  # fmt: skip
 
     def targets(self) -> list[StationaryTarget]:
-        """Return all of them."""
+        """Return all stationary vehicles of the strip."""
         for spans, begin in self._open:
             self._end(spans, begin)
         self._open = []
@@ -335,15 +334,15 @@ class _Followed:
 def pack(weights: Floats, held: Integers) -> Integers:
     """Return the vehicles (rear, front) along a strip that explain the detections best.
 
-    A dynamic program over the cells of their fronts: each vehicle has a cost for itself and for its
-    length, gains by the detections that it explains, and leaves a gap to the one ahead.
+    A dynamic program runs over the cells of their fronts: each vehicle has a cost for itself and
+    for its length, a gain by the detections that it explains, and a gap to the one ahead.
 
     Parameters
     ----------
     weights : (3, n) array
-        By cell, of detections by sensors that look at a front, a rear, a side.
+        Weights of the detections by cell, of sensors that see a front, a rear, a side.
     held : (n + 1,) int64 array
-        By front, the rear of a vehicle that stood so before, or `NONE`.
+        By front, the rear of a vehicle that stood there one slice before, or `NONE`.
     """
     metres = np.arange(int(LONGEST_M / CELL_M) + 1, dtype=np.float64) * CELL_M
     prior = np.where(metres < SHORTEST_M, -np.inf, length_prior(metres))
@@ -414,7 +413,7 @@ def _room_before(
 
 @compiled
 def _traced(back: Integers, before: Integers) -> Integers:  # pragma: no cover - compiled
-    """Return the vehicles (rear, front) of the best way back from the last cell."""
+    """Return the vehicles (rear, front) of the best solution, traced back from the last cell."""
     count = len(back) - 1
     out = np.empty((count // 4 + 1, 2), np.int64)
     found, f = 0, count
@@ -461,16 +460,16 @@ def heard_parts(
     Parameters
     ----------
     target : StationaryTarget
-        With the rows of its detections, by time.
+        A target with the rows of its detections, by time.
     detections : MapDetections
-        Which the rows are of.
+        The detections to which the rows refer.
     usual : float
-        Rate of detections times the square of range, m^2/s; where it is zero nothing is kept.
+        Usual rate of detections times the square of range, m^2/s; if it is 0, no part is kept.
 
     Returns
     -------
     list of StationaryTarget
-        By time.
+        The parts, by time.
     """
     if usual <= 0.0:
         return []

@@ -1,4 +1,4 @@
-"""Strips: chains of lanelets that follow each other as straight as can be."""
+"""Strips: chains of lanelets, each followed by its straightest successor."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from gis_radar.base import Floats, Integers
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.columns import NONE
 
-AT_ONCE = 100_000  # points: with the lanes near them, 20 MB
-ROOM_M = 0.6  # a point so far from the edge of a lane is well inside of it
+AT_ONCE = 100_000  # points processed at once: with the lanes near them, 20 MB
+ROOM_M = 0.6  # least distance from the edge of a lane at which a point is well inside it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,13 +21,13 @@ class OnStrips:
     Parameters
     ----------
     row : (k,) int64 array
-        Which of the points given.
+        Index of the point.
     strip : (k,) int64 array
-        Its strip.
+        Number of the strip.
     s_m, edge_m : (k,) arrays
-        How far along the strip it lies, and how far inside of the lane's edge.
+        Distance along the strip, and distance inside the lane's edge, metres.
     heading : (k,) array
-        Of the lane there, radians.
+        Heading of the lane there, radians.
     """
 
     row: Integers
@@ -39,16 +39,16 @@ class OnStrips:
 
 @dataclass(frozen=True, kw_only=True)
 class Strips:
-    """The strips of a lane graph: each lanelet is of one.
+    """Strips of a lane graph; each lanelet belongs to one.
 
     Parameters
     ----------
     graph : LaneGraph
         The lanes.
     number : (n,) int64 array
-        The strip of each lanelet.
+        Number of the strip of each lanelet.
     start_m : (n,) array
-        How far along the strip each lanelet begins.
+        Begin of each lanelet along its strip, metres.
     """
 
     graph: LaneGraph
@@ -57,14 +57,14 @@ class Strips:
 
     @classmethod
     def of(cls, graph: LaneGraph) -> Strips:
-        """Chain the lanelets of a graph: the straightest way on first."""
+        """Chain the lanelets of a graph, each to its straightest successor."""
         follower = _straightest(graph)
         leaders = set(follower.values())
         count = len(graph.lanelet_id)
         number, start = np.full(count, NONE, np.int64), np.zeros(count)
         heads = [lane for lane in range(count) if lane not in leaders]
         strip = 0
-        for head in [*heads, *range(count)]:  # the rest are circles
+        for head in [*heads, *range(count)]:  # lanelets without a head are in circles
             lane: int | None = head
             way = 0.0
             if number[head] != NONE:
@@ -77,9 +77,9 @@ class Strips:
         return cls(graph=graph, number=number, start_m=start)
 
     def lay(self, points: Floats, near_m: float | None = None) -> OnStrips:
-        """Project points (n, 2) onto strips: each onto the longest one that it is well inside of.
+        """Project points (n, 2) onto strips, each onto the longest one that it is well inside.
 
-        With a distance, onto every strip that is so near.
+        With `near_m`, each is projected onto every strip within that distance.
         """
         pieces = range(0, max(len(points), 1), AT_ONCE)
         parts = [self._lay(points[begin : begin + AT_ONCE], near_m) for begin in pieces]
@@ -121,7 +121,7 @@ class Strips:
 
 
 def _straightest(graph: LaneGraph) -> dict[int, int]:
-    """Return the straightest successor of each lanelet; each follows one only."""
+    """Return the straightest successor of each lanelet; each is the successor of one at most."""
     starts, ends = graph.first[:-1], graph.first[1:] - 1
     pairs = []
     for lane, after in enumerate(graph.successors):

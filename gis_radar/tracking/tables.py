@@ -15,21 +15,21 @@ BLOCK_STEPS = 18_000
 """Steps of a block of runs: a quarter of an hour of absolute time, as most heat maps count."""
 
 _ROWS_IN_GROUP = 1 << 17
-_FINE = 3  # decimals of metres, degrees and m/s in the files: a hundredth of their errors
+_FINE = 3  # decimals of metres, degrees and m/s: a hundredth of their errors
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableKind:
-    """A kind of table: its columns in order, and by which of them its rows ascend.
+    """Kind of a table in memory: its columns, and those by which its rows ascend.
 
     Parameters
     ----------
     name : str
-        Of the file, without its ending.
+        Name of the file, without its suffix.
     columns : dict
         The Arrow type of each column, in order.
     order : tuple of str
-        By which rows ascend strictly; none where the writer keeps an order of its own.
+        Columns by which rows ascend strictly; empty where the writer keeps another order.
     optional : tuple of str
         Columns that may be empty.
     """
@@ -46,7 +46,7 @@ class TableKind:
 
     @property
     def schema(self) -> pa.Schema:
-        """Columns as Arrow knows them."""
+        """Arrow's schema of the columns."""
         fields = self.columns.items()
         return pa.schema([pa.field(n, kind, nullable=n in self.optional) for n, kind in fields])
 
@@ -55,7 +55,7 @@ class TableKind:
         return self.typed(pd.DataFrame({name: [] for name in self.columns}))
 
     def typed(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Return a table with exactly these columns and types; refuse what is not in order.
+        """Return a table with exactly these columns and types; refuse rows that do not ascend.
 
         Parameters
         ----------
@@ -103,12 +103,12 @@ class TableKind:
         return whole
 
     def to_arrow(self, table: pd.DataFrame) -> pa.Table:
-        """Return a typed table as Arrow knows it."""
+        """Convert a typed table to Arrow."""
         return pa.Table.from_pandas(table, self.schema, preserve_index=False)
 
 
 def _ascends(table: pd.DataFrame, order: tuple[str, ...]) -> bool:
-    """Return whether rows ascend strictly by some whole-numbered columns."""
+    """Return whether rows ascend strictly by integer columns."""
     later: Booleans = np.zeros(max(len(table) - 1, 0), np.bool_)
     for name in reversed(order):
         gap = np.diff(table[name].to_numpy(np.int64))

@@ -1,8 +1,8 @@
-"""Tall vehicles: lengths by heights over the road.
+"""Tall vehicles: evidence on lengths by heights over the road.
 
-Seen from one end a lorry shows no more of its length than a car, and in a queue its ends look like
-those of two cars. But cars scatter from below a metre and a half, lorries and buses from all of
-their three to four metres, and who is tall is long.
+Seen from one end, a lorry looks as short as a car, and in a queue its ends look like those of two
+cars. But cars scatter from below a metre and a half, lorries and buses from all of their three to
+four metres, and tall vehicles are long.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from gis_radar.base import Floats
 CAR_M, LORRY_M = (0.75, 0.3), (1.6, 0.5)
 # Sigma of the elevation: of a target over its whole time, and from detection to detection.
 BIAS_RAD, ELEVATION_RAD = 0.006, 0.0175
-LEAST_ROWS = 10  # heights; fewer are ignored
-MOST_ODDS = 4.0  # logarithm of the odds that heights give at most
-LORRY_SHARE = 0.12  # of lorries and buses in traffic
+LEAST_ROWS = 10  # least number of heights; fewer are ignored
+MOST_ODDS = 4.0  # largest logarithm of the odds by heights
+LORRY_SHARE = 0.12  # share of lorries and buses in traffic
 
 
 def tall_odds(height_m: Floats, range_m: Floats) -> float:
@@ -27,9 +27,9 @@ def tall_odds(height_m: Floats, range_m: Floats) -> float:
     Parameters
     ----------
     height_m : (n,) array
-        Of the detections over the road; NaN where unknown.
+        Heights of the detections over the road, metres; NaN where unknown.
     range_m : (n,) array
-        From the sensor.
+        Distances from the sensor, metres.
     """
     known = np.isfinite(height_m)
     if known.sum() < LEAST_ROWS:
@@ -50,6 +50,6 @@ def one_tall_odds(odds: tuple[float, float]) -> float:
     Parameters
     ----------
     odds : (float, float)
-        Of each part, as of :func:`tall_odds`.
+        Log odds of each part, from :func:`tall_odds`.
     """
     return float(-np.log((1.0 - LORRY_SHARE) * np.exp(-np.array(odds)) + LORRY_SHARE).sum())

@@ -1,4 +1,4 @@
-"""Complete tracks of vehicles: what moves and what stands, joined from arrival to departure.
+"""Complete tracks of vehicles: moving and stationary parts joined from arrival to departure.
 
 A vehicle that stops is taken for the one that leaves later, unless another one drove over the
 place in between.
@@ -31,7 +31,7 @@ from gis_radar.tracking.stationary import (
 from gis_radar.tracking.strips import Strips
 
 APART_S = 1.0  # least time between two vehicles at one place
-# Fewest moving detections and least distance of a vehicle; otherwise the detections are false.
+# Least moving detections and least distance of a vehicle; otherwise its detections are false.
 LEAST_MOVING, LEAST_WAY_M = 6, 4.0
 ALONE_S, ALONE_ROWS = 3.0, 10  # least duration and detections of a vehicle that never moves
 PLACE_M = 0.5  # sigma of the place of a stationary vehicle
@@ -53,11 +53,11 @@ def complete_tracks(
     graph : LaneGraph
         The lanes.
     motions : sequence of Motion
-        Vehicles while they move.
+        Motions of vehicles while they move.
     states : (n, 6) array
-        Of the vehicle, for every detection of one.
+        State of the vehicle, for every detection of one.
     free : (n,) bool array
-        Which detections are still, and of no moving vehicle.
+        Whether each detection is still, and of no moving vehicle.
     """
     states = states.copy()
     strips = Strips.of(graph)
@@ -93,7 +93,7 @@ def _track(
     chain: Sequence[int], motions: Sequence[Motion], targets: Sequence[StationaryTarget],
     places: Sequence[tuple[Floats, float]], detections: MapDetections, states: Floats,
 ) -> Motion | None:  # fmt: skip
-    """Return the motion over a chain of motions and targets, None where it is false detections."""
+    """Return the motion of a chain of motions and targets, None where its detections are false."""
     moving = [motions[k] for k in chain if k < len(motions)]
     stationary = [k - len(motions) for k in chain if k >= len(motions)]
     if not moving:
@@ -132,15 +132,15 @@ def split_at_drives(
     Parameters
     ----------
     motion : Motion
-        With the rows of its detections, by time.
+        A motion with the rows of its detections, by time.
     detections : MapDetections
-        Of all sensors.
+        Detections of all sensors.
     states : (n, k) array
-        Of the filter, a row per detection.
+        States of the filter, a row for each detection.
     free : (n,) array of bool
-        Which detections no vehicle has.
+        Which detections are of no vehicle.
     passes : Passes
-        When others drove over a place.
+        Times at which vehicles drove over places.
 
     Returns
     -------

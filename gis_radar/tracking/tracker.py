@@ -1,4 +1,4 @@
-"""Vehicles in the detections of a span of time: from detections to smoothed motions."""
+"""Tracker: find the vehicles in the detections of a span of time, as smoothed motions."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def vehicles_in(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     Parameters
     ----------
     detections : MapDetections
-        Of all sensors, in the order of time.
+        Detections of all sensors, in the order of time.
     graph : LaneGraph
         The lanes.
     """
     if len(detections) == 0:
         return []
     found = _found(detections, graph)
-    give_back_memory()  # what they are found by takes twice the memory of the detections
+    give_back_memory()  # the temporary arrays take twice the memory of the detections
     improved = improve(found, detections, graph)
     persons = is_person(detections, improved)
     return [each for each, person in zip(improved, persons, strict=True) if not person]
@@ -53,14 +53,14 @@ def _found(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
     driven = without_faint_ends(detections, driven, states)
     if not driven:
-        return []  # where nothing drives, nothing tells a vehicle that stands from what is built
+        return []  # without driving vehicles, stationary ones cannot be told from fixed objects
     for each in motions:
         free[each.rows] = False
     return complete_tracks(detections, graph, driven, states, free)
 
 
 def _followed(detections: MapDetections, graph: LaneGraph) -> tuple[Integers, Floats]:
-    """Return the vehicle of each detection, and its state, by both directions of time."""
+    """Return the vehicle of each detection, and its state, from both directions of time."""
     numbers, both = follow_both_ways(detections, graph)
     joined = join_directions(*numbers, detections.time)
     return joined, merge_states(numbers[0], both, joined)

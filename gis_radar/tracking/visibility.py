@@ -1,10 +1,10 @@
-"""Visibility: the tiles that are observed and not hidden by other vehicles for too long.
+"""Visibility: find the tiles that are observed and not hidden by other vehicles for too long.
 
 Other vehicles hide a tile from a sensor where the line of sight to its centre, a little over the
 road, crosses the box of a vehicle that does not occupy the tile itself; of several sensors that
 observe it, all have to be hidden. A step that is not observed ends the time for which it is hidden.
-A long vehicle hides as the rectangle of its length. Waves that creep under a car, over the road,
-are left out: they bring some detections from behind it, but none to rely on.
+A long vehicle hides as the rectangle of its length. Radar waves that pass under a car are
+neglected: they give some detections from behind it, but not reliably.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from gis_radar.poses import Pose
 from gis_radar.tracking.footprints import MOST_PARTS, CrossLines, Footprints, clip_box, is_occupied
 
 HIDDEN_S = 10.0  # a tile stays visible for so long while other vehicles hide it (the contract)
-# Runs of visible steps are split where other vehicles hide the tile for so long: a vehicle's
-# passing hides for less, and tracks bridge that.
+# Runs of visible steps are split where other vehicles hide the tile for so long: a passing vehicle
+# hides it for less, which tracks bridge.
 UNSEEN_S = 1.0
-# Lines of sight are looked along once in so many steps, and where the sensors change: a vehicle at
-# 15 m/s goes 3 m in 0.2 s, which 10 s of hiding do not depend on.
+# Steps between two checks of the lines of sight, which are also checked when sensors change: a
+# vehicle at 15 m/s moves 3 m in 0.2 s, which is little against 10 s of hiding.
 LOOK_STEPS = 4
-TARGET_M = 0.6  # over the road, at which a tile is looked at (the contract): a car's bumper
+TARGET_M = 0.6  # height over the road of a tile's target (the contract): a car's bumper
 # Height of a sensor over the road where tiles have no heights: a mast or a signal head stands 4 to
 # 6 m high.
 SENSOR_OVER_ROAD_M = 5.0
-BINS = 720  # of the azimuth around a sensor: half a degree, a tenth of a car at 20 m
+BINS = 720  # bins of azimuth around a sensor: half a degree, a tenth of a car at 20 m
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rays:
-    """The lines of sight from a pose, by azimuth and range.
+    """Lines of sight from a pose, by azimuth and range.
 
     Parameters
     ----------
     eye : (4,) array
         x, y from the origin of the cross-lines, height of the sensor, height of the road below it.
     first : (BINS + 1,) int64 array
-        Where the rays of each bin of azimuth begin.
+        Index of the first ray in each bin of azimuth.
     tile : (n,) int64 array
         Positions of the tiles.
     ends : (n, 4) array
-        x, y, height of what is looked at, and its distance in the plane.
+        x, y, height of the target, and its distance in the plane, metres.
     lowest_m : float
-        The least of the heights.
+        Least height of the targets, metres.
     """
 
     eye: Floats
@@ -90,9 +90,9 @@ class Visibility:
     tiles : GeoDataFrame
         All tiles.
     lines : CrossLines
-        Theirs.
+        Cross-lines of the tiles.
     sights : mapping
-        What sensors see, by name.
+        Sights of the sensors' poses, by name.
     """
 
     def __init__(
@@ -104,9 +104,9 @@ class Visibility:
         self._targets = np.column_stack([middle, lines.height_m])
         self._sights, self._rays = sights, dict[str, Rays]()
         count = len(tiles)
-        self._hidden = np.zeros(count, np.int64)  # steps on end
+        self._hidden = np.zeros(count, np.int64)  # hidden steps in a row
         self._begun = np.full(count, -1)  # first step of an open run
-        self._seen = np.ones(count, np.bool_)  # whether it is of steps that are not hidden
+        self._seen = np.ones(count, np.bool_)  # whether its steps are not hidden
         self._stamps = np.full((count, 3), -1)
         self._reached = -1
         self._looked = -1  # step of the latest lines of sight, as long as the same sights are held
@@ -122,9 +122,9 @@ class Visibility:
         Parameters
         ----------
         footprints : Footprints
-            Of the span.
+            Footprints of the span.
         height_m : (n,) array
-            Of the box of each, metres.
+            Height of the box of each, metres.
         held : DataFrame
             `sight, first_step, last_step`: runs of steps in which frames are valid.
         span : (int, int)
@@ -195,7 +195,7 @@ class Visibility:
     def flush(self) -> Integers:
         """End all runs at the last step so far; return those since the last call, (n, 4).
 
-        Tile, first and last step, and whether nothing hid the tile in them.
+        The columns are tile, first and last step, and whether nothing hid the tile in these steps.
         """
         self._end_runs(np.flatnonzero(self._begun >= 0))
         found = np.concatenate([np.empty((0, 4), np.int64), *self._ended])

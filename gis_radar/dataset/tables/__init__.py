@@ -1,4 +1,4 @@
-"""The schema of a dataset: a file a table, or a few alike, owns columns, types, units and order."""
+"""Schema of a dataset; each module owns columns, types, units and order of one or a few tables."""
 
 from gis_radar.dataset.tables.frames import FRAMES
 from gis_radar.dataset.tables.hits import HITS

@@ -1,4 +1,4 @@
-"""A kind of table: its columns in order, what they mean, and what its rows keep to."""
+"""Schema of a table: its columns in order, their meaning, and the rules of its rows."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class TableColumn:
     Parameters
     ----------
     name : str
-        As in the files.
+        Name in the files.
     type : pyarrow.DataType
-        As Arrow knows it.
+        Arrow's type.
     means : str
-        What its values say, with the unit where the name has none.
+        Meaning of its values, with the unit where the name has none.
     nullable : bool
         Whether values may be missing.
     share_of : str
@@ -52,25 +52,25 @@ POSE = TableColumn("pose", _TEXT, "name of the pose, as in `poses`")
 
 @dataclass(frozen=True, kw_only=True)
 class TableSchema:
-    """A kind of table.
+    """Schema of a table.
 
     Parameters
     ----------
     name : str
-        Of its folder, or of its file where the dataset has one.
+        Name of its folder, or of its file where the dataset has only one.
     means : str
-        What a row is.
+        Meaning of a row.
     columns : tuple of TableColumn
-        In order.
+        The columns, in order.
     order : tuple of str
-        By which columns the rows ascend strictly.
+        Columns by which the rows ascend strictly.
     span : tuple of str
-        The columns that hold a row's first and last step, which lie in the hour of the part; none
-        where rows have no steps.
+        The columns of a row's first and last step, which lie in the hour of the part; empty where
+        rows have no steps.
     runs : bool
         Whether rows are disjoint runs of steps of a tile, which may be cut.
     period : {"hour", "day", "dataset"}
-        What one file holds.
+        Period of one file.
     """
 
     name: str
@@ -88,22 +88,22 @@ class TableSchema:
 
     @property
     def shares(self) -> dict[str, str]:
-        """The columns that maps show as a share of another one, and that one."""
+        """The columns that maps show as a share, each with the column of which it is one."""
         return {column.name: column.share_of for column in self.columns if column.share_of}
 
     @property
     def schema(self) -> pa.Schema:
-        """Columns as Arrow knows them."""
+        """Arrow's schema of the columns."""
         return pa.schema([pa.field(c.name, c.type, nullable=c.nullable) for c in self.columns])
 
     def to_arrow(self, values: Mapping[str, Any] | pd.DataFrame | pa.Table) -> pa.Table:
-        """Return rows as an Arrow table of exactly these columns, checked.
+        """Convert rows to an Arrow table of exactly these columns, and check them.
 
         Parameters
         ----------
         values : mapping, DataFrame or Arrow table
             Arrays by column: of NumPy (masked where values are missing), pandas or Arrow. Further
-            ones are dropped.
+            columns are dropped.
 
         Raises
         ------
@@ -131,7 +131,7 @@ class TableSchema:
             if not isinstance(values, pa.Array | pa.ChunkedArray):
                 values = pa.array(values, from_pandas=True)  # a type given here would truncate
             number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-            # Arrow would read numbers from texts.
+            # Arrow would convert texts to numbers.
             found = None if number and _is_text(values.type) else values.cast(column.type)
         except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
             raise InputError("{} holds something else than {}", what, column.type) from error
@@ -148,7 +148,7 @@ class TableSchema:
         Raises
         ------
         InputError
-            If there are such.
+            If there are such rows.
         """
         if not _ascends([table[name] for name in self.order]):
             raise InputError("{}: rows do not ascend by {}", self.name, ", ".join(self.order))
@@ -164,7 +164,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _ascends(columns: list[pa.ChunkedArray]) -> bool:
-    """Return whether rows ascend strictly by some columns without missing values."""
+    """Return whether rows ascend strictly by columns without missing values."""
     later: Booleans = np.zeros(max(len(columns[0]) - 1, 0), np.bool_)
     for column in reversed(columns):
         values = _ranks(column) if pa.types.is_string(column.type) else column.to_numpy()
@@ -173,7 +173,7 @@ def _ascends(columns: list[pa.ChunkedArray]) -> bool:
 
 
 def _ranks(texts: pa.ChunkedArray) -> Integers:
-    """Return for each text its place among all of them."""
+    """Return the rank of each text among all of them."""
     names = pc.unique(texts)
     place = np.argsort(np.argsort(names.to_numpy(zero_copy_only=False).astype(str)))
     return np.asarray(place[pc.index_in(texts, names).to_numpy()], np.int64)

@@ -1,1 +1,1 @@
-"""Comparison of two periods: what changed by lane, how sure, and what cannot be told."""
+"""Comparison of two periods: changes by lane with their significance."""

@@ -1,4 +1,4 @@
-"""Compare the traffic of two periods by lane: what differs, by how much, and how sure that is."""
+"""Compare the traffic of two periods by lane: differences of measures, with their significance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_a
 
 DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
 INTERVAL, FINER = "15min", "5min"
-FEW_HOURS = 12  # up to which quarters of an hour are too few to compare
+FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `FINER` is used
 MORE, LESS, NOT_TOLD = "more", "less", "not told"
 Period = tuple[Any, Any]
 
@@ -36,15 +36,15 @@ class Compared(NamedTuple):
     Parameters
     ----------
     title : Text
-        What it is, with its unit.
+        Name with unit.
     less, more : Text
-        What it is called where there is less or more of it.
+        Words for a decrease and an increase.
     better : int
         1 where more is better, -1 where less is, 0 where neither.
     resolution : float
-        The least difference that is told, however sure: what the measurement resolves.
+        Resolution of the measurement: smaller differences are not told, however significant.
     digits : int
-        That are shown.
+        Digits after the point that are shown.
     """
 
     title: Text
@@ -74,25 +74,25 @@ COMPARED = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
-    """The traffic of two periods, compared by lane.
+    """Comparison of the traffic of two periods by lane.
 
     Parameters
     ----------
     table : GeoDataFrame
-        A row a lane and measure: `lane`, `name`, `measure`, `before`, `after`, `difference`,
-        `percent`, `se`, `low` and `high` (which hold the difference in 95 %), `p`, `p_corrected`
-        (for the number of lanes and measures), `verdict` (`more`, `less` or `not told`), `units`
-        (what was compared: days, times of day or intervals) and `count` (how many), `watchers` (the
+        A row for each lane and measure: `lane`, `name`, `measure`, `before`, `after`, `difference`,
+        `percent`, `se`, `low` and `high` (95 % interval of the difference), `p`, `p_corrected` (for
+        the number of lanes and measures), `verdict` (`more`, `less` or `not told`), `units` (the
+        compared units: days, times of day or intervals) and `count` (their number), `watchers` (the
         sensors); the lane's line.
     left_out : DataFrame
-        Lanes that do not compare: `lane`, `name`, `seen` (by whom before / after; where that is the
-        same sensor, how many of its tiles).
+        Lanes that cannot be compared: `lane`, `name`, `seen` (sensors before / after; where they
+        are the same, the number of tiles in their sight).
     used : tuple of float
         Share of the rows of each period that were compared.
     before, after : tuple
-        Begin and end of what is there of each period, in the site's zone.
+        Begin and end of the data of each period, in the site's zone.
     doubts : sequence of str
-        Of poses and recordings.
+        Doubts of poses and recordings.
     """
 
     table: gpd.GeoDataFrame
@@ -103,7 +103,7 @@ class Comparison:
     doubts: Sequence[str] = ()
 
     def figures(self) -> dict[str, Any]:
-        """Return what was compared, and in how many lanes a difference is told."""
+        """Return the compared periods, and the number of lanes with a significant difference."""
         told = self.table[self.table["verdict"] != NOT_TOLD]
         changed = told.groupby(["measure", "verdict"]).size()
         periods = {"before": self.before, "after": self.after}
@@ -129,20 +129,20 @@ def compare(
 ) -> Comparison:
     """Compare the traffic of two periods by lane.
 
-    Only what the same sensors saw alike in both is compared; of periods of three days and more,
-    days are compared, of shorter ones the same times of day, or else intervals
+    Only what the same sensors saw alike in both is compared: periods of three days and more by
+    days, shorter ones by times of day, or else by intervals
     (:mod:`gis_radar.measures.differences`).
 
     Parameters
     ----------
     dataset, other : Dataset
-        With vehicles. The second period is of `other`, where it is given.
+        Datasets with vehicles. The second period is of `other`, where it is given.
     before, after : (begin, end)
         The periods, as for :meth:`gis_radar.Dataset.traffic`; None for a whole dataset.
     days : str, optional
-        Only these days of the week, such as `Mo-Fr` or `Sa,Su`.
+        Days of the week to compare, such as `Mo-Fr` or `Sa,Su`; by default all.
     language : str, optional
-        Of the lanes' names.
+        Language of the lanes' names.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def _require_apart(dataset: Dataset, before: Period, after: Period) -> None:
 
 
 def _day_numbers(days: str | None) -> set[int]:
-    """Return the days of the week that a text such as `Mo-Fr,Su` names, from Monday as 0."""
+    """Return the days of the week in a text such as `Mo-Fr,Su`, Monday as 0."""
     found: set[int] = set()
     for part in (days or "Mo-Su").split(","):
         ends = [each.strip().capitalize() for each in part.split("-")]
@@ -208,7 +208,7 @@ def _day_numbers(days: str | None) -> set[int]:
 def _rows(
     sources: Sequence[tuple[Dataset, Period]], days: set[int], options: dict[str, Any]
 ) -> list[gpd.GeoDataFrame]:
-    """Read the traffic of both periods: by shorter intervals where quarters of an hour are few."""
+    """Read the traffic of both periods, by `FINER` intervals where the periods are short."""
     records = [dataset.records(dataset.span(*period)) for dataset, period in sources]
     few = max(map(len, records)) <= FEW_HOURS
     exact = not any(hour.dropped for each in records for hour in each.values())
@@ -230,7 +230,7 @@ def _rows_of(
             hint="gis-radar dataset shows from when to when it was measured",
         )
     inside = rows["begin"].dt.day_of_week.isin(days)
-    if end is not None:  # what ends later has traffic of after the period in it
+    if end is not None:  # an interval that ends later holds traffic from after the period
         last = dataset.span(begin, end)
         ends = rows["end"].dt.tz_convert("UTC") - pd.Timestamp(0, tz="UTC")
         inside &= ends.dt.total_seconds() <= (0.0 if last is None else (last[1] + 1) * STEP_S)
@@ -285,7 +285,7 @@ def _compared(
 
 
 def _lane_rows(lane: int, rows: Sequence[pd.DataFrame]) -> Iterator[dict[str, Any]]:
-    """Yield the difference of each measure that the lane has in both periods."""
+    """Yield a row for each measure that the lane has in both periods."""
     for measure in COMPARED:
         values = [_values(each, measure) for each in rows]
         if any(each.empty for each in values):
@@ -313,7 +313,7 @@ def _values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
 
 
 def _with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
-    """Tell which differences are more than chance, among all lanes and measures."""
+    """Add verdicts: which differences are significant among all lanes and measures."""
     table = table.assign(p_corrected=np.nan, verdict=NOT_TOLD)
     table["p_corrected"] = holm_corrected(table["p"].to_numpy(np.float64))
     least = table["measure"].map({name: of.resolution for name, of in COMPARED.items()})

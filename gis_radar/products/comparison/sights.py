@@ -1,7 +1,7 @@
-"""Which intervals of a lane compare: those that the same sensors saw alike.
+"""Find the comparable intervals of a lane: those that the same sensors saw alike.
 
-A second radar sees past what hides vehicles from the first one, so it finds more of them: it must
-not look like more traffic.
+A second radar sees past what hides vehicles from the first one, so it finds more of them, which
+must not look like more traffic.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ import pandas as pd
 from gis_radar.base import Booleans, Floats
 from gis_radar.dataset import Dataset, LaneTraffic
 
-ACTIVE_SHARE = 0.9  # of an interval: a sensor that records so long of it is there
-BETWEEN = "\x1f"  # names of sensors; a name may hold a comma
-ALIKE_SHARE = 0.9  # of the tiles of a lane that a sensor sees in either period: seen in both
+ACTIVE_SHARE = 0.9  # least recorded share of an interval of a sensor that counts as present
+BETWEEN = "\x1f"  # separator of sensors' names, which may hold a comma
+ALIKE_SHARE = 0.9  # least share, of the lane's tiles seen in either period, that is seen in both
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LaneSights:
-    """Which sensors see lanes in the intervals of a period.
+    """Sensors that see lanes in the intervals of a period.
 
     Parameters
     ----------
     rows : DataFrame
-        A row a lane and interval, with `lane`, `begin`, `end` and `watchers`: the names of the
-        sensors that see a part of the lane, joined; null where one of them recorded only a part of
-        the interval.
+        A row for each lane and interval, with `lane`, `begin`, `end` and `watchers`: the joined
+        names of the sensors that see a part of the lane; null where one of them recorded only a
+        part of the interval.
     tiles : dict
-        By sensor and lane, which of the lane's tiles (ascending ids) it sees in the period.
+        By sensor and lane, the ids of the lane's tiles in the sensor's sight in the period.
     """
 
     rows: pd.DataFrame
@@ -44,14 +44,14 @@ class LaneSights:
 
 
 def lane_sights(dataset: Dataset, rows: pd.DataFrame) -> LaneSights:
-    """Find who sees the lanes of a table of traffic.
+    """Find the sensors that see the lanes of a table of traffic.
 
     Parameters
     ----------
     dataset : Dataset
-        Its recordings, poses and sights.
+        The dataset, with recordings, poses and sights.
     rows : DataFrame
-        As of :meth:`gis_radar.Dataset.traffic`.
+        As from :meth:`gis_radar.Dataset.traffic`.
     """
     spans = rows[["begin", "end"]].drop_duplicates().sort_values("begin")
     begin, end = (_seconds(spans[name]) for name in ("begin", "end"))
@@ -87,7 +87,7 @@ def _joined(sensors: Sequence[str], row: Booleans) -> str | None:
 def _activity(
     recordings: pd.DataFrame, sensors: Sequence[str], begin: Floats, end: Floats
 ) -> tuple[Booleans, Booleans]:
-    """Return by interval and sensor whether it recorded all along, and whether only in parts."""
+    """Return by interval and sensor whether it recorded all of it, and whether only a part."""
     seconds = np.zeros((len(begin), len(sensors)))
     times = (_seconds(recordings[name]) for name in ("begin", "end"))
     for sensor, first, last in zip(recordings["sensor"], *times, strict=True):
@@ -101,7 +101,7 @@ def _activity(
 def _tiles_by_lane(
     dataset: Dataset, recordings: pd.DataFrame, poses: pd.DataFrame
 ) -> dict[tuple[str, int], frozenset[int]]:
-    """Return by sensor and lane the tiles in sight of the poses that recordings were made with."""
+    """Return by sensor and lane the tiles in sight of the poses of its recordings."""
     network = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint).network
     lane_of = pd.Series(network.lane[network.tile_lane], network.tile_id)
     heads = poses.loc[poses["track"].isin(recordings["pose"]), ["sensor", "sight"]]
@@ -114,14 +114,14 @@ def _tiles_by_lane(
 
 
 def shown_names(watchers: str) -> str:
-    """Return the names of sensors as people read them."""
+    """Return the joined names of sensors separated by commas, for texts."""
     return ", ".join(watchers.split(BETWEEN))
 
 
 def seen_alike(before: LaneSights, after: LaneSights, lane: int) -> tuple[str | None, str]:
-    """Return the sensors by which a lane compares, or None, and why not.
+    """Return the sensors by which a lane can be compared, or None, and the reason if it cannot.
 
-    Of several groups of sensors that see it in both periods, the one with most intervals.
+    Of several groups of sensors that see it in both periods, the one with most intervals is taken.
     """
     counts = [each.of_lane(lane)["watchers"].value_counts() for each in (before, after)]
     both = counts[0].index.intersection(counts[1].index)

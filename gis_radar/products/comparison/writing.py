@@ -1,4 +1,4 @@
-"""A comparison as files: a page to read, a table, a layer for QGIS, a map as a picture."""
+"""Write a comparison as files: a page to read, a table, a layer for QGIS, a map as a picture."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_style import LineClass, class_style
 
 LAYER = "comparison"
-# Of the difference in percent: colours that do not rest on red and green, grey where none is told.
-MOST = 999.0  # percent that are shown; more, and what was nothing before, is in the last class
+# Classes of the difference in percent: colours without red and green, grey for no told difference.
+MOST = 999.0  # largest percentage shown, also for what was 0 before
 BREAKS = (-1000.0, -25.0, -10.0, -1e-9, 1e-9, 10.0, 25.0, 1000.0)
 COLOURS = ("#7f3b08", "#d08020", "#f0c080", "#9a9a9a", "#b2abd2", "#8073ac", "#2d004b")
 SECTIONS = {
@@ -63,11 +63,11 @@ def write_comparison(
     Parameters
     ----------
     comparison : Comparison
-        Of :func:`gis_radar.compare`.
+        From :func:`gis_radar.compare`.
     folder : str or Path
-        Where; an earlier result there is replaced.
+        The folder; an earlier result there is replaced.
     language : str, optional
-        Of page and titles, `en` or `de`; the current one without it.
+        Language of page and titles, `en` or `de`; by default the current one.
     reporter : Reporter
         Receives progress.
 
@@ -100,10 +100,10 @@ def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
 
 
 def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return a row a lane: of each measure `..._before`, `_after`, `_se`, `_verdict`, `_change`.
+    """Return a row for each lane, with `..._before`, `_after`, `_se`, `_verdict`, `_change`.
 
-    `..._change` is the difference in percent where one is told, else 0; null where the lane has no
-    such measure.
+    These are columns of each measure. `..._change` is the difference in percent where one is told,
+    else 0; null where the lane has no such measure.
     """
     lanes = table.drop_duplicates("lane").set_index("lane")[["name", "watchers", "geometry"]]
     columns: dict[str, Any] = {}
@@ -120,7 +120,7 @@ def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 
 def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     measure = next(iter(COMPARED))
-    # with metadata of its own, GDAL makes the tables that titles need
+    # with metadata of a layer, GDAL makes the tables that titles need
     kept = {"shows": measure}
     add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=kept)
     about = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
@@ -148,7 +148,7 @@ def change_classes() -> Iterator[LineClass]:
 
 
 def draw_changes(comparison: Comparison, path: Path) -> None:
-    """Write maps of what changed as PNG: one for each of volume, speed and occupancy."""
+    """Write maps of the changes as PNG: one each of volume, speed and occupancy."""
     from matplotlib.lines import Line2D  # noqa: PLC0415 - where it draws
 
     table = wide_table(comparison.table)
@@ -175,7 +175,7 @@ def _write_page(comparison: Comparison, path: Path) -> None:
 
 
 def page_of(comparison: Comparison, picture: bytes) -> str:
-    """Return the page: what got better, what worse, what cannot be told; names are escaped."""
+    """Return the page (HTML): what got better, what worse, what cannot be told."""
     text = files("gis_radar.products.comparison").joinpath("page.html.jinja")
     template = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -204,7 +204,7 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
 
 
 def _cautions(table: gpd.GeoDataFrame) -> list[str]:
-    """Return what a reader must know of what was compared."""
+    """Return cautions for the reader about the compared data."""
     if INTERVALS not in set(table["units"]):
         return []
     return [tr("The periods share no times of day: what differs may be the time of day.")]

@@ -18,7 +18,7 @@ BEGIN = "begin"
 
 
 def lanes_with_tiles(tiles: gpd.GeoDataFrame) -> tuple[Sequence[Lane], Integers]:
-    """Return the lanes of tiles, and of each tile the position of its lane among them."""
+    """Return the lanes of tiles, and for each tile the position of its lane among them."""
     lanes = lanes_of(tiles)
     lane_of_tile = np.empty(len(tiles), np.int64)
     for i, lane in enumerate(lanes):
@@ -27,7 +27,7 @@ def lanes_with_tiles(tiles: gpd.GeoDataFrame) -> tuple[Sequence[Lane], Integers]
 
 
 def lane_totals(values: Floats, lane_of_tile: Integers, size: int) -> Floats:
-    """Return the sum of each lane's tiles."""
+    """Return the sum of a value over each lane's tiles."""
     return np.asarray(np.bincount(lane_of_tile, values, size), np.float64)
 
 
@@ -45,13 +45,13 @@ def table_by_lane(
     Parameters
     ----------
     interval : int, slice, str or datetime, optional
-        Which interval, as for :meth:`shares`; without it the whole time.
+        The interval, as for :meth:`shares`; by default the whole time.
     begin, end : str or datetime, optional
         The intervals between these times, in place of one.
     each : bool
-        Whether each of the intervals has its own rows, or all are one.
+        Whether each interval has its own rows; else all intervals are taken together.
     lanes : GeoDataFrame, optional
-        From :func:`gis_radar.lanes`: its columns and lines come along.
+        From :func:`gis_radar.lanes`: its columns and lines are added.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def table_by_lane(
         `lane`. `length_m` of its tiles; `seen_m`, of those with a share. Where vehicles are known
         `visible_s` and `occupied_s`, seconds, the mean of its tiles; `occupancy`, their quotient,
         NaN where not visible, and its standard error `occupancy_se`: the mean of its tiles', by
-        visible time, as a vehicle that was missed, or is none, is so all along a lane.
+        visible time, as a missed or false vehicle affects all tiles of a lane alike.
         `observed_s`, `hit_s` and `hit_share`: the same of hits, for which no error is known.
     """
     tiled, lane_of_tile = lanes_with_tiles(tally.tiles)
@@ -71,7 +71,7 @@ def table_by_lane(
     else:
         part = slice(None) if chosen is None else chosen
         rows = range(len(tally.timeline))[part] if isinstance(part, slice) else [part]
-        shown = list(rows) or [0]  # of no interval the columns remain
+        shown = list(rows) or [0]  # without intervals, an empty table with the columns
         table = pd.concat(
             [_sums(tally, row, lane_of_tile, index) for row in shown],
             keys=tally.times[shown],
@@ -89,7 +89,7 @@ def table_by_lane(
 def _sums(
     tally: Tally, interval: int | slice | None, lane_of_tile: Integers, index: pd.Index
 ) -> pd.DataFrame:
-    """Return one row a lane."""
+    """Return one row for each lane."""
 
     def total(values: Floats) -> Floats:
         return lane_totals(np.nan_to_num(values), lane_of_tile, len(index))

@@ -69,12 +69,12 @@ NO_LABELS = MapLabels()
 
 
 class Shares(NamedTuple):
-    """One value a tile, in the order of the tiles.
+    """Hit share of each tile, in the order of the tiles.
 
     Parameters
     ----------
     hit_s, observed_s : (n,) float64 arrays
-        Seconds; hit is NaN where not observed, observed is 0 there.
+        Seconds; where a tile was not observed, `hit_s` is NaN and `observed_s` 0.
     hit_share : (n,) float64 array
         Their quotient, NaN where not observed.
     """
@@ -93,7 +93,7 @@ class Tally:
     tiles : GeoDataFrame
         All tiles, by ascending `tile_id`, in the map's coordinate system.
     fingerprint : str
-        Theirs.
+        Fingerprint of the tiles.
     sensors : tuple of str
         The sensors that delivered frames.
     whole : Timeline
@@ -103,13 +103,13 @@ class Tally:
     seen : (k,) int64 array
         Positions of the tiles that are in sight from some pose.
     hit, observed : (intervals, k) uint32 arrays
-        Steps in which they were hit and observed, and observed.
+        Steps in which these tiles were both hit and observed, and in which they were observed.
     occupancy : Occupancy, optional
         Steps in which they were visible and occupied, where vehicles are known.
     labels : MapLabels
-        What stands beside its numbers.
+        Labels of pictures and reports.
     further : mapping
-        Of further columns of `tile_counts` that are a share of another one, by name: steps of the
+        By name of a further column of `tile_counts` that is a share of another one: steps of the
         column and of the other, (intervals, k) uint32 arrays each.
     """
 
@@ -127,12 +127,12 @@ class Tally:
 
     @property
     def measure(self) -> str:
-        """What maps of it show: `occupancy` where vehicles are known, else `hit_share`."""
+        """Measure that maps show: `occupancy` where vehicles are known, else `hit_share`."""
         return "hit_share" if self.occupancy is None else "occupancy"
 
     @property
     def definitions(self) -> dict[str, str]:
-        """What its columns mean."""
+        """Meaning of its columns."""
         return DEFINITIONS | ({} if self.occupancy is None else OCCUPANCY_DEFINITIONS)
 
     @property
@@ -158,17 +158,17 @@ class Tally:
         Parameters
         ----------
         dataset : Dataset
-            What was measured.
+            The dataset.
         whole, timeline : Timeline
             The whole time, and the intervals.
         chosen : (k,) int64 array, optional
-            Positions of the tiles to count, ascending; without it, all.
+            Positions of the tiles to count, ascending; by default all.
         labels : MapLabels, optional
-            What stands beside its numbers.
+            Labels of pictures and reports.
         further : sequence of str
             Further columns of `tile_counts` to keep, each a share of another one.
         reporter : Reporter
-            Where progress goes.
+            Receives progress.
 
         Raises
         ------
@@ -220,7 +220,7 @@ class Tally:
     def chosen(
         self, interval: When = None, *, begin: Any = None, end: Any = None
     ) -> int | slice | None:
-        """Return the number of an interval, or those of several, that are asked for by time.
+        """Return the number of the interval at a time, or the numbers between two times.
 
         Parameters
         ----------
@@ -228,12 +228,12 @@ class Tally:
             Its number, or a time in it, such as `2025-06-12 07:30`. Times without an offset are by
             the clocks of the site, whose zone the labels name.
         begin, end : str or datetime, optional
-            In place of one: all between these times.
+            Times between which all intervals are taken, in place of `interval`.
 
         Raises
         ------
         UsageError
-            If there is none such.
+            If there is no such interval.
         """
         return intervals_at(self.timeline, self.zone, interval, begin, end)
 
@@ -244,7 +244,7 @@ class Tally:
 
     @property
     def times(self) -> pd.DatetimeIndex:
-        """When the intervals begin, by the clocks of the site."""
+        """Begins of the intervals, by the clocks of the site."""
         steps = pd.to_datetime(self.timeline.begin * (STEP_US // 1000), unit="ms", utc=True)
         return steps.tz_convert(self.zone).rename("begin")
 
@@ -254,8 +254,8 @@ class Tally:
         Parameters
         ----------
         interval : int, slice, str or datetime, optional
-            Which interval, from 0, negative from the end, or which together, or a time in it, as
-            for :meth:`chosen`; without it, the whole time.
+            Number of the interval, from 0 or negative from the end, a slice of intervals that are
+            taken together, or a time in it, as for :meth:`chosen`; by default the whole time.
 
         Raises
         ------
@@ -286,7 +286,7 @@ class Tally:
         return self.occupancy.shares(self.seen, len(self.tiles), part)
 
     def shown(self, interval: When = None, measure: str | None = None) -> Floats:
-        """Return for all tiles what a map shows, 0 to 1; NaN where nothing is known.
+        """Return the measure of all tiles that a map shows, 0 to 1; NaN where it is not known.
 
         Parameters
         ----------
@@ -319,7 +319,7 @@ class Tally:
         return share
 
     def least_visible_s(self, interval: When = None) -> float:
-        """Return the seconds below which a tile was visible for too short to be certain of it."""
+        """Return the visible time, seconds, below which a tile's occupancy is uncertain."""
         part = self.chosen(interval)
         return 0.0 if self.occupancy is None else self.occupancy.least_visible_s(part)
 
@@ -413,12 +413,12 @@ def own_tiles(dataset: Dataset) -> gpd.GeoDataFrame:
 
 
 def positions(tile_ids: Integers, wanted: Integers) -> Integers:
-    """Return where each wanted tile stands among the ascending `tile_ids`.
+    """Return the position of each wanted tile among the ascending `tile_ids`.
 
     Raises
     ------
     InputError
-        If one is not there.
+        If one is missing.
     """
     position = np.searchsorted(tile_ids, wanted)
     known = position < len(tile_ids)
@@ -471,7 +471,7 @@ def _of_quarters(timeline: Timeline, steps: Runs) -> bool:
 
 
 def _by_quarter(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
-    """Yield the tile counts of each date, with the interval that each quarter lies in."""
+    """Yield the tile counts of each date, with the interval of each quarter."""
     first = timeline.begin // STEPS_PER_QUARTER * STEPS_PER_QUARTER
     last = -(-timeline.end // STEPS_PER_QUARTER) * STEPS_PER_QUARTER
     quarters = Timeline(begin=first, end=last)
@@ -482,7 +482,7 @@ def _by_quarter(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
 
 
 def _by_step(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
-    """Yield the counts of each hour in the intervals that it has a part in."""
+    """Yield the counts of each hour in the intervals that overlap it."""
     records = dataset.records((int(timeline.begin[0]), int(timeline.end[-1]) - 1))
     for hour, record in records.items():
         begin = hour * STEPS_PER_HOUR

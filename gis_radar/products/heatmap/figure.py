@@ -1,4 +1,4 @@
-"""Show a heat map: the figure for a report with legend and time, and plots."""
+"""Draw a heat map: the figure for a report with legend and time, and plots."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from gis_radar.products.heatmap.picture import (
 )
 
 DPI = 200
-FINER = 2  # pixels of the picture for each of the figure's, so that edges are smooth
+FINER = 2  # pixels of the picture for each pixel of the figure, so that edges are smooth
 WIDTH_IN = 10.0
 MAP_WIDTH_IN = 7.15
 MAP_HEIGHT_IN = (5.5, 8.6)  # lowest, which the legend needs, and highest
 EDGE_IN = 0.3
 TITLE_IN = 0.85
-SMALL, LINE = 8.5, 132  # points of all small words; as many letters of them in a line
+SMALL, LINE = 8.5, 132  # points of small letters, and how many of them fit in a line
 BELOW_TITLE = 82  # letters: as far as the scale bar
 TITLE, TITLE_LETTERS, HEAD_LETTERS = 17, 46, 26  # points; letters that fit, beside the north arrow
 LINE_IN = 0.16
@@ -70,7 +70,7 @@ MEANINGS = {
         "sees it. Highest tile: the highest value once its ± is taken off."
     ),
 }
-PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # of a plot: 180 an inch; of a notebook card
+PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # pixels of a plot (180 an inch), a notebook card
 
 
 def draw(
@@ -85,26 +85,26 @@ def draw(
 ) -> Axes:
     """Draw the tiles in the classes of all heat maps, the busiest on top.
 
-    Where vehicles are known it shows occupancy, else hit share; in the language of the labels.
+    The plot shows occupancy where vehicles are known, else hit share, in the labels' language.
 
     Parameters
     ----------
     ax : Axes, optional
-        Where; without it, on a new figure of pyplot.
+        Axes to draw on; by default those of a new figure of pyplot.
     interval : int, slice, str or datetime, optional
-        Which interval, from 0, negative from the end, or a time in it, such as `2025-06-12 07:30`
-        by the clocks of the site; without it, the whole time.
+        Number of the interval, from 0 or negative from the end, or a time in it, such as
+        `2025-06-12 07:30` by the clocks of the site; by default the whole time.
     begin, end : str or datetime, optional
-        In place of one: all intervals between these times.
+        Times between which all intervals are taken, in place of `interval`.
     legend : bool
-        Whether the classes stand beside it.
+        Whether a legend of the classes is drawn beside it.
     most_pixels : int
-        As many the picture may have.
+        Largest number of pixels of the picture.
 
     Returns
     -------
     Axes
-        In metres of the map, cropped to the tiles that were observed.
+        The axes, in metres of the map, cropped to the tiles that were observed.
 
     Raises
     ------
@@ -125,12 +125,12 @@ def draw(
 
 
 def _extent(tally: Tally, aspect: tuple[float, float]) -> Extent:
-    """Return the extent of what was observed in the whole time."""
+    """Return the extent of the tiles observed in the whole time."""
     return map_extent(quads(tally.tiles), tally.shares().observed_s > 0, aspect)
 
 
 def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str) -> Rectangle:
-    """Return a field of a colour of the legend, hatched where it means not observed or unsure."""
+    """Return a field of the legend, hatched where its colour means not observed or uncertain."""
     field = Rectangle(corner, *size, edgecolor=SOFT, linewidth=0.5)
     if colour == style.UNCERTAIN:
         field.set(facecolor=style.RAMP[0], hatch=UNSURE_HATCH, edgecolor=style.HATCH_DARK)
@@ -191,7 +191,7 @@ def heatmap_figure(tally: Tally) -> Figure:
     _add_detail(ax, tally, extent)
     _frame(ax, FRAME)
     beside = EDGE_IN + MAP_WIDTH_IN
-    over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title: it hides no tile
+    over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title, off the tiles
     add_scale_bar(figure, (beside, over_in), MAP_WIDTH_IN / float(width_m))
     _add_titles(figure, tally, EDGE_IN)
     _add_side(_axes(figure, beside, foot_in, WIDTH_IN - beside, tall_in), tally)
@@ -216,7 +216,7 @@ def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
 
 
 def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
-    """Write title and time span over the map, and what is meant and where it is from under it."""
+    """Write title and time span above the map, and meaning and sources below it."""
     width_in, height_in = figure.get_size_inches()
     left = left_in / width_in
     line: dict[str, Any] = {"ha": "left", "va": "baseline", "parse_math": False}
@@ -254,7 +254,7 @@ def _foot(tally: Tally) -> list[str]:
 
 
 def time_span(tally: Tally, interval: int | slice | None = None) -> str:
-    """Return the time span, or that of intervals, by the clocks that the labels name."""
+    """Return the time span, or that of intervals, as text in the labels' time zone."""
     times = tally.whole if interval is None else tally.timeline
     rows = interval if isinstance(interval, slice) else slice(interval or 0, None)
     first = range(len(times))[rows]
@@ -314,8 +314,8 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
     return facts
 
 
-INSETS = (0.42, 0.36, 0.3)  # sides of the inset to try, of the map's shorter side
-WINDOW = 0.12  # side of what it shows, of the map's shorter side
+INSETS = (0.42, 0.36, 0.3)  # sides of the inset to try, as shares of the map's shorter side
+WINDOW = 0.12  # side of the window that it shows, as a share of the map's shorter side
 SMALLEST_MAP_M = 150.0
 SMALLEST_WINDOW_M = 45.0
 GAP = 0.02
@@ -334,12 +334,12 @@ def busiest_window(centres: Floats, share: Floats, extent: Extent) -> Extent | N
     share : (n,) array
         Their occupancy or hit share, NaN where there is no data.
     extent : (south-west, north-east)
-        The map's.
+        Extent of the map.
 
     Returns
     -------
     (south-west, north-east) or None
-        None where nothing was hit, or the map is small enough to be read without.
+        None where nothing was hit, or the map is small enough to need no inset.
     """
     low, high = extent
     shorter = float((high - low).min())

@@ -1,4 +1,4 @@
-"""From a dataset to a heat map: its figures, plots and files."""
+"""Make a heat map from a dataset, with its figures, plots and files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from gis_radar.products.heatmap.style import sidecar_qml
 
 NO_OCCUPANCY = Text("occupancy is missing: no vehicles were measured; the map shows the hit share")
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
-# A report of it may stand there; it goes when the heat map does.
+# Begins of the names of its files, and of those of a report, which is removed with the heat map.
 OWNED = (
     "heatmap.",
     "hits.",
@@ -62,9 +62,9 @@ OWNED = (
 
 
 class HeatMap(Tally):
-    """Occupancy and hit share of each tile, over a time and its intervals.
+    """Heat map: occupancy and hit share of each tile, over a time and its intervals.
 
-    Made by :func:`make_heatmap`; what it holds is described at :class:`Tally`.
+    It is made by :func:`make_heatmap`; its fields are described at :class:`Tally`.
     """
 
     wide = wide_layer
@@ -90,9 +90,9 @@ class HeatMap(Tally):
         Parameters
         ----------
         folder : path
-            Where; an earlier heat map there is replaced as a whole.
+            The folder; an earlier heat map there is replaced as a whole.
         reporter : Reporter
-            Where progress goes.
+            Receives progress.
 
         Returns
         -------
@@ -162,20 +162,20 @@ def make_heatmap(
     at : str, optional
         ISO 8601 time: the map of the one step that contains it, instead of the whole time.
     begin, end : str or datetime, optional
-        Only what is between these times, such as `2025-06-12 07:30`; without an offset they are by
+        Begin and end of the whole time, such as `2025-06-12 07:30`; without an offset they are by
         the clocks of `timezone`. Intervals are cut at both.
     tile_ids : array of int, optional
-        Only these tiles.
+        Ids of the tiles to count; by default all.
     timezone : str, optional
-        Whose hours and days intervals follow, such as Europe/Berlin, and whose clocks pictures
-        show where `labels` are not given; tables and layers stay in UTC. By default the dataset's.
+        Time zone of the intervals' hours and days, such as Europe/Berlin, and of pictures where
+        `labels` are not given; tables and layers stay in UTC. By default the dataset's.
     labels : MapLabels, optional
         Title, time zone and sources for pictures and reports.
     further : sequence of str
         Columns of `tile_counts` that become further maps, each as a share of its
         time: `hidden_steps` shows how much of the observed time vehicles hid a tile.
     reporter : Reporter
-        Where progress and remarks go.
+        Receives progress and remarks.
 
     Returns
     -------
@@ -217,7 +217,7 @@ def make_heatmap(
         counted = len(ids if chosen is None else chosen)
         frames = _within(dataset.frame_steps(valid=False), *span)
         timeline = intervals_of(frames, interval, zone, counted, reporter).cut(*span)
-        # What is valid after the last interval, by a frame in it, is no part of the whole either.
+        # Steps after the last interval, in which a frame is still valid, do not count.
         whole = whole.cut(None, int(timeline.end[-1]))
     if not dataset.has_vehicles:
         reporter.log(NO_OCCUPANCY)
@@ -231,7 +231,7 @@ def make_heatmap(
 def _write_style(
     tally: Tally, path: Path, _reporter: Reporter, *, measure: str | None = None
 ) -> None:
-    """Write the style by which QGIS shows the raster and the table of that name."""
+    """Write the QGIS style (QML) of the raster and the table with that name."""
     style = sidecar_qml(measure or tally.measure, least_s=tally.least_visible_s())
     path.write_text(style, encoding="utf-8")
 
@@ -251,14 +251,14 @@ def _within(runs: Runs, first: int | None, after: int | None) -> Runs:
 
 
 def read_heatmap(path: str | Path) -> HeatMap:
-    """Read a heat map back, with all that it counted.
+    """Read a heat map back, with all its counts.
 
-    The layer by interval is read in batches: memory is that of the result.
+    The layer by interval is read in batches: memory holds the result.
 
     Parameters
     ----------
     path : str or Path
-        Its folder, or the GeoPackage in it.
+        The heat map's folder, or the GeoPackage in it.
 
     Returns
     -------

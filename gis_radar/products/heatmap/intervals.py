@@ -33,23 +33,23 @@ from gis_radar.base import (
 from gis_radar.measures import Runs, union_of_runs
 
 MOST_BANDS = 500  # intervals that become columns and bands (the contract); more are rows only
-MOST_ROWS = 100_000_000  # of the layer by interval: as many are about 35 GB of GeoPackage
+MOST_ROWS = 100_000_000  # most rows of the layer by interval: about 35 GB of GeoPackage
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapLabels:
-    """What pictures and reports of a heat map say beside its numbers.
+    """Labels of pictures and reports of a heat map.
 
     Parameters
     ----------
     title : str
-        Of the site.
+        Title of the site.
     timezone : str
-        Whose clocks the times in pictures follow, such as Europe/Berlin; files stay in UTC.
+        Time zone of the times in pictures, such as Europe/Berlin; files stay in UTC.
     sources : sequence of str
-        Where map, scan and recordings come from, and whether they are simulated: a line each.
+        Sources of map, scan and recordings, and whether they are simulated: a line each.
     language : str
-        `en` or `de`: of the picture, and of a report.
+        Language of pictures and reports, `en` or `de`.
     """
 
     title: str = ""
@@ -66,7 +66,7 @@ class MapLabels:
 
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
-    """Intervals that ascend and do not overlap.
+    """Disjoint intervals in ascending order.
 
     Parameters
     ----------
@@ -89,13 +89,13 @@ class Timeline:
         return [self.span(i) for i in range(len(self))]
 
     def cut_at(self, steps: int) -> Timeline:
-        """Return the parts of the only interval between whole multiples of some steps."""
+        """Cut the only interval at the multiples of a number of steps."""
         low, high = int(self.begin[0]), int(self.end[0])
         edges = np.arange(low // steps + 1, (high - 1) // steps + 1, dtype=np.int64) * steps
         return Timeline(begin=np.append(low, edges), end=np.append(edges, high))
 
     def cut(self, first: int | None, after: int | None) -> Timeline:
-        """Return the parts of intervals from one step until before another."""
+        """Return the parts of intervals from step `first` to before step `after`."""
         low = first if first is not None else int(self.begin[0])
         high = after if after is not None else int(self.end[-1])
         inside = (self.end > low) & (self.begin < high)
@@ -103,7 +103,7 @@ class Timeline:
         return Timeline(begin=begin, end=end)
 
     def counts(self, runs: Runs) -> Integers:
-        """Return how many steps of a set fall in each interval."""
+        """Count the steps of a set that fall in each interval."""
         return runs.before(self.end) - runs.before(self.begin)
 
     def find(self, step: Integers) -> Integers:
@@ -135,7 +135,7 @@ def _numbers_with(runs: Runs, steps: int) -> Runs:
 
 
 def intervals_with(runs: Runs, steps: int) -> int:
-    """Return how many aligned intervals hold a step of the set, without listing them."""
+    """Count the aligned intervals that hold a step of the set, without listing them."""
     return _numbers_with(runs, steps).steps
 
 
@@ -159,12 +159,12 @@ When: TypeAlias = int | slice | str | datetime | None
 def intervals_at(
     timeline: Timeline, zone: ZoneInfo, interval: When, begin: Any, end: Any
 ) -> int | slice | None:
-    """Return the numbers of intervals that are asked for by number or by time.
+    """Return the number, or a slice of numbers, of intervals given by number or by time.
 
     Raises
     ------
     UsageError
-        If there is none such, or a number stands beside `begin` or `end`.
+        If there is no such interval, or both `interval` and `begin` or `end` are given.
     """
     if begin is not None or end is not None:
         if interval is not None:
@@ -187,7 +187,7 @@ def intervals_at(
 
 
 def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
-    """Return the intervals that lie between two times as a whole."""
+    """Return the intervals that lie completely between two times."""
     low, high = (
         None if time is None else moment_in(time, zone, what=what)
         for time, what in ((begin, "begin"), (end, "end"))
@@ -235,7 +235,7 @@ def local_intervals(first: int, last: int, steps: int, zone: ZoneInfo) -> Timeli
         begin at their time of day, so that `6h` begins at 0, 6, 12 and 18 o'clock. Whole
         days count from a Monday.
     zone : ZoneInfo
-        Whose midnights.
+        Time zone of the midnights.
 
     Raises
     ------
@@ -292,7 +292,7 @@ def whole_of(runs: Runs, at: str | None) -> Timeline:
 
 
 def moment_of(text: str, what: str) -> float:
-    """Return a time that a caller gave as UNIX seconds."""
+    """Convert a time given as text to UNIX seconds."""
     try:
         return seconds_from_iso(text, what=what)
     except InputError as error:

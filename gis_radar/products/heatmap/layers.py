@@ -1,4 +1,4 @@
-"""The two layers of a heat map: one row a tile, and one row a tile and interval."""
+"""The two layers of a heat map: a row for each tile, and a row for each tile and interval."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _STEP_MS = 50
 
 
 def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
-    """Return one row a tile: the whole time, and a column an interval.
+    """Return a row for each tile: the whole time, and a column for each interval.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
 
 
 def long_layer(tally: Tally) -> gpd.GeoDataFrame:
-    """Return one row a tile and interval, also where nothing was hit or observed.
+    """Return a row for each tile and interval, also where nothing was hit or observed.
 
     Returns
     -------
@@ -118,12 +118,12 @@ def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
         compression="zstd",
         schema_version="1.1.0",
         write_covering_bbox=True,
-        write_page_checksum=True,  # a flipped bit is found on reading
+        write_page_checksum=True,  # so that a flipped bit is found on reading
     )
 
 
 def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
-    """Write the layer of tiles, the tables of what was counted, their views, and styles."""
+    """Write the layer of tiles, the tables of counts, their views, and styles."""
     metadata = {
         name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         for name, value in tally.metadata.items()
@@ -144,16 +144,16 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
 
 
 def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]:
-    """Return the QGIS styles of both layers as gis_radar gives them to a heat map.
+    """Return our QGIS styles of both layers of a heat map.
 
-    What is stored in the file may be anybody's, with code of forms, actions and expressions.
+    Styles in the file are not used: anybody's may hold code in forms, actions and expressions.
 
     Parameters
     ----------
     path : Path
         The GeoPackage.
     measure : str
-        What it shows.
+        The measure that it shows.
     length_s : float
         Length of its intervals, seconds.
     """
@@ -168,7 +168,7 @@ def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]
 
 
 def own_styles(measure: str, length_s: float, least_s: Mapping[str, float]) -> dict[str, str]:
-    """Return the QGIS styles of both layers; `least_s` is what is visible for long enough."""
+    """Return the QGIS styles of both layers; tiles visible for under `least_s` are uncertain."""
     measured = {
         name: title for name, title in _TITLES.items()
         if measure == "occupancy" or name in _OF_HITS
@@ -197,7 +197,7 @@ _TITLES = {
 
 
 def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
-    """Return titles and meaning of both layers and their fields."""
+    """Return titles and meanings of both layers and their fields."""
     measured = {name: (_TITLES[name], text) for name, text in tally.definitions.items()}
     times = {BEGIN: (_TIMES[BEGIN], "of the interval"), END: (_TIMES[END], "exclusive")}
     begin, end = tally.whole_iso
@@ -237,7 +237,7 @@ def read_package(path: Path) -> dict[str, Any]:
 
 
 def _fields(place: Path, path: Path) -> dict[str, Any]:
-    """Return the fields of a tally from the GeoPackage at `place`, which messages call `path`."""
+    """Return the fields of a tally from the GeoPackage `place`, named `path` in messages."""
     tiles = pyogrio.read_dataframe(
         place, layer=WIDE, columns=[*TILE_COLUMNS, LANE_COLUMN], use_arrow=True
     )
@@ -271,7 +271,7 @@ def _fields(place: Path, path: Path) -> dict[str, Any]:
 
 
 def _labels_of(text: str, path: Path) -> MapLabels:
-    """Return what was kept of labels; refuse what is none."""
+    """Return labels from their stored text; refuse a text that holds none."""
     try:
         return MapLabels(**json.loads(text))
     except (TypeError, ValueError, UsageError) as error:
@@ -279,7 +279,7 @@ def _labels_of(text: str, path: Path) -> MapLabels:
 
 
 def _occupancy_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Occupancy | None:
-    """Return visible and occupied steps and errors of the tiles that are seen, if there are any."""
+    """Return visible and occupied steps and errors of the seen tiles; None without vehicles."""
     if "visible" not in counts:
         return None
     return Occupancy(
@@ -291,7 +291,7 @@ def _occupancy_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Occu
 
 
 def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -> Timeline:
-    """Return the whole time; refuse a table that is not what was written."""
+    """Return the whole time; refuse a table of tiles that was changed."""
     missing = [name for name in TILE_COLUMNS if name not in tiles]
     missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
     if missing or not isinstance(tiles, gpd.GeoDataFrame):

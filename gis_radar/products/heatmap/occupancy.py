@@ -3,23 +3,23 @@
 Occupancy is an estimate of the share of time with a vehicle on a tile. Its error is that of a
 finite number of runs of steps, each of which may be too long, too short, or not there at all:
 
-- the ends of a run are known as well as the ends of a vehicle: `end_share` of its length of time,
-  and no more than `end_most_s`, however long the vehicle stood;
-- a run may be of no vehicle, and one may be missing: `false_share` of a run that was seen, and
-  `inferred_share` of one that was inferred while nothing was measured, of its whole length;
-- while other vehicles hide a tile nothing is measured there, on empty road as under vehicles: of
-  `hidden_share` of that time only the occupancy at large is known;
+- the ends of a run are known as well as the ends of a vehicle: to `END_SHARE` of the run's length,
+  and to `END_MOST_S` at most, however long the vehicle stood;
+- a run may be of no vehicle, and one may be missing: the error is `FALSE_SHARE` of the length of a
+  run that was seen, and `INFERRED_SHARE` of one that was inferred while nothing was measured;
+- while other vehicles hide a tile nothing is measured there, on empty road as under vehicles: for
+  `HIDDEN_SHARE` of that time only the tile's mean occupancy is known;
 - all vehicles may be shifted along the lane, as poses and maps are
   (:mod:`gis_radar.dataset.shifts`): occupancy is then that of the place so far ahead or behind;
 - across it, a pose that is off by more than half of a tile's width puts them on the next lane, as
   often to the left as to the right.
 
-With T the length of a run, V the visible time, H the hidden part of it, c the occupancy, d how it
-changes by the shift along the lane, p the chance of another lane, l and r the occupancy of those
-beside it (0 where there is none),
-`se = sqrt(sum(min(end_share T, end_most_s)^2 + (false_share T)^2 or (inferred_share T)^2) / V^2
-+ (hidden_share H / V)^2 c (1 - c) + d^2 + p ((l - c)^2 + (r - c)^2) / 2)`, and at least
-`least_s / V`. Runs are independent of each other, hidden times and shifts are not. The first sum is
+With T the length of a run, V the visible time, H the hidden part of it, c the occupancy, d its
+change by the shift along the lane, p the probability of another lane, l and r the occupancy of the
+lanes beside it (0 where there is none),
+`se = sqrt(sum(min(END_SHARE T, END_MOST_S)^2 + (FALSE_SHARE T)^2 or (INFERRED_SHARE T)^2) / V^2
++ (HIDDEN_SHARE H / V)^2 c (1 - c) + d^2 + p ((l - c)^2 + (r - c)^2) / 2)`, and at least
+`LEAST_ERROR_S / V`. Runs are independent, hidden times and shifts are not. The first sum is
 the dataset's `occupied_variance` (:mod:`gis_radar.dataset.tile_counts`), the hidden time its
 `inferred_steps`.
 """
@@ -53,19 +53,19 @@ OCCUPANCY_DEFINITIONS = {
 # standard errors without it, 50 and 71 % with it.
 HIDDEN_SHARE = 0.7
 LEAST_ERROR_S = 0.1  # least error of the occupied time: two steps
-LONGEST_M = 1e5  # of a lanelet
+LONGEST_M = 1e5  # longer than any lanelet
 # Tables hold the roots of standard errors by interval in parts of a 32767th, the largest number of
 # two bytes: 0.0001 is kept to 0.3 %, larger ones better.
 ERROR_UNIT = 1.0 / 32767**2
 
 
 class OccupancyShares(NamedTuple):
-    """One value a tile, in the order of the tiles.
+    """Occupancy of each tile with its error, in the order of the tiles.
 
     Parameters
     ----------
     visible_s, occupied_s : (n,) float64 arrays
-        Seconds; visible is 0 where never, occupied is NaN there.
+        Seconds; where a tile was never visible, `visible_s` is 0 and `occupied_s` NaN.
     occupancy, occupancy_se : (n,) float64 arrays
         Their quotient and its standard error, NaN where not visible.
     """
@@ -76,10 +76,10 @@ class OccupancyShares(NamedTuple):
     occupancy_se: Floats
 
     def uncertain(self, least_visible_s: float) -> Booleans:
-        """Return what maps hatch.
+        """Return which tiles are uncertain, and hatched on maps.
 
-        That is where the standard error is as large as the occupancy and at least 2 percentage
-        points, and where a tile was visible for less than so long.
+        These are tiles whose standard error is as large as the occupancy and at least 2 percentage
+        points, and tiles visible for less than `least_visible_s`.
         """
         vague = self.occupancy_se >= np.maximum(self.occupancy, UNCERTAIN_FROM)
         return (self.visible_s > 0.0) & (vague | (self.visible_s < least_visible_s))
@@ -96,7 +96,7 @@ class Occupancy:
     error : (intervals, k) float32 array
         Standard error of the occupancy; NaN where not visible.
     error_whole : (k,) float32 array
-        That of the whole time.
+        Standard error over the whole time.
     """
 
     visible: NDArray[np.uint32]
@@ -121,7 +121,7 @@ class Occupancy:
         return OccupancyShares(*found)
 
     def least_visible_s(self, interval: int | slice | None) -> float:
-        """Return half of the longest visible time of a tile; of one interval, of that in any."""
+        """Return half of a tile's longest visible time (s); of an interval, that in any of them."""
         if isinstance(interval, int):
             longest = self.visible.max(initial=0)
         else:
@@ -136,13 +136,13 @@ class Occupancy:
             return np.asarray(self.error[interval], np.float64)
         parts = np.nan_to_num(self.error[interval]) * self.visible[interval]
         apart = np.sqrt((parts**2).sum(axis=0)) / np.maximum(visible, 1)
-        return np.asarray(np.fmax(apart, self.error_whole))  # which no time averages out
+        return np.asarray(np.fmax(apart, self.error_whole))  # shifts do not average out
 
 
 def surest(share: Floats, error: Floats) -> int:
-    """Return the tile whose share is highest with its standard error taken off.
+    """Return the tile whose share less its standard error is highest.
 
-    The highest share alone would be that of the tile of which least is known.
+    The highest share alone would be that of the least known tile.
     """
     return int(np.nanargmax(share - np.nan_to_num(error)))
 
@@ -150,9 +150,9 @@ def surest(share: Floats, error: Floats) -> int:
 def mean_occupancy(tiles: gpd.GeoDataFrame, shares: OccupancyShares) -> tuple[float, float]:
     """Return the mean occupancy over tiles and visible time, and its standard error.
 
-    A vehicle that was missed, or is none, is so all along its lane: the errors of a lane's tiles
-    are taken as one error, those of different lanes as independent. On ten simulated sites the
-    true mean was within two standard errors on nine.
+    A missed or false vehicle affects all tiles of its lane: the errors of a lane's tiles are taken
+    as one error, those of different lanes as independent. On ten simulated sites the true mean was
+    within two standard errors on nine.
     """
     total_s = float(shares.visible_s.sum())
     if total_s == 0.0:
@@ -174,13 +174,13 @@ def occupancy_of(
     sums : mapping
         By the names of the columns of `tile_counts`, sums by interval and tile: (intervals, k).
     whole : mapping
-        The same of the whole time by quarter of an hour, at whose edges runs are cut.
+        The same sums over the whole time, from quarters of an hour, at whose edges runs are cut.
     tiles : GeoDataFrame
         All tiles, by ascending `tile_id`.
     seen : (k,) int64 array
         Positions of the tiles that were counted.
     shifts : Shifts
-        By how much vehicles on each tile may be shifted.
+        Common shifts of the vehicles on each tile.
     """
     names = ("visible_steps", "occupied_steps", "occupied_variance", "inferred_steps")
     lanes = _Shifted.of(tiles, seen, shifts)
@@ -194,25 +194,25 @@ def occupancy_of(
 
 
 def error_roots(errors: Floats) -> Integers:
-    """Return roots of standard errors, 0 to 1, as the whole numbers that tables hold."""
+    """Return roots of standard errors, 0 to 1, as whole numbers for tables."""
     return np.rint(np.sqrt(errors / ERROR_UNIT)).astype(np.int64)
 
 
 def _rounded(errors: Floats) -> NDArray[np.float32]:
-    """Return standard errors as tables hold them, so that a map read back is the same."""
+    """Round standard errors as tables do, so that a map read back is the same."""
     roots = error_roots(np.nan_to_num(errors))
     return np.where(np.isnan(errors), np.nan, roots * roots * ERROR_UNIT).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Shifted:
-    """Tiles along one axis, a lanelet after the other, and where each may be shifted to."""
+    """Tiles on one axis, one lanelet after the other, with the shift of each."""
 
     seen: Integers
     at_m: Floats
     ends: tuple[Floats, Floats]
     beside: Integers  # (2, k) tiles beside the counted ones, -1 where there is none
-    other_lane: Floats  # chance of it
+    other_lane: Floats  # probability that a vehicle is on one of these
 
     @classmethod
     def of(cls, tiles: gpd.GeoDataFrame, seen: Integers, shifts: Shifts) -> _Shifted:
@@ -244,6 +244,6 @@ class _Shifted:
         return np.where(visible > 0, np.clip(found, np.minimum(least, 1.0), 1.0), np.nan)
 
     def _change(self, share: Floats) -> Floats:
-        """Return how much a share of the counted tiles changes by the shift, either way."""
+        """Return the change of a share of the counted tiles by the shift, of both directions."""
         there = (np.interp(end, self.at_m, share) for end in self.ends)
         return np.asarray(np.fmax(*(np.nan_to_num(np.abs(t - share[self.seen])) for t in there)))

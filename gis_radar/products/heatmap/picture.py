@@ -34,12 +34,12 @@ PAPER, STRIPE = "#ffffff", "#5c6268"
 HALO = [withStroke(linewidth=2.6, foreground="white")]
 
 LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
-MARGIN = 0.05  # of the longer side, where that is more
-FINEST_M = 0.04  # finer pixels show no more of tiles of 0.5 m
-# Pixels from one stripe to the next, at 1000 pixels: of tiles not observed, which a phone shows as
-# stripes, too, and of uncertain ones.
+MARGIN = 0.05  # margin as a share of the longer side, where that is more
+FINEST_M = 0.04  # finest pixel: finer ones show no more of tiles of 0.5 m
+# Pixels between stripes in a picture of 1000 pixels: of tiles not observed (visible as stripes on a
+# phone, too), and of uncertain ones.
 STRIPES, HATCHES = 12, 7
-OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger its words
+OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger its letters
 NARROW_IN, NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
 BAR_IN, BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
 
@@ -59,11 +59,11 @@ class MapPicture:
     Parameters
     ----------
     grid : PixelGrid
-        Its pixels.
+        The pixels.
     cover : Cover
         The tiles of each pixel.
     ground : (height, width) uint8 array
-        The picture without any tile, as places in the palette: paper, and the road's outline.
+        The picture without tiles, as indices in the palette: paper, and the road's outline.
     """
 
     grid: PixelGrid
@@ -71,14 +71,14 @@ class MapPicture:
     ground: Pixels
 
     def paint(self, share: Floats, uncertain: Booleans) -> Pixels:
-        """Return the picture as places in the palette: of overlapping tiles the busiest shows.
+        """Return the picture as indices in the palette; of overlapping tiles the busiest shows.
 
         Parameters
         ----------
         share : (n,) array
-            Hit share of all tiles, NaN where not observed: striped, unlike a 0.
+            Share of all tiles; NaN, where not observed, is striped, unlike a 0.
         uncertain : (n,) bool array
-            Which of them are hatched over their colour.
+            Whether each tile is hatched over its colour.
         """
         breaks = [each.upper for each in style.colour_classes()]
         place = np.where(np.isnan(share), UNSEEN, CLASSES + np.searchsorted(breaks, share))
@@ -125,14 +125,14 @@ class MapPicture:
         return figure, ax
 
     def overlay(self, poses: Sequence[Pose], width_in: float = OVERLAY_IN) -> Image.Image:
-        """Draw scale bar, north arrow and sensors on nothing, to go over a painted picture.
+        """Draw scale bar, north arrow and sensors on a transparent image, for a painted picture.
 
         Parameters
         ----------
         poses : sequence of Pose
-            Of the sensors, each with its name.
+            Poses of the sensors, with their names.
         width_in : float
-            Of the figure: the narrower, the larger its words.
+            Width of the figure, inches: the narrower, the larger its letters.
         """
         figure, ax = self.blank(width_in)
         scale = add_corner_scale(figure, ax)
@@ -147,11 +147,11 @@ def map_extent(corners: Floats, shown: Booleans, aspect: tuple[float, float]) ->
     Parameters
     ----------
     corners : (n, 4, 2) array
-        Of all tiles, metres.
+        Corners of all tiles, metres.
     shown : (n,) bool array
-        The tiles that decide what is in the picture; all where it holds none.
+        Tiles that must be in the picture; where there is none, all are.
     aspect : (lowest, highest)
-        Height by width.
+        Limits of height over width.
     """
     inside = corners[shown] if shown.any() else corners
     low, high = inside.min(axis=(0, 1)), inside.max(axis=(0, 1))
@@ -161,16 +161,16 @@ def map_extent(corners: Floats, shown: Booleans, aspect: tuple[float, float]) ->
 
 
 def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture:
-    """Lay a picture over tiles.
+    """Make the picture of tiles in an extent.
 
     Parameters
     ----------
     corners : (n, 4, 2) array
-        Of all tiles, metres.
+        Corners of all tiles, metres.
     extent : (south-west, north-east)
-        What it shows, metres.
+        Extent of the picture, metres.
     most_pixels : int
-        As many it may have.
+        Largest number of pixels.
     """
     low, high = extent
     wide, tall = high - low
@@ -195,7 +195,7 @@ def legend_in_words(measure: str) -> list[tuple[str, str]]:
 
 
 def palette() -> list[int]:
-    """Return red, green, blue of each place in the palette, one after the other."""
+    """Return red, green, blue of each index in the palette, one after the other."""
     classes = [each.colour for each in style.colour_classes()]
     hatches = style.HATCH_DARK, style.HATCH_LIGHT
     return rgb(PAPER, SOFT, style.NOT_OBSERVED, STRIPE, *hatches, *classes)
@@ -207,7 +207,7 @@ def rgb(*colours: str) -> list[int]:
 
 
 def image_of_pixels(pixels: Pixels, colours: Sequence[int] | None = None) -> Image.Image:
-    """Return places in the palette, or in another one, as an image."""
+    """Return an image of indices in the palette, or in another one."""
     image = Image.fromarray(pixels)
     image.putpalette(palette() if colours is None else colours)
     return image
@@ -229,7 +229,7 @@ def png(image: Image.Image) -> bytes:
 
 
 def for_a_phone(image: Image.Image) -> Image.Image:
-    """Return a picture no wider than a phone shows."""
+    """Return a picture no wider than a phone's screen."""
     narrow = image.copy()
     narrow.thumbnail((NARROW_PIXELS, 4 * NARROW_PIXELS), Image.Resampling.LANCZOS)
     return narrow
@@ -249,13 +249,13 @@ def add_scale_bar(
     Parameters
     ----------
     figure : Figure
-        Where.
+        Figure to draw on.
     corner_in : (right, base)
         Right end and lower edge of both, inches.
     metre_in : float
         Inches on paper of a metre of the map.
     longest_in : float
-        The bar is no longer, inches.
+        Longest length of the bar, inches.
 
     Returns
     -------
@@ -286,7 +286,7 @@ def add_scale_bar(
 
 
 def add_corner_scale(figure: Figure, ax: Axes) -> BboxBase:
-    """Draw scale bar and north arrow on white in the lower right corner; return where, pixels."""
+    """Draw scale bar and north arrow on white in the lower right corner; return their box, px."""
     width_in = float(figure.get_size_inches()[0])
     west, east = ax.get_xlim()
     longest_in = min(BAR_IN, BAR_SHARE * width_in)
@@ -309,7 +309,7 @@ def add_sensor(ax: Axes, pose: Pose, taken: BboxBase) -> None:
     pose : Pose
         The sensor's, in the map's coordinate system.
     taken : BboxBase
-        Where the name must not lie, in pixels of the figure.
+        Box, in pixels of the figure, that the name must not cover.
     """
     rim = np.asarray(pose.outline().exterior.coords)
     dashed: dict[str, Any] = {"linewidth": 0.8, "linestyle": (0, (4, 3)), "alpha": 0.5}
@@ -330,7 +330,7 @@ def add_sensor(ax: Axes, pose: Pose, taken: BboxBase) -> None:
 
 
 def _keep_inside(ax: Axes, name: Annotation, taken: BboxBase) -> None:
-    """Move a name that would be cut at the map's edge; above its sensor, if there is no room."""
+    """Move a name that the map's edge would cut; if there is no room, above its sensor."""
     box, held, dot = name.get_window_extent(), ax.get_window_extent(), ax.figure.dpi / 72.0
     x, y = name.xyann
     x += max(held.x0 - box.x0, 0.0) / dot - max(box.x1 - held.x1, 0.0) / dot

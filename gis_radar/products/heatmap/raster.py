@@ -29,10 +29,10 @@ from gis_radar.products.heatmap.counting import Tally
 
 PIXEL_M = CELL_M  # side of a pixel: the length of a tile, so that none is skipped
 POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
-MOST_BLOCK_BYTES = 16_000_000  # of all bands of a block, which GDAL holds at once
+MOST_BLOCK_BYTES = 16_000_000  # most bytes of all bands of a block, which GDAL holds at once
 SMALLEST = 512  # pixels: the smallest overview fits in a few blocks
-CACHE_MB = 256  # GDAL would take a share of the machine's memory
-# The mean of the observed pixels: a thin lane stays in sight, and 0 to 1 keeps its meaning.
+CACHE_MB = 256  # cache of GDAL, which else takes a share of the machine's memory
+# Overviews are means of the observed pixels: thin lanes stay visible, and values are still shares.
 OVERVIEW = Resampling.average
 
 
@@ -47,7 +47,7 @@ class PixelGrid:
     pixel_m : float
         Side of a pixel, metres.
     width, height : int
-        Pixels.
+        Number of pixels along both sides.
     """
 
     west_m: float
@@ -102,7 +102,7 @@ class Cover:
     pixel : (p,) int64 array
         The pixels in a tile, ascending.
     start : (p,) int64 array
-        Where each pixel's tiles begin in `tile`.
+        Index in `tile` of each pixel's first tile.
     tile : (k,) int64 array
         Positions of tiles.
     """
@@ -124,7 +124,7 @@ def cover(grid: PixelGrid, corners: Floats) -> Cover:
     grid : PixelGrid
         The pixels.
     corners : (n, 4, 2) array
-        Of the tiles, metres in the map.
+        Corners of the tiles, metres in the map.
     """
     engine = TileGrid(corners)
     candidates = grid.touched(corners)
@@ -160,13 +160,13 @@ def write_raster(
     Parameters
     ----------
     tally : Tally
-        What was counted.
+        The counts of the heat map.
     path : Path
         The file.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
     measure : str, optional
-        As for :meth:`Tally.shown`; without it, what the tally shows.
+        As for :meth:`Tally.shown`; by default the tally's measure.
     """
     corners = quads(tally.tiles)[tally.seen]
     intervals = [None, *tally.columns]
@@ -199,7 +199,7 @@ def write_raster(
 
 
 def _check_crs(path: Path) -> None:
-    """Refuse a file whose coordinate system was lost: GDAL only warns where PROJ fails it."""
+    """Refuse a file whose coordinate system was lost, as GDAL only warns if PROJ fails."""
     with rasterio.open(path) as raster:
         if raster.crs is None or not raster.crs.is_projected:
             raise OutputError(

@@ -1,4 +1,4 @@
-"""Tables and views that SQL makes in a GeoPackage, made known to those who read it."""
+"""Register tables and views made by SQL in a GeoPackage, so that its readers see them."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def register_table(
     database : sqlite3.Connection
         The GeoPackage.
     table : str
-        Its name.
+        Name of the table or view.
     kind : str
         `features`, with geometry, extent and metadata of `like`, or `attributes`.
     like : str
-        A layer of the same place.
+        A layer of the same extent.
     rows : int
-        How many it has: QGIS would count those of a view each time that it opens it.
+        Number of rows, which QGIS would else count each time that it opens a view.
     """
     names = {"table": table, "kind": kind, "like": like, "rows": rows}
     database.execute(_REGISTER, names)

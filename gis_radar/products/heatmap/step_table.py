@@ -1,9 +1,9 @@
 """The table of steps of a heat map, and the view that shows it as a layer.
 
 A row of the table is a tile in an interval: whole steps, no polygon, so that a day of quarter hours
-takes a tenth of the room. Stored is what is mostly zero, the steps in which a tile was not observed
-and those in which it was observed but hidden; observed and visible ones are computed. The view
-of the name `by_interval` joins the polygons of the layer `tiles` and the times; QGIS and
+takes a tenth of the room. Stored are counts that are mostly zero, the steps in which a tile was not
+observed and those in which it was observed but hidden; observed and visible steps are computed. The
+view `by_interval` joins the polygons of the layer `tiles` and the times; QGIS and
 GDAL open it like any other layer.
 """
 
@@ -25,7 +25,7 @@ LONG = "by_interval"
 TIMES = "intervals"
 BEGIN, END = "begin", "end"
 ERROR = "occupancy_se"
-ROOT = "occupancy_se_root"  # of the standard error: a whole number of 2 bytes, a real one takes 8
+ROOT = "occupancy_se_root"  # root of the standard error as a whole number of 2 bytes, not 8
 UNOBSERVED, HIDDEN = "unobserved", "hidden"
 HIT_COLUMNS = ("hit", "observed")
 OCCUPANCY_COLUMNS = ("occupied", "visible", ERROR)
@@ -57,9 +57,9 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     database : sqlite3.Connection
         The GeoPackage.
     tally : Tally
-        What was counted.
+        The counts of the heat map.
     reporter : Reporter
-        Where progress goes.
+        Receives progress.
     """
     columns = [*HIT_COLUMNS, *(() if tally.occupancy is None else OCCUPANCY_COLUMNS)]
     database.execute(_TIMES)
@@ -80,12 +80,12 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
 
 
 def _counts_up(tile_ids: Any) -> bool:
-    """Return whether tiles are numbered from 0 without a gap, so that the row gives the tile."""
+    """Return whether tile ids count up from 0 without gaps, so that rows give the tile."""
     return bool(np.array_equal(tile_ids, np.arange(len(tile_ids))))
 
 
 def _steps_table(columns: list[str], tally: Tally) -> str:
-    """Return the statement that makes the table of steps: what follows from others is computed."""
+    """Return the SQL statement that makes the table of steps, with its computed columns."""
     tile_ids = tally.tiles["tile_id"]
     count, computed = len(tile_ids), "INTEGER NOT NULL GENERATED ALWAYS AS"
     interval = f'{computed} (("fid" - 1) / {count}) VIRTUAL'
@@ -119,7 +119,7 @@ def _steps_table(columns: list[str], tally: Tally) -> str:
 
 
 def _longest(tally: Tally) -> int:
-    """Return the steps of the longest interval: most tiles are observed in all of them."""
+    """Return the number of steps of the longest interval."""
     return int((tally.timeline.end - tally.timeline.begin).max())
 
 
@@ -157,14 +157,14 @@ def _rows(tally: Tally, interval: int) -> Iterator[tuple[Any, ...]]:
 
 
 def _known(values: Any, whole: Any) -> list[Any]:
-    """Return values as a list, None where there is no time that they are a part of."""
+    """Return values as a list, None where the whole is 0."""
     found = values.astype(object)
     found[whole == 0] = None
     return list(found)
 
 
 def _add_view(database: sqlite3.Connection, tally: Tally, columns: list[str]) -> None:
-    """Make the view and tell GeoPackage readers of it and of the tables."""
+    """Make the view, and register it and the tables for readers of the GeoPackage."""
     geometry = database.execute(
         "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (TILES,)
     ).fetchone()[0]
@@ -194,6 +194,6 @@ def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:
 
 
 def step_columns(database: sqlite3.Connection) -> list[str]:
-    """Return the columns of the table of steps that hold what was counted."""
+    """Return the columns of the table of steps that hold counts."""
     known = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{STEPS}")')}
     return [name for name in (*HIT_COLUMNS, *OCCUPANCY_COLUMNS) if name in known]

@@ -1,4 +1,4 @@
-"""The one look of all heat maps: colour ramp, class breaks, and QGIS styles of them.
+"""Style of all heat maps: colour ramp, class breaks, and QGIS styles.
 
 The QGIS styles are `occupancy.qml`, a pattern, and `ground.qml`. Everything here needs the
 standard library only, so that a Python without the geographic packages can load this file.
@@ -24,13 +24,13 @@ BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # occupancy and hit
 RAMP = (
     "#f1dd88", "#f3be56", "#ef891a", "#df5028", "#ba1c4d", "#830460", "#480d58", "#18083b",
 )  # fmt: skip
-NEVER_HIT = "#f1f6fb"  # nearly paper: the one step that grey print would not show else
-NOT_OBSERVED = "#b9bdc1"  # for pictures; layers leave such tiles transparent
-UNCERTAIN = "uncertain"  # its label; drawn as a hatch over the colour of the class
-UNCERTAIN_FROM = 0.02  # a standard error as large as the occupancy, and over this, is uncertain
-UNCERTAIN_SEEN = 0.5  # so is what was visible for a smaller share of the longest visible time
+NEVER_HIT = "#f1f6fb"  # nearly the colour of paper
+NOT_OBSERVED = "#b9bdc1"  # in pictures; layers leave such tiles transparent
+UNCERTAIN = "uncertain"  # label of uncertain tiles, which are hatched over their class's colour
+UNCERTAIN_FROM = 0.02  # uncertain: a standard error as large as the occupancy, and over this
+UNCERTAIN_SEEN = 0.5  # uncertain: visible for a smaller share of the longest visible time
 HATCH_DARK, HATCH_LIGHT = "#6b7278", "#ffffff"  # over pale colours and over deep ones
-_PALE = 4  # classes, from 0 up
+_PALE = 4  # number of pale classes, from 0 up
 LEGEND_TITLE = "Share of the observed time"
 LEGEND_SUBTITLE = "in which a tile is hit"
 
@@ -39,7 +39,7 @@ _HERE = Path(__file__).parent
 
 
 class MeasureWords(NamedTuple):
-    """How maps call a measure: title of its legend and what follows it, zero, no data."""
+    """Words of a measure on maps: title and subtitle of its legend, zero, no data."""
 
     title: str
     subtitle: str
@@ -91,7 +91,7 @@ def colour_classes(measure: str = "hit_share") -> tuple[ColourClass, ...]:
 def legend(measure: str = "hit_share") -> tuple[tuple[str, str], ...]:
     """Return colours with their labels, highest class first, not observed last.
 
-    Of occupancy the one before the last is what is uncertain: no colour but a hatch, `UNCERTAIN`.
+    The last but one of occupancy is that of uncertain tiles: no colour but a hatch, `UNCERTAIN`.
     """
     classes = [(each.colour, each.label) for each in reversed(colour_classes(measure))]
     unsure = ((UNCERTAIN, UNCERTAIN),) if measure == "occupancy" else ()
@@ -99,13 +99,13 @@ def legend(measure: str = "hit_share") -> tuple[tuple[str, str], ...]:
 
 
 def hatches() -> tuple[str, ...]:
-    """Return for each class, lowest first, the colour of the hatch of what is uncertain."""
+    """Return for each class, lowest first, the colour of the hatch of uncertain tiles."""
     classes = range(len(colour_classes()))
     return tuple(HATCH_DARK if place < _PALE else HATCH_LIGHT for place in classes)
 
 
 def uncertain_rule(least_s: float) -> str:
-    """Return what is uncertain as an expression of QGIS; `least_s` is half the longest time."""
+    """Return the QGIS expression of uncertain tiles; `least_s` is half the longest time."""
     vague = f'"occupancy_se" >= {UNCERTAIN_FROM} AND "occupancy_se" >= "occupancy"'
     return f'{vague} OR "visible_s" < {least_s:.10g}'
 
@@ -135,7 +135,7 @@ def vector_qml(
     least_s : float
         Occupancy of tiles that were visible for less, seconds, is hatched as uncertain.
     titles : mapping
-        Of fields, by name.
+        Titles of the fields, by name.
 
     Returns
     -------
@@ -155,7 +155,7 @@ def vector_qml(
 def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
     """Return the QGIS style of files that carry none: a GeoTIFF (first band) or a table.
 
-    QGIS loads it by itself where it has the name of the file and the ending `.qml`.
+    QGIS loads it by itself if it has the file's name with the suffix `.qml`.
     """
     root = _measure_style(measure, least_s, without=("temporal", "layerGeometryType"))
     root.set("styleCategories", "Symbology")
@@ -260,7 +260,7 @@ def _rgba(colour: str) -> str:
 
 
 def _single(value: float) -> float:
-    """Return the value as a float32 pixel holds it, so that a pixel on a break stays below."""
+    """Round a value to float32 as pixels are, so that a pixel on a break stays below it."""
     return float(struct.unpack("f", struct.pack("f", value))[0])
 
 

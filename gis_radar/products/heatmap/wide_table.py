@@ -1,7 +1,7 @@
 """The layer `heatmap` of the GeoPackage: a view of tiles, the whole time, and each interval.
 
-What an interval's columns show is looked up in the table of steps, so that it is stored once; QGIS
-and GDAL open the view like any other layer.
+The intervals' columns look their values up in the table of steps, which are stored once; QGIS and
+GDAL open the view like any other layer.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STEPS = "steps_by_interval"
 
 
 def interval_columns(tally: Tally) -> list[str]:
-    """Return the begins of the intervals that become columns, as the columns' names end."""
+    """Return the endings of the columns' names: the begins of the intervals."""
     timeline = tally.timeline
     return [_stamp(int(timeline.begin[i]), int(timeline.end[i])) for i in tally.columns]
 
@@ -44,14 +44,14 @@ def whole_columns(tally: Tally) -> dict[str, NDArray[np.float64]]:
 
 
 def write_wide(database: sqlite3.Connection, tally: Tally) -> None:
-    """Write what was counted beside the layer `tiles` of a GeoPackage, and the view of both.
+    """Write the counts beside the layer `tiles` of a GeoPackage, and the view of both.
 
     Parameters
     ----------
     database : sqlite3.Connection
         The GeoPackage.
     tally : Tally
-        What was counted.
+        The counts of the heat map.
     """
     whole = whole_columns(tally)
     _write_whole(database, whole)
@@ -64,7 +64,7 @@ def write_wide(database: sqlite3.Connection, tally: Tally) -> None:
         if seconds in whole
         for number, stamp in zip(tally.columns, interval_columns(tally), strict=True)
     ]
-    # LEFT: SQLite does not look at a table of which no column is asked for.
+    # LEFT, so that SQLite skips a table of which no column is selected.
     joined = f'LEFT JOIN "{WHOLE}" w ON w."fid" = t."fid"'
     database.execute(
         f'CREATE VIEW "{WIDE}" AS SELECT {", ".join(shown)} FROM "{TILES}" t {joined}'  # noqa: S608
@@ -74,7 +74,7 @@ def write_wide(database: sqlite3.Connection, tally: Tally) -> None:
 
 
 def _looked_up(tally: Tally, seconds: str, interval: int, name: str) -> str:
-    """Return a column of the view: seconds of each tile in an interval."""
+    """Return the SQL of a column of the view: seconds of each tile in an interval."""
     row = f't."fid" + {interval * len(tally.tiles)}'
     return f'(SELECT s."{seconds}" FROM "{STEPS}" s WHERE s."fid" = {row}) AS "{name}"'  # noqa: S608
 

@@ -1,4 +1,4 @@
-"""Where detections lie on the lanes: lanelet, place along and across it, speed along it."""
+"""Places of detections on the lanes: lanelet, place along and across it, speed along it."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ LANE_COLUMNS = pa.schema(
 
 
 class OnLanes:
-    """The lanes for vehicles of a map, to place detections on them.
+    """Lanes for vehicles of a map, on which detections are placed.
 
     Parameters
     ----------
     roads : LaneletMap
-        In the coordinate system of the poses.
+        The map, in the coordinate system of the poses.
     """
 
     def __init__(self, roads: LaneletMap) -> None:
@@ -38,15 +38,15 @@ class OnLanes:
     def columns(self, places: Floats, sensors: Floats, range_rate: Floats) -> list[pa.Array]:
         """Return the columns of `LANE_COLUMNS`, null off the lanes.
 
-        Of lanes that overlap at a place, the one counts whose middle is nearest, of those along
-        which the detection does not drive backward.
+        Where lanes overlap, the one with the nearest middle is taken, among those along which the
+        detection does not drive backward.
 
         Parameters
         ----------
         places, sensors : (n, 3) arrays
             Detections in the map, and where their sensor stood.
         range_rate : (n,) array
-            m/s, receding > 0.
+            Range rates, m/s, receding > 0.
         """
         found = self._graph.field.lanes(places[:, :2] - self._graph.origin)
         found = found[found["d_m"].abs() <= found["half_width_m"]]

@@ -52,15 +52,15 @@ def project(
     Parameters
     ----------
     recording : str, Path or Recording
-        What the sensor recorded.
+        The sensor's recording.
     pose : Pose or PoseTrack
-        Where it stood and looked.
+        Pose of the sensor.
     roads : LaneletMap, optional
-        Adds where each detection lies on the lanes for vehicles: `lanelet_id`, `s_m` along it,
-        `d_m` left of its middle, and `speed_along` it, m/s, by its range rate (null where the lane
-        lies across the line of sight).
+        Map by which columns are added: `lanelet_id`, `s_m` along it, `d_m` left of its middle, and
+        `speed_along` it, m/s, by the range rate (null where the lane lies across the line of
+        sight).
     reporter : Reporter
-        Receives progress, and which columns are renamed.
+        Receives progress and the names of renamed columns.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def write_projection(
     Returns
     -------
     int
-        How many points were written.
+        Number of points written.
 
     Raises
     ------
@@ -139,7 +139,7 @@ TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
 
 
 def _distinct_names(names: Iterable[str], taken: Iterable[str]) -> dict[str, str]:
-    """Give each name one that differs from all others by more than upper and lower case."""
+    """Map each name to one that differs from all others by more than case."""
     used = {name.lower() for name in taken}
     given: dict[str, str] = {}
     for name in names:
@@ -152,12 +152,12 @@ def _distinct_names(names: Iterable[str], taken: Iterable[str]) -> dict[str, str
 
 
 def _renamed(names: dict[str, str]) -> list[str]:
-    """Return which names changed, one text a name."""
+    """Return a text for each name that changed."""
     return [f"{name!r} to {fresh!r}" for name, fresh in names.items() if name != fresh]
 
 
 def _plain(kind: pa.DataType) -> pa.DataType:
-    """Return the type of a column's values, without how they are stored."""
+    """Return the type of a column's values, whatever their encoding (such as a dictionary)."""
     if pa.types.is_dictionary(kind):
         return _plain(kind.value_type)
     if pa.types.is_null(kind):
@@ -169,7 +169,7 @@ STAGE = "projecting"
 
 
 class _PointStream:
-    """A recording's detections as points in the map, computed while they are read, once.
+    """Stream of a recording's detections as points in the map, computed on reading; usable once.
 
     All batches are of `schema`, with the geometry as WKB. `pose` is the first one: it names the
     coordinate system and a place near the points. `rows` counts the points so far.
@@ -316,7 +316,7 @@ def _in_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
 
 
 def _scattered(batch: pa.RecordBatch) -> list[str]:
-    """Return the columns of reals that take less room split by bytes than with a dictionary."""
+    """Return the float columns that take less room split by bytes than with a dictionary."""
     names = [field.name for field in batch.schema if pa.types.is_float32(field.type)]
     return [
         name
@@ -327,7 +327,7 @@ def _scattered(batch: pa.RecordBatch) -> list[str]:
 
 
 def _size(batch: pa.RecordBatch, **options: Any) -> int:
-    """Return how many bytes a batch takes."""
+    """Return the size in bytes of a batch as Parquet."""
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
         sink, batch.schema, compression="zstd", compression_level=LEVEL, **options

@@ -101,7 +101,7 @@ def write_qgis_project(
     timezone : str
         Of the times on layout and map, such as `Europe/Berlin`.
     source : str
-        Where the data come from, for the layout.
+        Source of the data, for the layout.
     language : str
         Of the names of layers, of legends and the layout: `en` or `de`.
 
@@ -112,7 +112,7 @@ def write_qgis_project(
     InputError
         If the folder holds no heat map.
     OutputError
-        If there is a project that somebody has edited.
+        If the present project was edited.
     """
     path = Path(path)
     if path.suffix.lower() != ".qgz":
@@ -162,7 +162,7 @@ def write_site_project(
 ) -> list[Path]:
     """Write the layers of the sensors and the project into the folder of a site's results.
 
-    A project that somebody has edited stays as it is; the new one is put beside it.
+    A project that was edited stays as it is; the new one is written beside it.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _lane_layers(path: Path) -> dict[str, LayerSource]:
 
 
 def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
-    """Write what the sensors see, as the dataset has it; None where there is none."""
+    """Write the sensors' sights of the dataset; return the file, None without a dataset."""
     if dataset is None:
         return None
     tiles, poses = dataset.tiles(), dataset.poses()
@@ -236,7 +236,7 @@ def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
 
 
 def _write_footprints(folder: Path, dataset: Dataset | None, reporter: Reporter) -> Path | None:
-    """Write the layer of single vehicles; None where it is not asked for, or there are none."""
+    """Write the layer of single vehicles; return the file, None if there are none to write."""
     path = folder / f"{FOOTPRINTS}.gpkg"
     if dataset is None or not dataset.has_vehicles:
         path.unlink(missing_ok=True)
@@ -254,7 +254,7 @@ def _poses(folder: Path, dataset: Dataset | None) -> list[Path]:
 
 
 def _observed_box(package: Path) -> tuple[CRS, Box]:
-    """Return the CRS, and the box around the tiles that were observed, or all where none was."""
+    """Return the CRS, and the box around the observed tiles, or around all if none was."""
     info = pyogrio.read_info(package, layer=WIDE, force_total_bounds=True)
     _, boxes = pyogrio.read_bounds(package, layer=WIDE, where="observed_s > 0")
     crs = metric_crs(info["crs"], what=str(package))
@@ -276,7 +276,7 @@ def _time_range(package: Path) -> TimeRange | None:
 
 
 def _recorded(package: Path, played: TimeRange) -> tuple[str, str]:
-    """Return begin and end of what was recorded: the last interval may end later."""
+    """Return begin and end of the recorded time, as the last interval may end later."""
     told = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
     return told.get("begin", played.begin), told.get("end", played.end)
 
@@ -297,7 +297,7 @@ def _sensor_layers(path: Path) -> dict[str, LayerSource]:
 
 
 def _filled(path: Path, tables: Sequence[str]) -> list[str]:
-    """Return those of the tables that are there with rows: legends name nothing that is not."""
+    """Return those of the tables that have rows, so that legends name no empty layers."""
     there = {str(name) for name, _ in pyogrio.list_layers(path)}
     return [
         table for table in tables
@@ -307,7 +307,7 @@ def _filled(path: Path, tables: Sequence[str]) -> list[str]:
 
 
 def _measure(package: Path) -> str:
-    """Return what a heat map shows: occupancy, where it was made with vehicles."""
+    """Return the measure of a heat map: occupancy, where it was made with vehicles."""
     fields = pyogrio.read_info(package, layer=WIDE)["fields"]
     return "occupancy" if "occupancy" in fields else "hit_share"
 

@@ -1,4 +1,4 @@
-"""Write the file of a QGIS project, and see whether somebody has saved it since."""
+"""Write the file of a QGIS project, and check whether it was edited since."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MARK = b"gis_radar "
 def write_project_file(path: Path, text: str) -> None:
     """Write a project; the same text gives the same file.
 
-    Its mark is gone once QGIS, or anybody else, has saved the project.
+    A mark in the file, which is lost when QGIS saves the project, shows that it was not edited.
     """
     with atomic_write(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
@@ -22,7 +22,7 @@ def write_project_file(path: Path, text: str) -> None:
 
 
 def was_edited(path: Path) -> bool:
-    """Return whether a file is there and not as it was written."""
+    """Return whether a file exists and differs from what was written."""
     if not path.exists():
         return False
     try:

@@ -26,7 +26,7 @@ _LIMITS = ("xmin", "ymin", "xmax", "ymax")
 
 
 class LayerSource(NamedTuple):
-    """Where a layer of the template comes from, and how it looks; a raster has no table."""
+    """Source and style of a layer of the template; a raster has no table."""
 
     path: Path
     qml: str
@@ -34,7 +34,7 @@ class LayerSource(NamedTuple):
 
 
 class TimeRange(NamedTuple):
-    """The time that a project plays: ISO 8601 in UTC, its steps in seconds, whose clock."""
+    """Time range that a project plays: ISO 8601 in UTC, steps in seconds, time zone."""
 
     begin: str
     end: str
@@ -43,7 +43,7 @@ class TimeRange(NamedTuple):
 
 
 class ProjectContent(NamedTuple):
-    """What a project shows; its layers are named by their ids in the template."""
+    """Content of a project; its layers are named by their ids in the template."""
 
     title: str
     time: str
@@ -82,7 +82,7 @@ def project_xml(content: ProjectContent, home: Path) -> str:
 
 
 def _rename_layers(root: Element, measure: str) -> None:
-    """Call the layers of the template, which are of hit share, by another measure."""
+    """Rename the layers of the template, which are of hit share, to another measure."""
     for element in root.iter():
         if (name := element.get("name", "")).startswith("Hit share"):
             element.set("name", name.replace("Hit share", measure.capitalize()))
@@ -96,7 +96,7 @@ _LABELLED = {"category", "range", "rule", "item"}  # classes of a legend, of vec
 
 
 def _translate(root: Element, language: str) -> None:
-    """Put names of layers and fields, labels of classes and dates in a language."""
+    """Translate names of layers and fields, labels of classes and formats of dates."""
     for element in root.iter():
         if element.tag in _NAMED and "name" in element.attrib:
             element.set("name", translated(element.attrib["name"], language))
@@ -111,7 +111,7 @@ def _translate(root: Element, language: str) -> None:
 
 
 def _numbers_in(expression: str, language: str) -> str:
-    """Return a label's expression that writes numbers in a language: QGIS's may be another."""
+    """Return a label's expression with numbers in a language, which may differ from QGIS's."""
     return _NUMBER.sub(rf"\g<0>, '{language}'", expression)
 
 
@@ -141,7 +141,7 @@ def _sheet(content: ProjectContent) -> Element:
 
 
 def _explain(layout: Element, content: ProjectContent) -> None:
-    """Leave on the sheet what its measure means, and where it ends, in its language."""
+    """Keep on the sheet only the explanation of its measure, in its language."""
     for measure in style.MAP_WORDS:
         item = _item(layout, f"meaning {measure}")
         if measure != content.measure:
@@ -151,12 +151,12 @@ def _explain(layout: Element, content: ProjectContent) -> None:
 
 
 def unevaluated(text: str) -> str:
-    """Return a text as QGIS prints it: what stands between `[%` and `%]` it would evaluate."""
+    """Escape a text so that QGIS does not evaluate anything between `[%` and `%]` in it."""
     return text.replace("[%", "[% '[' || '%' %]")
 
 
 def fit_box(box: Box, width: float, height: float) -> Box:
-    """Return the smallest box around another, with the same middle, that has a given shape."""
+    """Return the smallest box around another, with the same middle and a given aspect."""
     west, south, east, north = box
     scale = max((east - west) / width, (north - south) / height)
     x, y = (west + east) / 2, (south + north) / 2
@@ -183,7 +183,7 @@ def _fill_layers(root: Element, layers: Mapping[str, LayerSource], home: Path) -
 
 
 def _layer_elements(root: Element) -> Iterator[tuple[Element, Element, str]]:
-    """Yield what stands for a layer, with its parent and its id."""
+    """Yield the elements that refer to a layer, each with its parent and the layer's id."""
     for parent in root.iter():
         for element in parent:
             if element.tag == "maplayer":
@@ -195,7 +195,7 @@ def _layer_elements(root: Element) -> Iterator[tuple[Element, Element, str]]:
 
 
 def _source(layer: LayerSource, home: Path) -> str:
-    """Return file and table as seen from the project's folder, with forward slashes."""
+    """Return file and table relative to the project's folder, with forward slashes."""
     path = Path(os.path.relpath(layer.path, home)).as_posix()
     named = path if path.startswith("..") else f"./{path}"
     return f"{named}|layername={layer.table}" if layer.table else named
@@ -227,8 +227,8 @@ _TIMED = ("gis_radar_by_interval", "gis_radar_footprints")  # layers that have a
 def map_clock(played: TimeRange, language: str) -> str:
     """Return the text on the map: the time that it shows by the site's clock, with its zone.
 
-    Expressions of QGIS know no zones: the offsets that hold are in it. Nothing stands there while
-    no layer with a time is shown.
+    As expressions of QGIS have no time zones, it holds the zone's offsets. It is empty while no
+    layer with a time is shown.
     """
     zone = zone_of(played.timezone)
     begin, end = (datetime.fromisoformat(text) for text in (played.begin, played.end))

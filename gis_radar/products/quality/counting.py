@@ -15,19 +15,19 @@ from gis_radar.dataset import FRAMES, Dataset
 from gis_radar.measures import FrameTimes
 
 HOUR_S = 3600
-HIGH = 0.7  # share of the seen tiles hit: a frame with more is high
+HIGH = 0.7  # share of the seen tiles hit above which a frame is high
 QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
 
 
 def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
-    """Return for each time the UTC second in which its hour of local time began.
+    """Return for each time the UNIX second in which its hour of local time began.
 
     Parameters
     ----------
     time_us : (n,) int64 array
         Microseconds since the UNIX epoch.
     zone : ZoneInfo
-        Whose hours. Where clocks are set back, the hour that comes twice is two hours.
+        Time zone of the hours. Where clocks are set back, the hour that occurs twice is two hours.
     """
     quarter, place = np.unique(time_us // (QUARTER_S * 1_000_000), return_inverse=True)
     local = pd.to_datetime(quarter * QUARTER_S, unit="s", utc=True).tz_convert(zone)
@@ -46,12 +46,12 @@ class Count:
     Parameters
     ----------
     frames, dropped, doubled, repeated, high : int
-        Frames received; missing between them; less than half a cycle after the one before; equal
-        to the one before; with a high share of the seen tiles hit.
+        Numbers of frames received; missing between them; less than half a cycle after the one
+        before; equal to the one before; with a high share of the seen tiles hit.
     detections, moving, wild : int
-        Detections; those that move; those too fast for any vehicle.
+        Numbers of detections; of moving ones; of those too fast for any vehicle.
     hits, fewest, most : int
-        Tiles hit: the sum, the least and the most in a frame.
+        Tiles hit: their sum over the frames, the least and the most in a frame.
     share : float
         Sum of the shares of the seen tiles that were hit.
     seen : int
@@ -95,7 +95,7 @@ COLUMNS = (
 
 
 def _frames(dataset: Dataset) -> Iterator[tuple[int, Columns]]:
-    """Yield the frames of an hour, sensor by sensor, with the sensor's number among all."""
+    """Yield the frames hour by hour and sensor by sensor, with the sensor's number."""
     numbers = {name: number for number, name in enumerate(dataset.sensors)}
     for rows in dataset.batches(FRAMES, columns=["sensor", *COLUMNS]):
         sensors = rows["sensor"].to_pandas()
@@ -106,7 +106,7 @@ def _frames(dataset: Dataset) -> Iterator[tuple[int, Columns]]:
 
 
 def frame_times(dataset: Dataset) -> dict[int, FrameTimes]:
-    """Return when frames came, by the sensor's number among `dataset.sensors`."""
+    """Return the times of frames, by the sensor's number among `dataset.sensors`."""
     found: dict[int, FrameTimes] = defaultdict(FrameTimes)
     for number, columns in _frames(dataset):
         found[number].add(columns["time_us"])
@@ -124,17 +124,17 @@ def count_frames(
     """Count by sensor (its number) and hour (the UTC second of its begin).
 
     Only hours in which some sensor has a frame count. In them frames are missing where a sensor's
-    next one comes over 1.5 cycles later, and before its first and after its last frame, from the
-    first to the last frame of all.
+    next frame comes over 1.5 cycles later, and before its first and after its last frame, within
+    the time from the first to the last frame of all sensors.
 
     Parameters
     ----------
     dataset : Dataset
-        With its frames.
+        The dataset.
     times : dict
-        When frames came, as from :func:`frame_times`.
+        Times of frames, from :func:`frame_times`.
     zone : ZoneInfo
-        Whose hours.
+        Time zone of the hours.
     reporter : Reporter
         Receives the progress.
     """
@@ -154,7 +154,7 @@ def count_frames(
         done += len(mine["time_us"])
         reporter.progress(STAGE, done, None)
     for number, each in times.items():
-        # As if a frame came just beyond both ends: what is missing up to there counts too.
+        # As if a frame came just beyond both ends, so that frames missing up to there count, too.
         room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
         lost.append((number, int(begin_us - room_us), each.first_us))
         lost.append((number, each.last_us, int(end_us + room_us)))
@@ -165,7 +165,7 @@ def count_frames(
 def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> list[Gap]:
     """Mark frames that are doubled or repeated; return the gaps in which frames are missing.
 
-    The first frame is compared with the row `before`; where that is itself, it is neither.
+    The first frame is compared with the row `before`, which may be itself: then it is neither.
     """
     gap, of_sum, of_count = (
         np.diff(mine[name], prepend=before[name][:1])

@@ -1,4 +1,4 @@
-"""Measure data quality: one row a sensor and hour, with a verdict in words.
+"""Measure data quality: a row for each sensor and hour, with a verdict in words.
 
 The verdicts are those that freeway operators use for loop detectors (PeMS), adapted to radar: no
 data, too few samples, never hit, hit too much, constant, and hits without motion.
@@ -38,15 +38,15 @@ from gis_radar.products.quality.counting import HIGH, HOUR_S, Count, count_frame
 GOOD = "good"
 NO_DATA = "no data"
 
-# Of which the hour of a sensor is at fault, after those of loop detectors (PeMS, Chen et al. 2003),
-# and far from what the simulated sites give (no fault). Shares are of the frames, if not stated.
-LEAST_SHARE = 0.6  # received of the frames expected
-HIGH_SHARE = 0.2  # with more than `counting.HIGH` of the seen tiles hit
-LEAST_MOVING = 0.001  # of the detections: a street at night has some
-MOST_DOUBLED = 0.05  # that follow within half a cycle
-MOST_REPEATED = 0.2  # with the positions of the one before
-MOST_WILD = 0.02  # of the detections, faster than any vehicle: noise gives some
-FRAMES_JUDGED = 100  # 5 s at 20 Hz: of fewer only their number is judged
+# Limits beyond which the hour of a sensor has a fault, after those of loop detectors (PeMS, Chen et
+# al. 2003), and far from the values of simulated sites. Shares are of the frames, if not stated.
+LEAST_SHARE = 0.6  # share received of the frames expected
+HIGH_SHARE = 0.2  # share with more than `counting.HIGH` of the seen tiles hit
+LEAST_MOVING = 0.001  # moving share of the detections: a street at night has some
+MOST_DOUBLED = 0.05  # share that follows within half a cycle
+MOST_REPEATED = 0.2  # share with the positions of the frame before
+MOST_WILD = 0.02  # share of the detections faster than any vehicle: noise gives some
+FRAMES_JUDGED = 100  # with fewer frames (5 s at 20 Hz) only their number is judged
 
 
 def faults_of(count: Count, hour: int) -> Iterator[str]:
@@ -55,7 +55,7 @@ def faults_of(count: Count, hour: int) -> Iterator[str]:
     Parameters
     ----------
     count : Count
-        Its frames in that hour.
+        Counts of its frames in that hour.
     hour : int
         UNIX second in which the hour began.
     """
@@ -109,17 +109,17 @@ class Quality:
     Parameters
     ----------
     table : DataFrame
-        One row a sensor and hour: `sensor`; `begin`, `end` (UTC); `date`, `hour`, `weekday`
+        A row for each sensor and hour: `sensor`; `begin`, `end` (UTC); `date`, `hour`, `weekday`
         of local time; `frames_expected`, `frames`, `dropped`, `doubled`, `repeated`;
         `detections_per_frame`, `moving_share`, `wild_share`; `tiles_hit_share`, the mean share
         of the seen tiles hit in a frame; `clock_offset_s`, by which the clock was corrected;
         `pose`, `pose_age_h`; `verdict`, "good" or the faults.
     timezone : str
-        Of the local hours.
+        Time zone of the local hours.
     without_elevation : frozenset of str
         Sensors that measure no elevation.
     verdicts : mapping
-        The verdicts as texts that can be translated, by what stands in the table.
+        The verdicts as texts that can be translated, by the text in the table.
     """
 
     table: pd.DataFrame
@@ -132,7 +132,7 @@ class Quality:
         return self.verdicts.get(told, told)
 
     def figures(self) -> dict[str, str]:
-        """Return a line a sensor: how many hours are good, and the faults of the others."""
+        """Return a line for each sensor: how many hours are good, and the faults of the others."""
         lines: dict[str, str] = {}
         for sensor, rows in self.table.groupby("sensor"):
             good = int((rows["verdict"] == GOOD).sum())
@@ -163,9 +163,9 @@ class Quality:
         Parameters
         ----------
         path : str or Path
-            Where.
+            The file.
         csv_locale : str
-            `de` writes CSV as a German spreadsheet opens it: semicolons, decimal commas, and the
+            `de` writes CSV for German spreadsheets: semicolons, decimal commas, and the byte order
             mark of UTF-8.
 
         Raises
@@ -185,7 +185,7 @@ class Quality:
         return path
 
     def write_rows(self, path: Path) -> None:
-        """Write the table as CSV, as the tables of a report are."""
+        """Write the table as CSV in the format of a report's tables."""
         times = {name: self.table[name].map(iso_from_time) for name in ("begin", "end")}
         table = self.table.assign(**times)
         write_csv(path, list(table.columns), table.itertuples(index=False, name=None))
@@ -201,7 +201,7 @@ class Quality:
 
 
 def require_table_name(path: str | Path) -> None:
-    """Refuse a name that ends neither in CSV nor in Parquet, before the work and not after it."""
+    """Refuse a file name whose suffix is neither that of CSV nor of Parquet."""
     if Path(path).suffix.lower() not in {".csv", ".parquet"}:
         raise UsageError("{}: not a known table format", path, hint="use .csv or .parquet")
 
@@ -212,14 +212,14 @@ def measure_quality(
     timezone: str = "UTC",
     reporter: Reporter = QUIET,
 ) -> Quality:
-    """Measure by sensor and hour which frames a dataset is made from, and judge them.
+    """Measure the quality of a dataset's frames by sensor and hour, and judge it.
 
     Parameters
     ----------
     dataset : Dataset
         As from :func:`gis_radar.open_dataset`.
     timezone : str
-        Whose hours, days and weekdays: a name such as Europe/Berlin.
+        Time zone of hours, days and weekdays, such as Europe/Berlin.
     reporter : Reporter
         Receives the progress.
 
@@ -266,7 +266,7 @@ Poses = list[tuple[float, str]]
 
 
 def _poses(table: pd.DataFrame) -> dict[str, Poses]:
-    """Return by sensor when its poses were found (NaN where not known), and their text."""
+    """Return by sensor the times (s) at which its poses were found, or NaN, and their texts."""
     found: dict[str, set[tuple[float, str]]] = {}
     for document in table["document"]:
         pose = json.loads(document)
