@@ -251,7 +251,7 @@ def draw_localization(
     from gis_radar.scans import draw_sight  # noqa: PLC0415
 
     beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
-    size_in = WITH_ONE_IN if len(beside) == 1 else WITH_TWO_IN if beside else SIZE_IN
+    size_in = (SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
     rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
     with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
         panels = figure.subplot_mosaic(rows)
