@@ -2,7 +2,7 @@
 
 import json
 import multiprocessing
-from concurrent.futures import Future
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -421,15 +421,32 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
     assert jobs.figures()["hours_behind_seconds"] == 0.0
 
 
-def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path):
-    made = SpooledSite(tmp_path)
+@pytest.mark.parametrize("idle", [False, True])
+def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, idle):
+    made, said, pools = SpooledSite(tmp_path), Lines(), []
     recorded_at(made, FULL_US - 20_000_000)
-    said = Lines()
-    jobs = HourJobs(made.site, Quarters(), settings=replace(DEFAULTS, again_s=0.0), reporter=said)
+
+    def process():
+        pools.append(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))
+        return pools[-1]
+
+    def broken():
+        try:
+            pools[0].submit(int)
+        except BrokenExecutor:
+            return True
+        return False
+
+    settings = replace(DEFAULTS, again_s=0.0)
+    jobs = HourJobs(made.site, Quarters(), settings=settings, reporter=said, process=process)
     jobs.take_up([])
     wait_for(multiprocessing.active_children)
+    if idle:
+        pools[0].submit(int).result()  # after what it was given before
+        jobs.turn(0.0, {})
     for each in multiprocessing.active_children():
         each.kill()
+    wait_for(broken)
     jobs.touch([HOUR])
 
     def turned():
@@ -440,7 +457,7 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path):
 
     wait_for(turned)
     jobs.stop()
-    assert said.told("measuring failed and is tried again")
+    assert bool(said.told("measuring failed and is tried again")) is not idle
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)
     assert multiprocessing.active_children() == []
 

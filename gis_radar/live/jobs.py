@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -209,10 +209,14 @@ class HourJobs:
             self._submit(work, spooled)
 
     def _submit(self, work: Work, spooled: Sequence[Path]) -> None:
-        """Submit work to the worker process, which is started if there is none."""
-        if self._pool is None:
+        """Submit work to the worker process, which is started if there is none, or it was killed."""
+        try:
+            self._pool = self._pool or self._process()
+            self._running = self._pool.submit(work, self._site, list(spooled))
+        except BrokenExecutor:  # killed while it had nothing to do
+            self.stop()
             self._pool = self._process()
-        self._running = self._pool.submit(work, self._site, list(spooled))
+            self._running = self._pool.submit(work, self._site, list(spooled))
 
     def _take(self) -> None:
         """Process the result of the job; hours that failed are tried again later."""
