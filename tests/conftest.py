@@ -224,13 +224,9 @@ def ready_workers(monkeypatch):
 
 @pytest.fixture
 def in_this_process(monkeypatch):
-    """Stages of a run go in a thread of this process: starting workers takes longer than most.
-
-    On a machine of one core, so that hours are measured here: each worker loads what is compiled.
-    """
+    """Stages of a run go in a thread of this process: starting workers takes longer than most."""
     from site_runs import in_a_thread
 
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     monkeypatch.setattr("gis_radar.site.run.process_pool", in_a_thread)
 
 

@@ -209,7 +209,7 @@ class HourJobs:
             self._submit(work, spooled)
 
     def _submit(self, work: Work, spooled: Sequence[Path]) -> None:
-        """Submit work to the worker process, which is started if there is none, or it was killed."""
+        """Submit work to the worker process, which is started where there is none alive."""
         try:
             self._pool = self._pool or self._process()
             self._running = self._pool.submit(work, self._site, list(spooled))
