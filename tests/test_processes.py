@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from waiting import is_gone, wait_for
 
-from gis_radar.base import GisRadarError, run_child, watch_parent
+from gis_radar.base import GisRadarError, OutputError, run_child, watch_parent, worker_pool
 from gis_radar.base.processes import WATCHDOG_VARIABLE
 
 ROOT = Path(__file__).parents[1]
@@ -180,3 +180,19 @@ def test_a_worker_of_low_priority_gives_way_to_other_sessions_too(begin):
 def test_only_a_worker_has_a_parent_to_watch():
     with pytest.raises(RuntimeError, match="multiprocessing"):
         watch_parent()
+
+
+@posix
+def test_a_worker_of_a_pool_that_is_killed_is_one_line():
+    with (
+        pytest.raises(OutputError, match="a worker process was killed"),
+        worker_pool(2, watch_parent) as pool,
+    ):
+        pool.submit(os.kill, 0, signal.SIGKILL).result()  # its own group: the worker and no other
+    assert multiprocessing.active_children() == []
+
+
+def test_a_pool_stops_where_its_user_fails():
+    with pytest.raises(ZeroDivisionError), worker_pool(2, watch_parent) as pool:
+        pool.submit(divmod, 1, 0).result()
+    assert multiprocessing.active_children() == []

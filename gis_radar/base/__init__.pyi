@@ -86,6 +86,7 @@ from .processes import (
     stopped_by_signals,
     watch_input,
     watch_parent,
+    worker_pool,
     workers_here,
 )
 from .progress import LETTERS_OF_AN_ERROR, QUIET, SILENT, Level, Reporter, one_line, warnings_once
@@ -271,6 +272,7 @@ __all__ = [
     "watch_parent",
     "wind_of",
     "with_texts",
+    "worker_pool",
     "workers_here",
     "write_csv",
     "write_stream",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -21,8 +21,8 @@ from gis_radar.base import (
     output_errors,
     refuse_foreign,
     require_folder,
-    stop_pool,
     watch_parent,
+    worker_pool,
 )
 from gis_radar.dataset.hour_job import HourSite, MadeHour, make_hour, read_sensors
 from gis_radar.dataset.lane_measures import LaneTraffic
@@ -253,17 +253,12 @@ def _made(
             yield make_hour(site, hour, sources, processes=processes)
         return
     share = processes // workers
-    with ProcessPoolExecutor(workers, initializer=_start_worker, initargs=(site,)) as pool:
-        try:
-            running: list[Future[MadeHour]] = [
-                pool.submit(_make_in_worker, hour, placings, share)
-                for hour, placings in tasks.items()
-            ]
-            for each in as_completed(running):
-                yield each.result()
-        except BaseException:
-            stop_pool(pool)
-            raise
+    with worker_pool(workers, _start_worker, site) as pool:
+        running: list[Future[MadeHour]] = [
+            pool.submit(_make_in_worker, hour, placings, share) for hour, placings in tasks.items()
+        ]
+        for each in as_completed(running):
+            yield each.result()
 
 
 _site: HourSite | None = None  # the site of this worker process

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from typing import Any, TypeAlias
@@ -17,7 +17,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import Integers, stop_pool, watch_parent
+from gis_radar.base import Integers, watch_parent, worker_pool
 from gis_radar.hdmap import LaneGraph
 from gis_radar.measures import HourWindow, PoseSight, SensorHour
 from gis_radar.tracking.batches import BatchMaker, joined_rows
@@ -118,19 +118,15 @@ def _with_motions(
             yield begin, block, _motions(block.detections, graph)
         return
     waiting = deque[tuple[int, Block, "Future[list[Motion]]"]]()
-    with ProcessPoolExecutor(processes, initializer=_start, initargs=(graph,)) as pool:
-        try:
-            for (start, _), read in chain(first, blocks):
-                waiting.append((start, read, pool.submit(_motions_in_worker, read.detections)))
-                if len(waiting) > processes:
-                    begin, block, found = waiting.popleft()
-                    yield begin, block, found.result()
-            while waiting:
+    with worker_pool(processes, _start, graph) as pool:
+        for (start, _), read in chain(first, blocks):
+            waiting.append((start, read, pool.submit(_motions_in_worker, read.detections)))
+            if len(waiting) > processes:
                 begin, block, found = waiting.popleft()
                 yield begin, block, found.result()
-        except BaseException:
-            stop_pool(pool)
-            raise
+        while waiting:
+            begin, block, found = waiting.popleft()
+            yield begin, block, found.result()
 
 
 def _motions(detections: MapDetections, graph: LaneGraph) -> list[Motion]:
