@@ -53,6 +53,16 @@ FRESH = {
     "gridlock-914": Recipe(
         plan="junction", seed=914, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
     ),
+    "town-921": Recipe(
+        plan="town", seed=921, per_hour=2500, radars=("R1", "R3", "R5"), minutes=3.0
+    ),
+    "tee-922": Recipe(plan="tee", seed=922, per_hour=1600, radars=1, minutes=3.0),
+    "arterial-923": Recipe(plan="arterial", seed=923, per_hour=2400, radars=2, minutes=3.0),
+    "gridlock-924": Recipe(
+        plan="junction", seed=924, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
+    ),
+    "roundabout-925": Recipe(plan="roundabout", seed=925, per_hour=1100, radars=2, minutes=3.0),
+    "junction-926": Recipe(plan="junction", seed=926, per_hour=1500, radars=2, minutes=3.0),
 }  # fmt: skip
 RECIPES.update(FRESH)  # type: ignore[attr-defined]
 # what they import counts as theirs here
