@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from datasets import write_dataset
 from driven import drive, driven, straight_tiles
-from forks import LEFT, STRAIGHT, fork_dataset, through
+from forks import APPROACH, LEFT, STRAIGHT, fork, fork_dataset, through
 from shapely import LineString
 from sites import pose
 
@@ -291,6 +291,27 @@ def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):
     assert turns["volume"].sum() == pytest.approx(approach["volume"])
     share = turns.set_index("to_lane")["volume"] / approach["volume"]
     assert share[STRAIGHT] == pytest.approx(2 / 3)
+
+
+def test_turns_of_the_whole_time_have_that_of_their_lanes(tmp_path):
+    """After five of ten minutes nobody looks at the approach, so that turns have no rows."""
+    first = EDGE - STEPS_PER_HOUR
+    tracks = [through(n, first + 40 + 500 * n, (STRAIGHT, LEFT)[n % 2]) for n in range(10)]
+    late = through(11, first + 11_800, STRAIGHT)
+    tiles = fork()
+    approach = tiles.loc[tiles["lane"] == APPROACH, "tile_id"]
+    found = fork_dataset(
+        tmp_path / "data", [*tracks, late[late["lanelet_id"] == STRAIGHT]],
+        until=dict.fromkeys(approach, first + 6000),
+    )  # fmt: skip
+    lanes, turns = (getattr(found, n)("1min", whole=True) for n in ("traffic", "turns"))
+    assert found.turns("1min")["begin"].nunique() == 5
+    for name in ("begin", "end"):
+        assert set(turns[name]) == set(lanes[name])
+    mine = lanes.set_index("lane").loc[APPROACH]
+    for name in ("volume", "volume_veh_h"):
+        assert turns[name].sum() == pytest.approx(mine[name])
+    assert turns["visible_share"].tolist() == pytest.approx([mine["visible_share"]] * 2)
 
 
 def test_an_hour_of_which_a_part_is_known_is_estimated_with_a_larger_error(measured):
