@@ -217,6 +217,20 @@ def test_without_exact_tables_there_are_no_ways(folder, tmp_path, without_pdf):
     assert table_of(page, ["Lane", "No. on the plan", "Longest queue m"])
 
 
+def test_exact_tables_that_were_deleted_of_other_hours_change_nothing(tmp_path, without_pdf):
+    second, later = BEGIN + STEPS_PER_HOUR, (HOUR + 1) * 1_000_000
+    tracks = [through(1, second - 400, STRAIGHT), through(later, second + 40, STRAIGHT)]
+    dataset = fork_dataset(tmp_path / "dataset", tracks)
+    record = read_hours(dataset.folder)[HOUR]
+    write_record(dataset.folder, replace(record, dropped=("tracks", "visible", "occupied")))
+    begin = pd.Timestamp(HOUR + 1, unit="h", tz="UTC")
+    make_heatmap(dataset, begin=begin.isoformat()).write(tmp_path / "heatmap")
+    gr.write_report(tmp_path, title="Fork")
+    rows = pd.read_csv(tmp_path / "traffic.csv", parse_dates=["begin", "end"])
+    assert set(rows["end"] - rows["begin"]) == {pd.Timedelta("1min")}
+    assert set(rows["begin"]) == {begin}
+
+
 def test_of_hits_alone_it_says_so(once):
     report = reports_of_whole_run(once)["en"]
     text = report.outputs[0].read_text(encoding="utf-8")

@@ -427,14 +427,14 @@ def _rolled_up(rows: pd.DataFrame, part_h: float, network: LaneNetwork) -> pd.Da
 def _like_approaches(turns: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
     """Share the volumes of approaches among their turns, as these are to each other.
 
-    In an interval in which nobody was followed to an exit, turns are not known and approaches are.
-    Where one of the turns is never known, the others stay as they are.
+    Where nobody was followed to an exit, turns are not known and approaches are. Where one of the
+    turns is never known, the others stay as they are.
     """
     keys = ["from_lane", "begin"]
     total = turns.groupby(keys)["volume"].transform(lambda each: each.sum(skipna=False))
     approach = lanes.set_index(["lane", "begin"])["volume"]
     volume = approach.reindex(pd.MultiIndex.from_frame(turns[keys])).to_numpy()
-    scale = (volume / total.where(total > 0.0)).fillna(1.0)
+    scale = (volume / total.where(total > 0.0)).fillna(1.0).mask((total == 0.0) & (volume > 0.0))
     return turns.assign(**{name: turns[name] * scale for name in ("volume", "volume_se")})
 
 
