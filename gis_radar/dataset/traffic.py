@@ -240,7 +240,8 @@ class TrafficReader:
 
     def turns(self) -> gpd.GeoDataFrame:
         """Return a row for each turn and interval, as :meth:`gis_radar.Dataset.turns` does."""
-        lanes = self._rows(LANE_MEASURES) if self.whole else None
+        rolled_up = self.whole or _allowed(self.interval) > STEPS_PER_QUARTER
+        lanes = self._rows(LANE_MEASURES) if rolled_up else None
         table, network = self._rows(TURNS, lanes), self.traffic.network
         if lanes is not None and not table.empty:
             table = _like_approaches(table, lanes)
@@ -292,8 +293,7 @@ class TrafficReader:
     def _rows(self, table: TableSchema, lanes: pd.DataFrame | None = None) -> pd.DataFrame:
         """Return rows with `begin` and `end` by the clocks of the site.
 
-        The whole time is that of the rows of `lanes` where they are given: turns have no rows while
-        their approach is not observed.
+        The whole time is that of `lanes` if given: turns have no rows of unobserved approaches.
         """
         steps = _allowed(self.interval)
         zone = zone_of(self.dataset.manifest.timezone)

@@ -295,17 +295,18 @@ def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):
 
 
 def test_turns_are_not_known_where_nobody_was_followed_to_an_exit(tmp_path):
-    """In minutes without cars nobody turns: from these alone follows no 0 of the whole time."""
+    """In times without cars nobody turns: from these alone follows no 0 of the whole time."""
     first = EDGE - STEPS_PER_HOUR
     tracks = [through(n, first + 100 + 2400 * n, STRAIGHT) for n in range(3)]
     lost = [each[each["lanelet_id"] == APPROACH] for each in tracks]
+    lost.append(through(9, EDGE - STEPS_PER_QUARTER, STRAIGHT, begin=70.0))  # never at the line
     found = driven(tmp_path / "data", fork(), pd.concat(lost), lanes=fork_lanes(LINE_M - 10.0))
     approach = found.traffic("1min", whole=True).set_index("lane").loc[APPROACH]
     assert approach["counted"] == 3
     assert (found.turns("1min")["volume"] == 0.0).any()
-    turns = found.turns("1min", whole=True)
-    assert len(turns) == 2
-    assert turns[["volume", "volume_se", "volume_veh_h"]].isna().all(axis=None)
+    for turns in (found.turns("1min", whole=True), found.turns("1h")):
+        assert len(turns) == 2
+        assert turns[["volume", "volume_se", "volume_veh_h"]].isna().all(axis=None)
 
 
 def test_turns_of_the_whole_time_have_that_of_their_lanes(tmp_path):
