@@ -57,13 +57,13 @@ def drive(vehicle, first_step, fronts, *, speed=10.0, lanelet_id=7, length=4.5, 
 
 def driven(
     folder, tiles, tracks, *, length=4.5, width=1.8, p_heavy=0.0, continued=None, seen_from=None,
-    unseen=(), **options,
+    unseen=(), until=None, **options,
 ):  # fmt: skip
     """Write a dataset of tracks, states of which are every step; give it.
 
     It is seen from a pose, the usual one where none is given; what else `write_dataset` takes it
     may be given, too.
-    Tiles that are `unseen` are in nobody's sight.
+    Tiles that are `unseen` are in nobody's sight; those of `until` are observed before a step only.
     Vehicles that drive on in another hour have another number in it, as `continued` says.
     """
     tracks = tracks.sort_values(["vehicle", "step"], ignore_index=True)
@@ -74,7 +74,8 @@ def driven(
     kept = tracks[(step % TRACK_EVERY_STEPS == 0) | at_end]
     steps = np.arange(step.min(), step.max() + 1)
     ids = tiles.loc[~tiles["tile_id"].isin(unseen), "tile_id"].to_numpy()
-    whole = {(tile, True): set(steps.tolist()) for tile in ids}
+    last = until or {}
+    whole = {(n, True): set(steps[steps < last.get(n, steps[-1] + 1)].tolist()) for n in ids}
     frames = {"sensor": np.full(len(steps), "R1"), "time_us": steps * 50_000, "first_step": steps,
               "last_step": steps, "pose": np.full(len(steps), "R1")}  # fmt: skip
     zeros = [name for name in FRAMES.names if name not in frames]

@@ -39,7 +39,7 @@ def fork():
     return gpd.GeoDataFrame(rows, crs=UTM)
 
 
-def fork_lanes():
+def fork_lanes(line_m=LINE_M):
     """Give the lanes of the fork, on streets of which one looks like a formula."""
     end = (EAST + 60 + 40 * math.cos(math.radians(25)), NORTH + 40 * math.sin(math.radians(25)))
     lines = [
@@ -50,7 +50,7 @@ def fork_lanes():
     known = {
         "lane": [APPROACH, STRAIGHT, LEFT], "subtype": ["road"] * 3, "length_m": [60.0, 40.0, 40.0],
         "street": ["=Ring", "=Ring", None], "street_part": [None] * 3,
-        "turn": ["left;straight", None, None], "stop_line_m": [LINE_M, np.nan, np.nan],
+        "turn": ["left;straight", None, None], "stop_line_m": [line_m, np.nan, np.nan],
         "speed_limit_kmh": [36.0, 36.0, np.nan],
     }  # fmt: skip
     return gpd.GeoDataFrame(known, geometry=lines, crs=UTM)

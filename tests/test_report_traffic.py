@@ -168,6 +168,8 @@ def test_the_course_of_a_queue_is_that_of_its_cars(folder):
     assert course.to_line_m[first].max() == pytest.approx(LINE_M - 2.0, abs=0.3)
     assert (np.diff(course.step[first]) > 0).all()
     assert course.seen[:, 3].max() == pytest.approx(LINE_M)
+    (short,) = made.courses(dataset.records(), APPROACH, (BEGIN, BEGIN + 5))  # under a second
+    assert short.back_step.tolist() == [BEGIN]
 
 
 def test_tables_lie_beside_the_page_alike_in_all_languages(folder):
@@ -215,6 +217,20 @@ def test_without_exact_tables_there_are_no_ways(folder, tmp_path, without_pdf):
     assert table_of(page, ["Lane", "No. on the plan", "Longest queue m"])
 
 
+def test_exact_tables_that_were_deleted_of_other_hours_change_nothing(tmp_path, without_pdf):
+    second, later = BEGIN + STEPS_PER_HOUR, (HOUR + 1) * 1_000_000
+    tracks = [through(1, second - 400, STRAIGHT), through(later, second + 40, STRAIGHT)]
+    dataset = fork_dataset(tmp_path / "dataset", tracks)
+    record = read_hours(dataset.folder)[HOUR]
+    write_record(dataset.folder, replace(record, dropped=("tracks", "visible", "occupied")))
+    begin = pd.Timestamp(HOUR + 1, unit="h", tz="UTC")
+    make_heatmap(dataset, begin=begin.isoformat()).write(tmp_path / "heatmap")
+    gr.write_report(tmp_path, title="Fork")
+    rows = pd.read_csv(tmp_path / "traffic.csv", parse_dates=["begin", "end"])
+    assert set(rows["end"] - rows["begin"]) == {pd.Timedelta("1min")}
+    assert set(rows["begin"]) == {begin}
+
+
 def test_of_hits_alone_it_says_so(once):
     report = reports_of_whole_run(once)["en"]
     text = report.outputs[0].read_text(encoding="utf-8")
@@ -236,16 +252,20 @@ def test_ways_of_vehicles_can_be_left_out(folder, tmp_path, without_pdf):
 
 
 def test_lanes_have_the_names_of_the_site_file(folder, tmp_path, without_pdf):
-    """Of the run that is reported, though its dataset was measured with the map's."""
+    """Of the run that is reported, though its dataset was measured with the map's.
+
+    A name is a text, in HTML and in pictures.
+    """
     for name in ("dataset", "heatmap"):
         shutil.copytree(folder / name, tmp_path / name)
-    lane = {"id": APPROACH, "name": "Ring, bus lane", "speed_kmh": 72.0}
+    name = r"Ring, <b>bus</b> $\foo$ lane"
+    lane = {"id": APPROACH, "name": name, "speed_kmh": 72.0}
     site = {"title": "Fork", "timezone": "Europe/Berlin", "lane": [lane], "sensor": [],
             "map": {"file": "fork.osm", "speed_kmh": None}}  # fmt: skip
     (tmp_path / "run.json").write_text(json.dumps({"site": site, "stages": []}))
     gr.write_report(tmp_path)
     page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
-    assert volumes(page)[APPROACH]["Lane"] == "Ring, bus lane"
+    assert volumes(page)[APPROACH]["Lane"] == name
     rows = pd.read_csv(tmp_path / "traffic.csv").set_index("lane").loc[APPROACH]
     free = pd.read_csv(folder / "en" / "traffic.csv").set_index("lane").loc[APPROACH]
     known = free["delay_s"] > 0  # 60 m at 36 km/h took 6 s, at 72 km/h 3

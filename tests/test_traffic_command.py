@@ -264,3 +264,6 @@ def test_a_site_file_names_lanes(run, dataset, tmp_path):
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
     assert code == 3
     assert "has no lane 11" in err
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path, *options)
+    assert code == 3
+    assert "would replace the input" in err

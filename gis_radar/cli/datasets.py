@@ -48,8 +48,8 @@ def traffic(
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
 
-    given = [options[name] for name in ("sections", "hand_counts") if options[name] is not None]
-    refuse_inputs(output, folder, *given)
+    given = (site, options["sections"], options["hand_counts"])
+    refuse_inputs(output, folder, *(each for each in given if each is not None))
     measured = gr.open_dataset(folder, reporter=reporter)
     if site is not None:
         stated = gr.read_site(site)

@@ -217,7 +217,7 @@ class LaneTraffic:
         begin = record.hour * STEPS_PER_HOUR
         first, after = max(begin, span[0]), min(begin + STEPS_PER_HOUR, span[1] + 1)
         grid = StepGrid(
-            begin=first, steps=STEPS_PER_SECOND, count=max((after - first) // STEPS_PER_SECOND, 0)
+            begin=first, steps=STEPS_PER_SECOND, count=max((after - first) // STEPS_PER_SECOND, 1)
         )
         states, vehicles = self._states(record), self._vehicles(record)
         length_m = vehicles.length_m[vehicles.of(states.vehicle)]

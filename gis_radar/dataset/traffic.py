@@ -217,7 +217,7 @@ class TrafficReader:
         for name in ("volume", "occupancy"):
             left_open = self._pose_variance(table, "lane", name)
             table[f"{name}_se"] = np.sqrt(table[f"{name}_se"] ** 2 + left_open)
-        layer = self._layer(LANES_LAYER)
+        layer = self.dataset.layer(LANES_LAYER)
         table["delay_s"] = delays(table, layer, network)
         with self._in_language():
             names = lane_names(layer, network)
@@ -240,10 +240,12 @@ class TrafficReader:
 
     def turns(self) -> gpd.GeoDataFrame:
         """Return a row for each turn and interval, as :meth:`gis_radar.Dataset.turns` does."""
-        table, network = self._rows(TURNS), self.traffic.network
-        if self.whole and not table.empty:
-            table = _like_approaches(table, self._rows(LANE_MEASURES))
-        ways, layer = network.turns(), self._layer(LANES_LAYER)
+        rolled_up = self.whole or _allowed(self.interval) > STEPS_PER_QUARTER
+        lanes = self._rows(LANE_MEASURES) if rolled_up else None
+        table, network = self._rows(TURNS, lanes), self.traffic.network
+        if lanes is not None and not table.empty:
+            table = _like_approaches(table, lanes)
+        ways, layer = network.turns(), self.dataset.layer(LANES_LAYER)
         with self._in_language():
             names = np.array(lane_names(layer, network), object)
         words, lines = turn_lines(layer, network, ways)
@@ -269,7 +271,7 @@ class TrafficReader:
 
     @cached_property
     def _others(self) -> OtherLanes:
-        tiles = self._layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
+        tiles = self.dataset.layer(TILES_LAYER).sort_values("tile_id", ignore_index=True)
         shifts = shifts_of(self.dataset.poses(), self.dataset.sights(), tiles)
         return OtherLanes.of(shifts, tiles, self.traffic.network)
 
@@ -288,16 +290,17 @@ class TrafficReader:
     def _in_language(self) -> AbstractContextManager[None]:
         return speaking(self.language) if self.language else nullcontext()
 
-    def _layer(self, name: str) -> gpd.GeoDataFrame:
-        return self.dataset.layer(name)
+    def _rows(self, table: TableSchema, lanes: pd.DataFrame | None = None) -> pd.DataFrame:
+        """Return rows with `begin` and `end` by the clocks of the site.
 
-    def _rows(self, table: TableSchema) -> pd.DataFrame:
-        """Return rows with `begin` and `end` by the clocks of the site."""
+        The whole time is that of `lanes` if given: turns have no rows of unobserved approaches.
+        """
         steps = _allowed(self.interval)
         zone = zone_of(self.dataset.manifest.timezone)
         finer = self.exact or steps < STEPS_PER_QUARTER
         part_steps = min(steps, STEPS_PER_QUARTER)
-        parts = self._finer(table, part_steps) if finer else self._quarters(table)
+        read, known = self.traffic.read, self.dataset.records(self.span)
+        parts = self._finer(table, known, part_steps) if finer else read(table, known, self.span)
         empty = table.empty().append_column("first_step", pa.array([], pa.int64()))
         rows = pa.concat_tables([empty, *parts]).drop_columns(["interval"]).to_pandas()
         begin = pd.to_datetime(rows.pop("first_step") * STEP_US, unit="us", utc=True)
@@ -308,8 +311,11 @@ class TrafficReader:
                 rows[name] = rows[name].astype("Int64")
         whole = self.whole and not rows.empty
         if whole:
-            hours = rows["begin"].nunique() * part_h
-            rows = rows.assign(begin=rows["begin"].min(), end=rows["end"].max(), hours=hours)
+            time = {"begin": rows["begin"].min(), "end": rows["end"].max(),
+                    "hours": rows["begin"].nunique() * part_h}  # fmt: skip
+            if lanes is not None:
+                time = {name: lanes[name].iloc[0] for name in time}
+            rows = rows.assign(**time)
         elif steps > STEPS_PER_QUARTER:
             rows = rows.assign(**_local_intervals(rows["begin"], steps, zone))
             rows["hours"] = (rows["end"] - rows["begin"]).dt.total_seconds() / 3600.0
@@ -321,11 +327,10 @@ class TrafficReader:
         ordered: pd.DataFrame = rows.sort_values([*keys, "begin"], ignore_index=True)
         return ordered
 
-    def _quarters(self, table: TableSchema) -> Iterator[pa.Table]:
-        yield from self.traffic.read(table, self.dataset.records(self.span), self.span)
-
-    def _finer(self, table: TableSchema, steps: int) -> Iterator[pa.Table]:
-        for hour, record in self.dataset.records(self.span).items():
+    def _finer(
+        self, table: TableSchema, records: Mapping[int, HourRecord], steps: int
+    ) -> Iterator[pa.Table]:
+        for hour, record in records.items():
             if TRACKS.name not in record.parts:
                 continue
             if TRACKS.name in record.dropped:
@@ -422,14 +427,14 @@ def _rolled_up(rows: pd.DataFrame, part_h: float, network: LaneNetwork) -> pd.Da
 def _like_approaches(turns: pd.DataFrame, lanes: pd.DataFrame) -> pd.DataFrame:
     """Share the volumes of approaches among their turns, as these are to each other.
 
-    In an interval in which nobody was followed to an exit, turns are not known and approaches are.
-    Where one of the turns is never known, the others stay as they are.
+    Where nobody was followed to an exit, turns are not known and approaches are. Where one of the
+    turns is never known, the others stay as they are.
     """
     keys = ["from_lane", "begin"]
     total = turns.groupby(keys)["volume"].transform(lambda each: each.sum(skipna=False))
     approach = lanes.set_index(["lane", "begin"])["volume"]
     volume = approach.reindex(pd.MultiIndex.from_frame(turns[keys])).to_numpy()
-    scale = (volume / total.where(total > 0.0)).fillna(1.0)
+    scale = (volume / total.where(total > 0.0)).fillna(1.0).mask((total == 0.0) & (volume > 0.0))
     return turns.assign(**{name: turns[name] * scale for name in ("volume", "volume_se")})
 
 
@@ -473,19 +478,14 @@ def _hours(index: pd.MultiIndex | pd.Index) -> Floats:
 
 
 def _times(found: Mapping[str, Any], ends: pd.DataFrame, network: LaneNetwork) -> dict[str, Any]:
-    """Return mean speed, travel time and delay of lanes over longer intervals."""
+    """Return mean speed and travel time of lanes over longer intervals."""
     at = np.searchsorted(network.lane, np.asarray(ends.index.get_level_values("lane"), np.int64))
-    hours = _hours(ends.index)
-    length, free = network.length_m[at], network.free_speed[at]
+    length, hours = network.length_m[at], _hours(ends.index)
     with np.errstate(divide="ignore", invalid="ignore"):
         speed = np.where(found["density"] > 0.0, found["flow"] / found["density"] / 3.6, np.nan)
         enough = ends["visible_km_h"] >= LEAST_SHARE * length / 1000.0 * hours
         travel_s = np.where(enough & (speed > 0.0), length / speed, np.nan)
-    return {
-        "speed_mean": speed,
-        "travel_time_s": travel_s,
-        "delay_s": np.maximum(travel_s - length / free, 0.0),
-    }
+    return {"speed_mean": speed, "travel_time_s": travel_s}
 
 
 def _percentile(counts: Any, share: float) -> float:

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from datasets import write_dataset
 from driven import drive, driven, straight_tiles
-from forks import LEFT, STRAIGHT, fork_dataset, through
+from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, fork_lanes, through
 from shapely import LineString
 from sites import pose
 
@@ -281,16 +281,53 @@ def test_turns_of_the_whole_time_sum_to_their_approach(tmp_path):
     first = EDGE - STEPS_PER_HOUR
     tracks = [through(n, first + 100 + 100 * n, (STRAIGHT, LEFT)[n % 3 == 0]) for n in range(3)]
     lost = through(9, first + 1500, STRAIGHT)
-    tracks.append(lost[lost["lanelet_id"].isin([10])].assign(s_m=lambda each: each["s_m"] + 0.4))
+    tracks.append(lost[lost["lanelet_id"] == APPROACH])
     tracks.append(through(12, first + 2400, LEFT, begin=70.0))
-    found = fork_dataset(tmp_path / "data", tracks)
+    lanes = fork_lanes(LINE_M - 10.0)
+    found = driven(tmp_path / "data", fork(), pd.concat(tracks), lanes=lanes)
     lanes, turns = (getattr(found, n)("1min", whole=True) for n in ("traffic", "turns"))
-    approach = lanes.set_index("lane").loc[10]
-    assert approach["counted"] == 3 + (lost["s_m"].max() + 0.4 > 60.0)
+    approach = lanes.set_index("lane").loc[APPROACH]
+    assert approach["counted"] == 4
     assert found.turns("1min")["volume"].isna().any()
     assert turns["volume"].sum() == pytest.approx(approach["volume"])
     share = turns.set_index("to_lane")["volume"] / approach["volume"]
     assert share[STRAIGHT] == pytest.approx(2 / 3)
+
+
+def test_turns_are_not_known_where_nobody_was_followed_to_an_exit(tmp_path):
+    """In times without cars nobody turns: from these alone follows no 0 of the whole time."""
+    first = EDGE - STEPS_PER_HOUR
+    tracks = [through(n, first + 100 + 2400 * n, STRAIGHT) for n in range(3)]
+    lost = [each[each["lanelet_id"] == APPROACH] for each in tracks]
+    lost.append(through(9, EDGE - STEPS_PER_QUARTER, STRAIGHT, begin=70.0))  # never at the line
+    found = driven(tmp_path / "data", fork(), pd.concat(lost), lanes=fork_lanes(LINE_M - 10.0))
+    approach = found.traffic("1min", whole=True).set_index("lane").loc[APPROACH]
+    assert approach["counted"] == 3
+    assert (found.turns("1min")["volume"] == 0.0).any()
+    for turns in (found.turns("1min", whole=True), found.turns("1h")):
+        assert len(turns) == 2
+        assert turns[["volume", "volume_se", "volume_veh_h"]].isna().all(axis=None)
+
+
+def test_turns_of_the_whole_time_have_that_of_their_lanes(tmp_path):
+    """After five of ten minutes nobody looks at the approach, so that turns have no rows."""
+    first = EDGE - STEPS_PER_HOUR
+    tracks = [through(n, first + 40 + 500 * n, (STRAIGHT, LEFT)[n % 2]) for n in range(10)]
+    late = through(11, first + 11_800, STRAIGHT)
+    tiles = fork()
+    approach = tiles.loc[tiles["lane"] == APPROACH, "tile_id"]
+    found = fork_dataset(
+        tmp_path / "data", [*tracks, late[late["lanelet_id"] == STRAIGHT]],
+        until=dict.fromkeys(approach, first + 6000),
+    )  # fmt: skip
+    lanes, turns = (getattr(found, n)("1min", whole=True) for n in ("traffic", "turns"))
+    assert found.turns("1min")["begin"].nunique() == 5
+    for name in ("begin", "end"):
+        assert set(turns[name]) == set(lanes[name])
+    mine = lanes.set_index("lane").loc[APPROACH]
+    for name in ("volume", "volume_veh_h"):
+        assert turns[name].sum() == pytest.approx(mine[name])
+    assert turns["visible_share"].tolist() == pytest.approx([mine["visible_share"]] * 2)
 
 
 def test_an_hour_of_which_a_part_is_known_is_estimated_with_a_larger_error(measured):

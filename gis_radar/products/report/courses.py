@@ -186,7 +186,7 @@ def _lay_out(
     places = np.array([(each - begin).total_seconds() for each in edges])
     ticks = times_below(edges, places, clock) if len(edges) > 1 else []
     ax.set_xticks([at for at, _ in ticks], [label for _, label in ticks])
-    ax.set_title(queue.name, loc="left", color=INK, fontweight="bold")
+    ax.set_title(queue.name, loc="left", color=INK, fontweight="bold", parse_math=False)
     ax.tick_params(colors=SOFT, length=2.5)
     for side in ax.spines.values():
         side.set(color=SOFT, linewidth=0.6)

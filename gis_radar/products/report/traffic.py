@@ -124,7 +124,7 @@ def traffic_of(dataset: Dataset | None, heat: HeatMap) -> ReportedTraffic | None
         return None
     begin, end = heat.whole.span()
     seconds = (end - begin).total_seconds()
-    exact = not any(each.dropped for each in dataset.records().values())
+    exact = not any(each.dropped for each in dataset.records(dataset.span(begin, end)).values())
     interval = next(name for name, most_s in INTERVALS if seconds <= most_s)
     interval = interval if exact else INTERVALS[-1][0]
     length_s = interval_steps(interval) / STEPS_PER_SECOND
