@@ -199,7 +199,7 @@ def test_of_one_interval_there_is_no_profile(tmp_path, without_pdf):
     assert volumes(Page(text))[APPROACH]["Counted vehicles"] == "1"
     assert 'class="strip"' not in text
     assert '<section id="queues"' not in text  # nobody waited
-    assert "it shows no single vehicle" in text
+    assert "it shows no way of a vehicle" in text
 
 
 def test_without_exact_tables_there_are_no_ways(folder, tmp_path, without_pdf):
@@ -247,7 +247,7 @@ def test_ways_of_vehicles_can_be_left_out(folder, tmp_path, without_pdf):
         dark = [(np.asarray(each).sum(axis=-1) < 250).sum() for each in (one, other)]
         assert dark[0] < dark[1]
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "it shows no single vehicle" in text
+    assert "it shows no way of a vehicle" in text
     assert "way of one vehicle" not in text
 
 
@@ -260,12 +260,14 @@ def test_lanes_have_the_names_of_the_site_file(folder, tmp_path, without_pdf):
         shutil.copytree(folder / name, tmp_path / name)
     name = r"Ring, <b>bus</b> $\foo$ lane"
     lane = {"id": APPROACH, "name": name, "speed_kmh": 72.0}
-    site = {"title": "Fork", "timezone": "Europe/Berlin", "lane": [lane], "sensor": [],
+    stated = [lane, {"id": 77, "name": "gone"}]  # the second of a map before
+    site = {"title": "Fork", "timezone": "Europe/Berlin", "lane": stated, "sensor": [],
             "map": {"file": "fork.osm", "speed_kmh": None}}  # fmt: skip
     (tmp_path / "run.json").write_text(json.dumps({"site": site, "stages": []}))
     gr.write_report(tmp_path)
-    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
-    assert volumes(page)[APPROACH]["Lane"] == name
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "names lanes that the map has not: 77" in text
+    assert volumes(Page(text))[APPROACH]["Lane"] == name
     rows = pd.read_csv(tmp_path / "traffic.csv").set_index("lane").loc[APPROACH]
     free = pd.read_csv(folder / "en" / "traffic.csv").set_index("lane").loc[APPROACH]
     known = free["delay_s"] > 0  # 60 m at 36 km/h took 6 s, at 72 km/h 3

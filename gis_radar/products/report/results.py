@@ -183,9 +183,8 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
     if measured is not None and measured.has_vehicles:
-        site = run.get("site") or {}
-        free_kmh = (site.get("map") or {}).get("speed_kmh")
-        measured = measured.with_lanes(site.get("lane") or (), free_kmh)
+        measured, left_out = _as_stated(measured, run.get("site") or {})
+        missing += left_out
     poses = _poses(folder, measured)
     missing += [
         Text(
@@ -207,6 +206,17 @@ def read_results(folder: Path, dataset: Path | None = None) -> Results:
         run=run,
         missing=missing,
     )
+
+
+def _as_stated(dataset: Dataset, site: Mapping[str, Any]) -> tuple[Dataset, list[str]]:
+    """Return a dataset with the lanes' names and free speeds of a site, and what was left out."""
+    known = set(dataset.layer(LANES_LAYER)["lane"].tolist())
+    lanes = site.get("lane") or []
+    unknown = [str(each["id"]) for each in lanes if int(each["id"]) not in known]
+    lanes = [each for each in lanes if int(each["id"]) in known]
+    text = "The site file names lanes that the map has not: {}; they are left out."
+    left_out = [Text(text, ", ".join(unknown))] if unknown else []
+    return dataset.with_lanes(lanes, (site.get("map") or {}).get("speed_kmh")), [*left_out]
 
 
 def _heat_map(folder: Path) -> Path:
