@@ -188,7 +188,7 @@ def test_a_worker_of_a_pool_that_is_killed_is_one_line():
         pytest.raises(OutputError, match="a worker process was killed"),
         worker_pool(2, watch_parent) as pool,
     ):
-        pool.submit(os.kill, 0, signal.SIGKILL).result()  # its own group: the worker and no other
+        pool.submit(signal.raise_signal, signal.SIGKILL).result()
     assert multiprocessing.active_children() == []
 
 

@@ -59,8 +59,8 @@ if TYPE_CHECKING:
 
 TAKEN_AT_ONCE = 500  # most messages between two looks at the clock
 WAIT_S = 0.01  # longest wait for a message
-# Interval after which Python switches threads, so that a thread that writes files yields to frames.
-# Python's 5 ms, at each of the many waits for a message, delayed the map by 0.3 s.
+# Interval after which Python switches threads: one that writes files yields to frames sooner than
+# after Python's 5 ms, which frames would lose at each wait for a message.
 SWITCH_S = 0.0005
 READY_S = 0.1
 SAID_S = 600.0  # least time between two logs of one error: a disk stays full for hours
