@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import json
 import secrets
-import sys
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -59,9 +58,6 @@ if TYPE_CHECKING:
 
 TAKEN_AT_ONCE = 500  # most messages between two looks at the clock
 WAIT_S = 0.01  # longest wait for a message
-# Interval after which Python switches threads: one that writes files yields to frames sooner than
-# after Python's 5 ms, which frames would lose at each wait for a message.
-SWITCH_S = 0.0005
 READY_S = 0.1
 SAID_S = 600.0  # least time between two logs of one error: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
@@ -204,7 +200,6 @@ class Fusion:
             self._reporter.log(Text("the page is at {}", self._page.open()))
         self._export()  # the first takes long, before frames come
         gc.collect()
-        sys.setswitchinterval(SWITCH_S)
         gc.freeze()  # present objects stay: scanning them for garbage delays frames by 0.3 s
         for each in self.sensors.values():  # no sensor could be heard before
             each.health.heard_s = time.time()
