@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import time
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -428,6 +429,8 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, id
 
     def process():
         pools.append(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))
+        if not idle and len(pools) == 1:
+            pools[0].submit(time.sleep, 600.0)  # the job waits behind it until the kill
         return pools[-1]
 
     def broken():

@@ -52,15 +52,12 @@ MOST_SAID = 1_000  # most warnings remembered, which are not logged again
 Work = Callable[[MeasuredSite, Sequence[Path]], Done]
 
 
-def _begin() -> None:
-    if hasattr(os, "nice"):
-        os.nice(NICE)
-    watch_parent()
-
-
 def _process() -> ProcessPoolExecutor:
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, mp_context=context, initializer=_begin)
+    """Start a worker: it is nice before it imports gis_radar, as that takes seconds of a core."""
+    nice = partial(os.nice, NICE) if hasattr(os, "nice") else None
+    pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=nice)
+    pool.submit(watch_parent)
+    return pool
 
 
 @dataclass(frozen=True, kw_only=True)
