@@ -131,7 +131,7 @@ class HourJobs:
         """Whether a job waits until the spool continues in another file."""
         return self._next is not None and self._running is None
 
-    def turn(self, now_s: float, newest: Mapping[str, float], *, full: bool = False) -> None:
+    def poll(self, now_s: float, newest: Mapping[str, float], *, full: bool = False) -> None:
         """Process the result of a job that has ended, and choose the next one.
 
         Parameters
