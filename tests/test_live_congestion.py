@@ -27,7 +27,7 @@ class Broker:
         self.queue = deque()
 
     def publish(self, topic, payload, *, retain=False, qos=1):
-        del retain
+        del retain, qos
         if topic.endswith("detections") and len(self.queue) < QUEUED:
             self.queue.append((topic.split("/")[2], payload))
 

@@ -20,6 +20,7 @@ from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .sections import count_sections
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
+from .stated_lanes import stated_lanes
 from .states import no_states, states_of
 from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
@@ -64,6 +65,7 @@ __all__ = [
     "require_same_site",
     "run_variance",
     "shifts_of",
+    "stated_lanes",
     "states_of",
     "sync_folder",
     "unfinished",
