@@ -20,6 +20,9 @@ from gis_radar.base.words import MINUS, long_day, short_day, tr, weekday
 STEP_US = 50_000  # the nominal cycle of the sensors, 20 Hz
 STEP_S = 0.05
 STEPS_PER_SECOND = 20
+STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
+TRACK_EVERY_STEPS = 4
+"""Steps between two states of a vehicle that are kept; its first and last are kept, too."""
 
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
 CYCLE_HINT = Text(

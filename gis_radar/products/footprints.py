@@ -19,6 +19,7 @@ from gis_radar.base import (
     QUIET,
     STEP_S,
     STEP_US,
+    TRACK_EVERY_STEPS,
     Floats,
     InputError,
     Integers,
@@ -29,7 +30,7 @@ from gis_radar.base import (
     keep_styles,
     write_stream,
 )
-from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, states_of
+from gis_radar.dataset import Dataset, states_of
 from gis_radar.tracking import HEAVY, Footprints, PathBook, footprints_of
 
 FOOTPRINTS = "footprints"
