@@ -58,6 +58,7 @@ from .geopackage import (
     describe_layers,
     keep_styles,
     opened_package,
+    read_only,
     write_stream,
 )
 from .grid import CELL_M, Grid
@@ -111,12 +112,14 @@ from .steps import (
     interval_steps,
     iso_from_step,
     iso_from_time,
+    localised,
     moment_in,
     seconds_from_iso,
     step_at,
     step_begin,
     step_of,
     utc_offsets,
+    whole_span,
     zone_of,
 )
 from .texts import Text, restored, with_texts
@@ -220,6 +223,7 @@ __all__ = [
     "label_times",
     "legend_below",
     "listed",
+    "localised",
     "looks_like_degrees",
     "metric_crs",
     "moment_in",
@@ -239,6 +243,7 @@ __all__ = [
     "plus_minus",
     "ranges",
     "read_json",
+    "read_only",
     "read_vector",
     "refuse_foreign",
     "refuse_inputs",
@@ -274,6 +279,7 @@ __all__ = [
     "warnings_once",
     "watch_input",
     "watch_parent",
+    "whole_span",
     "wind_of",
     "with_texts",
     "worker_pool",

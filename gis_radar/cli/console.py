@@ -11,7 +11,6 @@ import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 from types import FrameType
@@ -253,17 +252,16 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
     summary = dict(result.summary)
     if result.timezone == "UTC":
         return summary
-    from gis_radar.base import Clock, zone_of  # noqa: PLC0415 - NumPy
+    from gis_radar.base import localised, zone_of  # noqa: PLC0415 - NumPy
 
-    moment = datetime(1970, 1, 1, tzinfo=UTC)  # of no effect: times in a text have their own offset
-    clock = Clock(zone=zone_of(result.timezone), first=moment, last=moment)
+    zone = zone_of(result.timezone)
 
     def local(value: Any) -> Any:
         if isinstance(value, Mapping):
             return {name: local(each) for name, each in value.items()}
         if isinstance(value, list | tuple):
             return [local(each) for each in value]
-        return clock.localised(value) if isinstance(value, str) else value
+        return localised(value, zone) if isinstance(value, str) else value
 
     shown = {name: local(value) for name, value in summary.items()}
     return {**shown, "timezone": result.timezone} if shown != summary else summary

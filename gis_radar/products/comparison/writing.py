@@ -21,7 +21,6 @@ from gis_radar.base import (
     NO_FIGURE,
     QUIET,
     THIN_SPACE,
-    Clock,
     LayerNotes,
     Reporter,
     Text,
@@ -33,6 +32,7 @@ from gis_radar.base import (
     percent,
     picture_file,
     tr,
+    whole_span,
     write_csv,
 )
 from gis_radar.measures import INTERVALS
@@ -181,7 +181,10 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).from_string(text.read_text(encoding="utf-8"))
     rows = list(_rows(comparison.table))
-    before, after = (_span(*each) for each in (comparison.before, comparison.after))
+    before, after = (
+        whole_span(begin.to_pydatetime(), end.to_pydatetime(), begin.tzinfo)
+        for begin, end in (comparison.before, comparison.after)
+    )
     lanes = comparison.table["lane"].nunique()
     basis = tr(
         "Lanes compared, which the same sensors saw alike: {lanes}, with {before} of the intervals "
@@ -208,12 +211,6 @@ def _cautions(table: gpd.GeoDataFrame) -> list[str]:
     if INTERVALS not in set(table["units"]):
         return []
     return [tr("The periods share no times of day: what differs may be the time of day.")]
-
-
-def _span(begin: Any, end: Any) -> str:
-    first, last = (each.to_pydatetime() for each in (begin, end))
-    clock = Clock(zone=begin.tzinfo, first=first, last=last)
-    return clock.whole_in_zone(first, last)
 
 
 def _signed(change: float) -> str:
