@@ -35,6 +35,7 @@ from gis_radar.base import (
     interrupt_main_thread,
     json_text,
     one_line,
+    refuse_inputs,
     speaking,
     tr,
     users_language,
@@ -278,6 +279,7 @@ _NO_MEMORY_TEXTS = (
 )  # fmt: skip
 AGAIN_S = 0.1  # until the callback that dropped an interruption is over
 INTERRUPTED = 130
+OUTPUTS = ("output", "figure", "broker_files")  # of options: the other files are inputs
 INTERRUPTION = "interrupted; nothing was left half-written"
 
 Verb = Callable[..., Result]
@@ -287,13 +289,16 @@ class _InterruptedError(GisRadarError):
     exit_code = INTERRUPTED
 
 
-def command(*, example: str) -> Callable[[Verb], click.Command]:
+def command(*, example: str, refuses: bool = True) -> Callable[[Verb], click.Command]:
     """Return a decorator that makes a command of a function that returns a `Result`.
 
     Parameters
     ----------
     example : str
         A call that works, shown at the end of its help.
+    refuses : bool
+        Whether outputs that would take the place of an input are refused here; if not, results may
+        go into a folder of inputs.
     """
 
     def register(verb: Verb) -> click.Command:
@@ -302,6 +307,8 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
             _require_memory()
             with _console(json_lines=json_lines) as console:
                 try:
+                    if refuses:
+                        _refuse_inputs(options)
                     result = verb(reporter=console, **options)
                 except BrokenPipeError as error:
                     # click takes every broken pipe for standard output's, and stays silent.
@@ -320,6 +327,18 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
         return click.command(epilog=f"Example: {example}")(flagged)
 
     return register
+
+
+def _refuse_inputs(options: Mapping[str, Any]) -> None:
+    """Refuse outputs that would take the place of another file or folder that is named."""
+    inputs = [
+        path
+        for name, value in options.items() if name not in OUTPUTS
+        for path in (value if isinstance(value, tuple) else (value,)) if isinstance(path, Path)
+    ]  # fmt: skip
+    for name in OUTPUTS:
+        if options.get(name) is not None:
+            refuse_inputs(options[name], *inputs)
 
 
 def _require_memory() -> None:
