@@ -49,7 +49,7 @@ from gis_radar.cli.result_tables import (
     table_of_entries,
     table_of_rows,
 )
-from gis_radar.cli.usage import told
+from gis_radar.cli.usage import text_of_click
 
 WIDE = 160  # characters
 # Shown with --json only: constants in effect, and findings that `remarks` has as sentences.
@@ -370,7 +370,7 @@ def run_group(group: click.Group) -> NoReturn:
             sys.exit(error.exit_code)
         context = getattr(error, "ctx", None)
         hint = Text("try {} --help", context.command_path) if context else ""
-        _fail(console, UsageError(told(error.format_message(), error.message), hint=hint))
+        _fail(console, UsageError(text_of_click(error.format_message(), error.message), hint=hint))
     except GisRadarError as error:
         _fail(console, error)
     except (KeyboardInterrupt, click.Abort):
