@@ -266,6 +266,28 @@ def add_styles(
         database.execute(_STYLE, (name, qml, "", about, _owner(qml), _WRITTEN, layer))
 
 
+def dress_layers(
+    path: Path, styles: Mapping[str, str], *, name: str, about: str,
+    notes: Mapping[str, LayerNotes] | None = None,
+) -> None:  # fmt: skip
+    """Describe layers of a GeoPackage that GDAL has written, and give them their default styles.
+
+    Parameters
+    ----------
+    path : Path
+        The GeoPackage.
+    styles, name, about
+        As :func:`add_styles` takes them; without a style, no table of styles is made.
+    notes : mapping, optional
+        As :func:`describe_layers` takes them.
+    """
+    with closing(sqlite3.connect(path)) as database, database:
+        if notes is not None:
+            describe_layers(database, notes)
+        if styles:
+            add_styles(database, styles, name=name, about=about)
+
+
 def keep_styles(path: Path, *, earlier: Path) -> None:
     """Copy the styles that somebody has saved in the file that a new one replaces.
 

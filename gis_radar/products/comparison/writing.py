@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from functools import partial
 from importlib.resources import files
 from itertools import pairwise
@@ -25,9 +23,8 @@ from gis_radar.base import (
     Reporter,
     Text,
     add_layer,
-    add_styles,
     current_language,
-    describe_layers,
+    dress_layers,
     figure_text,
     percent,
     picture_file,
@@ -124,10 +121,10 @@ def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     kept = {"shows": measure}
     add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=kept)
     about = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
-    with closing(sqlite3.connect(path)) as database, database:
-        describe_layers(database, {LAYER: about})
-        style = class_style(f"{measure}_change", change_classes())
-        add_styles(database, {LAYER: style}, name="change", about="change of the volume")
+    style = class_style(f"{measure}_change", change_classes())
+    dress_layers(
+        path, {LAYER: style}, name="change", about="change of the volume", notes={LAYER: about}
+    )
 
 
 def change_classes() -> Iterator[LineClass]:
