@@ -43,9 +43,7 @@ from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_n
 
 LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
-_WITH_LANE = ["lane"]
-_WITH_TURN = ["from_lane", "to_lane"]
-
+_WITH_LANE, _WITH_TURN = ["lane"], ["from_lane", "to_lane"]
 
 Moment: TypeAlias = str | datetime | int | None
 """A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
