@@ -30,7 +30,6 @@ from .demo import run_demo
 from .hdmap import (
     LaneletMap,
     TileGrid,
-    TileTree,
     fingerprint,
     lanes,
     make_tiles,
@@ -127,7 +126,6 @@ __all__ = [
     "SiteCheck",
     "SiteRun",
     "TileGrid",
-    "TileTree",
     "Track",
     "Traffic",
     "UsageError",

@@ -16,8 +16,8 @@ from shapely import LineString
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.base import InputError, NoAnswerError, UsageError
-from gis_radar.dataset import STEPS_PER_HOUR, Manifest, write_whole
+from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError
+from gis_radar.dataset import Manifest, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import compare_values, holm_corrected
 

@@ -13,7 +13,7 @@ from postgres import needs_postgis, server
 from shapely import LineString
 
 import gis_radar as gr
-from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.base import STEPS_PER_HOUR
 
 psycopg = pytest.importorskip("psycopg")
 pytestmark = needs_postgis

@@ -8,9 +8,18 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, Text, UsageError, refuse_inputs
+from gis_radar.base import Reporter, Text, UsageError
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import DURATION, FILE, PERIOD, Period, csv_locale, output
+from gis_radar.cli.options import (
+    DURATION,
+    FILE,
+    PERIOD,
+    Period,
+    begin_end,
+    csv_locale,
+    language,
+    output,
+)
 from gis_radar.cli.options import dataset as dataset_argument
 
 TOO_SHORT = Text(
@@ -26,8 +35,7 @@ TOO_SHORT = Text(
     "--interval", default="15min", show_default=True,
     help="Length of the intervals: 1min, 5min, 15min, 1h, 24h; they follow the site's clocks.",
 )  # fmt: skip
-@click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
-@click.option("--end", help="Only before this time.")
+@begin_end
 @click.option(
     "--sections", type=FILE, help="Lines across roads, at which vehicles are counted by direction."
 )
@@ -36,10 +44,7 @@ TOO_SHORT = Text(
     help="CSV of counts by hand to put beside: section or lane, direction, begin, end, volume.",
 )  # fmt: skip
 @click.option("--site", type=FILE, help="SITE.toml with names and free speeds of lanes.")
-@click.option(
-    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
-    help="Of the lanes' names and the titles.",
-)  # fmt: skip
+@language("Of the lanes' names and the titles.")
 @csv_locale
 def traffic(
     *, folder: Path, output: Path, site: Path | None, language: str, csv_locale: str,
@@ -48,8 +53,6 @@ def traffic(
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
 
-    given = (site, options["sections"], options["hand_counts"])
-    refuse_inputs(output, folder, *(each for each in given if each is not None))
     measured = gr.open_dataset(folder, reporter=reporter)
     if site is not None:
         stated = gr.read_site(site)
@@ -73,10 +76,7 @@ def traffic(
 @click.option("--before", type=PERIOD, help="The first period, such as 2026-09-07/2026-09-21.")
 @click.option("--after", type=PERIOD, help="The second period; of DATASET2, where it is given.")
 @click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")
-@click.option(
-    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
-    help="Of the page, the lanes' names and the titles.",
-)  # fmt: skip
+@language("Of the page, the lanes' names and the titles.")
 @csv_locale
 def compare(
     *, folder: Path, other: Path | None, output: Path, before: Period | None, after: Period | None,
@@ -89,7 +89,6 @@ def compare(
         raise UsageError(
             "a period is missing", hint="name --before and --after, or a second dataset"
         )
-    refuse_inputs(output, folder, *([] if other is None else [other]))
     first = gr.open_dataset(folder, reporter=reporter)
     second = None if other is None else gr.open_dataset(other, reporter=reporter)
     found = gr.compare(
@@ -105,7 +104,7 @@ def compare(
     example='gis-radar query results/dataset "SELECT tile_id, sum(hit_steps) AS hits '
     'FROM tile_counts GROUP BY tile_id ORDER BY hits DESC LIMIT 10"'
 )
-@click.argument("folder", metavar="DATASET", type=FILE)
+@dataset_argument
 @click.argument("sql", metavar="SELECT")
 @click.option("-o", "--output", type=FILE, help="Write the whole answer: .csv or .parquet.")
 @click.option(
@@ -127,12 +126,11 @@ def query(
     if output is None:
         rows, total = dataset.first_rows(sql, limit, **options)
         return Result(outputs=[], summary={"total": total}, rows=rows)
-    refuse_inputs(output, folder)
     return Result(outputs=[output], summary={"total": dataset.write_answer(sql, output, **options)})
 
 
 @command(example="gis-radar publish results/dataset postgresql://editor@db.example.org/traffic")
-@click.argument("folder", metavar="DATASET", type=FILE)
+@dataset_argument
 @click.argument("url", metavar="DATABASE")
 @click.option(
     "--schema", default="gis_radar", show_default=True,
@@ -149,7 +147,7 @@ def publish(
 
 
 @command(example="gis-radar dataset results/dataset")
-@click.argument("folder", metavar="DATASET", type=FILE)
+@dataset_argument
 @click.option("--check", is_flag=True, help="Compare all bytes with the digests of their hours.")
 @click.option(
     "--withdraw", metavar="RECORDING", multiple=True,

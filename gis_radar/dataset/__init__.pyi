@@ -5,7 +5,6 @@ from .lane_measures import LaneTraffic
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
 from .measuring import manifest_of, measure
 from .parts import (
-    STEPS_PER_HOUR,
     Origin,
     clear_unfinished,
     hour_of_step,
@@ -22,17 +21,16 @@ from .sections import count_sections
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import no_states, states_of
-from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
+from .table_schema import TableSchema
+from .tables import FRAMES, PASSAGES, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
 from .upkeep import relink, withdraw
 
 __all__ = [
     "FRAMES",
     "PASSAGES",
-    "STEPS_PER_HOUR",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
-    "TRACK_EVERY_STEPS",
     "Dataset",
     "HourSpans",
     "HourWriter",

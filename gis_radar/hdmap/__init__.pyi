@@ -8,18 +8,17 @@ from .lanes import (
     lane_style,
     lanes,
     stop_lines,
+    turn_word,
 )
 from .mending import outline
 from .osm import read_osm
 from .reader import LaneletMap, read_map
-from .tagging import ON_FOOT_OR_BICYCLE
+from .tagging import ON_FOOT_OR_BICYCLE, is_driven
 from .tile_lanes import Lane, lanes_of
 from .tile_lookup import (
     Numbers,
     TileCells,
-    TileEngine,
     TileGrid,
-    TileTree,
     cell_at,
     is_inside,
     with_road_heights,
@@ -55,14 +54,13 @@ __all__ = [
     "LaneletMap",
     "Numbers",
     "TileCells",
-    "TileEngine",
     "TileGrid",
-    "TileTree",
     "at_fractions",
     "bound_length",
     "cell_at",
     "chain_lanelets",
     "fingerprint",
+    "is_driven",
     "is_inside",
     "lane_graph",
     "lane_style",
@@ -82,6 +80,7 @@ __all__ = [
     "sound",
     "sound_rungs",
     "stop_lines",
+    "turn_word",
     "with_road_heights",
     "write_tiles",
 ]

@@ -23,8 +23,17 @@ import pyarrow.csv
 import shapely
 from pyproj import CRS
 
-from gis_radar.base import QUIET, CrsError, GisRadarError, OutputError, Reporter, Text, UsageError
-from gis_radar.dataset import STEPS_PER_HOUR, TILE_COUNTS, Dataset, LaneTraffic
+from gis_radar.base import (
+    QUIET,
+    STEPS_PER_HOUR,
+    CrsError,
+    GisRadarError,
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+)
+from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic
 from gis_radar.hdmap import TILE_FIELDS
 from gis_radar.measures import lane_names
 from gis_radar.products.traffic import TITLES

@@ -125,7 +125,7 @@ def measure_site(
                 # without other sensors, the offset of a clock does not matter: keep one
                 found = tuple(each for each in found if each is not kept)
             for each in found:
-                reporter.warn("{} is left out: {}", each.sensor, each.told_with_advice)
+                reporter.warn("{} is left out: {}", each.sensor, each.text_with_advice)
                 refused[each.sensor] = each.refusal
                 del left[each.sensor]
         except InputError as error:
@@ -252,10 +252,10 @@ def _moving_hits(
     from gis_radar.recordings import open_recording
     from gis_radar.scans import JUDGED_FRAMES, MovementCounter, MovingHits
 
-    engine = TileGrid(road.quads)
+    grid = TileGrid(road.quads)
     first, standing = places_of(track.poses), standing_for(track.poses)
     road_m = {k: road_near(sights[id(track.poses[k])], road) for k in np.unique(standing).tolist()}
-    counters = defaultdict[int, MovementCounter](lambda: MovementCounter(tiles=road, engine=engine))
+    counters = defaultdict[int, MovementCounter](lambda: MovementCounter(tiles=road, grid=grid))
     for recording in recordings:
         opened, done = open_recording(recording), 0
         for batch in whole_frames(opened.read()):
