@@ -21,12 +21,12 @@ import geopandas as gpd
 import numpy as np
 import shapely
 from figures import TIMES, Figure, report
-from plain_lookup import TileGridNumpy, TileTree
+from plain_grid import TileGridNumpy
 from simulated import DATA, true_pose
 
 import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.hdmap import TileGrid, polygons
+from gis_radar.hdmap import TileEngine, polygons
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}
@@ -60,7 +60,7 @@ def _figures(rates: dict[str, float], tiles: int) -> Iterator[Figure]:
 def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
     """Return a site's tiles and `count` footprints on them, in the order they were seen."""
     tiles = gr.make_tiles(gr.read_map(next(site.glob("*.osm"))))
-    grid = TileGrid(gr.quads(tiles))
+    grid = gr.TileGrid(gr.quads(tiles))
     batches = []
     for path in sorted(site.glob("R*.parquet")):
         pose = true_pose(site, path.stem)
@@ -73,7 +73,7 @@ def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
     return tiles, np.ascontiguousarray(repeated[:, 0]), np.ascontiguousarray(repeated[:, 1])
 
 
-def _check(engines: tuple[TileGrid, ...], strtree: shapely.STRtree, x: Floats, y: Floats) -> None:
+def _check(engines: tuple[TileEngine, ...], strtree: shapely.STRtree, x: Floats, y: Floats) -> None:
     """Stop unless the engines and the STRtree find the same pairs (no point lies on an edge)."""
     point, tile = strtree.query(shapely.points(x, y), predicate="intersects")
     order = np.lexsort((tile, point))
@@ -86,7 +86,7 @@ def _check(engines: tuple[TileGrid, ...], strtree: shapely.STRtree, x: Floats, y
 def _rates(tiles: gpd.GeoDataFrame, x: Floats, y: Floats) -> dict[str, float]:
     """Return million points a second of each way, the slower ones on fewer points."""
     quads = gr.quads(tiles)
-    grid, tree, plain = TileGrid(quads), TileTree(quads), TileGridNumpy(quads)
+    grid, tree, plain = gr.TileGrid(quads), gr.TileTree(quads), TileGridNumpy(quads)
     strtree = shapely.STRtree(polygons(quads))
     _check((grid, tree), strtree, x[:300_000], y[:300_000])
     few = min(len(x), 1_000_000)
@@ -119,7 +119,7 @@ def _rates(tiles: gpd.GeoDataFrame, x: Floats, y: Floats) -> dict[str, float]:
     return {name: ways[name][1] / statistics.median(times[name]) / 1e6 for name in ways}
 
 
-def _in_blocks(engine: TileGrid, x: Floats, y: Floats) -> int:
+def _in_blocks(engine: TileEngine, x: Floats, y: Floats) -> int:
     """Assign block by block; return the number of pairs."""
     return sum(
         len(engine.assign(x[at : at + ROWS_AT_ONCE], y[at : at + ROWS_AT_ONCE])[0])

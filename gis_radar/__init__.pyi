@@ -30,6 +30,7 @@ from .demo import run_demo
 from .hdmap import (
     LaneletMap,
     TileGrid,
+    TileTree,
     fingerprint,
     lanes,
     make_tiles,
@@ -126,6 +127,7 @@ __all__ = [
     "SiteCheck",
     "SiteRun",
     "TileGrid",
+    "TileTree",
     "Track",
     "Traffic",
     "UsageError",

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
-from bench.plain_lookup import TileTree
 from gis_radar.base import InputError
 from gis_radar.measures import FrameCounter, PoseNumbers
 from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT, count_rows
@@ -71,7 +70,7 @@ def test_a_frame_without_positions_hits_nothing(tiles):
 
 @pytest.fixture(scope="module")
 def tree(tiles):
-    return TileTree(gr.quads(tiles))
+    return gr.TileTree(gr.quads(tiles))
 
 
 @given(

@@ -55,7 +55,7 @@ def compared(tmp_path, scanned, unseen):
     """Sight from a scan, and what a recording of the world as it is contradicts of it."""
     tiles = across()
     sight = sight_over(tmp_path, scanned, tiles)
-    counter = MovementCounter(tiles=tiles, grid=TileGrid(tiles.quads))
+    counter = MovementCounter(tiles=tiles, engine=TileGrid(tiles.quads))
     counter.add(
         next(open_recording(traffic(tmp_path / "R1.parquet", unseen=unseen)).read()), SENSOR
     )
@@ -132,7 +132,7 @@ def test_another_sensor_shows_the_flow_behind_a_wall(tmp_path):
 @pytest.mark.parametrize("level_m", [0.0, 6.5])
 def test_what_moves_on_a_bridge_does_not_count_below(level_m):
     tiles = across(ROAD_M)
-    counter = MovementCounter(tiles=tiles, grid=TileGrid(tiles.quads))
+    counter = MovementCounter(tiles=tiles, engine=TileGrid(tiles.quads))
     piece = Detections(
         time=np.full(3, START),
         points=np.array(

@@ -252,10 +252,10 @@ def _moving_hits(
     from gis_radar.recordings import open_recording
     from gis_radar.scans import JUDGED_FRAMES, MovementCounter, MovingHits
 
-    grid = TileGrid(road.quads)
+    engine = TileGrid(road.quads)
     first, standing = places_of(track.poses), standing_for(track.poses)
     road_m = {k: road_near(sights[id(track.poses[k])], road) for k in np.unique(standing).tolist()}
-    counters = defaultdict[int, MovementCounter](lambda: MovementCounter(tiles=road, grid=grid))
+    counters = defaultdict[int, MovementCounter](lambda: MovementCounter(tiles=road, engine=engine))
     for recording in recordings:
         opened, done = open_recording(recording), 0
         for batch in whole_frames(opened.read()):

@@ -10,7 +10,6 @@ from maps import Listener
 from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
-from bench.plain_lookup import TileTree
 from gis_radar.base import step_of
 
 
@@ -39,7 +38,7 @@ def steps_at(times):
 
 def plainly(frames_of, validity_steps):
     """The pairs of tile and step, and the observed steps of each tile, sentence by sentence."""
-    engine = TileTree(gr.quads(tiles()))
+    engine = gr.TileTree(gr.quads(tiles()))
     hits, observed = set(), {}
     for sensor, table in frames_of.items():
         pose = sample_pose(sensor)

@@ -18,7 +18,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
-from gis_radar.hdmap import TileGrid
+from gis_radar.hdmap import TileEngine
 from gis_radar.poses import Pose
 from gis_radar.recordings import Detections
 from gis_radar.scans.sight.sight import (
@@ -89,7 +89,7 @@ class MovementCounter:
     ----------
     tiles : SightTiles
         All tiles.
-    grid : TileGrid
+    engine : TileGrid or TileTree
         Finds the tiles that points fall in.
     count : (n,) int64 array
         Number of frames with a moving detection on each tile.
@@ -98,7 +98,7 @@ class MovementCounter:
     """
 
     tiles: SightTiles
-    grid: TileGrid
+    engine: TileEngine
     count: Integers = field(init=False, repr=False)
     frames: int = 0
 
@@ -111,7 +111,7 @@ class MovementCounter:
         self.frames += len(stamps)
         moves = batch.present & (np.abs(batch.range_rate) >= MOVEMENT_MPS)
         place = pose.to_map(batch.points[moves], road_m=road_m)
-        point, tile = self.grid.assign(place[:, 0], place[:, 1])
+        point, tile = self.engine.assign(place[:, 0], place[:, 1])
         over_m = place[point, 2] - self.tiles.height[tile] - REFLECTION_M
         kept = ~(np.abs(over_m) > MOVEMENT_LEVEL_M)  # an unknown height (NaN) is kept
         pairs = np.unique(frame[moves][point[kept]] * len(self.count) + tile[kept])
