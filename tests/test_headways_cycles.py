@@ -268,3 +268,42 @@ def test_hours_without_exact_tables_are_refused(dataset, tmp_path):
     for asked in (gr.signal_cycles, lambda data: gr.with_headways(data, lanes)):
         with pytest.raises(gr.InputError, match="has no exact tables any more"):
             asked(old)
+
+
+GREEN = (
+    "lane;green_begin;green_end\n10;2023-11-14 23:00:10;2023-11-14 23:00:30\n"
+    "10;2023-11-14T22:00:40Z;\n10;2023-11-14 23:01:20;\n"
+)
+
+
+def test_known_green_times_are_the_cycles(run, dataset, tmp_path):
+    (tmp_path / "green.csv").write_text(GREEN)
+    found = gr.signal_cycles(dataset, signals=tmp_path / "green.csv")
+    assert found["cycle_s"].tolist() == [30.0, 40.0]
+    assert found["begin"].iloc[0] == pd.Timestamp("2023-11-14T23:00:10+01:00")
+    assert found["counted"].tolist() == [5, 0]
+    assert found["queue_end_m"].tolist() == [0.0, 0.0]
+    options = ("--signals", tmp_path / "green.csv", "--interval", "1min")
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
+    assert code == 0, err
+    assert len((tmp_path / "out" / "cycles.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "not a table of signals"),
+        ("lane;begin\n10;x\n", "lacks the columns green_begin"),
+        (GREEN.replace("\n10;", "\n11;", 1), "line 2: lane '11' is none"),
+        (GREEN.replace("23:01:20", "noon"), "line 4: green_begin is '2023-11-14 noon'"),
+        (GREEN.replace("23:00:30", "23:00:41"), "ends before it begins, or after the next"),
+        (GREEN.replace("23:00:30", "23:00:09"), "ends before it begins"),
+    ],
+)
+def test_green_times_that_are_none_are_one_line(run, dataset, tmp_path, text, said):
+    (tmp_path / "green.csv").write_text(text)
+    options = ("--signals", tmp_path / "green.csv", "--interval", "1min")
+    code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
+    assert code == 3
+    assert said in err
+    assert len(err.strip().splitlines()) == 1

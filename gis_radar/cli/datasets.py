@@ -38,6 +38,10 @@ TOO_SHORT = Text(
 @click.option("--headways", is_flag=True, help="Add headways and gaps to the lanes.")
 @click.option("--cycles", is_flag=True, help="Tell cycles of signals from the traffic.")
 @click.option(
+    "--signals", type=FILE,
+    help="CSV of green times, for cycles of these: lane, green_begin, green_end.",
+)  # fmt: skip
+@click.option(
     "--service", type=click.Choice(["hcm", "hbs"]),
     help="Add levels of service from the delay: Highway Capacity Manual or HBS.",
 )  # fmt: skip
@@ -54,7 +58,7 @@ def traffic(
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
 
-    given = (site, options["sections"], options["hand_counts"])
+    given = (site, *(options[name] for name in ("sections", "hand_counts", "signals")))
     refuse_inputs(output, folder, *(each for each in given if each is not None))
     measured = gr.open_dataset(folder, reporter=reporter)
     if site is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import geopandas as gpd
 import numpy as np
@@ -15,11 +16,24 @@ from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.parts import STEPS_PER_HOUR
 from gis_radar.dataset.reading import Span
+from gis_radar.dataset.signals import read_signals
 from gis_radar.dataset.tables import TRACKS
 from gis_radar.dataset.traffic import Moment, interval_edges
 from gis_radar.hdmap import LANES_LAYER
-from gis_radar.measures import Cycle, Headways, LaneNetwork, StepGrid, cycles, headways, lane_names
+from gis_radar.measures import (
+    Cycle,
+    FrontStates,
+    Headways,
+    LaneNetwork,
+    StepGrid,
+    VehicleTable,
+    VisibleRuns,
+    cycles,
+    headways,
+    lane_names,
+)
 
+_Hour: TypeAlias = tuple[StepGrid, FrontStates, VehicleTable, VisibleRuns]
 _HEADWAYS = ("headway_mean_s", "headway_se_s", "headway_median_s", "gap_mean_s", "gap_se_s")
 
 
@@ -94,14 +108,19 @@ def _by_interval(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def signal_cycles(
-    dataset: Dataset, *, begin: Moment = None, end: Moment = None, language: str | None = None
-) -> pd.DataFrame:
+    dataset: Dataset, *, signals: str | Path | None = None, begin: Moment = None,
+    end: Moment = None, language: str | None = None,
+) -> pd.DataFrame:  # fmt: skip
     """Return the cycles of signals at stop lines, as the traffic shows them.
 
     Parameters
     ----------
     dataset : Dataset
         With its exact tables.
+    signals : str or Path, optional
+        CSV of green times, which count in place of those that the traffic shows: `lane` (its number
+        or name), `green_begin`, and where known `green_end`; without a zone by the clocks of the
+        site.
     begin, end, language
         As for :meth:`gis_radar.Dataset.traffic`; hours are taken as a whole.
 
@@ -116,21 +135,24 @@ def signal_cycles(
     Raises
     ------
     InputError
-        If exact tables of that time were deleted.
+        If exact tables of that time were deleted, or the signals are not what they should be.
     """
     network, hours = _exact(dataset, dataset.span(begin, end))
-    found = [each for hour in hours for each in cycles(network, *hour)]
     with speaking(language or current_language()):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
+    at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
+    known = None if signals is None else read_signals(signals, at, zone_of(dataset.timezone))
+    found = [each for hour in hours for each in cycles(network, *hour, known=known)]
+    with speaking(language or current_language()):
         reason = [tr(each.reason) if each.reason else "" for each in found]
     table = pd.DataFrame(found, columns=list(Cycle._fields))
-    at, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)
+    place, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)
     times = {"begin": _times(table["first"]), "end": _times(table["after"])}
-    table = table.assign(lane=network.lane[at], counted=table["counted"].astype("Int64"))
+    table = table.assign(lane=network.lane[place], counted=table["counted"].astype("Int64"))
     table = table.drop(columns=["first", "after", "reason"])
-    for place, (name, values) in enumerate(times.items(), start=1):
-        table.insert(place, name, values.dt.tz_convert(zone))
-    table.insert(1, "name", names[at])
+    for column, (name, values) in enumerate(times.items(), start=1):
+        table.insert(column, name, values.dt.tz_convert(zone))
+    table.insert(1, "name", names[place])
     return table.assign(reason=reason).sort_values(["lane", "begin"], ignore_index=True)
 
 
@@ -138,7 +160,7 @@ def _times(steps: pd.Series) -> pd.Series:
     return pd.to_datetime(steps.astype(np.int64) * STEP_US, unit="us", utc=True)
 
 
-def _exact(dataset: Dataset, span: Span | None) -> tuple[LaneNetwork, Iterator[Any]]:
+def _exact(dataset: Dataset, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
     """Return the network, and of each hour its grid, states, vehicles and visible runs."""
     traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]

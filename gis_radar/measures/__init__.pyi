@@ -1,4 +1,4 @@
-from .cycles import Cycle, cycles
+from .cycles import Cycle, Greens, cycles
 from .differences import INTERVALS, LEVEL, compare_values, holm_corrected
 from .filters import Filters
 from .frame_hash import HashedFrames
@@ -48,6 +48,7 @@ __all__ = [
     "FrameIndex",
     "FrameTimes",
     "FrontStates",
+    "Greens",
     "HashedFrames",
     "Headways",
     "HitTarget",

@@ -7,6 +7,7 @@ of fixed time; others, as of a signal that follows demand, are not taken for cyc
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -40,6 +41,7 @@ EVEN_S = 3.0
 LEAST_SUCCESSIVE = 0.6  # share of the begins that follow the one before after one cycle
 FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
+UNSTATED = Text("no two begins of green stated")
 HIDDEN = Text("stop line not visible throughout")
 
 
@@ -77,6 +79,13 @@ class Cycle(NamedTuple):
     reason: str = ""
 
 
+class Greens(NamedTuple):
+    """Green times of a lane that are known: steps of begins, ascending, and ends (-1: unknown)."""
+
+    begin: Integers
+    end: Integers
+
+
 class Period(NamedTuple):
     """Length of cycles (s), its standard error, and the first of evenly fitted begins."""
 
@@ -103,7 +112,7 @@ def period_of(begins_s: Floats) -> Period | str:
 
 def cycles(
     network: LaneNetwork, grid: StepGrid, states: FrontStates, vehicles: VehicleTable,
-    visible: VisibleRuns,
+    visible: VisibleRuns, known: Mapping[int, Greens] | None = None,
 ) -> list[Cycle]:  # fmt: skip
     """Return the cycles at each stop line between the first and the last begin of green of a grid.
 
@@ -111,31 +120,52 @@ def cycles(
     ----------
     network, grid, states, vehicles, visible
         As for :func:`gis_radar.measures.measure_lanes`.
+    known : mapping, optional
+        Green times, by position of the lane; elsewhere cycles are told from the traffic.
     """
-    crossed = crossings(states, states.moves(network), network, grid)
+    crossed, greens = crossings(states, states.moves(network), network, grid), known or {}
     stands = standing_states(states).stands
     length_m = vehicles.length_m[vehicles.of(states.vehicle)]
     found: list[Cycle] = []
     for lane in np.flatnonzero(network.has_stop_line).tolist():
         mine = crossed.taken(crossed.lane == lane)
         mine = mine.taken(np.asarray(np.argsort(mine.step, kind="stable"), np.int64))
-        begins = _begins(lane, mine, states, stands, network, grid)
-        period = period_of(np.asarray((begins - grid.begin) * STEP_S, np.float64))
-        if isinstance(period, str):
-            found.append(Cycle(lane, grid.begin, grid.end, reason=period))
+        if (stated := greens.get(lane)) is not None:
+            told = _stated(lane, stated, grid)
+        else:
+            told = _told(lane, _begins(lane, mine, states, stands, network, grid), grid)
+        if told[0].reason:
+            found += told
             continue
         seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
         by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
         course = queue_course(lane, states, length_m, network, visible, by_second)
         waiting = _Waiting(to_stop_line(lane, states, network), states, stands, length_m)
         line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
-        for first, after in pairwise(_edges(begins, period, grid).tolist()):
-            known = Cycle(lane, first, after, period.length_s, period.error_s)
-            if visible.throughout(line, np.array([first]), np.array([after - 1]))[0]:
-                found.append(_filled(known, mine, course, waiting))
+        ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
+        for each in told:
+            if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
+                found.append(_filled(each, mine, course, waiting, ends.get(each.first, -1)))
             else:
-                found.append(known._replace(reason=HIDDEN))
+                found.append(each._replace(reason=HIDDEN))
     return found
+
+
+def _told(lane: int, begins: Integers, grid: StepGrid) -> list[Cycle]:
+    """Return the cycles of begins of green that are seen, without figures."""
+    period = period_of(np.asarray((begins - grid.begin) * STEP_S, np.float64))
+    if isinstance(period, str):
+        return [Cycle(lane, grid.begin, grid.end, reason=period)]
+    edges = _edges(begins, period, grid).tolist()
+    return [Cycle(lane, *each, period.length_s, period.error_s) for each in pairwise(edges)]
+
+
+def _stated(lane: int, greens: Greens, grid: StepGrid) -> list[Cycle]:
+    """Return the cycles of green times that are known, without figures."""
+    inside = (greens.begin >= grid.begin) & (greens.begin < grid.end)
+    edges = greens.begin[inside].tolist()
+    known = [Cycle(lane, a, b, (b - a) * STEP_S, 0.0) for a, b in pairwise(edges)]
+    return known or [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
 
 
 def _begins(
@@ -192,9 +222,12 @@ class _Waiting(NamedTuple):
         return float((self.to_line_m + self.length_m)[row].max(initial=0.0))
 
 
-def _filled(cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting) -> Cycle:
+def _filled(
+    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int
+) -> Cycle:
+    """Return a cycle with its figures; an `end` of green that is -1 is when the last one leaves."""
     left = crossed.step[(crossed.step >= cycle.first) & (crossed.step < cycle.after)]
-    end = int(left.max(initial=cycle.first))
+    end = int(left.max(initial=cycle.first)) if end < 0 else end
     back_m = course.back_m[(course.back_step >= cycle.first) & (course.back_step < cycle.after)]
     gone = crossed.vehicle[crossed.step <= end]
     return cycle._replace(

@@ -233,6 +233,7 @@ def make_traffic(
     hand_counts: str | Path | None = None,
     headways: bool = False,
     cycles: bool = False,
+    signals: str | Path | None = None,
     service: str | None = None,
     language: str | None = None,
 ) -> Traffic:
@@ -254,6 +255,8 @@ def make_traffic(
         Add headways and gaps to the lanes, as :func:`gis_radar.with_headways` does.
     cycles : bool
         Tell the cycles of signals, as :func:`gis_radar.signal_cycles` does.
+    signals : str or Path, optional
+        CSV of green times, as for :func:`gis_radar.signal_cycles`, whose cycles are then returned.
     service : {"hcm", "hbs"}, optional
         Add the column `los` to the lanes: the level of service by this handbook.
 
@@ -283,7 +286,7 @@ def make_traffic(
         lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
     return Traffic(
         lanes=lanes, turns=dataset.turns(interval, **options), sections=there, hand_counts=beside,
-        cycles=signal_cycles(dataset, **options) if cycles else None,
+        cycles=signal_cycles(dataset, signals=signals, **options) if cycles or signals else None,
     )  # fmt: skip
 
 

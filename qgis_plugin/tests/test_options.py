@@ -41,6 +41,7 @@ LEFT_OUT = {
         "site": "QGIS renames lanes in the layer; a run's report has the names",
         "headways": "a table for engineers; the command has it",
         "cycles": "a table for engineers, without lines to show",
+        "signals": "for cycles",
         "service": "a table for engineers; a run's report has the levels",
     },
     "run": {"template": "the site wizard writes the file"},
