@@ -25,7 +25,16 @@ from .calibration import (
     read_clocks,
     track,
 )
-from .dataset import Dataset, count_sections, measure, open_dataset, relink, withdraw
+from .dataset import (
+    Dataset,
+    count_sections,
+    measure,
+    open_dataset,
+    relink,
+    signal_cycles,
+    with_headways,
+    withdraw,
+)
 from .demo import run_demo
 from .hdmap import (
     LaneletMap,
@@ -173,11 +182,13 @@ __all__ = [
     "run_fusion",
     "run_site",
     "sample_folder",
+    "signal_cycles",
     "site_template",
     "stop_lines",
     "to_trajectories",
     "track",
     "track_points",
+    "with_headways",
     "with_road_heights",
     "withdraw",
     "write_comparison",

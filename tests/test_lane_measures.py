@@ -11,7 +11,8 @@ import pytest
 from forks import APPROACH, LEFT, STRAIGHT, fork, strip
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from maps import UTM
+from maps import EAST, NORTH, UTM
+from shapely import LineString
 
 from gis_radar.measures import (
     FrontStates,
@@ -20,6 +21,7 @@ from gis_radar.measures import (
     TileSteps,
     VehicleTable,
     VisibleRuns,
+    lane_names,
     measure_lanes,
 )
 from gis_radar.measures.lane_measures import SPEED_CLASSES
@@ -386,3 +388,21 @@ def test_turns_lead_over_connectors():
              for t in network.turns()]  # fmt: skip
     assert (1, 5, [3]) in named
     assert (1, 6, [4]) in named
+
+
+@pytest.mark.parametrize(("offside", "right_hand"), [(3.0, True), (-3.0, False)])
+def test_lanes_are_numbered_from_the_kerb(offside, right_hand):
+    """Two lanes to the east, and beyond the middle of the road one to the west."""
+    rows = strip(1, (0, 0), 0, 40, 0)
+    rows += strip(2, (0, offside), 0, 40, len(rows))
+    rows += strip(3, (40, 2 * offside), 180, 40, len(rows))
+    ends = [[(0, 0), (40, 0)], [(0, offside), (40, offside)], [(40, 2 * offside), (0, 2 * offside)]]
+    layer = gpd.GeoDataFrame(
+        {"lane": [1, 2, 3], "street": None, "turn": None},
+        geometry=[LineString(np.add(each, (EAST, NORTH))) for each in ends], crs=UTM,
+    )  # fmt: skip
+    for lanes in ([1, 2, 3], [1, 2]):  # without an opposite lane, the kerb is on the right
+        tiles = gpd.GeoDataFrame([row for row in rows if row["lane"] in lanes], crs=UTM)
+        names = lane_names(layer, LaneNetwork.of(tiles))
+        from_kerb = [1, 2] if right_hand or 3 in lanes else [2, 1]
+        assert names[:2] == [f"Road eastbound, lane {number}" for number in from_kerb]

@@ -191,6 +191,8 @@ def test_a_map_outside_its_zone_names_its_file_and_no_option(tmp_path, monkeypat
     with pytest.raises(CrsError, match=r"m\.osm: the site lies far outside") as caught:
         gr.read_map(path)
     assert "--crs" not in caught.value.message
+    with pytest.raises(CrsError, match=r"m\.osm: the site lies far outside"):
+        gr.read_map(path, crs=CRS.from_epsg(32755))  # as of tiles or of a road, not of the user
     with pytest.raises(CrsError, match="--crs: the site lies far outside"):
         gr.read_map(path, crs=32755)
 

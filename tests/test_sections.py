@@ -188,6 +188,16 @@ def test_sections_without_a_name_get_their_number(dataset):
         assert found == [f"{names[0]:.0f}" if column == "id" else "A", "2", "3"]
 
 
+def test_the_layer_of_lines_is_taken_and_of_several_none(dataset, tmp_path):
+    path = tmp_path / "project.gpkg"
+    ACROSS.set_geometry(ACROSS.buffer(1.0)).to_file(path, layer="areas")
+    ACROSS.to_file(path, layer="mine")
+    assert set(gr.count_sections(dataset, path)["section"]) == set(ACROSS["name"])
+    ACROSS.to_file(path, layer="others")
+    with pytest.raises(gr.GisRadarError, match=r"project\.gpkg: has 2 layers of lines: mine, othe"):
+        gr.count_sections(dataset, path)
+
+
 def test_a_section_without_a_line_is_refused(dataset):
     layer = gpd.GeoDataFrame(geometry=[*ACROSS.geometry, None], crs=UTM)
     with pytest.raises(gr.InputError, match="a section has no line"):

@@ -364,6 +364,7 @@ def test_tiles_are_written_without_a_list_of_problems(tmp_path):
     problems = pyogrio.read_dataframe(tmp_path / "own.gpkg", layer="problems")
     assert len(problems) == 0
     assert {"lanelet_id", "action", "reason"} <= set(problems.columns)
+    assert problems[["action", "reason"]].dtypes.eq(object).all()  # text, as where there are some
 
 
 def test_tiles_that_another_program_has_locked_are_named_and_stay(tmp_path):

@@ -263,7 +263,7 @@ def test_a_site_file_names_lanes(run, dataset, tmp_path):
     (tmp_path / "SITE.toml").write_text((tmp_path / "SITE.toml").read_text().replace("10", "11"))
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path / "out", *options)
     assert code == 3
-    assert "has no lane 11" in err
+    assert f"{tmp_path / 'SITE.toml'}: {dataset.folder}: has no lane 11" in err
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path, *options)
     assert code == 3
     assert "would replace the input" in err

@@ -190,6 +190,9 @@ def test_another_map_is_refused(site, tmp_path):
     (tmp_path / "other.osm").write_text(other)
     with pytest.raises(gr.InputError, match="of the tiles"):
         gr.measure([SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "other.osm", folder / "other")
+    (tmp_path / "other.osm").write_text(other.replace('lat="48.', 'lat="-35.'))
+    with pytest.raises(gr.InputError, match=r"other\.osm: the site lies far outside the area"):
+        gr.measure([SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "other.osm", folder / "other")
 
 
 def test_the_command_writes_a_dataset(site, tmp_path, run):

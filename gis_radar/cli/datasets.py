@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, Text, UsageError
+from gis_radar.base import Reporter, Text, UsageError, placed
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
     DURATION,
@@ -43,6 +43,16 @@ TOO_SHORT = Text(
     "--counts", "hand_counts", type=FILE,
     help="CSV of counts by hand to put beside: section or lane, direction, begin, end, volume.",
 )  # fmt: skip
+@click.option("--headways", is_flag=True, help="Add headways and gaps to the lanes.")
+@click.option("--cycles", is_flag=True, help="Tell cycles of signals from the traffic.")
+@click.option(
+    "--signals", type=FILE,
+    help="CSV of green times, for cycles of these: lane, green_begin, green_end.",
+)  # fmt: skip
+@click.option(
+    "--service", type=click.Choice(["hcm", "hbs"]),
+    help="Add levels of service from the delay: Highway Capacity Manual or HBS.",
+)  # fmt: skip
 @click.option("--site", type=FILE, help="SITE.toml with names and free speeds of lanes.")
 @language("Of the lanes' names and the titles.")
 @csv_locale
@@ -57,7 +67,8 @@ def traffic(
     if site is not None:
         stated = gr.read_site(site)
         lanes = [each.model_dump() for each in stated.lane]
-        measured = measured.with_lanes(lanes, stated.map.speed_kmh)
+        with placed(str(site)):
+            measured = measured.with_lanes(lanes, stated.map.speed_kmh)
     made = gr.make_traffic(measured, language=language, **options)
     with csv_for(csv_locale):
         outputs = made.write(output, language=language, reporter=reporter)

@@ -1,5 +1,6 @@
 from .dataset import Dataset, open_dataset
 from .day_tables import STEPS_PER_QUARTER
+from .exact_traffic import signal_cycles, with_headways
 from .hour_job import MeasureSettings
 from .lane_measures import LaneTraffic
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
@@ -63,11 +64,13 @@ __all__ = [
     "require_same_site",
     "run_variance",
     "shifts_of",
+    "signal_cycles",
     "stated_lanes",
     "states_of",
     "sync_folder",
     "unfinished",
     "update_counts",
+    "with_headways",
     "withdraw",
     "write_record",
     "write_whole",

@@ -17,10 +17,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyogrio
 
-from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, Integers, opened_package
+from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
 from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, days_with
 from gis_radar.dataset.manifest import TILES
-from gis_radar.dataset.parts import HOURS_PER_DAY
+from gis_radar.dataset.parts import HOURS_PER_DAY, hour_text
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord, read_hour
 from gis_radar.dataset.table_schema import TableSchema
@@ -223,6 +223,23 @@ class LaneTraffic:
         length_m = vehicles.length_m[vehicles.of(states.vehicle)]
         stop = int(np.searchsorted(self.network.lane, lane))
         return queue_course(stop, states, length_m, self.network, self._visible(record), grid)
+
+    def exact(self, record: HourRecord) -> tuple[FrontStates, VehicleTable, VisibleRuns]:
+        """Return states, vehicles and visible runs of an hour, with the vehicles that go on in it.
+
+        Raises
+        ------
+        InputError
+            If its exact tables were deleted.
+        """
+        if TRACKS.name in record.dropped:
+            raise InputError(
+                "{}: {} has no exact tables any more, which headways and cycles are measured from",
+                self.folder,
+                hour_text(record.hour),
+                hint="ask for a later time",
+            )
+        return self._states(record), self._vehicles(record), self._visible(record)
 
     def _measured(
         self, record: HourRecord, steps: int, tile: Integers, interval: Integers,

@@ -120,7 +120,9 @@ def _lines(
     table: Any = sections
     if isinstance(sections, str | Path):
         what = str(sections)
-        table = read_vector(sections, what="layer of count sections", columns=None)
+        table = read_vector(
+            sections, what="layer of count sections", choose=_only_lines, columns=None
+        )
     metric_crs(table.crs, what=what)
     if table.geometry.isna().any():
         raise InputError("{}: a section has no line", what)
@@ -138,6 +140,17 @@ def _lines(
     if len(found) < len(table):
         raise InputError("{}: two sections have one name", what)
     return found, what
+
+
+def _only_lines(layers: Mapping[str, str], path: Path) -> str:
+    """Return the layer of lines, else the first; refuse several of lines."""
+    drawn = [name for name, kind in layers.items() if "LineString" in kind]
+    if len(drawn) > 1:
+        raise InputError(
+            "{}: has {} layers of lines: {}", path, len(drawn), ", ".join(drawn),
+            hint="save the sections as a file of their own",
+        )  # fmt: skip
+    return next(iter(drawn or layers))
 
 
 def _crossings(

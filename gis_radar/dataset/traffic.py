@@ -317,7 +317,7 @@ class TrafficReader:
                 time = {name: lanes[name].iloc[0] for name in time}
             rows = rows.assign(**time)
         elif steps > STEPS_PER_QUARTER:
-            rows = rows.assign(**_local_intervals(rows["begin"], steps, zone))
+            rows = rows.assign(**interval_edges(rows["begin"], steps, zone))
             rows["hours"] = (rows["end"] - rows["begin"]).dt.total_seconds() / 3600.0
         if whole or steps > STEPS_PER_QUARTER:
             weight = rows["visible_share"] if whole else 1.0
@@ -371,7 +371,7 @@ def _length(steps: int) -> pd.Timedelta:
     return pd.Timedelta(seconds=steps * STEP_S)
 
 
-def _local_intervals(begin: pd.Series, steps: int, zone: ZoneInfo) -> pd.DataFrame:
+def interval_edges(begin: pd.Series, steps: int, zone: ZoneInfo) -> pd.DataFrame:
     """Return begin and end of the intervals of quarters, by the clocks of the site.
 
     Intervals up to an hour have their exact length; longer ones end by the clock.

@@ -108,7 +108,7 @@ def place_nodes(
         try:
             plane, remarks = _with_geographic(osm, geographic, local, target, origin)
         except CrsError as error:
-            if crs is not None:
+            if isinstance(crs, str | int):
                 raise
             wrong = error.message.removeprefix("--crs: ")
             hint = Text("are the latitudes and longitudes of its nodes true?")

@@ -321,8 +321,8 @@ def problem_table(problems: Sequence[_Problem], crs: CRS) -> gpd.GeoDataFrame:
     return gpd.GeoDataFrame(
         {
             "lanelet_id": np.array([problem.id for problem in problems], dtype=np.int64),
-            "action": [problem.action for problem in problems],
-            "reason": [problem.reason for problem in problems],
+            "action": np.array([problem.action for problem in problems], object),
+            "reason": np.array([problem.reason for problem in problems], object),
         },
         geometry=[problem.shape for problem in problems],
         crs=crs,

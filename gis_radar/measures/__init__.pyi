@@ -1,7 +1,9 @@
+from .cycles import Cycle, Greens, cycles
 from .differences import INTERVALS, LEVEL, compare_values, holm_corrected
 from .filters import Filters
 from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
+from .headways import Headways, headways
 from .hit_counter import FrameCounter
 from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
@@ -40,12 +42,15 @@ __all__ = [
     "NO_FURTHER",
     "SPEED_CLASS_KMH",
     "TURN_WORDS",
+    "Cycle",
     "Filters",
     "FrameCounter",
     "FrameIndex",
     "FrameTimes",
     "FrontStates",
+    "Greens",
     "HashedFrames",
+    "Headways",
     "HitTarget",
     "HourWindow",
     "LaneNetwork",
@@ -65,7 +70,9 @@ __all__ = [
     "VisibleRuns",
     "bound_name",
     "compare_values",
+    "cycles",
     "frame_columns",
+    "headways",
     "holm_corrected",
     "lane_names",
     "measure_lanes",

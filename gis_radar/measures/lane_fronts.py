@@ -79,16 +79,28 @@ class VisibleRuns:
 
     def at(self, tile_id: Integers, step: Integers) -> Booleans:
         """Return whether each tile is visible in its step."""
+        return self._run(tile_id, step) >= 0
+
+    def throughout(self, tile_id: Integers, first: Integers, last: Integers) -> Booleans:
+        """Return whether each tile is visible in all steps from a first to a last one."""
+        _, begins, ends = self._axis
+        stretch = np.cumsum(np.append(True, begins[1:] != ends[:-1] + 1)[: len(begins)])
+        one, other = self._run(tile_id, first), self._run(tile_id, last)
+        known = (one >= 0) & (other >= 0)
+        return np.asarray(known & (np.append(stretch, 0)[one] == np.append(stretch, 0)[other]))
+
+    def _run(self, tile_id: Integers, step: Integers) -> Integers:
+        """Return the run of each tile that holds a step; -1 where it is not visible."""
         tiles, first, last = self._axis
         if not len(first):
-            return np.zeros(len(step), np.bool_)
+            return np.full(len(step), -1, np.int64)
         begin, room = self._room
         place = np.minimum(np.searchsorted(tiles, tile_id), len(tiles) - 1)
         inside = (step >= begin) & (step < begin + room - 1)
         key = place * room + np.clip(step - begin, 0, room - 2)
         run = np.maximum(np.searchsorted(first, key, side="right") - 1, 0)
-        hit = (first[run] <= key) & (key <= last[run])
-        return np.asarray(hit & inside & (tiles[place] == tile_id))
+        hit = (first[run] <= key) & (key <= last[run]) & inside & (tiles[place] == tile_id)
+        return np.where(hit, run, -1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,8 +192,8 @@ class Crossings(NamedTuple):
     speed: Floats
     seen: Booleans
 
-    def taken(self, which: Booleans) -> Crossings:
-        """Return the crossings for which `which` is true."""
+    def taken(self, which: Booleans | Integers | slice) -> Crossings:
+        """Return the crossings that a mask, their positions or a slice choose."""
         return Crossings._make(each[which] for each in self)
 
 

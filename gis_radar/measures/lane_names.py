@@ -1,9 +1,9 @@
 """Names of lanes as people use them: street, direction, number from the kerb, turn.
 
 `Ostring northbound, lane 2 (left)` has the street (by the map or the city's layer), the direction
-at the stop line, the number of the lane from the right, where the kerb is, and its turns in the
-junction. Lanes of the same name are numbered as sections, in driving order. Names are for people;
-programs use the lanes' numbers.
+at the stop line, the number of the lane from the kerb (on the left where opposite lanes lie on the
+right), and its turns in the junction. Lanes of the same name are numbered as sections, in driving
+order. Names are for people; programs use the lanes' numbers.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
     points, ways = (np.array(each) for each in zip(*map(place_on, lines, at), strict=True))
     connector = network.connector
     beside = [line for line, inside in zip(lines, connector, strict=True) if not inside]
+    kerb = _kerb_side(points[~connector], ways[~connector], beside)
     names = []
     for k, (_, row) in enumerate(known.iterrows()):
         if isinstance(own := row.get("name"), str) and own:
@@ -63,7 +64,7 @@ def lane_names(lanes: gpd.GeoDataFrame, network: LaneNetwork) -> list[str]:
             way, place = place_on(lines[k], 0.0)[1], tr("in the junction")
         else:
             way = ways[k]
-            place = tr("lane {number}", number=_number(points[k], way, beside))
+            place = tr("lane {number}", number=_number(points[k], way, beside, kerb))
         street = street_label(row["street"], row.get("street_part")) or tr("Road")
         name = f"{street} {bound_name(way)}, {place}"
         leads = connector[k] or network.has_stop_line[k] or connector[[*network.after[k]]].any()
@@ -86,18 +87,34 @@ def place_on(line: shapely.LineString, along_m: float) -> tuple[Floats, Floats]:
     return np.array(point), way / max(float(np.hypot(*way)), 1e-9)
 
 
-def _number(point: Floats, way: Floats, lines: Sequence[shapely.LineString]) -> int:
-    """Return the number of a lane, from the right, among lanes side by side."""
+def _kerb_side(points: Floats, ways: Floats, lines: Sequence[shapely.LineString]) -> float:
+    """Return where the kerb is: 1 on the right, -1 on the left, as most opposite lanes say."""
+    votes = 0.0
+    for point, way in zip(points, ways, strict=True):
+        opposite = [off for off, along in _abreast(point, way, lines) if along < -PARALLEL]
+        votes += np.sign(min(opposite, key=abs)) if opposite else 0.0
+    return -1.0 if votes > 0.0 else 1.0
+
+
+def _abreast(
+    point: Floats, way: Floats, lines: Sequence[shapely.LineString]
+) -> list[tuple[float, float]]:
+    """Return how far lines lie to the right of a place, m, and the cosines of their directions."""
     right = np.array([way[1], -way[0]])
-    across = shapely.LineString([point, point + ABREAST_M * right])
+    across = shapely.LineString([point - ABREAST_M * right, point + ABREAST_M * right])
     found = []
-    for line in lines:
-        for met in shapely.get_coordinates(shapely.intersection(line, across)):
-            toward = place_on(line, line.project(shapely.Point(met)))[1]
-            if toward @ way > PARALLEL:
-                found.append(float((met - point) @ right))
+    for k in np.flatnonzero(shapely.intersects(lines, across)).tolist():
+        for met in shapely.get_coordinates(shapely.intersection(lines[k], across)):
+            toward = place_on(lines[k], lines[k].project(shapely.Point(met)))[1]
+            found.append((float((met - point) @ right), float(toward @ way)))
+    return found
+
+
+def _number(point: Floats, way: Floats, lines: Sequence[shapely.LineString], kerb: float) -> int:
+    """Return the number of a lane, from the kerb, among lanes side by side."""
+    beside = (kerb * off for off, along in _abreast(point, way, lines) if along > PARALLEL)
     number, reached = 1, 0.0
-    for away in sorted(found):
+    for away in sorted(each for each in beside if each > 0.0):
         if away - reached > BESIDE_M:
             break
         if away - reached > 1.0:  # leaves out the lane itself and one that merges into it

@@ -145,12 +145,9 @@ def queue_course(
     states, length_m, network, visible, grid
         As for :func:`queues`.
     """
-    strips = network.queue_strips()
-    to_line = np.full(len(network.lane), np.nan)
-    mine = strips.stop_lane == stop
-    to_line[strips.lane[mine]] = strips.to_line_m[mine]
-    inside = (states.step >= grid.begin) & (states.step < grid.end) & (states.lane >= 0)
-    row = np.flatnonzero(inside & np.isfinite(to_line[states.lane]))
+    to_line, to_stop = _strip(stop, network), to_stop_line(stop, states, network)
+    inside = (states.step >= grid.begin) & (states.step < grid.end)
+    row = np.flatnonzero(inside & np.isfinite(to_stop))
     backs = queues(states, standing_states(states).stands, length_m, network, visible, grid)
     begin = grid.begin + np.arange(grid.count) * grid.steps
     line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
@@ -164,9 +161,23 @@ def queue_course(
     near = far - network.tile_length_m[tile[run]]
     return QueueCourse(
         states.vehicle[row], states.step[row],
-        to_line[states.lane[row]] - states.along_m[row], begin, np.where(known, back, np.nan),
+        to_stop[row], begin, np.where(known, back, np.nan),
         np.column_stack([visible.first[run], visible.last[run] + 1, near, far]).astype(np.float64),
     )  # fmt: skip
+
+
+def to_stop_line(stop: int, states: FrontStates, network: LaneNetwork) -> Floats:
+    """Return the metres from fronts to the stop line of a lane; NaN where no queue at it stands."""
+    to_line = np.append(_strip(stop, network), np.nan)  # the last for -1, off the lanes
+    return np.asarray(to_line[states.lane] - states.along_m, np.float64)
+
+
+def _strip(stop: int, network: LaneNetwork) -> Floats:
+    """Return the metres from the begin of each lane to a stop line; NaN off its strips."""
+    strips, to_line = network.queue_strips(), np.full(len(network.lane), np.nan)
+    mine = strips.stop_lane == stop
+    to_line[strips.lane[mine]] = strips.to_line_m[mine]
+    return to_line
 
 
 def _farthest(values: Floats, new: Booleans) -> Floats:

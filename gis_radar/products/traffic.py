@@ -30,14 +30,15 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset, count_sections
+from gis_radar.dataset import Dataset, count_sections, signal_cycles, with_headways
 from gis_radar.measures import TURN_WORDS
 from gis_radar.products.hand_counts import beside_hand_counts
 from gis_radar.products.results_folder import write_results
+from gis_radar.products.service_level import service_levels
 from gis_radar.products.traffic_picture import write_turning_diagram
 from gis_radar.products.traffic_style import VOLUMES, traffic_style
 
-LANES, TURNS, SECTIONS = "lanes", "turns", "sections"
+LANES, TURNS, SECTIONS, CYCLES = "lanes", "turns", "sections", "cycles"
 TITLES = {
     "lane": Text("Lane (id)"), "name": Text("Lane"),
     "section": Text("Section"), "direction": Text("Direction"), "place": Text("Section or lane"),
@@ -55,7 +56,13 @@ TITLES = {
     "density_veh_km": Text("Density [veh/km]"), "flow_veh_h": Text("Flow on the lane [veh/h]"),
     "travel_time_s": Text("Travel time [s]"), "delay_s": Text("Delay [s]"),
     "queue_max_m": Text("Longest queue [m]"), "queue_mean_m": Text("Mean queue [m]"),
-    "stops": Text("Stops [veh]"),
+    "stops": Text("Stops [veh]"), "los": Text("Level of service"),
+    "headways": Text("Headways [pairs]"), "headway_mean_s": Text("Mean headway [s]"),
+    "headway_se_s": Text("Standard error of the mean headway [s]"),
+    "headway_median_s": Text("Median headway [s]"), "gap_mean_s": Text("Mean gap [s]"),
+    "gap_se_s": Text("Standard error of the mean gap [s]"),
+    "cycle_s": Text("Cycle [s]"), "cycle_se_s": Text("Standard error of the cycle [s]"),
+    "queue_end_m": Text("Queue at the end of green [m]"), "reason": Text("Why it is missing"),
     "volume_by_hand": Text("Counted by hand [veh]"),
     "difference": Text("Ours less theirs [veh]"), "geh": Text("GEH"),
     "agrees": Text("Within both errors"),
@@ -81,12 +88,15 @@ class Traffic:
         Counts by hand beside ours: `place`, `direction`, `begin`, `end`, `volume_by_hand`,
         `volume`, `volume_se`, `difference`, `geh`, `agrees` (within two standard errors of the
         difference; null where ours is missing).
+    cycles : DataFrame, optional
+        From :func:`gis_radar.signal_cycles`.
     """
 
     lanes: gpd.GeoDataFrame
     turns: gpd.GeoDataFrame
     sections: gpd.GeoDataFrame | None = None
     hand_counts: pd.DataFrame | None = None
+    cycles: pd.DataFrame | None = None
 
     def figures(self) -> dict[str, Any]:
         """Return the numbers of lanes, turns and intervals, and the sums of the counts."""
@@ -97,6 +107,8 @@ class Traffic:
         if self.hand_counts is not None:
             known["hand_counts"] = len(self.hand_counts)
             known["hand_counts_that_agree"] = int(self.hand_counts["agrees"].eq(True).sum())
+        if self.cycles is not None:
+            known["cycles"] = int(self.cycles["counted"].notna().sum())
         return known | {
             "lanes": int(rows["lane"].nunique()),
             "turns": len(self.turns[["from_lane", "to_lane"]].drop_duplicates()),
@@ -117,7 +129,8 @@ class Traffic:
         layers `lanes`, `turns` and, where there are, `sections`, which QGIS shows in our style;
         `sumo.edgedata.xml`, `sumo.lanedata.xml` and `sumo.turns.xml`, in which an edge is a lane
         with its number; and where turns have volumes `turns.png`, the turning diagram. Of sections
-        `sections.csv`, of counts by hand `hand_counts.csv`, and a sheet each.
+        `sections.csv`, of counts by hand `hand_counts.csv`, of cycles `cycles.csv`, and a sheet
+        each.
 
         Parameters
         ----------
@@ -158,12 +171,13 @@ class Traffic:
 
     @property
     def _more(self) -> dict[str, pd.DataFrame]:
-        tables = {SECTIONS: self.sections, "hand_counts": self.hand_counts}
+        tables = {SECTIONS: self.sections, "hand_counts": self.hand_counts, CYCLES: self.cycles}
         return {name: table for name, table in tables.items() if table is not None}
 
     def _write_workbook(self, path: Path) -> None:
         sheets = {tr("Lanes"): self.lanes, tr("Turns"): self.turns}
-        names = {SECTIONS: tr("Count sections"), "hand_counts": tr("Counts by hand")}
+        names = {SECTIONS: tr("Count sections"), "hand_counts": tr("Counts by hand"),
+                 CYCLES: tr("Cycles")}  # fmt: skip
         sheets |= {names[name]: table for name, table in self._more.items()}
         for sheet, table in sheets.items():
             zone = str(table["begin"].dt.tz)
@@ -215,6 +229,10 @@ def make_traffic(
     end: Any = None,
     sections: gpd.GeoDataFrame | str | Path | None = None,
     hand_counts: str | Path | None = None,
+    headways: bool = False,
+    cycles: bool = False,
+    signals: str | Path | None = None,
+    service: str | None = None,
     language: str | None = None,
 ) -> Traffic:
     """Return the traffic of a dataset by lane and turn, and at sections.
@@ -231,6 +249,14 @@ def make_traffic(
         CSV of counts by hand, which are put beside ours: `section` and `direction`, or `lane` (its
         number or name); `begin`, `end`, without a zone by the clocks of the site; `volume`; where
         known `volume_se`, its standard error.
+    headways : bool
+        Add headways and gaps to the lanes, as :func:`gis_radar.with_headways` does.
+    cycles : bool
+        Tell the cycles of signals, as :func:`gis_radar.signal_cycles` does.
+    signals : str or Path, optional
+        CSV of green times, as for :func:`gis_radar.signal_cycles`, whose cycles are then returned.
+    service : {"hcm", "hbs"}, optional
+        Add the column `los` to the lanes: the level of service by this handbook.
 
     Raises
     ------
@@ -252,9 +278,14 @@ def make_traffic(
     beside = None
     if hand_counts is not None:
         beside = beside_hand_counts(hand_counts, lanes, there, zone_of(dataset.timezone))
+    if headways:
+        lanes = with_headways(dataset, lanes, interval, begin=begin, end=end)
+    if service is not None:
+        lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
     return Traffic(
-        lanes=lanes, turns=dataset.turns(interval, **options), sections=there, hand_counts=beside
-    )
+        lanes=lanes, turns=dataset.turns(interval, **options), sections=there, hand_counts=beside,
+        cycles=signal_cycles(dataset, signals=signals, **options) if cycles or signals else None,
+    )  # fmt: skip
 
 
 def _for_people(table: pd.DataFrame) -> pd.DataFrame:

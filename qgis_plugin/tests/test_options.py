@@ -37,7 +37,13 @@ LEFT_OUT = {
     "mask": {"map_crs": "a layer of QGIS has its own", "layer": "a layer of QGIS is one"},
     "localize": {"guess_crs": "a click has its own", "together": "the site wizard takes several"},
     "convert": {"duration": "QGIS does not listen to a network"},
-    "traffic": {"site": "QGIS renames lanes in the layer; a run's report has the names"},
+    "traffic": {
+        "site": "QGIS renames lanes in the layer; a run's report has the names",
+        "headways": "a table for engineers; the command has it",
+        "cycles": "a table for engineers, without lines to show",
+        "signals": "for cycles",
+        "service": "a table for engineers; a run's report has the levels",
+    },
     "run": {"template": "the site wizard writes the file"},
 }
 # Commands without an algorithm, and why.

@@ -22,6 +22,7 @@ from gis_radar.base import (
     THIN_SPACE,
     Clock,
     Text,
+    current_language,
     figure_text,
     interval_steps,
     percent,
@@ -48,6 +49,7 @@ from gis_radar.products.report.content import (
     text_rows,
 )
 from gis_radar.products.report.courses import MOST_COURSES, WINDOW_S, LongQueue, draw_courses
+from gis_radar.products.service_level import service_levels
 from gis_radar.products.traffic import write_table
 from gis_radar.products.traffic_picture import draw_turning_diagram
 
@@ -59,6 +61,7 @@ MOST_LANES = 60  # rows of the table as read; the CSV file holds all
 MOST_QUEUES = 6  # lanes of the table of queues
 LEAST_QUEUE_M = 7.5  # one vehicle and the gap before it: less is no queue to speak of
 TURNS_IN, TURNS_DPI = 7.2, 150  # width of the turning diagram
+LEVEL = Text("Level of service")
 NOT_SEEN, TOO_LITTLE = "not seen", "too little seen"
 
 
@@ -390,8 +393,9 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         mine = table[(table["from_lane"] == lane) & (table["turn"] == way)]
         if mine.empty:
             return NO_FIGURE
-        if mine["volume"].isna().any():
-            return tr(NOT_SEEN)
+        unknown = mine[mine["volume"].isna()]
+        if not unknown.empty:
+            return tr(TOO_LITTLE if unknown["visible_share"].min() > 0.0 else NOT_SEEN)
         error = float(np.sqrt((mine["volume_se"] ** 2).sum()))
         shown = (figure_text(each / hours) for each in (mine["volume"].sum(), error))
         return f"{THIN_SPACE}±{THIN_SPACE}".join(shown)
@@ -458,6 +462,13 @@ def _queue_table(
         *(figure(name) for name in _OF_QUEUES
           if name != "queue_max_m" and queues[name].notna().any()),
     ]  # fmt: skip
+    handbook = "hbs" if current_language() == "de" else "hcm"
+    levels = service_levels(queues, handbook)
+    told = ""
+    if levels.notna().any():
+        told = " " + tr("Levels of service are those of signals, by the delay on the lane.")
+        queues = queues.assign(los=levels.fillna(NO_FIGURE))
+        columns.append(Column(tr(LEVEL), handbook.upper(), lambda row: str(row["los"])))
     rows = [row for _, row in queues.head(MOST_QUEUES).iterrows()]
     return Table(
         name="queues", caption=tr("The longest queues"), columns=columns,
@@ -466,7 +477,7 @@ def _queue_table(
             "A queue is who stands, from the stop line back, with no gap over 10 m: a vehicle that "
             "was missed cuts it there, so it may be longer, and one that reaches out of sight is. "
             "Nothing follows about why vehicles wait."
-        ),
+        ) + told,
     )  # fmt: skip
 
 

@@ -1,0 +1,77 @@
+"""Green times of signals, by lane, as a city's computer lists them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.base import InputError, Text, UsageError, first_line, listed, step_at
+from gis_radar.measures import Greens
+
+_NEEDED = ("lane", "green_begin")
+
+
+def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> dict[int, Greens]:
+    """Read begins and, where they are stated, ends of green.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV with a header: `lane`, its number or name; `green_begin` and, optional, `green_end`,
+        without a zone by the clocks of the site.
+    lanes : mapping
+        Positions of the lanes by their numbers, as text, and their names.
+    zone : ZoneInfo
+        Time zone of the site.
+
+    Raises
+    ------
+    InputError
+        If it is no such table, names an unknown lane, or a green ends before it begins or after
+        the next one begins.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+        separator = ";" if ";" in text.partition("\n")[0] else ","
+        table = pd.read_csv(io.StringIO(text), sep=separator, dtype=str, skipinitialspace=True)
+    except (OSError, ValueError) as error:
+        raise InputError("{}: not a table of signals: {}", path, first_line(error)) from error
+    if missing := [name for name in _NEEDED if name not in table]:
+        hint = Text("columns are lane, green_begin, green_end")
+        raise InputError("{}: lacks the columns {}", path, listed(missing), hint=hint)
+    table = table.reindex(columns=[*_NEEDED, "green_end"]).fillna("")
+    found: dict[int, dict[int, int]] = {}
+    for number, (lane, begin, end) in enumerate(table.itertuples(index=False), start=2):
+        what = f"{path}, line {number}"
+        if lane not in lanes:
+            raise InputError(
+                "{}: lane {} is none that was measured", what, repr(lane),
+                hint="traffic.csv lists lanes with numbers and names",
+            )  # fmt: skip
+        first = _step(begin, zone, f"{what}: green_begin")
+        found.setdefault(lanes[lane], {})[first] = (
+            _step(end, zone, f"{what}: green_end") if end else -1
+        )
+    return {lane: _greens(found[lane], path) for lane in sorted(found)}
+
+
+def _step(text: str, zone: ZoneInfo, what: str) -> int:
+    try:
+        return int(step_at(text, zone, what=what))
+    except UsageError as error:
+        raise InputError("{}", error.message, hint=error.hint) from error
+
+
+def _greens(ends: Mapping[int, int], path: str | Path) -> Greens:
+    begin = np.array(sorted(ends), np.int64)
+    end = np.array([ends[each] for each in begin.tolist()], np.int64)
+    stated = end >= 0
+    after = np.append(begin[1:], np.iinfo(np.int64).max)
+    if (stated & ((end <= begin) | (end > after))).any():
+        raise InputError("{}: a green ends before it begins, or after the next one begins", path)
+    return Greens(begin, end)

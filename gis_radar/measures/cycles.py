@@ -1,0 +1,237 @@
+"""Cycles of signals, told from the traffic: vehicles that waited leave a stop line periodically.
+
+A *begin of green* is seen where a vehicle that stood at the line crosses it and none has crossed
+for some seconds. Begins that lie on a line over the numbers of their cycles are those of a signal
+of fixed time; others, as of a signal that follows demand, are not taken for cycles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers, Text
+from gis_radar.measures.lane_fronts import (
+    Crossings,
+    FrontStates,
+    StepGrid,
+    VisibleRuns,
+    crossings,
+)
+from gis_radar.measures.lane_measures import VehicleTable
+from gis_radar.measures.lane_network import LaneNetwork
+from gis_radar.measures.queues import (
+    JOINED_M,
+    OVER_LINE_M,
+    QueueCourse,
+    queue_course,
+    standing_states,
+    to_stop_line,
+)
+
+LEAST_RED_S = 8.0  # without a crossing before green: queues discharge every 2 to 4 s
+CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
+LEAST_GREENS = 4  # begins of green from which a cycle is told
+# Standard deviation of begins from even ones, at most: who starts first takes 1 to 2 s, more or
+# less by 1 s.
+EVEN_S = 3.0
+LEAST_SUCCESSIVE = 0.6  # share of the begins that follow the one before after one cycle
+FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
+UNEVEN = Text("vehicles do not leave periodically")
+UNSTATED = Text("no two begins of green stated")
+HIDDEN = Text("stop line not visible throughout")
+
+
+class Cycle(NamedTuple):
+    """Cycle at a stop line, from a begin of green to the next; or why none can be told.
+
+    Parameters
+    ----------
+    lane : int
+        Position of the lane.
+    first, after : int
+        First step, and the first one of the next cycle.
+    cycle_s, cycle_se_s : float
+        Length of the signal's cycles, and its standard error, seconds.
+    counted : int or None
+        Vehicles that leave.
+    queue_max_m, queue_mean_m : float
+        Back of the queue from the line: farthest, and mean over the cycle.
+    queue_end_m : float
+        The same at the end of green, when the last vehicle leaves, of those that stood before and
+        have not left.
+    reason : str
+        Why figures are missing, else empty.
+    """
+
+    lane: int
+    first: int
+    after: int
+    cycle_s: float = np.nan
+    cycle_se_s: float = np.nan
+    counted: int | None = None
+    queue_max_m: float = np.nan
+    queue_mean_m: float = np.nan
+    queue_end_m: float = np.nan
+    reason: str = ""
+
+
+class Greens(NamedTuple):
+    """Green times of a lane that are known: steps of begins, ascending, and ends (-1: unknown)."""
+
+    begin: Integers
+    end: Integers
+
+
+class Period(NamedTuple):
+    """Length of cycles (s), its standard error, and the first of evenly fitted begins."""
+
+    length_s: float
+    error_s: float
+    begin_s: float
+
+
+def period_of(begins_s: Floats) -> Period | str:
+    """Return the period of begins of green (ascending, s), or why there is none."""
+    if len(begins_s) < LEAST_GREENS:
+        return FEW
+    apart = np.diff(begins_s)
+    shortest = np.median(apart[apart < 1.5 * apart.min()])
+    number = np.append(0, np.cumsum(np.rint(apart / shortest)))
+    slope, begin = np.polyfit(number, begins_s, 1)
+    off = begins_s - begin - slope * number
+    spread = float(np.sqrt((off**2).sum() / (len(off) - 2)))
+    successive = np.mean(np.diff(number) == 1)
+    if spread > EVEN_S or successive < LEAST_SUCCESSIVE or not CYCLE_S[0] <= slope <= CYCLE_S[1]:
+        return UNEVEN
+    return Period(float(slope), spread / float(np.std(number) * np.sqrt(len(off))), float(begin))
+
+
+def cycles(
+    network: LaneNetwork, grid: StepGrid, states: FrontStates, vehicles: VehicleTable,
+    visible: VisibleRuns, known: Mapping[int, Greens] | None = None,
+) -> list[Cycle]:  # fmt: skip
+    """Return the cycles at each stop line between the first and the last begin of green of a grid.
+
+    Parameters
+    ----------
+    network, grid, states, vehicles, visible
+        As for :func:`gis_radar.measures.measure_lanes`.
+    known : mapping, optional
+        Green times, by position of the lane; elsewhere cycles are told from the traffic.
+    """
+    crossed, greens = crossings(states, states.moves(network), network, grid), known or {}
+    stands = standing_states(states).stands
+    length_m = vehicles.length_m[vehicles.of(states.vehicle)]
+    found: list[Cycle] = []
+    for lane in np.flatnonzero(network.has_stop_line).tolist():
+        mine = crossed.taken(crossed.lane == lane)
+        mine = mine.taken(np.asarray(np.argsort(mine.step, kind="stable"), np.int64))
+        if (stated := greens.get(lane)) is not None:
+            told = _stated(lane, stated, grid)
+        else:
+            told = _told(lane, _begins(lane, mine, states, stands, network, grid), grid)
+        if told[0].reason:
+            found += told
+            continue
+        seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
+        by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
+        course = queue_course(lane, states, length_m, network, visible, by_second)
+        waiting = _Waiting(to_stop_line(lane, states, network), states, stands, length_m)
+        line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
+        ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
+        for each in told:
+            if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
+                found.append(_filled(each, mine, course, waiting, ends.get(each.first, -1)))
+            else:
+                found.append(each._replace(reason=HIDDEN))
+    return found
+
+
+def _told(lane: int, begins: Integers, grid: StepGrid) -> list[Cycle]:
+    """Return the cycles of begins of green that are seen, without figures."""
+    period = period_of(np.asarray((begins - grid.begin) * STEP_S, np.float64))
+    if isinstance(period, str):
+        return [Cycle(lane, grid.begin, grid.end, reason=period)]
+    edges = _edges(begins, period, grid).tolist()
+    return [Cycle(lane, *each, period.length_s, period.error_s) for each in pairwise(edges)]
+
+
+def _stated(lane: int, greens: Greens, grid: StepGrid) -> list[Cycle]:
+    """Return the cycles of green times that are known, without figures."""
+    inside = (greens.begin >= grid.begin) & (greens.begin < grid.end)
+    edges = greens.begin[inside].tolist()
+    known = [Cycle(lane, a, b, (b - a) * STEP_S, 0.0) for a, b in pairwise(edges)]
+    return known or [Cycle(lane, grid.begin, grid.end, reason=UNSTATED)]
+
+
+def _begins(
+    lane: int, crossed: Crossings, states: FrontStates, stands: Booleans, network: LaneNetwork,
+    grid: StepGrid,
+) -> Integers:  # fmt: skip
+    """Return the steps of the begins of green that are seen, of crossings in order of time."""
+    here = np.flatnonzero(stands & (states.lane == lane))
+    to_line = network.line_m[lane] - states.along_m[here]
+    here = here[(to_line >= -OVER_LINE_M) & (to_line <= JOINED_M)]
+    before_s = np.diff(crossed.step, prepend=grid.begin) * STEP_S
+    first = np.isin(crossed.vehicle, states.vehicle[here]) & (before_s >= LEAST_RED_S)
+    return crossed.step[first]
+
+
+def _edges(begins: Integers, period: Period, grid: StepGrid) -> Integers:
+    """Return the begins of all cycles from the first to the last: where none is seen, fitted."""
+    seen_s = (begins - grid.begin) * STEP_S
+    count = round((float(seen_s[-1]) - period.begin_s) / period.length_s)
+    fitted = period.begin_s + np.arange(count + 1) * period.length_s
+    near = seen_s[np.abs(fitted[:, None] - seen_s).argmin(axis=1)]
+    even = np.where(np.abs(near - fitted) <= period.length_s / 4.0, near, fitted)
+    return np.asarray(grid.begin + np.rint(even / STEP_S), np.int64)
+
+
+class _Waiting(NamedTuple):
+    """States with the distance to a stop line (m), whether they stand, and lengths (m)."""
+
+    to_line_m: Floats
+    states: FrontStates
+    stands: Booleans
+    length_m: Floats
+
+    def left_over(self, gone: Integers, first: int, end: int) -> float:
+        """Return the farthest rear, at a step, of who stood in the queue since `first` and is here.
+
+        The queue of that time begins at the line, and who stands joins it by the usual gap.
+        """
+        step, vehicle = self.states.step, self.states.vehicle
+        here = (self.to_line_m >= -OVER_LINE_M) & (step >= first) & (step <= end)
+        row = np.flatnonzero(here & self.stands)
+        row = row[np.lexsort((self.to_line_m[row], step[row]))]
+        reach, queued = 0.0, set[int]()
+        for each, front, long in zip(
+            vehicle[row].tolist(), self.to_line_m[row].tolist(), self.length_m[row].tolist(),
+            strict=True,
+        ):  # fmt: skip
+            if front - reach <= JOINED_M:
+                queued.add(each)
+                reach = max(reach, front + long)
+        who = np.setdiff1d(np.array(sorted(queued), np.int64), gone)
+        row = np.flatnonzero(here & (step > end - STEPS_PER_SECOND) & np.isin(vehicle, who))
+        row = row[np.append(np.diff(vehicle[row]) != 0, True)[: len(row)]]  # their last ones
+        return float((self.to_line_m + self.length_m)[row].max(initial=0.0))
+
+
+def _filled(
+    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int
+) -> Cycle:
+    """Return a cycle with its figures; an `end` of green that is -1 is when the last one leaves."""
+    left = crossed.step[(crossed.step >= cycle.first) & (crossed.step < cycle.after)]
+    end = int(left.max(initial=cycle.first)) if end < 0 else end
+    back_m = course.back_m[(course.back_step >= cycle.first) & (course.back_step < cycle.after)]
+    gone = crossed.vehicle[crossed.step <= end]
+    return cycle._replace(
+        counted=len(left), queue_max_m=float(np.nanmax(back_m)),
+        queue_mean_m=float(np.nanmean(back_m)),
+        queue_end_m=waiting.left_over(gone, cycle.first, end),
+    )  # fmt: skip

@@ -1,0 +1,68 @@
+"""Headways and gaps at the counting lines of lanes.
+
+A headway is the time from front to front of consecutive vehicles over a line, a gap that from the
+rear of the first one to the front of the second one (Highway Capacity Manual, TRB, 7th edition,
+chapter 4): gap = headway - length / speed of the first one. The mean headway is the inverse of the
+flow (L. C. Edie, 1963).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gis_radar.base import STEP_S, Floats, Integers
+from gis_radar.measures.lane_fronts import FrontStates, StepGrid, VisibleRuns, crossings
+from gis_radar.measures.lane_measures import COUNTING_INFERRED, COUNTING_SEEN, VehicleTable
+from gis_radar.measures.lane_network import LaneNetwork
+from gis_radar.measures.queues import SLOW_MPS
+
+
+class Headways(NamedTuple):
+    """Headways, one for each pair of consecutive vehicles, sorted by lane and step.
+
+    Parameters
+    ----------
+    lane, step : (k,) int64 arrays
+        Position of the lane; step in which the second vehicle crosses its line.
+    headway_s : (k,) array
+        From front to front, seconds.
+    gap_s : (k,) array
+        From rear to front, at least 0; NaN where the first vehicle may have stopped over the line.
+    variance : (k,) array
+        Variance that the second vehicle adds to the number counted.
+    """
+
+    lane: Integers
+    step: Integers
+    headway_s: Floats
+    gap_s: Floats
+    variance: Floats
+
+
+def headways(
+    network: LaneNetwork, grid: StepGrid, states: FrontStates, vehicles: VehicleTable,
+    visible: VisibleRuns,
+) -> Headways:  # fmt: skip
+    """Return the headways within a grid, of pairs between which the line is visible throughout.
+
+    Parameters
+    ----------
+    network, grid, states, vehicles, visible
+        As for :func:`gis_radar.measures.measure_lanes`.
+    """
+    found = crossings(states, states.moves(network), network, grid)
+    line = network.tile_id[network.tile_at(np.arange(len(network.lane)), network.line_m)]
+    found = found.taken(visible.at(line[found.lane], found.step))
+    found = found.taken(np.asarray(np.lexsort((found.step, found.lane)), np.int64))
+    one, other = (found.taken(each) for each in (slice(None, -1), slice(1, None)))
+    pairs = one.lane == other.lane
+    pairs &= visible.throughout(line[other.lane], one.step, other.step)
+    one, other = one.taken(pairs), other.taken(pairs)
+    headway = np.asarray((other.step - one.step) * STEP_S, np.float64)
+    length = vehicles.length_m[vehicles.of(one.vehicle)]
+    over = np.where(one.speed >= SLOW_MPS, length / np.maximum(one.speed, SLOW_MPS), np.nan)
+    error = np.where(other.seen, COUNTING_SEEN, COUNTING_INFERRED)
+    gap = np.asarray(np.maximum(headway - over, 0.0), np.float64)
+    return Headways(other.lane, other.step, headway, gap, np.asarray(error**2, np.float64))
