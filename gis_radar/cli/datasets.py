@@ -26,6 +26,20 @@ TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
     "take a shorter --interval"
 )
+names_of_lanes = click.option(
+    "--site", type=FILE, help="SITE.toml with names and free speeds of lanes."
+)
+
+
+def _opened(folder: Path, site: Path | None, reporter: Reporter) -> gr.Dataset:
+    """Open a dataset, with names and free speeds of lanes as a site file states them."""
+    dataset = gr.open_dataset(folder, reporter=reporter)
+    if site is None:
+        return dataset
+    stated = gr.read_site(site)
+    with placed(str(site)):
+        lanes = [each.model_dump() for each in stated.lane]
+        return dataset.with_lanes(lanes, stated.map.speed_kmh)
 
 
 @command(example="gis-radar traffic dataset/ --interval 15min -o traffic/")
@@ -53,7 +67,7 @@ TOO_SHORT = Text(
     "--service", type=click.Choice(["hcm", "hbs"]),
     help="Add levels of service from the delay: Highway Capacity Manual or HBS.",
 )  # fmt: skip
-@click.option("--site", type=FILE, help="SITE.toml with names and free speeds of lanes.")
+@names_of_lanes
 @language("Of the lanes' names and the titles.")
 @csv_locale
 def traffic(
@@ -63,12 +77,7 @@ def traffic(
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
 
-    measured = gr.open_dataset(folder, reporter=reporter)
-    if site is not None:
-        stated = gr.read_site(site)
-        lanes = [each.model_dump() for each in stated.lane]
-        with placed(str(site)):
-            measured = measured.with_lanes(lanes, stated.map.speed_kmh)
+    measured = _opened(folder, site, reporter)
     made = gr.make_traffic(measured, language=language, **options)
     with csv_for(csv_locale):
         outputs = made.write(output, language=language, reporter=reporter)
@@ -87,11 +96,12 @@ def traffic(
 @click.option("--before", type=PERIOD, help="The first period, such as 2026-09-07/2026-09-21.")
 @click.option("--after", type=PERIOD, help="The second period; of DATASET2, where it is given.")
 @click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")
+@names_of_lanes
 @language("Of the page, the lanes' names and the titles.")
 @csv_locale
 def compare(
     *, folder: Path, other: Path | None, output: Path, before: Period | None, after: Period | None,
-    csv_locale: str, language: str, days: str | None, reporter: Reporter,
+    site: Path | None, csv_locale: str, language: str, days: str | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Compare the traffic of two periods by lane: what changed, and how sure that is."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
@@ -100,8 +110,8 @@ def compare(
         raise UsageError(
             "a period is missing", hint="name --before and --after, or a second dataset"
         )
-    first = gr.open_dataset(folder, reporter=reporter)
-    second = None if other is None else gr.open_dataset(other, reporter=reporter)
+    first = _opened(folder, site, reporter)
+    second = None if other is None else _opened(other, site, reporter)
     found = gr.compare(
         first, second, before=before or (None, None), after=after or (None, None), days=days,
         language=language,

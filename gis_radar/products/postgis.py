@@ -307,6 +307,7 @@ class _Session:
         if dataset.has_vehicles:
             network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
+        lanes = lanes.drop(columns="name", errors="ignore")  # names of their own are in `names`
         lanes.insert(1, "name", lanes["lane"].map(names).astype("string"))
         layers = {"lanes": lanes, "sensors": _last_poses(dataset)}
         if self.is_new:
