@@ -10,10 +10,9 @@ import numpy as np
 import shapely
 
 import gis_radar as gr
-from gis_radar.base import Integers
+from gis_radar.base import STEPS_PER_HOUR, Integers
 from gis_radar.dataset import (
     FRAMES,
-    STEPS_PER_HOUR,
     STEPS_PER_QUARTER,
     TILE_COUNTS,
     HourWriter,

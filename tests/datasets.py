@@ -9,8 +9,8 @@ import numpy as np
 from maps import EAST, NORTH, UTM
 from shapely import Polygon
 
+from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import (
-    STEPS_PER_HOUR,
     HourWriter,
     Manifest,
     Origin,

@@ -9,7 +9,8 @@ from datasets import recordings_of, run_rows, write_dataset
 from maps import EAST, NORTH
 from sites import pose
 
-from gis_radar.dataset import FRAMES, STEPS_PER_HOUR, TRACK_EVERY_STEPS
+from gis_radar.base import STEPS_PER_HOUR, TRACK_EVERY_STEPS
+from gis_radar.dataset import FRAMES
 from gis_radar.hdmap import polygons
 
 FIRST = 34_000_000_000

@@ -16,8 +16,8 @@ from shapely import LineString
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.base import InputError, NoAnswerError, UsageError
-from gis_radar.dataset import STEPS_PER_HOUR, Manifest, write_whole
+from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError
+from gis_radar.dataset import Manifest, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import compare_values, holm_corrected
 
@@ -308,6 +308,16 @@ def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
     assert "<Ring>" not in page
     assert "weniger Fahrzeuge" in page
     assert (tmp_path / "out" / "compare.png").read_bytes()[:4] == b"\x89PNG"
+    for name in ("map.osm", "R1.parquet", "R1.json"):
+        (tmp_path / name).touch()
+    (tmp_path / "SITE.toml").write_text(
+        f'title = "Ring"\n[map]\nfile = "map.osm"\n[[lane]]\nid = {rows[0]["lane"]}\n'
+        'name = "To the harbour"\n[[sensor]]\nname = "R1"\nrecordings = ["R1.parquet"]\n'
+        'pose = "R1.json"\n'
+    )
+    code, out, said = run(*words, "-o", tmp_path / "own", "--site", tmp_path / "SITE.toml")
+    assert code == 0, said
+    assert "To the harbour" in (tmp_path / "own" / "compare.csv").read_text(encoding="utf-8")
 
 
 def test_a_period_that_is_missing_or_none(run, dataset, tmp_path):

@@ -19,7 +19,8 @@ from maps import UTM
 from shapely import LineString
 
 import gis_radar as gr
-from gis_radar.dataset import STEPS_PER_HOUR, read_hours, write_record
+from gis_radar.base import STEPS_PER_HOUR
+from gis_radar.dataset import read_hours, write_record
 from gis_radar.measures import (
     FrontStates,
     LaneNetwork,

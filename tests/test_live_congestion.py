@@ -26,8 +26,8 @@ class Broker:
     def __init__(self):
         self.queue = deque()
 
-    def publish(self, topic, payload, *, retain=False):
-        del retain
+    def publish(self, topic, payload, *, retain=False, qos=1):
+        del retain, qos
         if topic.endswith("detections") and len(self.queue) < QUEUED:
             self.queue.append((topic.split("/")[2], payload))
 

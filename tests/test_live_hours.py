@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import time
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -298,16 +299,16 @@ class JobsHere(HourJobs):
         super().__init__(*given, process=lambda: pool, **more)
         self.pool = pool
 
-    def turn_at(self, now_s, newest_s, **more):
+    def poll_at(self, now_s, newest_s, **more):
         """Turn; return what is being done then."""
-        self.turn(now_s, {"R1": newest_s, "R2": newest_s}, **more)
+        self.poll(now_s, {"R1": newest_s, "R2": newest_s}, **more)
         if self.wanted:
             self.begin([])
         return None if self.pool.future.done() else self.pool.begun[-1]
 
     def hours_at(self, now_s):
         """Turn until no quarter is left to do; return what is being done then."""
-        while (work := self.turn_at(now_s, now_s)) is not None and work[0] == "make_quarter":
+        while (work := self.poll_at(now_s, now_s)) is not None and work[0] == "make_quarter":
             self.end()
         return work
 
@@ -323,27 +324,27 @@ def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_wh
     begin_s = HOUR * 3600.0 + 1800.0
     jobs.touch([HOUR])
     quarter = int(begin_s) // 900 - 1
-    assert jobs.turn_at(begin_s + 59.0, begin_s + 59.0) == ("make_quarter", quarter - 1)
+    assert jobs.poll_at(begin_s + 59.0, begin_s + 59.0) == ("make_quarter", quarter - 1)
     jobs.end()
-    assert jobs.turn_at(begin_s + 59.0, begin_s + 59.0) is None
-    assert jobs.turn_at(begin_s + 60.5, begin_s + 59.0) is None  # a sensor is still to come
-    assert jobs.turn_at(begin_s + 60.5, begin_s + 60.1) == ("make_quarter", quarter)
+    assert jobs.poll_at(begin_s + 59.0, begin_s + 59.0) is None
+    assert jobs.poll_at(begin_s + 60.5, begin_s + 59.0) is None  # a sensor is still to come
+    assert jobs.poll_at(begin_s + 60.5, begin_s + 60.1) == ("make_quarter", quarter)
     jobs.end()
-    assert jobs.turn_at(begin_s + 62.0, begin_s + 62.0) is None  # it was measured
-    assert jobs.turn_at(begin_s + 989.0, begin_s + 900.0) is None
-    assert jobs.turn_at(begin_s + 991.0, begin_s + 900.0) == ("make_quarter", quarter + 1)
+    assert jobs.poll_at(begin_s + 62.0, begin_s + 62.0) is None  # it was measured
+    assert jobs.poll_at(begin_s + 989.0, begin_s + 900.0) is None
+    assert jobs.poll_at(begin_s + 991.0, begin_s + 900.0) == ("make_quarter", quarter + 1)
     jobs.end()
     end_s = end_of_hour_s(HOUR)
-    assert jobs.turn_at(end_s - 1.0, end_s - 1.0)[0] == "make_quarter"
+    assert jobs.poll_at(end_s - 1.0, end_s - 1.0)[0] == "make_quarter"
     jobs.end()
-    assert jobs.turn_at(end_s + 1.0, end_s - 1.0) is None
-    assert jobs.turn_at(end_s + 1.0, end_s + 0.5) == ("make_hours", [HOUR])
+    assert jobs.poll_at(end_s + 1.0, end_s - 1.0) is None
+    assert jobs.poll_at(end_s + 1.0, end_s + 0.5) == ("make_hours", [HOUR])
     jobs.touch([HOUR])  # a late frame, meanwhile
     jobs.end()
-    assert jobs.turn_at(end_s + 2.0, end_s + 2.0) == ("make_hours", [HOUR])
+    assert jobs.poll_at(end_s + 2.0, end_s + 2.0) == ("make_hours", [HOUR])
     jobs.end()
-    assert jobs.turn_at(end_s + 3.0, end_s + 3.0) is None
-    assert jobs.turn_at(end_s + 3.0, end_s + 3.0, full=True) == ("make_recordings",)
+    assert jobs.poll_at(end_s + 3.0, end_s + 3.0) is None
+    assert jobs.poll_at(end_s + 3.0, end_s + 3.0, full=True) == ("make_recordings",)
 
 
 def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
@@ -356,7 +357,7 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
         jobs.touch([HOUR + number])
         assert jobs.hours_at(now_s) == ("make_hours", [HOUR + number])
         jobs.end(Done(**found))
-        jobs.turn_at(now_s, now_s)
+        jobs.poll_at(now_s, now_s)
         return jobs.doubts
 
     assert after(0, untold={"R1": HOUR}, doubts={"R2": "turned"}) == {"R2": "turned"}
@@ -406,18 +407,18 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
     end_s = end_of_hour_s(HOUR)
     jobs.touch([HOUR])
     for minutes in (16, 17, 40, 50):
-        jobs.turn_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
+        jobs.poll_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
         jobs.end(error=OSError(28, "no space"))
-        assert jobs.turn_at(end_s + 60.0 * minutes, end_s) is None  # not at once
+        assert jobs.poll_at(end_s + 60.0 * minutes, end_s) is None  # not at once
         clock.now_s += DEFAULTS.again_s
     behind = [line for line in said.lines if "measuring is behind" in line]
     assert ["16 min" in behind[0], "40 min" in behind[1], len(behind)] == [True, True, 2]
     assert jobs.figures()["hours_behind_seconds"] == 3000.0
     assert sum("failed and is tried again" in line for line in said.lines) == 1
     assert HOUR in jobs.touched
-    jobs.turn_at(end_s + 3100.0, end_s + 3100.0)
+    jobs.poll_at(end_s + 3100.0, end_s + 3100.0)
     jobs.end()
-    jobs.turn_at(end_s + 3100.0, end_s + 3100.0)
+    jobs.poll_at(end_s + 3100.0, end_s + 3100.0)
     assert jobs.figures()["hours_behind_seconds"] == 0.0
 
 
@@ -428,6 +429,8 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, id
 
     def process():
         pools.append(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))
+        if not idle and len(pools) == 1:
+            pools[0].submit(time.sleep, 600.0)  # the job waits behind it until the kill
         return pools[-1]
 
     def broken():
@@ -443,19 +446,19 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, id
     wait_for(multiprocessing.active_children)
     if idle:
         pools[0].submit(int).result()  # after what it was given before
-        jobs.turn(0.0, {})
+        jobs.poll(0.0, {})
     for each in multiprocessing.active_children():
         each.kill()
     wait_for(broken)
     jobs.touch([HOUR])
 
-    def turned():
-        jobs.turn(end_of_hour_s(HOUR) + 60.0, {"R1": 2e9, "R2": 2e9})
+    def polled():
+        jobs.poll(end_of_hour_s(HOUR) + 60.0, {"R1": 2e9, "R2": 2e9})
         if jobs.wanted:
             jobs.begin(made.spool.closed)
         return not jobs.touched
 
-    wait_for(turned)
+    wait_for(polled)
     jobs.stop()
     assert bool(said.told("measuring failed and is tried again")) is not idle
     assert made.parts() == batch_of(made, tmp_path / "batch", hits_only=True)

@@ -89,7 +89,7 @@ def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph):
     def follows():
         for _ in range(40):
             vehicles.take(*next(sent))
-        vehicles.turn()
+        vehicles.poll()
         return len(vehicles.now())
 
     wait_for(follows)
@@ -122,7 +122,7 @@ def test_what_the_process_leaves_out_is_counted(graph):
     def counted(*rows):
         for name, content in rows:
             vehicles.take(name, content)
-        vehicles.turn()
+        vehicles.poll()
         found = vehicles.figures()
         return found["vehicles_dropped_messages"], found["vehicles_late_frames"]
 

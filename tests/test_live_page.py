@@ -11,6 +11,7 @@ import urllib.error
 import urllib.request
 from collections import Counter
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -23,6 +24,7 @@ from browser import start_chromium, wide
 from live_replay import Replay
 from live_site import (
     LONGEST_S,
+    OF_THE_SAMPLE,
     Background,
     LiveSite,
     free_port,
@@ -35,7 +37,7 @@ from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
-from gis_radar.base import OutputError, Text, step_begin
+from gis_radar.base import InputError, OutputError, Text, step_begin
 from gis_radar.live import (
     Edge,
     Fusion,
@@ -460,6 +462,31 @@ def test_vehicles_of_now_are_features(live, address):
     assert {each["properties"]["heavy"] for each in found["features"]} == {False, True}
     lanes = get_json(f"{address}/ogc/collections/lanes/items")["features"]
     assert lanes[0]["properties"]["occupancy_15min"] == pytest.approx(0.1)
+
+
+def test_lanes_have_the_names_that_people_use_and_their_own(live, address):
+    english, german = (
+        [each["name"] for each in get_json(f"{address}/site.json?lang={each}")["lanes"]]
+        for each in ("en", "de")
+    )
+    features = get_json(f"{address}/ogc/collections/lanes/items")["features"]
+    known = {each["properties"]["lane"]: each["properties"]["name"] for each in features}
+    assert [known[str(number)] for number in live.place.lane_numbers] == english
+    assert len(set(english)) == len(english)
+    assert "lane 1" in english[0]
+    assert "Fahrstreifen 1" in german[0]
+    first, *_ = live.place.lane_numbers
+    stated = live.place.lanes["lane"].map({first: "To the harbour"})
+    named = replace(live.place, lanes=live.place.lanes.assign(name=stated))
+    assert named.lane_names() == ["To the harbour", *english[1:]]
+
+
+def test_a_lane_that_the_site_file_names_and_the_map_has_not_is_refused(tmp_path, once):
+    page = f'[live.page]\naddress = "127.0.0.1:{free_port()}"'
+    lane = '[[lane]]\nid = 5\nname = "To the harbour"'
+    site = LiveSite(tmp_path, once, of_site=lane, of_live=f"{OF_THE_SAMPLE}\n{page}")
+    with pytest.raises(InputError, match=r"SITE\.toml: has no lane 5"):
+        Fusion(read_live_site(site.file))
 
 
 def test_what_is_not_observed_has_no_share(live):

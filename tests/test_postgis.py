@@ -13,7 +13,7 @@ from postgres import needs_postgis, server
 from shapely import LineString
 
 import gis_radar as gr
-from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.base import STEPS_PER_HOUR
 
 psycopg = pytest.importorskip("psycopg")
 pytestmark = needs_postgis
@@ -102,6 +102,9 @@ def test_the_database_holds_what_the_dataset_holds(database, asked, two_days):
     )
     assert (area, srid) == (pytest.approx(TILES.area.sum()), 25832)
     assert asked("SELECT name FROM gis_radar.latest_traffic") == [(traffic["name"].iloc[0],)]
+    named = two_days.with_lanes([{"id": int(traffic["lane"].iloc[0]), "name": "To the harbour"}])
+    assert gr.publish(named, database).sent == 0
+    assert asked("SELECT name FROM gis_radar.latest_traffic") == [("To the harbour",)]
 
 
 def test_only_what_changed_is_sent(database, asked, two_days, tmp_path):

@@ -19,8 +19,8 @@ from PIL import Image
 from report_site import Page, reports_of_whole_run
 
 import gis_radar as gr
+from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset import (
-    STEPS_PER_HOUR,
     LaneTraffic,
     open_dataset,
     read_hours,

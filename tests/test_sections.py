@@ -12,7 +12,7 @@ from maps import EAST, NORTH, UTM
 from shapely import LineString, MultiLineString
 
 import gis_radar as gr
-from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.base import STEPS_PER_HOUR
 
 BEGIN = HOUR * STEPS_PER_HOUR
 

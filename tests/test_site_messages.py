@@ -42,8 +42,9 @@ def options_named():
 
 
 def test_every_option_has_a_key_of_the_site_file():
-    assert len(options_named()) > 10
-    assert sorted(options_named() - set(KEYS) - OTHERS) == []
+    named = options_named()
+    assert len(named) > 10
+    assert sorted(named - set(KEYS) - OTHERS) == []
 
 
 def test_options_with_a_key_are_values():

@@ -15,7 +15,7 @@ from datasets import HOUR, write_dataset
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
 
 import gis_radar as gr
-from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.products.traffic_picture import mean_turns
 from simulation.sumo import run as run_sumo
 

@@ -12,7 +12,7 @@ from driven import FIRST, drive, driven, straight_tiles
 from test_vehicles_layer import CARS
 
 import gis_radar as gr
-from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.base import STEPS_PER_HOUR
 
 
 @pytest.fixture(scope="module")

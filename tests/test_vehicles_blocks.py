@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
-from gis_radar.base import STEPS_PER_SECOND
+from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND
 from gis_radar.hdmap import lane_graph
 from gis_radar.measures import HashedFrames, HourWindow, PlacedRecording, PoseSight, SensorHour
 from gis_radar.measures.counting_loop import FRAME_COLUMNS
-from gis_radar.measures.hour import STEPS_PER_HOUR
 from gis_radar.poses import as_track
 from gis_radar.recordings import Recording
 from gis_radar.recordings.recording import COLUMNS

@@ -102,7 +102,7 @@ class Kept:
         early = "+".join(name for name, part in parts.items() if not part.after_start)
         blocks = iter(self.blocks)
         with ExitStack() as stack:
-            stack.enter_context(patch.object(hour_vehicles, "EVERY", 1))
+            stack.enter_context(patch.object(hour_vehicles, "TRACK_EVERY_STEPS", 1))
             stack.enter_context(
                 patch.object(hour_vehicles, "blocks_of", lambda *_: iter(next(blocks)))
             )

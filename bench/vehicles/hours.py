@@ -22,8 +22,7 @@ from score import score_occupancy
 from tracks import by_step, compared, matched, similarity
 
 import gis_radar as gr
-from gis_radar.base import STEPS_PER_SECOND, Integers
-from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, Integers
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 from figures import table

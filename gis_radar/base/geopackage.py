@@ -266,6 +266,28 @@ def add_styles(
         database.execute(_STYLE, (name, qml, "", about, _owner(qml), _WRITTEN, layer))
 
 
+def dress_layers(
+    path: Path, styles: Mapping[str, str], *, name: str, about: str,
+    notes: Mapping[str, LayerNotes] | None = None,
+) -> None:  # fmt: skip
+    """Describe layers of a GeoPackage that GDAL has written, and give them their default styles.
+
+    Parameters
+    ----------
+    path : Path
+        The GeoPackage.
+    styles, name, about
+        As :func:`add_styles` takes them; without a style, no table of styles is made.
+    notes : mapping, optional
+        As :func:`describe_layers` takes them.
+    """
+    with closing(sqlite3.connect(path)) as database, database:
+        if notes is not None:
+            describe_layers(database, notes)
+        if styles:
+            add_styles(database, styles, name=name, about=about)
+
+
 def keep_styles(path: Path, *, earlier: Path) -> None:
     """Copy the styles that somebody has saved in the file that a new one replaces.
 
@@ -290,7 +312,7 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
     query = f"SELECT {columns} FROM layer_styles ORDER BY id"  # noqa: S608 - our own names
     with closing(sqlite3.connect(path)) as database, database:
         try:
-            with closing(sqlite3.connect(f"{_uri(earlier)}?mode=ro", uri=True)) as old:
+            with read_only(earlier) as old:
                 saved = old.execute(query).fetchall()
         except sqlite3.Error:
             return
@@ -310,7 +332,7 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
 
 def _refuse_locked(path: Path) -> None:
     """Refuse to replace a GeoPackage that another program writes; readers do not matter."""
-    uri = f"{_uri(path)}?mode=rw"
+    uri = f"{path.resolve().as_uri()}?mode=rw"
     try:
         with closing(sqlite3.connect(uri, uri=True, timeout=PATIENCE_S)) as database:
             database.execute("BEGIN IMMEDIATE")
@@ -325,8 +347,9 @@ def _owner(qml: str) -> str:
     return f"gis_radar {hashlib.blake2b(qml.encode(), digest_size=8).hexdigest()}"
 
 
-def _uri(path: Path) -> str:
-    return path.resolve().as_uri()
+def read_only(path: Path) -> closing[sqlite3.Connection]:
+    """Return a connection to a GeoPackage that only reads, for a `with`."""
+    return closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True))
 
 
 _OF_VIEWERS = {"layer_styles", "qgis_projects", "gpkg_ogr_contents"}
@@ -341,7 +364,7 @@ def content_digest(path: Path, but: Collection[str] = ()) -> str | None:
     """
     digest = hashlib.blake2b(digest_size=16)
     try:
-        with closing(sqlite3.connect(f"{_uri(path)}?mode=ro", uri=True)) as database:
+        with read_only(path) as database:
             query = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
             for (name,) in database.execute(query).fetchall():
                 if name not in {*_OF_VIEWERS, *_WITH_TIMES, *but} and not name.startswith(

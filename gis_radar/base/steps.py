@@ -20,6 +20,9 @@ from gis_radar.base.words import MINUS, long_day, short_day, tr, weekday
 STEP_US = 50_000  # the nominal cycle of the sensors, 20 Hz
 STEP_S = 0.05
 STEPS_PER_SECOND = 20
+STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
+TRACK_EVERY_STEPS = 4
+"""Steps between two states of a vehicle that are kept; its first and last are kept, too."""
 
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
 CYCLE_HINT = Text(
@@ -352,18 +355,6 @@ class Clock:
         zone = str(self.zone) if self._changes else self.name
         return f"{self.whole(begin, end)} ({zone})"
 
-    def localised(self, text: str) -> str:
-        """Return a text in which UTC times (ending in Z) are replaced by local times."""
-        if isinstance(text, Text) and text.values:
-            values = (self.localised(v) if isinstance(v, str) else v for v in text.values)
-            return Text(text.template, *values)
-        return _UTC_TEXT.sub(lambda found: self._in_text(found[0]), text)
-
-    def _in_text(self, text: str) -> str:
-        local = self._local(datetime.fromisoformat(text))
-        clock = _finest(local) if text.count(":") > 1 else f"{local:%H:%M}"
-        return f"{short_day(local)} {clock} {_offset(local)}"
-
     def iso(self, moment: datetime) -> str:
         """Return local time as ISO 8601, with its offset."""
         local = self._local(moment)
@@ -391,6 +382,25 @@ class Clock:
 
     def _local(self, moment: datetime) -> datetime:
         return moment.astimezone(self.zone)
+
+
+def whole_span(begin: datetime, end: datetime, zone: ZoneInfo) -> str:
+    """Return a span for a sentence, by the clocks of a zone, which is named."""
+    return Clock(zone=zone, first=begin, last=end).whole_in_zone(begin, end)
+
+
+def localised(text: str, zone: ZoneInfo) -> str:
+    """Return a text in which UTC times (ending in Z) are replaced by local times."""
+    if isinstance(text, Text) and text.values:
+        values = (localised(v, zone) if isinstance(v, str) else v for v in text.values)
+        return Text(text.template, *values)
+    return _UTC_TEXT.sub(lambda found: _stamp(found[0], zone), text)
+
+
+def _stamp(text: str, zone: ZoneInfo) -> str:
+    local = datetime.fromisoformat(text).astimezone(zone)
+    clock = _finest(local) if text.count(":") > 1 else f"{local:%H:%M}"
+    return f"{short_day(local)} {clock} {_offset(local)}"
 
 
 def _finest(local: datetime) -> str:

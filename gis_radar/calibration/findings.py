@@ -79,21 +79,21 @@ class Finding:
         return Text("{} ({})", self.cause, self.evidence) if self.cause else self.evidence
 
     @property
-    def told(self) -> Text:
+    def text(self) -> Text:
         """The finding, without the sensor's name."""
         if self.verdict == FITS and self.cause:
             return Text("{}, but {}", self.verdict, self.reason)
         return Text("{}: {}", self.verdict, self.reason)
 
     @property
-    def told_with_advice(self) -> Text:
+    def text_with_advice(self) -> Text:
         """The finding with what to do, without the sensor's name."""
-        return Text("{} ({})", self.told, self.advice) if self.advice else self.told
+        return Text("{} ({})", self.text, self.advice) if self.advice else self.text
 
     @property
     def line(self) -> Text:
         """The finding in a line."""
-        return Text("{}: {}", self.sensor, self.told)
+        return Text("{}: {}", self.sensor, self.text)
 
 
 def is_record(value: object) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Samples
+from gis_radar.hdmap import is_driven
 
 # Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius lose 1 cm.
 LANE_STEP_M = 1.0
@@ -132,12 +133,9 @@ def sample_lanes(
     NoAnswerError
         If no lane is there.
     """
-    driven = [
-        any(p == "vehicle" or p.startswith("vehicle:") for p in users)
-        for users in lanelets["participants"]
-    ]
+    driven = lanelets["participants"].map(is_driven).astype(bool)
     close = lanelets["centre"].distance(shapely.Point(place)) < reach_m
-    kept = np.flatnonzero(np.asarray(driven) & close.to_numpy())
+    kept = np.flatnonzero(driven & close)
     table = lanelets.iloc[kept]
     if table.empty:
         raise NoAnswerError(

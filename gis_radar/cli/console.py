@@ -11,7 +11,6 @@ import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 from types import FrameType
@@ -36,6 +35,7 @@ from gis_radar.base import (
     interrupt_main_thread,
     json_text,
     one_line,
+    refuse_inputs,
     speaking,
     tr,
     users_language,
@@ -49,7 +49,7 @@ from gis_radar.cli.result_tables import (
     table_of_entries,
     table_of_rows,
 )
-from gis_radar.cli.usage import told
+from gis_radar.cli.usage import text_of_click
 
 WIDE = 160  # characters
 # Shown with --json only: constants in effect, and findings that `remarks` has as sentences.
@@ -253,17 +253,16 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
     summary = dict(result.summary)
     if result.timezone == "UTC":
         return summary
-    from gis_radar.base import Clock, zone_of  # noqa: PLC0415 - NumPy
+    from gis_radar.base import localised, zone_of  # noqa: PLC0415 - NumPy
 
-    moment = datetime(1970, 1, 1, tzinfo=UTC)  # of no effect: times in a text have their own offset
-    clock = Clock(zone=zone_of(result.timezone), first=moment, last=moment)
+    zone = zone_of(result.timezone)
 
     def local(value: Any) -> Any:
         if isinstance(value, Mapping):
             return {name: local(each) for name, each in value.items()}
         if isinstance(value, list | tuple):
             return [local(each) for each in value]
-        return clock.localised(value) if isinstance(value, str) else value
+        return localised(value, zone) if isinstance(value, str) else value
 
     shown = {name: local(value) for name, value in summary.items()}
     return {**shown, "timezone": result.timezone} if shown != summary else summary
@@ -280,6 +279,7 @@ _NO_MEMORY_TEXTS = (
 )  # fmt: skip
 AGAIN_S = 0.1  # until the callback that dropped an interruption is over
 INTERRUPTED = 130
+OUTPUTS = ("output", "figure", "broker_files")  # of options: the other files are inputs
 INTERRUPTION = "interrupted; nothing was left half-written"
 
 Verb = Callable[..., Result]
@@ -289,13 +289,16 @@ class _InterruptedError(GisRadarError):
     exit_code = INTERRUPTED
 
 
-def command(*, example: str) -> Callable[[Verb], click.Command]:
+def command(*, example: str, refuses: bool = True) -> Callable[[Verb], click.Command]:
     """Return a decorator that makes a command of a function that returns a `Result`.
 
     Parameters
     ----------
     example : str
         A call that works, shown at the end of its help.
+    refuses : bool
+        Whether outputs that would take the place of an input are refused here; if not, results may
+        go into a folder of inputs.
     """
 
     def register(verb: Verb) -> click.Command:
@@ -304,6 +307,8 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
             _require_memory()
             with _console(json_lines=json_lines) as console:
                 try:
+                    if refuses:
+                        _refuse_inputs(options)
                     result = verb(reporter=console, **options)
                 except BrokenPipeError as error:
                     # click takes every broken pipe for standard output's, and stays silent.
@@ -322,6 +327,18 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
         return click.command(epilog=f"Example: {example}")(flagged)
 
     return register
+
+
+def _refuse_inputs(options: Mapping[str, Any]) -> None:
+    """Refuse outputs that would take the place of another file or folder that is named."""
+    inputs = [
+        path
+        for name, value in options.items() if name not in OUTPUTS
+        for path in (value if isinstance(value, tuple) else (value,)) if isinstance(path, Path)
+    ]  # fmt: skip
+    for name in OUTPUTS:
+        if options.get(name) is not None:
+            refuse_inputs(options[name], *inputs)
 
 
 def _require_memory() -> None:
@@ -353,7 +370,7 @@ def run_group(group: click.Group) -> NoReturn:
             sys.exit(error.exit_code)
         context = getattr(error, "ctx", None)
         hint = Text("try {} --help", context.command_path) if context else ""
-        _fail(console, UsageError(told(error.format_message(), error.message), hint=hint))
+        _fail(console, UsageError(text_of_click(error.format_message(), error.message), hint=hint))
     except GisRadarError as error:
         _fail(console, error)
     except (KeyboardInterrupt, click.Abort):

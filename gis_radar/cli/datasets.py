@@ -8,15 +8,38 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, Text, UsageError, placed, refuse_inputs
+from gis_radar.base import Reporter, Text, UsageError, placed
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import DURATION, FILE, PERIOD, Period, csv_locale, output
+from gis_radar.cli.options import (
+    DURATION,
+    FILE,
+    PERIOD,
+    Period,
+    begin_end,
+    csv_locale,
+    language,
+    output,
+)
 from gis_radar.cli.options import dataset as dataset_argument
 
 TOO_SHORT = Text(
     "no interval was visible for a fifth of its length, which a volume needs: "
     "take a shorter --interval"
 )
+names_of_lanes = click.option(
+    "--site", type=FILE, help="SITE.toml with names and free speeds of lanes."
+)
+
+
+def _opened(folder: Path, site: Path | None, reporter: Reporter) -> gr.Dataset:
+    """Open a dataset, with names and free speeds of lanes as a site file states them."""
+    dataset = gr.open_dataset(folder, reporter=reporter)
+    if site is None:
+        return dataset
+    stated = gr.read_site(site)
+    with placed(str(site)):
+        lanes = [each.model_dump() for each in stated.lane]
+        return dataset.with_lanes(lanes, stated.map.speed_kmh)
 
 
 @command(example="gis-radar traffic dataset/ --interval 15min -o traffic/")
@@ -26,8 +49,7 @@ TOO_SHORT = Text(
     "--interval", default="15min", show_default=True,
     help="Length of the intervals: 1min, 5min, 15min, 1h, 24h; they follow the site's clocks.",
 )  # fmt: skip
-@click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
-@click.option("--end", help="Only before this time.")
+@begin_end
 @click.option(
     "--sections", type=FILE, help="Lines across roads, at which vehicles are counted by direction."
 )
@@ -45,11 +67,8 @@ TOO_SHORT = Text(
     "--service", type=click.Choice(["hcm", "hbs"]),
     help="Add levels of service from the delay: Highway Capacity Manual or HBS.",
 )  # fmt: skip
-@click.option("--site", type=FILE, help="SITE.toml with names and free speeds of lanes.")
-@click.option(
-    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
-    help="Of the lanes' names and the titles.",
-)  # fmt: skip
+@names_of_lanes
+@language("Of the lanes' names and the titles.")
 @csv_locale
 def traffic(
     *, folder: Path, output: Path, site: Path | None, language: str, csv_locale: str,
@@ -58,14 +77,7 @@ def traffic(
     """Count traffic by lane and turn: volumes, speeds, queues (CSV, xlsx, GeoPackage, SUMO)."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
 
-    given = (site, *(options[name] for name in ("sections", "hand_counts", "signals")))
-    refuse_inputs(output, folder, *(each for each in given if each is not None))
-    measured = gr.open_dataset(folder, reporter=reporter)
-    if site is not None:
-        stated = gr.read_site(site)
-        lanes = [each.model_dump() for each in stated.lane]
-        with placed(str(site)):
-            measured = measured.with_lanes(lanes, stated.map.speed_kmh)
+    measured = _opened(folder, site, reporter)
     made = gr.make_traffic(measured, language=language, **options)
     with csv_for(csv_locale):
         outputs = made.write(output, language=language, reporter=reporter)
@@ -84,14 +96,12 @@ def traffic(
 @click.option("--before", type=PERIOD, help="The first period, such as 2026-09-07/2026-09-21.")
 @click.option("--after", type=PERIOD, help="The second period; of DATASET2, where it is given.")
 @click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")
-@click.option(
-    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
-    help="Of the page, the lanes' names and the titles.",
-)  # fmt: skip
+@names_of_lanes
+@language("Of the page, the lanes' names and the titles.")
 @csv_locale
 def compare(
     *, folder: Path, other: Path | None, output: Path, before: Period | None, after: Period | None,
-    csv_locale: str, language: str, days: str | None, reporter: Reporter,
+    site: Path | None, csv_locale: str, language: str, days: str | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Compare the traffic of two periods by lane: what changed, and how sure that is."""
     from gis_radar.base import csv_for  # noqa: PLC0415 - --help needs no NumPy
@@ -100,9 +110,8 @@ def compare(
         raise UsageError(
             "a period is missing", hint="name --before and --after, or a second dataset"
         )
-    refuse_inputs(output, folder, *([] if other is None else [other]))
-    first = gr.open_dataset(folder, reporter=reporter)
-    second = None if other is None else gr.open_dataset(other, reporter=reporter)
+    first = _opened(folder, site, reporter)
+    second = None if other is None else _opened(other, site, reporter)
     found = gr.compare(
         first, second, before=before or (None, None), after=after or (None, None), days=days,
         language=language,
@@ -116,7 +125,7 @@ def compare(
     example='gis-radar query results/dataset "SELECT tile_id, sum(hit_steps) AS hits '
     'FROM tile_counts GROUP BY tile_id ORDER BY hits DESC LIMIT 10"'
 )
-@click.argument("folder", metavar="DATASET", type=FILE)
+@dataset_argument
 @click.argument("sql", metavar="SELECT")
 @click.option("-o", "--output", type=FILE, help="Write the whole answer: .csv or .parquet.")
 @click.option(
@@ -138,12 +147,11 @@ def query(
     if output is None:
         rows, total = dataset.first_rows(sql, limit, **options)
         return Result(outputs=[], summary={"total": total}, rows=rows)
-    refuse_inputs(output, folder)
     return Result(outputs=[output], summary={"total": dataset.write_answer(sql, output, **options)})
 
 
 @command(example="gis-radar publish results/dataset postgresql://editor@db.example.org/traffic")
-@click.argument("folder", metavar="DATASET", type=FILE)
+@dataset_argument
 @click.argument("url", metavar="DATABASE")
 @click.option(
     "--schema", default="gis_radar", show_default=True,
@@ -160,7 +168,7 @@ def publish(
 
 
 @command(example="gis-radar dataset results/dataset")
-@click.argument("folder", metavar="DATASET", type=FILE)
+@dataset_argument
 @click.option("--check", is_flag=True, help="Compare all bytes with the digests of their hours.")
 @click.option(
     "--withdraw", metavar="RECORDING", multiple=True,

@@ -7,25 +7,20 @@ from pathlib import Path
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, refuse_inputs, stopped_by_signals
+from gis_radar.base import Reporter, stopped_by_signals
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE
+from gis_radar.cli.options import FILE, template
 
 
-def _print_template(context: click.Context, _option: click.Parameter, wanted: object) -> None:
-    if wanted:
-        from gis_radar.live import edge_template  # noqa: PLC0415 - --help needs no NumPy
+def _edge_template() -> str:
+    from gis_radar.live import edge_template  # noqa: PLC0415 - --help needs no NumPy
 
-        click.echo(edge_template(), nl=False)
-        context.exit()
+    return edge_template()
 
 
 @command(example="gis-radar edge R1.toml")
 @click.argument("sensor", metavar="SENSOR.toml", type=FILE)
-@click.option(
-    "--template", is_flag=True, is_eager=True, expose_value=False, callback=_print_template,
-    help="Print a sensor's file to fill in, and do nothing else.",
-)  # fmt: skip
+@template(_edge_template, "Print a sensor's file to fill in, and do nothing else.")
 def edge(*, sensor: Path, reporter: Reporter) -> Result:
     """Run a sensor's side of the live system: detections near the road go to fusion.
 
@@ -50,7 +45,6 @@ def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result
     if broker_files is not None:
         from gis_radar.live import write_broker_files  # noqa: PLC0415 - a command's
 
-        refuse_inputs(broker_files, site)
         return Result(outputs=write_broker_files(site, broker_files))
     with stopped_by_signals() as stop:
         done = gr.run_fusion(site, stop=stop, reporter=reporter)

@@ -8,9 +8,18 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, refuse_inputs
+from gis_radar.base import Reporter
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, WORDS, dataset, origin, output, scan_crs
+from gis_radar.cli.options import (
+    FILE,
+    WORDS,
+    begin_end,
+    dataset,
+    language,
+    origin,
+    output,
+    scan_crs,
+)
 
 MASK_ENGINES = ("auto", "pdal", "laspy")
 
@@ -29,15 +38,11 @@ MASK_ENGINES = ("auto", "pdal", "laspy")
     help="Lines of streets with names, for lanes that the map does not name.",
 )
 @click.option("--street-field", help="Their column of names; by default the first usual one.")
-def tiles(
-    *, map_path: Path, output: Path, road: Path | None, streets: Path | None, reporter: Reporter,
-    **options: Any,
-) -> Result:  # fmt: skip
+def tiles(*, map_path: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Split the lanelets of a Lanelet2 map into tiles (GeoPackage), and list its lanes."""
     from gis_radar.site import split_map  # noqa: PLC0415 - --help needs no NumPy
 
-    refuse_inputs(output, *[path for path in (map_path, road, streets) if path])
-    summary = split_map(map_path, output, road=road, streets=streets, reporter=reporter, **options)
+    summary = split_map(map_path, output, reporter=reporter, **options)
     return Result(outputs=[output], summary=summary)
 
 
@@ -63,7 +68,6 @@ def mask(
     """Mask the road out of airborne laser scans: one point each 0.5 m (LAZ)."""
     from gis_radar.site import mask_scans  # noqa: PLC0415 - --help needs no NumPy
 
-    refuse_inputs(output, *scans, map_path)
     outputs, summary = mask_scans(scans, map_path, output, reporter=reporter, **options)
     return Result(outputs=outputs, summary=summary)
 
@@ -72,17 +76,14 @@ def mask(
 @dataset
 @output
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
-@click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
-@click.option("--end", help="Only before this time.")
+@begin_end
 @click.option(
     "--timezone",
     help="Whose hours and days the intervals follow, and whose clock the picture; by default the "
     "dataset's.",
 )
 @click.option("--title", default="", help="Of the picture, and of a report of it.")
-@click.option(
-    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True, help="Of both."
-)
+@language("Of both.")
 @click.option(
     "--source",
     "sources",
@@ -104,7 +105,6 @@ def heatmap(
     reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet, picture."""
-    refuse_inputs(output, folder)
     measured = gr.open_dataset(folder)
     zone = options["timezone"] = options["timezone"] or measured.timezone
     options["labels"] = gr.MapLabels(title=title, timezone=zone, sources=sources, language=language)
@@ -121,7 +121,6 @@ def footprints(*, folder: Path, output: Path, reporter: Reporter) -> Result:
 
     A row a vehicle and half second: a working file, not to be published.
     """
-    refuse_inputs(output, folder)
     count = gr.write_footprints(gr.open_dataset(folder), output, reporter=reporter)
     return Result(outputs=[output], summary={"rows": count})
 
@@ -144,7 +143,6 @@ def project(
     A name without an ending becomes GeoParquet, which is the smallest.
     """
     output = output if output.suffix else output.with_suffix(".parquet")
-    refuse_inputs(output, recording, pose, *([map_path] if map_path else []))
     track, roads = gr.read_track(pose), None
     if map_path is not None:
         crs = track.poses[0].crs

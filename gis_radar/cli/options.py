@@ -129,12 +129,32 @@ WORDS = Parsed("a,b,...", _words)
 PAIRS = Parsed("a=A,b=B,...", _pairs)  # values by name
 DURATION = Parsed("DURATION", _duration)  # seconds; a bare number is seconds, too
 PERIOD = Parsed("T/T", _period)  # begin and end
+CLOCKS = Parsed("auto|FILE", lambda text: text if text == "auto" else Path(text))
 CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # seconds from frame to frame, by sensor
 
 
 def numbers(names: str) -> Parsed:
     """Return the type of numbers with commas between them, such as `677885.9,5403673`."""
     return Parsed(names, partial(_numbers, names))
+
+
+def template(make: Callable[[], str], text: str) -> Callable[[Verb], Verb]:
+    """Return a decorator that adds `--template`, which prints a file to fill in, and its help."""
+
+    def show(context: click.Context, _option: click.Parameter, wanted: object) -> None:
+        if wanted:
+            click.echo(make(), nl=False)
+            context.exit()
+
+    return click.option(
+        "--template", is_flag=True, is_eager=True, expose_value=False, callback=show, help=text
+    )
+
+
+def language(text: str, default: str | None = "en") -> Callable[[Verb], Verb]:
+    """Return a decorator that adds `--language`, with its help."""
+    choice = click.Choice(["en", "de"])
+    return click.option("--language", type=choice, default=default, show_default=True, help=text)
 
 
 def in_order(*options: Callable[[Verb], Verb]) -> Callable[[Verb], Verb]:
@@ -181,7 +201,7 @@ frame_times = in_order(
         "it.",
     ),
     click.option(
-        "--clocks", metavar="auto|FILE",
+        "--clocks", metavar="auto|FILE", type=CLOCKS,
         help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
     ),
 )  # fmt: skip
@@ -201,6 +221,10 @@ recordings = click.argument(
 )
 poses = click.option(
     "--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording."
+)
+begin_end = in_order(
+    click.option("--begin", help="Only from this time on: '2025-06-12 07:30'."),
+    click.option("--end", help="Only before this time."),
 )
 dataset = click.argument("folder", metavar="DATASET", type=FILE)
 

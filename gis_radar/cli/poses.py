@@ -28,6 +28,7 @@ from gis_radar.cli.options import (
 @command(
     example="gis-radar localize R1.parquet --map junction.osm --road road.laz "
     "--guess 690356,5336183 -o R1.json",
+    refuses=False,
 )
 @recordings
 @lanes
@@ -141,7 +142,7 @@ def track(
     """Follow a sensor's pose through a recording: a corrected pose every 5 s (CSV)."""
     if output.suffix.lower() != ".csv":
         raise UsageError("{}: a pose track is a CSV file", output, hint="name it track.csv")
-    _check_outputs(output, figure, recording, map_path, road, pose)
+    _check_outputs(output, figure)
     from gis_radar.scans import road_crs  # noqa: PLC0415 - --help needs no NumPy
 
     start = gr.read_track(pose)
@@ -161,7 +162,6 @@ def track(
 @output
 def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Result:
     """Write sensors as layers of a map: points, views, uncertainty (GeoPackage)."""
-    refuse_inputs(output, *poses)
     found = [gr.read_track(path).poses[-1] for path in poses]
     gr.write_sensors(found, output)
     reporter.progress("writing sensors", len(found), len(found))
@@ -194,7 +194,6 @@ def sight(
     """Find which tiles sensors see from their poses, and which something hides (GeoPackage)."""
     from gis_radar.site import see_tiles  # noqa: PLC0415 - --help needs no NumPy
 
-    refuse_inputs(output, *poses, tiles_path, *scans, *recordings)
     if not scans:
         raise UsageError("no scan is given", hint=Text("name one with {}; see --help", "--scan"))
     tracks = [gr.read_track(path) for path in poses]

@@ -82,9 +82,6 @@ def measure(
     tiles_path: Path,
     map_path: Path | None,
     output: Path,
-    clocks: str | None,
-    sight: Path | None,
-    scans: tuple[Path, ...],
     reporter: Reporter,
     **options: Any,
 ) -> Result:
@@ -94,22 +91,15 @@ def measure(
     """
     from gis_radar.site import measure_recordings  # noqa: PLC0415 - --help needs no NumPy
 
-    files = [*_files(clocks, sight), *([] if map_path is None else [map_path])]
-    refuse_inputs(output, *recordings, *poses, tiles_path, *scans, *files)
     tracks = _tracks(poses, options, reporter)
     names = ("min_speed", "min_rcs", "clearance", "elevation_error_deg")
     found = measure_recordings(
-        recordings, tracks, tiles_path, map_path, output, clocks=clocks, scans=scans, sight=sight,
+        recordings, tracks, tiles_path, map_path, output,
         filters={name: options.pop(name) for name in names}, reporter=reporter, **options,
     )  # fmt: skip
     for line in gr.measure_quality(found).warnings():
         reporter.warn(line)
     return Result(outputs=[output], summary=found.figures())
-
-
-def _files(clocks: str | None, sight: Path | None) -> list[Path]:
-    """Return the options that name a file: neither is given always, and clocks may be `auto`."""
-    return [Path(each) for each in (clocks, sight) if each not in {None, "auto"}]
 
 
 def _tracks(
@@ -154,8 +144,6 @@ def clocks(
     reporter: Reporter,
 ) -> Result:
     """Find how far the clocks of sensors are apart, by the traffic that they share."""
-    if output is not None:
-        refuse_inputs(output, *recordings, *poses, tiles_path)
     found = gr.measure_clocks(
         recordings,
         [gr.read_track(pose) for pose in poses],
@@ -182,7 +170,7 @@ def quality(
         from gis_radar.products import require_table_name  # noqa: PLC0415 - late as above
 
         require_table_name(output)
-        refuse_inputs(output, folder, *folder.rglob("*"))
+        refuse_inputs(output, *folder.rglob("*"))
     found = gr.measure_quality(gr.open_dataset(folder), timezone=timezone, reporter=reporter)
     outputs = [] if output is None else [found.write(output, csv_locale=csv_locale)]
     return Result(outputs=outputs, summary=found.figures(), timezone=timezone)

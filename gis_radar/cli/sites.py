@@ -11,15 +11,9 @@ import click
 import gis_radar as gr
 from gis_radar.base import Reporter, Text, atomic_folder, refuse_inputs
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, csv_locale, output
+from gis_radar.cli.options import FILE, csv_locale, language, output, template
 
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
-
-
-def _print_template(context: click.Context, _option: click.Parameter, wanted: object) -> None:
-    if wanted:
-        click.echo(gr.site_template(), nl=False)
-        context.exit()
 
 
 @command(example="gis-radar run SITE.toml -o results")
@@ -27,10 +21,10 @@ def _print_template(context: click.Context, _option: click.Parameter, wanted: ob
 @output
 @click.option("--jobs", type=int, help="Stages at once; by default as cores and memory allow.")
 @click.option("--fresh", is_flag=True, help="Do all again, also what an earlier run has done.")
-@click.option(
-    "--template", is_flag=True, is_eager=True, expose_value=False, callback=_print_template,
-    help="Print a site file to fill in, and do nothing else.",
-)  # fmt: skip
+@template(
+    lambda: gr.site_template(),  # noqa: PLW0108 - --help needs no NumPy
+    "Print a site file to fill in, and do nothing else.",
+)
 def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Run all stages for all sensors of a site; continue where an earlier run ended.
 
@@ -68,7 +62,7 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     )  # fmt: skip
 
 
-@command(example="gis-radar report results --timezone Europe/Berlin")
+@command(example="gis-radar report results --timezone Europe/Berlin", refuses=False)
 @click.argument("folder", metavar="DIR", type=FILE)
 @click.option("-o", "--output", type=FILE, help="Where the report goes; by default into DIR.")
 @click.option("--title", help="What it is about; by default the site's title or DIR.")
@@ -76,10 +70,7 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     "--timezone",
     help="Whose clocks its times follow: Europe/Berlin; by default the site's, or UTC.",
 )
-@click.option(
-    "--language", type=click.Choice(["en", "de"]),
-    help="By default the site's, or that of the heat map.",
-)  # fmt: skip
+@language("By default the site's, or that of the heat map.", default=None)
 @csv_locale
 @click.option(
     "--dataset", type=FILE, help="What the heat map was made of, where it is not in DIR.",
@@ -110,27 +101,11 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
 @click.option("--title", default="", help="Of the project; by default the file's name.")
 @click.option("--timezone", default="UTC", show_default=True, help="Of the time on its layout.")
 @click.option("--source", default="", help="Where the data come from, as its layout shows it.")
-@click.option(
-    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
-    help="Of its layers, legends and layout.",
-)  # fmt: skip
+@language("Of its layers, legends and layout.")
 @output
-def qgis(
-    *, heatmap: Path, sensors: Path | None, sight: Path | None, lanes: Path | None,
-    footprints: Path | None,
-    output: Path, reporter: Reporter, **options: Any,
-) -> Result:  # fmt: skip
+def qgis(*, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Write a QGIS project that shows a heat map ready to present, with a print layout."""
-    refuse_inputs(output, heatmap, *[path for path in (sensors, sight, lanes, footprints) if path])
-    gr.write_qgis_project(
-        output,
-        heatmap=heatmap,
-        sensors=sensors,
-        sight=sight,
-        lanes=lanes,
-        footprints=footprints,
-        **options,
-    )
+    gr.write_qgis_project(output, **options)
     reporter.progress("writing the project", 1, 1)
     return Result(outputs=[output])
 

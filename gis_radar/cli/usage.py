@@ -28,7 +28,7 @@ CLICK_TEXTS = (
 """Click's messages, with a hole for each value; a test provokes each."""
 
 
-def told(text: str, ours: str = "") -> Text:
+def text_of_click(text: str, ours: str = "") -> Text:
     """Return a message of click as a template with values; an unknown one as it is.
 
     `ours` is a text of this package that the message may quote.
@@ -37,5 +37,5 @@ def told(text: str, ours: str = "") -> Text:
         return ours
     for template in CLICK_TEXTS:
         if found := re.fullmatch("(.+)".join(map(re.escape, template.split("{}"))), text):
-            return Text(template, *(told(value, ours) for value in found.groups()))
+            return Text(template, *(text_of_click(value, ours) for value in found.groups()))
     return Text(text)

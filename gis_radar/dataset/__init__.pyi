@@ -7,7 +7,6 @@ from .lane_measures import LaneTraffic
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
 from .measuring import manifest_of, measure
 from .parts import (
-    STEPS_PER_HOUR,
     Origin,
     clear_unfinished,
     hour_of_step,
@@ -22,18 +21,18 @@ from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .sections import count_sections
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
+from .stated_lanes import stated_lanes
 from .states import no_states, states_of
-from .tables import FRAMES, PASSAGES, TILE_COUNTS, TRACK_EVERY_STEPS, TableSchema
+from .table_schema import TableSchema
+from .tables import FRAMES, PASSAGES, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
 from .upkeep import relink, withdraw
 
 __all__ = [
     "FRAMES",
     "PASSAGES",
-    "STEPS_PER_HOUR",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
-    "TRACK_EVERY_STEPS",
     "Dataset",
     "HourSpans",
     "HourWriter",
@@ -68,6 +67,7 @@ __all__ = [
     "run_variance",
     "shifts_of",
     "signal_cycles",
+    "stated_lanes",
     "stated_moment",
     "states_of",
     "sync_folder",

@@ -32,6 +32,7 @@ from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hou
 from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, read_hours
 from gis_radar.dataset.stated_lanes import stated_lanes
+from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
     CONTINUED,
     DAY_TABLES,
@@ -51,7 +52,6 @@ from gis_radar.dataset.tables import (
     TURNS,
     VEHICLES,
     VISIBLE,
-    TableSchema,
 )
 from gis_radar.dataset.tile_counts import check_counts, read_counts
 from gis_radar.dataset.traffic import Moment, TrafficTables

@@ -18,10 +18,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from gis_radar.base import InputError
+from gis_radar.base import STEPS_PER_HOUR, InputError
 from gis_radar.dataset.parts import (
     HOURS_PER_DAY,
-    STEPS_PER_HOUR,
     days_of,
     hour_text,
     opened_part,
@@ -33,7 +32,7 @@ from gis_radar.dataset.parts import (
 )
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord, read_hours
-from gis_radar.dataset.tables import TableSchema
+from gis_radar.dataset.table_schema import TableSchema
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS

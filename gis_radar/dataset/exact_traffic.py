@@ -10,11 +10,18 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import STEP_US, current_language, interval_steps, speaking, tr, zone_of
+from gis_radar.base import (
+    STEP_US,
+    STEPS_PER_HOUR,
+    current_language,
+    interval_steps,
+    speaking,
+    tr,
+    zone_of,
+)
 from gis_radar.dataset.dataset import Dataset
 from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import LaneTraffic
-from gis_radar.dataset.parts import STEPS_PER_HOUR
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.signals import read_signals
 from gis_radar.dataset.tables import TRACKS

@@ -63,7 +63,7 @@ METHOD = 10
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # more equal frames of two sensors are no chance
-LEAST_TOLD = 2  # least detections of frames that are compared: fewer may be equal by chance
+LEAST_COMPARED = 2  # least detections of frames that are compared: fewer may be equal by chance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,7 +271,7 @@ def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
 
 
 def _compared_hashes(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
-    return frames.hash[frames.detections >= LEAST_TOLD]
+    return frames.hash[frames.detections >= LEAST_COMPARED]
 
 
 def digest_of_inputs(sensors: Sequence[SensorHour], site: HourSite) -> str:

@@ -17,12 +17,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyogrio
 
-from gis_radar.base import STEPS_PER_SECOND, InputError, Integers, opened_package
+from gis_radar.base import STEPS_PER_HOUR, STEPS_PER_SECOND, InputError, Integers, opened_package
 from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, days_with
 from gis_radar.dataset.manifest import TILES
-from gis_radar.dataset.parts import HOURS_PER_DAY, STEPS_PER_HOUR, hour_text
+from gis_radar.dataset.parts import HOURS_PER_DAY, hour_text
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord, read_hour
+from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
     CONTINUED,
     LANE_MEASURES,
@@ -30,7 +31,6 @@ from gis_radar.dataset.tables import (
     TURNS,
     VEHICLES,
     VISIBLE,
-    TableSchema,
 )
 from gis_radar.dataset.tile_counts import HourSpans, count_spans, read_counts
 from gis_radar.hdmap import LANES_LAYER, read_tiles

@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.base import (
+    STEPS_PER_HOUR,
     STEPS_PER_SECOND,
     InputError,
     Text,
@@ -23,9 +24,9 @@ from gis_radar.base import (
     output_errors,
     writing_errors,
 )
-from gis_radar.dataset.tables import SCHEMA, TableSchema
+from gis_radar.dataset.table_schema import TableSchema
+from gis_radar.dataset.tables import SCHEMA
 
-STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
 HOURS_PER_DAY = 24
 ROWS_IN_GROUP = 131_072
 MEASURE_AGAIN = Text("remove its hour's file in hours/ and measure again; the hour is made anew")

@@ -9,10 +9,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from gis_radar.dataset.parts import STEPS_PER_HOUR
+from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.dataset.records import HourRecord
-from gis_radar.dataset.tables import TableSchema
-from gis_radar.dataset.tables.table import FIRST, LAST
+from gis_radar.dataset.table_schema import FIRST, LAST, TableSchema
 
 Span = tuple[int, int]
 """First and last step, inclusive."""

@@ -30,7 +30,8 @@ from gis_radar.dataset.parts import (
     unfinished,
     write_part,
 )
-from gis_radar.dataset.tables import HOUR_TABLES, SCHEMA, TABLES, TableSchema
+from gis_radar.dataset.table_schema import TableSchema
+from gis_radar.dataset.tables import HOUR_TABLES, SCHEMA, TABLES
 
 HOURS = "hours"
 

@@ -20,9 +20,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import pyarrow as pa
 
-from gis_radar.base import STEP_US, InputError, Text, iso_from_step, step_of
+from gis_radar.base import STEP_US, STEPS_PER_HOUR, InputError, Text, iso_from_step, step_of
 from gis_radar.calibration import SensorClock
-from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_of_step, whole_table, write_whole
+from gis_radar.dataset.parts import hour_of_step, whole_table, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import PlacedRecording, PoseSight, pose_names
 from gis_radar.poses import PoseTrack, pose_from_dict

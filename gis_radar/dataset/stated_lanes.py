@@ -16,7 +16,7 @@ from gis_radar.measures import LaneNetwork
 
 def stated_lanes(
     layer: gpd.GeoDataFrame, lanes: Sequence[Mapping[str, Any]], speed_kmh: float | None,
-    folder: Path,
+    source: Path,
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Return the layer `lanes` with the column `name`, and the free speeds stated.
 
@@ -26,8 +26,8 @@ def stated_lanes(
         The layer of the dataset.
     lanes, speed_kmh
         As for :meth:`gis_radar.Dataset.with_lanes`.
-    folder : Path
-        Of the dataset, for the message.
+    source : Path
+        Who states or has the lanes, for the message.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def stated_lanes(
     stated = {int(each["id"]): each for each in lanes}
     if unknown := sorted(set(stated) - set(layer["lane"].tolist())):
         raise InputError(
-            "{}: has no lane {}", folder, unknown[0], hint="the column lane of traffic.csv has them"
+            "{}: has no lane {}", source, unknown[0], hint="the column lane of traffic.csv has them"
         )
     names, speeds = (
         layer["lane"].map({number: each.get(name) for number, each in stated.items()})

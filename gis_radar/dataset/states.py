@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from gis_radar.base import Floats, Integers, ranges
+from gis_radar.base import TRACK_EVERY_STEPS, Floats, Integers, ranges
 from gis_radar.dataset.dataset import Dataset
 from gis_radar.dataset.reading import Span
-from gis_radar.dataset.tables import TRACK_EVERY_STEPS, TRACKS, VEHICLES
+from gis_radar.dataset.tables import TRACKS, VEHICLES
 
 CM = 0.01  # metres
 VehicleStates = tuple[pd.DataFrame, pd.DataFrame]

@@ -9,11 +9,20 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, compiled, ranges
+from gis_radar.base import (
+    STEPS_PER_HOUR,
+    STEPS_PER_SECOND,
+    Booleans,
+    Floats,
+    Integers,
+    compiled,
+    ranges,
+)
 from gis_radar.dataset.day_tables import QUARTERS, STEPS_PER_QUARTER, Day, Keys, Maker, days_with
-from gis_radar.dataset.parts import HOURS_PER_DAY, STEPS_PER_HOUR
+from gis_radar.dataset.parts import HOURS_PER_DAY
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
     DAY_TABLES,
     HITS,
@@ -21,7 +30,6 @@ from gis_radar.dataset.tables import (
     OCCUPIED,
     TILE_COUNTS,
     VISIBLE,
-    TableSchema,
 )
 
 # Error of a run of occupied steps by the ends of its vehicle, as a share of the run's length (both

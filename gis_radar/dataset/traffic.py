@@ -19,6 +19,7 @@ import pyarrow as pa
 from gis_radar.base import (
     STEP_S,
     STEP_US,
+    STEPS_PER_HOUR,
     STEPS_PER_SECOND,
     Floats,
     InputError,
@@ -30,20 +31,19 @@ from gis_radar.base import (
 from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.manifest import Manifest
-from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_text
+from gis_radar.dataset.parts import hour_text
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.shifts import OtherLanes, shifts_of
 from gis_radar.dataset.stated_lanes import delays
-from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS, TableSchema
+from gis_radar.dataset.table_schema import TableSchema
+from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS
 from gis_radar.hdmap import LANES_LAYER, TILES_LAYER
 from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_names, turn_lines
 
 LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
-_WITH_LANE = ["lane"]
-_WITH_TURN = ["from_lane", "to_lane"]
-
+_WITH_LANE, _WITH_TURN = ["lane"], ["from_lane", "to_lane"]
 
 Moment: TypeAlias = str | datetime | int | None
 """A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""

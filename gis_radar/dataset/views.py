@@ -14,6 +14,7 @@ from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.parts import part_path
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.statement import LAYERS
+from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
     DAY_TABLES,
     HOUR_TABLES,
@@ -21,7 +22,6 @@ from gis_radar.dataset.tables import (
     RECORDINGS,
     SIGHTS,
     TILE_COUNTS,
-    TableSchema,
 )
 from gis_radar.dataset.tile_counts import count_keys, read_counts
 from gis_radar.dataset.traffic import Source

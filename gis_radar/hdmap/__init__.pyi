@@ -8,11 +8,12 @@ from .lanes import (
     lane_style,
     lanes,
     stop_lines,
+    turn_word,
 )
 from .mending import outline
 from .osm import read_osm
 from .reader import LaneletMap, read_map
-from .tagging import ON_FOOT_OR_BICYCLE
+from .tagging import ON_FOOT_OR_BICYCLE, is_driven
 from .tile_lanes import Lane, lanes_of
 from .tile_lookup import (
     Numbers,
@@ -63,6 +64,7 @@ __all__ = [
     "cell_at",
     "chain_lanelets",
     "fingerprint",
+    "is_driven",
     "is_inside",
     "lane_graph",
     "lane_style",
@@ -82,6 +84,7 @@ __all__ = [
     "sound",
     "sound_rungs",
     "stop_lines",
+    "turn_word",
     "with_road_heights",
     "write_tiles",
 ]

@@ -14,6 +14,7 @@ import shapely
 
 from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled, ranges
 from gis_radar.hdmap.curves import lane_headings
+from gis_radar.hdmap.tagging import is_driven
 
 STEP_M = 1.0  # between samples: on a curve of 10 m radius their chord is 1 cm off the arc
 LANE_MARGIN_M = 1.0  # added on both sides of a lane: a vehicle's middle is rarely farther outside
@@ -121,11 +122,8 @@ def lane_graph(lanelets: gpd.GeoDataFrame) -> LaneGraph:
     NoAnswerError
         If no lanelet is for vehicles.
     """
-    driven = [
-        any(p == "vehicle" or p.startswith("vehicle:") for p in who)
-        for who in lanelets["participants"]
-    ]
-    table = lanelets[np.asarray(driven, bool)].sort_values("lanelet_id")
+    driven = lanelets["participants"].map(is_driven).astype(bool)
+    table = lanelets[driven].sort_values("lanelet_id")
     if table.empty:
         raise NoAnswerError("the map has no lanelet for vehicles", hint="check the map's tags")
     parts = [_sampled(*row) for row in zip(table["left"], table["right"], strict=True)]

@@ -289,10 +289,16 @@ def _turn_of(table: gpd.GeoDataFrame, ref: int) -> str:
         return _TAGGED.get(tag, "")
     gaps = np.diff(shapely.get_coordinates(table.at[ref, "centre"]), axis=0)
     lengths = np.hypot(*gaps.T)
-    way = np.unwrap(np.arctan2(gaps[:, 1], gaps[:, 0])[lengths > 1e-6])
-    turned = float(way[-1] - way[0]) if len(way) else 0.0
-    if abs(turned) < STRAIGHT_RAD or lengths.sum() > SHARP_M * abs(turned):
-        return ""
+    angle = np.unwrap(np.arctan2(gaps[:, 1], gaps[:, 0])[lengths > 1e-6])
+    turned = float(angle[-1] - angle[0]) if len(angle) else 0.0
+    way = turn_word(turned)
+    return "" if way == "straight" or lengths.sum() > SHARP_M * abs(turned) else way
+
+
+def turn_word(turned: float) -> str:
+    """Return the word for a turn, given in radians to the left."""
+    if abs(turned) < STRAIGHT_RAD:
+        return "straight"
     if abs(turned) > BACK_RAD:
         return "back"
     return "left" if turned > 0.0 else "right"

@@ -76,6 +76,11 @@ def subtype_of(tags: dict[str, str]) -> str:
     return fitting.get(users, "unknown")
 
 
+def is_driven(participants: Iterable[str]) -> bool:
+    """Return whether vehicles, or some of them, use a lanelet, by its participants."""
+    return any(each == "vehicle" or each.startswith("vehicle:") for each in participants)
+
+
 def street_of(tags: dict[str, str]) -> str | None:
     """Return the street's name that a lanelet is tagged with, or None."""
     return next((name for key in STREET_TAGS if (name := tags.get(key, "").strip())), None)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import sqlite3
 from collections import Counter
 from collections.abc import Collection
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +24,8 @@ from gis_radar.base import (
     Text,
     UsageError,
     add_layer,
-    add_styles,
     atomic_write,
-    describe_layers,
+    dress_layers,
     keep_styles,
     metric_crs,
     name_of,
@@ -122,13 +119,11 @@ TILE_FIELDS = {
     LANE_COLUMN: ("Lane", "number of the lane: its smallest lanelet id"),
 }
 """Titles and meaning of the columns of tiles."""
-_LANES: dict[str, Any] = {
-    "title": "Lanes", "abstract": "Chains of lanelets by number, as in report and tables",
-    "fields": {},
-}  # fmt: skip
-_STOPS: dict[str, Any] = {
-    "title": "Stop lines", "abstract": "A row for each lane that a stop line ends", "fields": {},
-}  # fmt: skip
+_NOTES = {
+    TILES_LAYER: LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", TILE_FIELDS),
+    LANES_LAYER: LayerNotes("Lanes", "Chains of lanelets by number, as in report and tables", {}),
+    STOP_LINES_LAYER: LayerNotes("Stop lines", "A row for each lane that a stop line ends", {}),
+}
 
 
 def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
@@ -252,15 +247,10 @@ def write_tiles(
             options = {"geometry_type": kind, "layer_metadata": metadata}
             add_layer(table, part, layer, use_arrow=True, **options)
         styles = {name: lane_style(name) for name, _, _ in layers[2:]}
-        about = LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", TILE_FIELDS)
-        with closing(sqlite3.connect(part)) as database, database:
-            notes = {
-                LANES_LAYER: about._replace(**_LANES),
-                STOP_LINES_LAYER: about._replace(**_STOPS),
-            }
-            describe_layers(database, {TILES_LAYER: about} | {name: notes[name] for name in styles})
-            if styles:
-                add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
+        dress_layers(
+            part, styles, name="lanes", about="lanes by number, and stop lines",
+            notes={name: _NOTES[name] for name in (TILES_LAYER, *styles)},
+        )  # fmt: skip
         if styles:
             keep_styles(part, earlier=path)
 

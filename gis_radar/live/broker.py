@@ -206,10 +206,14 @@ class Link:
         """Whether the link is up."""
         return self._connected
 
-    def publish(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
-        """Publish a message at QoS 1; without a link it is dropped."""
+    def publish(self, topic: str, payload: bytes, *, retain: bool = False, qos: int = 1) -> None:
+        """Publish a message; without a link it is dropped.
+
+        Detections go at QoS 0: fusion acknowledges what it has stored, and asks for what is
+        missing, so that the broker's own acknowledgements of each message would be a second time.
+        """
         if self._connected:
-            self._client.publish(topic, payload, qos=1, retain=retain)
+            self._client.publish(topic, payload, qos=qos, retain=retain)
 
     def take(self, timeout_s: float) -> Received | None:
         """Return the next received message, or None after `timeout_s` seconds."""

@@ -164,7 +164,9 @@ class _Layers:
         )
         kept = [name for name in ("tile_id", "lanelet_id", "lane", "index", "s_m") if name in tiles]
         self._tiles = tiles[[*kept, tiles.geometry.name]]
-        self._lanes = lanes.drop(columns="lanelets", errors="ignore").reset_index(drop=True)
+        names = dict(zip(live.place.lane_numbers, live.place.lane_names(), strict=True))
+        lanes = lanes.drop(columns="lanelets", errors="ignore").reset_index(drop=True)
+        self._lanes = lanes.assign(name=lanes["lane"].map(names))
         self._shapes = dict(zip(lanes["lane"], lanes.geometry, strict=True))
 
     def tiles(self) -> gpd.GeoDataFrame:

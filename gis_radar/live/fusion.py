@@ -280,7 +280,7 @@ class Fusion:
             if each.due:
                 self._acknowledge(each)
         if self.vehicles is not None:
-            self.vehicles.turn()
+            self.vehicles.poll()
 
     def _commit(self, *, wait: bool = False) -> None:
         """Start writing messages to the disk on another thread, while the map goes on."""
@@ -329,7 +329,7 @@ class Fusion:
         self.intake.touched = set()
         newest = {name: each.health.newest_s for name, each in self.sensors.items()}
         full = self._spool.size > self._settings.spool_bytes
-        self._jobs.turn(time.time(), newest, full=full)
+        self._jobs.poll(time.time(), newest, full=full)
         for name, doubt in self._jobs.doubts.items():
             if name in self.sensors:
                 self.sensors[name].health.alarm("pose", doubt)

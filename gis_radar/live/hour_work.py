@@ -275,7 +275,7 @@ def _check_poses(
             if each.verdict == UNKNOWN:
                 done.untold[each.sensor] = hour
             else:
-                done.doubts[each.sensor] = each.told_with_advice if each.doubt else None
+                done.doubts[each.sensor] = each.text_with_advice if each.doubt else None
     except InputError:
         return  # damage is reported where the hour is measured
     except (GisRadarError, ArithmeticError, ValueError) as error:  # the hour's results stand

@@ -52,15 +52,12 @@ MOST_SAID = 1_000  # most warnings remembered, which are not logged again
 Work = Callable[[MeasuredSite, Sequence[Path]], Done]
 
 
-def _begin() -> None:
-    if hasattr(os, "nice"):
-        os.nice(NICE)
-    watch_parent()
-
-
 def _process() -> ProcessPoolExecutor:
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, mp_context=context, initializer=_begin)
+    """Start a worker: it is nice before it imports gis_radar, as that takes seconds of a core."""
+    nice = partial(os.nice, NICE) if hasattr(os, "nice") else None
+    pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=nice)
+    pool.submit(watch_parent)
+    return pool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +131,7 @@ class HourJobs:
         """Whether a job waits until the spool continues in another file."""
         return self._next is not None and self._running is None
 
-    def turn(self, now_s: float, newest: Mapping[str, float], *, full: bool = False) -> None:
+    def poll(self, now_s: float, newest: Mapping[str, float], *, full: bool = False) -> None:
         """Process the result of a job that has ended, and choose the next one.
 
         Parameters

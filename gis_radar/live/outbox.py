@@ -149,7 +149,7 @@ class Outbox:
                     live=each.number == self._buffer.last,
                 )  # fmt: skip
                 self._link.publish(
-                    self._topics.of(DETECTIONS), pack_message(envelope, each.content)
+                    self._topics.of(DETECTIONS), pack_message(envelope, each.content), qos=0
                 )
                 self._sent = each.number
                 self._on_way.append(each.number)

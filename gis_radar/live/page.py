@@ -39,7 +39,6 @@ from gis_radar.base import (
     class_label,
     speaking,
     step_begin,
-    street_label,
     tr,
 )
 from gis_radar.live.features import feature_routes
@@ -399,13 +398,9 @@ def _site_json(place: Place, language: str) -> bytes:
     tiles = place.in_degrees(place.tiles).geometry
     west, south, east, north = tiles.total_bounds.round(DEGREES).tolist()
     with speaking(language):
-        named = [
-            {
-                "number": str(each.Index),  # ids reach 9e18, exact numbers of a browser only 9e15
-                "street": street_label(each.street, each.street_part),
-                "direction": tr(each.direction),
-            }
-            for each in lanes.itertuples()
+        named = [  # ids reach 9e18, exact numbers of a browser only 9e15
+            {"number": str(number), "name": name}
+            for number, name in zip(place.lane_numbers, place.lane_names(), strict=True)
         ]
     content = {
         "fingerprint": place.fingerprint,

@@ -197,8 +197,9 @@ class LaneServer:
         lanes = place.lanes.set_index("lane")
         shapes = geometries(place.in_degrees(place.lanes).geometry.to_numpy())
         self._shapes = dict(zip(lanes.index.tolist(), shapes, strict=True))
-        names = map(street_label, lanes["street"], lanes["street_part"])
-        self._streets = dict(zip(lanes.index.tolist(), names, strict=True))
+        self._names = dict(zip(place.lane_numbers, place.lane_names(), strict=True))
+        streets = map(street_label, lanes["street"], lanes["street_part"])
+        self._streets = dict(zip(lanes.index.tolist(), streets, strict=True))
 
     def push(self, measures: Sequence[LaneMeasure], *, again: bool = False) -> int:
         """Push measures; return the number that the server did not store.
@@ -277,15 +278,15 @@ class LaneServer:
         return self._streams[lane]
 
     def _thing(self, lane: int, stream: str) -> dict[str, Any]:
-        title, street = self._place.title, self._streets.get(lane)
-        where = f"{street}, {title}" if street else title
-        about = f"Lane {lane} of {where}"
+        about = f"{self._names[lane]}, {self._place.title}"
         name = f"{self._site}/lane/{lane}"
         location = {"name": name, "description": about, "encodingType": "application/geo+json",
                     "location": self._shapes[lane]}  # fmt: skip
         return {
             "name": name, "description": about,
-            "properties": {"site": self._site, "lane": str(lane), "street": street or None},
+            "properties": {
+                "site": self._site, "lane": str(lane), "street": self._streets.get(lane) or None,
+            },
             "Locations": [location],
             "Datastreams": [{
                 "name": stream, "description": f"Hit share of lane {lane}",

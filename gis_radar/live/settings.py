@@ -31,7 +31,6 @@ from gis_radar.site import (
     ViewTable,
     key,
     read_toml,
-    toml_reference,
     toml_template,
     within,
 )
@@ -306,8 +305,3 @@ def read_live_site(path: str | Path) -> LiveSite:
 def edge_template() -> str:
     """Return a commented file of a sensor to fill in."""
     return toml_template(EdgeFile, _HEAD)
-
-
-def edge_reference() -> str:
-    """Return the reference of all keys of a sensor's file as Markdown."""
-    return toml_reference(EdgeFile)

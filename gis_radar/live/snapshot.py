@@ -18,7 +18,17 @@ import pandas as pd
 import shapely
 from pyproj import CRS, Transformer
 
-from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_begin, transformer, zone_of
+from gis_radar.base import (
+    STEP_S,
+    Booleans,
+    Floats,
+    InputError,
+    Integers,
+    step_begin,
+    transformer,
+    zone_of,
+)
+from gis_radar.dataset import stated_lanes
 from gis_radar.hdmap import fingerprint, lanes, read_map
 from gis_radar.live.intake import SensorState
 from gis_radar.live.map_of_now import MapState
@@ -27,6 +37,7 @@ from gis_radar.live.quarters import Lately, Quarters, share_of
 from gis_radar.live.recent import QUARTER, RecentCounts
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.vehicles_now import LiveVehicles
+from gis_radar.measures import LaneNetwork, lane_names
 from gis_radar.poses import Pose
 from gis_radar.products import BREAKS, lane_totals, lanes_with_tiles
 
@@ -56,7 +67,7 @@ class Place:
     tiles : GeoDataFrame
         As from :func:`gis_radar.read_tiles`.
     lanes : GeoDataFrame
-        As from :func:`gis_radar.lanes`.
+        As from :func:`gis_radar.lanes`, with the site's own names of lanes.
     """
 
     title: str
@@ -68,6 +79,14 @@ class Place:
     def fingerprint(self) -> str:
         """Fingerprint of the tiles."""
         return fingerprint(self.tiles)
+
+    def lane_names(self) -> list[str]:
+        """Return the lanes' names as people use them, as `lane_numbers`, in the current language.
+
+        Their own names are those of the site's file.
+        """
+        stops = dict(zip(self.lanes["lane"], self.lanes["stop_line_m"], strict=True))
+        return lane_names(self.lanes, LaneNetwork.of(self.tiles, stops))
 
     @cached_property
     def lane_of_tile(self) -> Integers:
@@ -319,8 +338,19 @@ def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
     Raises
     ------
     InputError
-        If the map cannot be read.
+        If the map cannot be read, is not that of the tiles, or has no lane that the site's file
+        names.
     """
     roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
-    named = lanes(roads, streets=site.map.streets, street_field=site.map.street_field)
-    return Place(title=site.title, zone=zone_of(site.timezone), tiles=tiles, lanes=named)
+    layer = lanes(roads, streets=site.map.streets, street_field=site.map.street_field)
+    stated = [each.model_dump() for each in site.lane]
+    place = Place(
+        title=site.title, zone=zone_of(site.timezone), tiles=tiles,
+        lanes=stated_lanes(layer, stated, site.map.speed_kmh, site.path),
+    )  # fmt: skip
+    if missing := set(place.lane_numbers) - set(layer["lane"].tolist()):
+        raise InputError(
+            "{}: has no lane {}, which {} has", site.map.file, min(missing), site.live.tiles,
+            hint="make the tiles again from this map",
+        )  # fmt: skip
+    return place

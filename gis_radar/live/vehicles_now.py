@@ -223,7 +223,7 @@ class LiveVehicles:
         else:
             self.dropped += 1
 
-    def turn(self) -> None:
+    def poll(self) -> None:
         """Submit waiting messages, and receive the process's answer; called often."""
         now = time.monotonic()
         if self._work is not None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gis_radar.base import STEP_US, STEPS_PER_SECOND
+from gis_radar.base import STEP_US, STEPS_PER_HOUR, STEPS_PER_SECOND
 
-STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
 MARGIN_STEPS = 120 * STEPS_PER_SECOND
 """Steps on either side of an hour that its vehicles are found from (the contract: two minutes)."""
 LONGEST_VALID_STEPS = 64

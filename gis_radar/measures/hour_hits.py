@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from gis_radar.base import STEP_US, Integers, compiled
+from gis_radar.base import STEP_US, STEPS_PER_HOUR, Integers, compiled
 from gis_radar.hdmap import Numbers
 from gis_radar.measures.counting_loop import DETECTIONS, MOVING, SHIFT_US, TILES_HIT, TIME_US, WILD
-from gis_radar.measures.hour import LONGEST_VALID_STEPS, STEPS_PER_HOUR, HourWindow
+from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.pose_sights import PoseSight
 from gis_radar.measures.sensor_reading import SensorHour
 from gis_radar.measures.validity import Runs, union_of_runs

@@ -17,13 +17,13 @@ import shapely
 import shapely.ops
 
 from gis_radar.base import Floats, Text, listed, street_label, tr, wind_of
+from gis_radar.hdmap import turn_word
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 
 BEFORE_M = 5.0  # before the stop line, where direction and number of a lane are determined
 BESIDE_M = 5.5  # between the middles of lanes side by side, at most
 ABREAST_M = 30.0  # width over which lanes of one direction are searched
 PARALLEL = math.cos(math.radians(30.0))
-STRAIGHT_RAD, BACK_RAD = math.radians(35.0), math.radians(150.0)  # as of turns in the layer `lanes`
 _BOUND = {
     "north": Text("northbound"), "north-east": Text("north-eastbound"),
     "east": Text("eastbound"), "south-east": Text("south-eastbound"),
@@ -153,14 +153,5 @@ def turn_lines(
         new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-3)
         way, toward = place_on(start, max(line_m - BEFORE_M, 0.0))[1], place_on(end, 0.0)[1]
         turned = math.atan2(way[0] * toward[1] - way[1] * toward[0], float(way @ toward))
-        found.append((_way_of(turned), shapely.LineString(points[new])))
+        found.append((turn_word(turned), shapely.LineString(points[new])))
     return [each for each, _ in found], [line for _, line in found]
-
-
-def _way_of(turned: float) -> str:
-    """Return the word for a turn, given in radians to the left."""
-    if abs(turned) < STRAIGHT_RAD:
-        return "straight"
-    if abs(turned) > BACK_RAD:
-        return "back"
-    return "left" if turned > 0.0 else "right"

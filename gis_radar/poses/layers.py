@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,8 +14,8 @@ import shapely
 from gis_radar.base import (
     UsageError,
     add_layer,
-    add_styles,
     atomic_write,
+    dress_layers,
     keep_styles,
     require_same,
 )
@@ -58,9 +56,8 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
     with atomic_write(path) as part:
         for name, table in layers.items():
             add_layer(table, part, name, geometry_type=kinds[name])
-        with closing(sqlite3.connect(part)) as database, database:
-            styles = {name: read_style(name) for name in layers}
-            add_styles(database, styles, name="sensor", about="where a sensor stands and looks")
+        styles = {name: read_style(name) for name in layers}
+        dress_layers(part, styles, name="sensor", about="where a sensor stands and looks")
         keep_styles(part, earlier=path)
 
 

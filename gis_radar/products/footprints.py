@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -19,17 +17,18 @@ from gis_radar.base import (
     QUIET,
     STEP_S,
     STEP_US,
+    TRACK_EVERY_STEPS,
     Floats,
     InputError,
     Integers,
     Reporter,
     UsageError,
-    add_styles,
     atomic_write,
+    dress_layers,
     keep_styles,
     write_stream,
 )
-from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, states_of
+from gis_radar.dataset import Dataset, states_of
 from gis_radar.tracking import HEAVY, Footprints, PathBook, footprints_of
 
 FOOTPRINTS = "footprints"
@@ -96,9 +95,8 @@ def write_footprints(dataset: Dataset, path: str | Path, *, reporter: Reporter =
             rows, _SCHEMA, part, layer=FOOTPRINTS, geometry_name="geometry",
             geometry_type="Polygon", crs=dataset.crs,
         )  # fmt: skip
-        with closing(sqlite3.connect(part)) as database, database:
-            styles = {FOOTPRINTS: footprint_style()}
-            add_styles(database, styles, name="vehicles", about="vehicles, moved by the time")
+        styles = {FOOTPRINTS: footprint_style()}
+        dress_layers(part, styles, name="vehicles", about="vehicles, moved by the time")
         keep_styles(part, earlier=path)
     return rows.count
 

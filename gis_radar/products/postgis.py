@@ -23,8 +23,17 @@ import pyarrow.csv
 import shapely
 from pyproj import CRS
 
-from gis_radar.base import QUIET, CrsError, GisRadarError, OutputError, Reporter, Text, UsageError
-from gis_radar.dataset import STEPS_PER_HOUR, TILE_COUNTS, Dataset, LaneTraffic
+from gis_radar.base import (
+    QUIET,
+    STEPS_PER_HOUR,
+    CrsError,
+    GisRadarError,
+    OutputError,
+    Reporter,
+    Text,
+    UsageError,
+)
+from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic
 from gis_radar.hdmap import TILE_FIELDS
 from gis_radar.measures import lane_names
 from gis_radar.products.traffic import TITLES
@@ -298,6 +307,7 @@ class _Session:
         if dataset.has_vehicles:
             network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
             names = dict(zip(network.lane.tolist(), lane_names(lanes, network), strict=True))
+        lanes = lanes.drop(columns="name", errors="ignore")  # names of their own are in `names`
         lanes.insert(1, "name", lanes["lane"].map(names).astype("string"))
         layers = {"lanes": lanes, "sensors": _last_poses(dataset)}
         if self.is_new:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sqlite3
 import zipfile
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,9 +23,8 @@ from gis_radar.base import (
     Reporter,
     Text,
     add_layer,
-    add_styles,
     current_language,
-    describe_layers,
+    dress_layers,
     iso_from_time,
     tr,
     write_csv,
@@ -218,9 +215,10 @@ class Traffic:
             TURNS: LayerNotes(tr("Turns"), tr("Volumes of turns by interval"), titles),
             SECTIONS: LayerNotes(tr("Count sections"), tr("Volumes by direction"), titles),
         }
-        with closing(sqlite3.connect(path)) as database, database:
-            describe_layers(database, {name: notes[name] for name in layers})
-            add_styles(database, styles, name="traffic", about="volumes by lane and turn")
+        dress_layers(
+            path, styles, name="traffic", about="volumes by lane and turn",
+            notes={name: notes[name] for name in layers},
+        )  # fmt: skip
 
 
 def make_traffic(

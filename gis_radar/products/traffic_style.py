@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement
 
-from gis_radar.products.heatmap.style import RAMP
+from gis_radar.products.heatmap.style import RAMP, qgis_document
 
 VOLUMES = "volume_veh_h"
 BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes, veh/h
@@ -88,9 +88,7 @@ def _add_classes(
 def _document(root: Element) -> str:
     """Return a style of lines as text."""
     SubElement(root, "layerGeometryType").text = "1"
-    indent(root)
-    heading = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
-    return f"{heading}\n{tostring(root, encoding='unicode')}\n"
+    return qgis_document(root)
 
 
 def _add_symbol(symbols: Element, name: str, colour: str, *, wide: bool) -> None:

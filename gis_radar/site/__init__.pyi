@@ -5,7 +5,7 @@ from .plan import Stage, stages_of
 from .recipes import mask_scans, measure_recordings, see_tiles, split_map
 from .run import SiteRun, run_site
 from .settings import MapTable, Sensor, Site, ViewTable, read_site, site_template
-from .toml_file import read_toml, toml_reference, toml_template
+from .toml_file import read_toml, toml_template
 from .values import (
     CompassBearing,
     File,
@@ -58,7 +58,6 @@ __all__ = [
     "site_template",
     "split_map",
     "stages_of",
-    "toml_reference",
     "toml_template",
     "within",
 ]

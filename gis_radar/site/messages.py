@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import os
 import re
-from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
-from gis_radar.base import Clock, GisRadarError, Text, zone_of
+from gis_radar.base import GisRadarError, Text, localised, zone_of
 
 # Replacements of values, such as options, and of templates of texts.
 KEYS = {
@@ -52,8 +51,7 @@ def in_site_words(text: str, timezone: str, folder: Path | None = None) -> Text:
     >>> in_site_words(Text("no frame from {} on", "2025-06-12T07:30Z"), "Europe/Berlin")
     'no frame from 2025-06-12 09:30 UTC+02:00 on'
     """
-    any_time = datetime(1970, 1, 1, tzinfo=UTC)
-    clock = Clock(zone=zone_of(timezone), first=any_time, last=any_time)
+    zone = zone_of(timezone)
     inside = re.compile(_PATH_BEGIN + re.escape(f"{folder}{os.sep}"))
 
     def reworded(value: Any) -> Any:
@@ -61,7 +59,7 @@ def in_site_words(text: str, timezone: str, folder: Path | None = None) -> Text:
             return Text(KEYS.get(value.template, value.template), *map(reworded, value.values))
         if not isinstance(value, str | PurePath):
             return value
-        shown = KEYS.get(str(value)) or clock.localised(str(value))
+        shown = KEYS.get(str(value)) or localised(str(value), zone)
         shown = shown if folder is None else inside.sub("", shown)
         return value if shown == value else shown  # unchanged, so that a Text keeps its template
 

@@ -125,7 +125,7 @@ def measure_site(
                 # without other sensors, the offset of a clock does not matter: keep one
                 found = tuple(each for each in found if each is not kept)
             for each in found:
-                reporter.warn("{} is left out: {}", each.sensor, each.told_with_advice)
+                reporter.warn("{} is left out: {}", each.sensor, each.text_with_advice)
                 refused[each.sensor] = each.refusal
                 del left[each.sensor]
         except InputError as error:

@@ -13,7 +13,6 @@ from jinja2 import Environment
 
 from gis_radar.base import (
     NO_FIGURE,
-    Clock,
     GisRadarError,
     InputError,
     NoAnswerError,
@@ -24,6 +23,7 @@ from gis_radar.base import (
     speaking,
     tr,
     warnings_once,
+    whole_span,
     zone_of,
 )
 from gis_radar.site import stages as work
@@ -169,8 +169,7 @@ def _span(site: Site, heat: Mapping[str, Any]) -> str:
     if not {"begin", "end"} <= set(heat):
         return ""
     begin, end = (datetime.fromisoformat(heat[name]) for name in ("begin", "end"))
-    clock = Clock(zone=zone_of(site.timezone), first=begin, last=end)
-    return clock.whole_in_zone(begin, end)
+    return whole_span(begin, end, zone_of(site.timezone))
 
 
 def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:

@@ -17,7 +17,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import Integers, watch_parent, worker_pool
+from gis_radar.base import TRACK_EVERY_STEPS, Integers, watch_parent, worker_pool
 from gis_radar.hdmap import LaneGraph
 from gis_radar.measures import HourWindow, PoseSight, SensorHour
 from gis_radar.tracking.batches import BatchMaker, joined_rows
@@ -30,7 +30,6 @@ from gis_radar.tracking.tables import PASSAGES, TRACKS, VEHICLES
 from gis_radar.tracking.tracker import vehicles_in
 
 NUMBERS_PER_HOUR = 1_000_000
-EVERY = 4  # steps between two states that are kept
 
 _Placed: TypeAlias = tuple[tuple[int, int], Block]
 
@@ -176,7 +175,7 @@ class _Gathered:
         step, number = (mine[name].to_numpy(np.int64) for name in ("step", "vehicle"))
         spans = mine.groupby("vehicle", sort=True)["step"].agg(["min", "max"])
         first, last = (spans[name].reindex(number).to_numpy() for name in ("min", "max"))
-        self.tracks.append(mine[(step % EVERY == 0) | (step == first) | (step == last)])
+        self.tracks.append(mine[(step % TRACK_EVERY_STEPS == 0) | (step == first) | (step == last)])
         by_number = vehicles.set_index("vehicle", drop=False)
         lanelets = _lanelets(mine)
         for n, (least, most) in zip(spans.index.tolist(), spans.to_numpy().tolist(), strict=True):
@@ -268,6 +267,6 @@ def _ends_and_fourths(tracks: pd.DataFrame, vehicles: pd.DataFrame) -> pd.DataFr
         known[name].reindex(tracks["vehicle"]).to_numpy() for name in ("first_step", "last_step")
     )
     step = tracks["step"].to_numpy(np.int64)
-    kept = (step % EVERY == 0) | (step == first) | (step == last)
+    kept = (step % TRACK_EVERY_STEPS == 0) | (step == first) | (step == last)
     ends_and_fourths: pd.DataFrame = tracks[kept]
     return ends_and_fourths.reset_index(drop=True)

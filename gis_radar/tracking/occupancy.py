@@ -18,7 +18,6 @@ from gis_radar.tracking.footprints import (
     occupied_runs,
 )
 from gis_radar.tracking.passages import HEAVY, LaneletPlaces, PassageBook, levels_of
-from gis_radar.tracking.tables import OCCUPIED, VISIBLE
 from gis_radar.tracking.visibility import Visibility
 
 # Height of the box of a car, of a van and of a heavy vehicle: a compact car; panel vans are 2.2 to
@@ -103,11 +102,11 @@ class OccupancyEngine:
         running = np.flatnonzero(self._open[:, 0] >= 0)
         self._ended.append(np.column_stack([running, self._open[running]]))
         self._open[running] = -1
-        occupied = self._table(np.concatenate(self._ended), list(OCCUPIED.columns))
+        occupied = self._table(np.concatenate(self._ended))
         self._ended = []
-        return occupied, self._table(self._visibility.flush(), list(VISIBLE.columns))
+        return occupied, self._table(self._visibility.flush())
 
-    def _table(self, runs: Integers, columns: list[str]) -> pd.DataFrame:
+    def _table(self, runs: Integers) -> pd.DataFrame:
         runs = runs[np.lexsort((runs[:, 1], runs[:, 0]))]
-        table = pd.DataFrame(runs, columns=columns)
+        table = pd.DataFrame(runs, columns=["tile_id", "first_step", "last_step", "seen"])
         return table.assign(tile_id=self._tile_id[runs[:, 0]])

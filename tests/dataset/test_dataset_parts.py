@@ -16,9 +16,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gis_radar.base import InputError
+from gis_radar.base import STEPS_PER_HOUR, InputError
 from gis_radar.dataset import (
-    STEPS_PER_HOUR,
     HourWriter,
     Origin,
     clear_unfinished,

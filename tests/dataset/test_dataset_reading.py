@@ -9,9 +9,8 @@ import pytest
 from datasets import BEGIN, HOUR, square_tiles, stored, write_dataset
 from maps import EAST, NORTH, Listener
 
-from gis_radar.base import InputError, UsageError
+from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
 from gis_radar.dataset import (
-    STEPS_PER_HOUR,
     TILE_COUNTS,
     HourWriter,
     Origin,

@@ -11,7 +11,8 @@ import polars as pl
 import pytest
 from datasets import BEGIN, HOUR, write_dataset
 
-from gis_radar.dataset import STEPS_PER_HOUR, TILE_COUNTS
+from gis_radar.base import STEPS_PER_HOUR
+from gis_radar.dataset import TILE_COUNTS
 from gis_radar.dataset.tables import HOUR_TABLES, TABLES
 
 DUCKDB = Path(sys.executable).with_name("duckdb")

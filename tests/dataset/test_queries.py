@@ -11,8 +11,8 @@ import pyarrow.dataset as pads
 import pytest
 from datasets import BEGIN, HOUR, stored, write_dataset
 
-from gis_radar.base import InputError, UsageError
-from gis_radar.dataset import STEPS_PER_HOUR, part_path, record_path
+from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
+from gis_radar.dataset import part_path, record_path
 from gis_radar.dataset.tables import HITS, TABLES
 
 AFTER = BEGIN + STEPS_PER_HOUR

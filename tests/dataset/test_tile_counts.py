@@ -8,9 +8,8 @@ from datasets import BEGIN, HOUR, write_dataset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gis_radar.base import InputError
+from gis_radar.base import STEPS_PER_HOUR, InputError
 from gis_radar.dataset import (
-    STEPS_PER_HOUR,
     STEPS_PER_QUARTER,
     TILE_COUNTS,
     HourWriter,

@@ -14,9 +14,8 @@ from forks import APPROACH, LEFT, LINE_M, STRAIGHT, fork, fork_dataset, fork_lan
 from shapely import LineString
 from sites import pose
 
-from gis_radar.base import InputError, UsageError
+from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
 from gis_radar.dataset import (
-    STEPS_PER_HOUR,
     STEPS_PER_QUARTER,
     TILE_COUNTS,
     LaneTraffic,

@@ -128,10 +128,11 @@ function showLanes() {
   const lines = known.map(([lane, share, place]) => {
     const [occupancy, passages, speed] = state.traffic[place] ?? [null, null, null];
     const more = vehicles === null ? [] : [percent(occupancy), passages === null ? "–" : figure.format(passages), speed ?? "–"];
-    return row([lane.number, lane.street, lane.direction, share === null ? words.none : percent(share), ...more], [3, 4, 5, 6]);
+    const line = row([lane.name, share === null ? words.none : percent(share), ...more], [1, 2, 3, 4]);
+    line.title = lane.number;
+    return line;
   });
   byId("lane-rows").replaceChildren(...lines);
-  byId("lane-rows").closest("table").classList.toggle("nameless", !known.some(([lane]) => lane.street));
 }
 
 function showVehicles() {

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from functools import partial
 from importlib.resources import files
 from itertools import pairwise
@@ -21,18 +19,17 @@ from gis_radar.base import (
     NO_FIGURE,
     QUIET,
     THIN_SPACE,
-    Clock,
     LayerNotes,
     Reporter,
     Text,
     add_layer,
-    add_styles,
     current_language,
-    describe_layers,
+    dress_layers,
     figure_text,
     percent,
     picture_file,
     tr,
+    whole_span,
     write_csv,
 )
 from gis_radar.measures import INTERVALS
@@ -124,10 +121,10 @@ def _write_layer(table: gpd.GeoDataFrame, path: Path) -> None:
     kept = {"shows": measure}
     add_layer(wide_table(table), path, LAYER, geometry_type="LineString", layer_metadata=kept)
     about = LayerNotes(tr("Comparison"), tr("What changed by lane between two periods"), {})
-    with closing(sqlite3.connect(path)) as database, database:
-        describe_layers(database, {LAYER: about})
-        style = class_style(f"{measure}_change", change_classes())
-        add_styles(database, {LAYER: style}, name="change", about="change of the volume")
+    style = class_style(f"{measure}_change", change_classes())
+    dress_layers(
+        path, {LAYER: style}, name="change", about="change of the volume", notes={LAYER: about}
+    )
 
 
 def change_classes() -> Iterator[LineClass]:
@@ -181,7 +178,10 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).from_string(text.read_text(encoding="utf-8"))
     rows = list(_rows(comparison.table))
-    before, after = (_span(*each) for each in (comparison.before, comparison.after))
+    before, after = (
+        whole_span(begin.to_pydatetime(), end.to_pydatetime(), begin.tzinfo)
+        for begin, end in (comparison.before, comparison.after)
+    )
     lanes = comparison.table["lane"].nunique()
     basis = tr(
         "Lanes compared, which the same sensors saw alike: {lanes}, with {before} of the intervals "
@@ -208,12 +208,6 @@ def _cautions(table: gpd.GeoDataFrame) -> list[str]:
     if INTERVALS not in set(table["units"]):
         return []
     return [tr("The periods share no times of day: what differs may be the time of day.")]
-
-
-def _span(begin: Any, end: Any) -> str:
-    first, last = (each.to_pydatetime() for each in (begin, end))
-    clock = Clock(zone=begin.tzinfo, first=first, last=last)
-    return clock.whole_in_zone(first, last)
 
 
 def _signed(change: float) -> str:

@@ -20,6 +20,7 @@ from pyproj import CRS
 from gis_radar.base import (
     QUIET,
     STEP_US,
+    STEPS_PER_HOUR,
     STEPS_PER_SECOND,
     Booleans,
     Clock,
@@ -33,7 +34,6 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset import (
-    STEPS_PER_HOUR,
     STEPS_PER_QUARTER,
     TILE_COUNTS,
     Dataset,

@@ -27,6 +27,7 @@ from gis_radar.base import (
     add_styles,
     describe_layers,
     opened_package,
+    read_only,
     seconds_from_iso,
     step_of,
 )
@@ -159,7 +160,7 @@ def read_own_styles(path: Path, measure: str, length_s: float) -> dict[str, str]
     """
     longest_s = dict.fromkeys((WIDE, LONG), 0.0)
     if measure == "occupancy":
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        with read_only(path) as database:
             for layer in longest_s:
                 query = f'SELECT max("visible_s") FROM "{layer}"'  # noqa: S608 - our own names
                 longest_s[layer] = float(database.execute(query).fetchone()[0] or 0.0)
@@ -243,7 +244,7 @@ def _fields(place: Path, path: Path) -> dict[str, Any]:
     )
     notes = pyogrio.read_info(place, layer=WIDE)["layer_metadata"] or {}
     whole = _checked_whole(tiles, notes, path)
-    with closing(sqlite3.connect(f"{place.as_uri()}?mode=ro", uri=True)) as database:
+    with read_only(place) as database:
         times = read_times(database)
         names = step_columns(database)
     timeline = Timeline(

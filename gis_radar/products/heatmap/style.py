@@ -34,7 +34,6 @@ _PALE = 4  # number of pale classes, from 0 up
 LEGEND_TITLE = "Share of the observed time"
 LEGEND_SUBTITLE = "in which a tile is hit"
 
-_QGIS_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
 _HERE = Path(__file__).parent
 
 
@@ -145,11 +144,11 @@ def vector_qml(
     without = ("pipe",) if interval_s is not None else ("pipe", "temporal")
     root = _measure_style(measure, least_s, without=without)
     if interval_s is not None:
-        _element(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
-    aliases = _element(root, "aliases")
+        element_at(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
+    aliases = element_at(root, "aliases")
     for number, (name, title) in enumerate(titles.items()):
         SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
-    return _document(root, _QGIS_DOCTYPE)
+    return qgis_document(root)
 
 
 def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
@@ -159,7 +158,7 @@ def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
     """
     root = _measure_style(measure, least_s, without=("temporal", "layerGeometryType"))
     root.set("styleCategories", "Symbology")
-    return _document(root, _QGIS_DOCTYPE)
+    return qgis_document(root)
 
 
 def ground_qml() -> str:
@@ -175,15 +174,15 @@ def _measure_style(measure: str, least_s: float, *, without: tuple[str, ...]) ->
     """Return `occupancy.qml` with an entry for each class of a measure, without some parts."""
     root = parse(_HERE / "occupancy.qml").getroot()  # noqa: S314 - our own file
     for name in without:
-        root.remove(_element(root, name))
+        root.remove(element_at(root, name))
     for parent in ("pipe//colorrampshader", "renderer-v2/ranges", "renderer-v2/symbols"):
         if (entries := root.find(parent)) is not None:
             _repeat_for_each_class(entries, measure)
     if measure == "occupancy":
-        _hatch(_element(root, "renderer-v2"), least_s)
-    _element(root, "mapTip").text = _TIPS.get(measure, "")
-    _element(root, "renderer-v2").set("attr", measure)
-    _element(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
+        _hatch(element_at(root, "renderer-v2"), least_s)
+    element_at(root, "mapTip").text = _TIPS.get(measure, "")
+    element_at(root, "renderer-v2").set("attr", measure)
+    element_at(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
     return root
 
 
@@ -203,7 +202,7 @@ def _repeat_for_each_class(entries: Element, measure: str) -> None:
         else:
             entry.set("name", str(number))
             for name in ("color", "outline_color"):
-                _element(entry, f".//Option[@name='{name}']").set("value", _rgba(each.colour))
+                element_at(entry, f".//Option[@name='{name}']").set("value", _rgba(each.colour))
 
 
 def _hatch(renderer: Element, least_s: float) -> None:
@@ -211,24 +210,24 @@ def _hatch(renderer: Element, least_s: float) -> None:
 
     The entry is a class of its own, above all shares, that no tile is in.
     """
-    pattern = _element(parse(_HERE / "hatch.qml").getroot(), "symbol")  # noqa: S314 - our own file
-    symbols = _element(renderer, "symbols")
+    pattern = element_at(parse(_HERE / "hatch.qml").getroot(), "symbol")  # noqa: S314 - our own file
+    symbols = element_at(renderer, "symbols")
     for symbol, colour in zip(symbols, hatches(), strict=True):
-        layer = copy.deepcopy(_element(pattern, "layer"))
+        layer = copy.deepcopy(element_at(pattern, "layer"))
         shown = f"if({uncertain_rule(least_s)}, 'solid', 'no')"
-        _element(layer, ".//Option[@name='expression']").set("value", shown)
+        element_at(layer, ".//Option[@name='expression']").set("value", shown)
         _colour_lines(layer, colour)
         symbol.append(layer)
     entry = copy.deepcopy(pattern)
     entry.set("name", str(len(symbols)))
-    line = _element(entry, "layer/symbol/layer")
-    line.remove(_element(line, "data_defined_properties"))
-    _element(line, ".//Option[@name='line_style']").set("value", "solid")
-    _colour_lines(_element(entry, "layer"), HATCH_DARK)
+    line = element_at(entry, "layer/symbol/layer")
+    line.remove(element_at(line, "data_defined_properties"))
+    element_at(line, ".//Option[@name='line_style']").set("value", "solid")
+    _colour_lines(element_at(entry, "layer"), HATCH_DARK)
     symbols.append(entry)
     bounds = {"lower": "2.000000000000000", "upper": "2.000000000000000"}
     named = {"symbol": entry.get("name", ""), "render": "true", "label": UNCERTAIN}
-    SubElement(_element(renderer, "ranges"), "range", named | bounds)
+    SubElement(element_at(renderer, "ranges"), "range", named | bounds)
 
 
 def _colour_lines(layer: Element, colour: str) -> None:
@@ -237,10 +236,11 @@ def _colour_lines(layer: Element, colour: str) -> None:
             option.set("value", _rgba(colour))
 
 
-def _element(root: Element, path: str) -> Element:
+def element_at(root: Element, path: str) -> Element:
+    """Return an element of one of our templates, which has it."""
     found = root.find(path)
     if found is None:
-        raise LookupError(f"occupancy.qml: no {path}")
+        raise LookupError(f"the template has no {path}")
     return found
 
 
@@ -264,6 +264,8 @@ def _single(value: float) -> float:
     return float(struct.unpack("f", struct.pack("f", value))[0])
 
 
-def _document(root: Element, heading: str) -> str:
+def qgis_document(root: Element) -> str:
+    """Return a style or project of QGIS as text."""
     indent(root)
+    heading = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
     return f"{heading}\n{tostring(root, encoding='unicode')}\n"

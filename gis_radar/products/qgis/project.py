@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import itertools
 import json
-import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
@@ -21,15 +19,16 @@ from gis_radar.base import (
     LANGUAGES,
     QUIET,
     Box,
-    Clock,
     OutputError,
     Reporter,
     Text,
     UsageError,
     metric_crs,
     opened_package,
+    read_only,
     seconds_from_iso,
     speaking,
+    whole_span,
     zone_of,
 )
 from gis_radar.dataset import Dataset, open_dataset
@@ -267,7 +266,7 @@ def _observed_box(package: Path) -> tuple[CRS, Box]:
 
 
 def _time_range(package: Path) -> TimeRange | None:
-    with closing(sqlite3.connect(f"{package.resolve().as_uri()}?mode=ro", uri=True)) as database:
+    with read_only(package) as database:
         begin, first_end, end = database.execute(_TIMES).fetchone()
     if begin is None:
         return None
@@ -284,8 +283,7 @@ def _recorded(package: Path, played: TimeRange) -> tuple[str, str]:
 def _local_time(since: str, until: str, timezone: str) -> str:
     """Return a span of time by the site's clock, with its zone and offset."""
     begin, end = (datetime.fromisoformat(text) for text in (since, until))
-    clock = Clock(zone=zone_of(timezone), first=begin, last=end)
-    return clock.whole_in_zone(begin, end)
+    return whole_span(begin, end, zone_of(timezone))
 
 
 def _sensor_layers(path: Path) -> dict[str, LayerSource]:

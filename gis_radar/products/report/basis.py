@@ -16,6 +16,7 @@ from gis_radar.base import (
     Text,
     figure_text,
     listed,
+    localised,
     percent,
     plural,
     plus_minus,
@@ -322,7 +323,8 @@ def own_remarks(found: Findings) -> list[Text]:
         remarks += [Text("{}", doubt) for doubt in found.results.dataset.doubts]
     if found.quality is not None:
         remarks += [
-            Text("Sensor {}", found.clock.localised(line)) for line in found.quality.warnings()
+            Text("Sensor {}", localised(line, found.clock.zone))
+            for line in found.quality.warnings()
         ]
     return remarks
 

@@ -14,8 +14,18 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure as MplFigure
 from PIL import Image
 
-from gis_radar.base import FONTS, STEPS_PER_SECOND, Clock, Floats, Integers, Text, figure_text, tr
-from gis_radar.dataset import TRACK_EVERY_STEPS, Dataset, LaneTraffic
+from gis_radar.base import (
+    FONTS,
+    STEPS_PER_SECOND,
+    TRACK_EVERY_STEPS,
+    Clock,
+    Floats,
+    Integers,
+    Text,
+    figure_text,
+    tr,
+)
+from gis_radar.dataset import Dataset, LaneTraffic
 from gis_radar.measures import QueueCourse
 from gis_radar.products.heatmap.picture import (
     INK,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gis_radar.base import NO_FIGURE, Clock, plural, tr
+from gis_radar.base import NO_FIGURE, Clock, localised, plural, tr
 from gis_radar.calibration import FITS, WRONG, Finding
 from gis_radar.products.report.content import Column, Table
 from gis_radar.products.report.results import Results
@@ -47,7 +47,7 @@ def _row(name: str, found: Finding | None, results: Results, clock: Clock) -> li
     if found.refused:
         text = "{verdict}, left out" if name in results.lost else "{verdict}, accepted anyway"
         verdict = tr(text, verdict=verdict)
-    return [name, verdict, tr(clock.localised(found.reason)), tr(found.advice) or NO_FIGURE]
+    return [name, verdict, tr(localised(found.reason, clock.zone)), tr(found.advice) or NO_FIGURE]
 
 
 def _notes(results: Results, known: dict[str, Finding]) -> list[str]:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
 from importlib.resources import files
@@ -27,8 +25,8 @@ from gis_radar.base import (
     Text,
     UsageError,
     add_layer,
-    add_styles,
     atomic_write,
+    dress_layers,
     keep_styles,
     opened_package,
 )
@@ -117,8 +115,7 @@ def write_sights(
             layer: (files(__package__) / names[layer]).read_text(encoding="utf-8")
             for layer in layers
         }
-        with closing(sqlite3.connect(part)) as database, database:
-            add_styles(database, styles, name="sight", about="what a sensor sees of the tiles")
+        dress_layers(part, styles, name="sight", about="what a sensor sees of the tiles")
         keep_styles(part, earlier=path)
 
 
