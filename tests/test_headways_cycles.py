@@ -290,10 +290,25 @@ def test_known_green_times_are_the_cycles(run, dataset, tmp_path):
     assert len((tmp_path / "out" / "cycles.csv").read_text().splitlines()) == 3
 
 
+def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):
+    name = dataset.traffic(language="de").query(f"lane == {APPROACH}")["name"].iloc[0]
+    rows = (
+        "lane;green_begin;x",
+        f"{name};14.11.2023 23:00:10;grün",
+        f"{name};14.11.2023 23:00:40;",
+    )
+    text = "\n".join([*rows, ";;", ""])
+    (tmp_path / "green.csv").write_bytes(text.replace("\n", "\r\n").encode("cp1252"))
+    found = gr.signal_cycles(dataset, signals=tmp_path / "green.csv", language="de")
+    assert found["cycle_s"].tolist() == [30.0]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "not a table of signals"),
+        ("", "lacks the columns lane and green_begin"),
+        (GREEN.replace("\n10;", "\n10;10;", 1), "line 2: has more values than the header"),
+        (GREEN + "\0", "line 5"),
         ("lane;begin\n10;x\n", "lacks the columns green_begin"),
         (GREEN.replace("\n10;", "\n11;", 1), "line 2: lane '11' is none"),
         (GREEN.replace("23:01:20", "noon"), "line 4: green_begin is '2023-11-14 noon'"),

@@ -1,3 +1,4 @@
+from .csv_rows import csv_rows, stated_moment, text_in
 from .dataset import Dataset, open_dataset
 from .day_tables import STEPS_PER_QUARTER
 from .exact_traffic import signal_cycles, with_headways
@@ -47,6 +48,7 @@ __all__ = [
     "count_sections",
     "count_spans",
     "create_dataset",
+    "csv_rows",
     "hour_of_step",
     "hour_text",
     "lanes_beside",
@@ -66,8 +68,10 @@ __all__ = [
     "shifts_of",
     "signal_cycles",
     "stated_lanes",
+    "stated_moment",
     "states_of",
     "sync_folder",
+    "text_in",
     "unfinished",
     "update_counts",
     "with_headways",

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
-import pandas as pd
 
-from gis_radar.base import InputError, Text, UsageError, first_line, listed, step_at
+from gis_radar.base import InputError, Text, listed, step_at
+from gis_radar.dataset.csv_rows import csv_rows, stated_moment, text_in
 from gis_radar.measures import Greens
 
 _NEEDED = ("lane", "green_begin")
@@ -35,19 +34,14 @@ def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> 
         If it is no such table, names an unknown lane, or a green ends before it begins or after
         the next one begins.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-        separator = ";" if ";" in text.partition("\n")[0] else ","
-        table = pd.read_csv(io.StringIO(text), sep=separator, dtype=str, skipinitialspace=True)
-    except (OSError, ValueError) as error:
-        raise InputError("{}: not a table of signals: {}", path, first_line(error)) from error
-    if missing := [name for name in _NEEDED if name not in table]:
+    header, rows = csv_rows(path, Text("not a table of signals"))
+    if missing := [name for name in _NEEDED if name not in header]:
         hint = Text("columns are lane, green_begin, green_end")
         raise InputError("{}: lacks the columns {}", path, listed(missing), hint=hint)
-    table = table.reindex(columns=[*_NEEDED, "green_end"]).fillna("")
     found: dict[int, dict[int, int]] = {}
-    for number, (lane, begin, end) in enumerate(table.itertuples(index=False), start=2):
+    for number, row in rows:
         what = f"{path}, line {number}"
+        lane, begin, end = (text_in(row, name) for name in (*_NEEDED, "green_end"))
         if lane not in lanes:
             raise InputError(
                 "{}: lane {} is none that was measured", what, repr(lane),
@@ -61,10 +55,7 @@ def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> 
 
 
 def _step(text: str, zone: ZoneInfo, what: str) -> int:
-    try:
-        return int(step_at(text, zone, what=what))
-    except UsageError as error:
-        raise InputError("{}", error.message, hint=error.hint) from error
+    return int(step_at(stated_moment(text, zone, what), zone, what=what))
 
 
 def _greens(ends: Mapping[int, int], path: str | Path) -> Greens:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,14 +11,13 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
-from gis_radar.base import InputError, Text, UsageError, listed, moment_in
+from gis_radar.base import InputError, Text, listed
+from gis_radar.dataset import csv_rows, stated_moment, text_in
 
 AGREE = 2.0  # standard errors of the difference within which two counts agree: 95 % of cases
 _PLACES = ("section", "lane")
 _NEEDED = ("begin", "end", "volume")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}(\.\d{3})+")  # once commas are points
-_GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}) +(\d{1,2})(:.*)")
-"""What Excel in Germany makes of times: 12.06.2025 07:30."""
 
 
 def beside_hand_counts(
@@ -59,7 +56,7 @@ def beside_hand_counts(
         what = f"{path}, line {number}"
         place, ours = _ours_at(row, lanes, sections, what)
         begin, end = (
-            _moment(_text(row, name), zone, f"{what}: {name}") for name in ("begin", "end")
+            _moment(text_in(row, name), zone, f"{what}: {name}") for name in ("begin", "end")
         )
         mine = _within(ours, begin, end, what)
         hours = (end - begin).total_seconds() / 3600.0
@@ -68,7 +65,7 @@ def beside_hand_counts(
         spread = mine["volume_se"].astype(float).pow(2).sum(min_count=max(len(mine), 1))
         both, apart = (volume + by_hand) / hours, (volume - by_hand) / hours
         found.append({
-            "place": place, "direction": _text(row, "direction") or None, "begin": begin,
+            "place": place, "direction": text_in(row, "direction") or None, "begin": begin,
             "end": end, "volume_by_hand": by_hand, "volume": volume, "volume_se": np.sqrt(spread),
             "difference": volume - by_hand,
             "geh": np.sqrt(2.0 * apart**2 / both) if both else apart,
@@ -81,48 +78,19 @@ def beside_hand_counts(
 
 def _read(path: str | Path) -> list[tuple[int, dict[str, str]]]:
     """Return the rows that are not empty, each with its line number in the file."""
-    try:
-        text = _decoded(Path(path).read_bytes())
-        separator = ";" if ";" in text.partition("\n")[0] else ","  # as Excel writes it in Germany
-        reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator)
-        header = [name.strip() for name in reader.fieldnames or ()]
-        reader.fieldnames = header
-        rows = [(reader.line_num, row) for row in reader]
-    except (OSError, ValueError, csv.Error) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError("{}: not a table of counts: {}", path, reason) from error
+    header, rows = csv_rows(path, Text("not a table of counts"))
     missing = [name for name in _NEEDED if name not in header]
     if missing or not any(name in header for name in _PLACES):
         lacks = listed(missing) or Text("section or lane")
         hint = "columns are section or lane, direction, begin, end, volume"
         raise InputError("{}: lacks the columns {}", path, lacks, hint=Text(hint))
-    for number, row in rows:
-        if any(map(str.strip, row.pop(None, []))):
-            hint = "numbers are without a separator of thousands, texts with commas in quotes"
-            raise InputError(
-                "{}: has more values than the header", f"{path}, line {number}", hint=hint
-            )
-    # without rows of separators alone, which Excel leaves below a table
-    filled = [(number, row) for number, row in rows if any(_text(row, name) for name in row)]
-    if not filled:
+    if not rows:
         raise InputError("{}: holds no counts", path)
-    return filled
-
-
-def _decoded(content: bytes) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("cp1252")  # Excel's CSV, unless UTF-8 is asked for
-
-
-def _text(row: Mapping[Any, Any], name: str) -> str:
-    value = row.get(name)
-    return value.strip() if isinstance(value, str) else ""
+    return rows
 
 
 def _number(row: Mapping[Any, Any], name: str, what: str, missing: float | None = None) -> float:
-    text = _text(row, name).replace(",", ".")
+    text = text_in(row, name).replace(",", ".")
     if not text and missing is not None:
         return missing
     try:
@@ -132,27 +100,21 @@ def _number(row: Mapping[Any, Any], name: str, what: str, missing: float | None 
     in_thousands = name == "volume" and _THOUSANDS.fullmatch(text)  # may also be three decimals
     if in_thousands or not 0.0 <= value < np.inf:
         raise InputError(
-            "{}: {} is {}, expected a number of vehicles", what, name, repr(_text(row, name)),
+            "{}: {} is {}, expected a number of vehicles", what, name, repr(text_in(row, name)),
             hint="write it without a separator of thousands" if in_thousands else "",
         )  # fmt: skip
     return value
 
 
 def _moment(text: str, zone: ZoneInfo, what: str) -> pd.Timestamp:
-    if german := _GERMAN.fullmatch(text):
-        day, month, year, hour, rest = german.groups()
-        text = f"{year}-{month:0>2}-{day:0>2} {hour:0>2}{rest}"
-    try:
-        return pd.Timestamp(moment_in(text, zone, what=what)).tz_convert(zone)
-    except UsageError as error:
-        raise InputError("{}", error.message, hint=error.hint) from error
+    return pd.Timestamp(stated_moment(text, zone, what)).tz_convert(zone)
 
 
 def _ours_at(
     row: Mapping[Any, Any], lanes: pd.DataFrame, sections: pd.DataFrame | None, what: str
 ) -> tuple[str, pd.DataFrame]:
     """Return the name of a counted place, and our rows of it."""
-    section, lane, direction = (_text(row, name) for name in (*_PLACES, "direction"))
+    section, lane, direction = (text_in(row, name) for name in (*_PLACES, "direction"))
     if section:
         if sections is None:
             hint = "give the layer of sections, too: --sections"
