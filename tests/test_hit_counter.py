@@ -104,7 +104,7 @@ def test_any_rows_hit_what_the_tree_and_numpy_say(tiles, tree, seed, rows, kind,
     range_m = np.sqrt((np.nan_to_num(points) ** 2).sum(axis=1))
     present = ~np.isnan(points[:, 0])
     hits = present if least is None else present & (np.abs(rate) >= least)
-    hits = hits & ~(np.isnan(points[:, 2]) & (range_m <= 3.0))
+    hits = hits & ~(np.isnan(points[:, 2]) & (range_m <= 3.0)) & pose.view.sees(points)
     place = pose.to_map(points[hits], road_m=road_m)
     point, tile = tree.assign(place[:, 0], place[:, 1])
     time_us = np.rint(time * 1e6).astype(np.int64)

@@ -63,7 +63,7 @@ def test_a_low_road_leaves_the_view_where_its_height_is_known(tmp_path):
 
 
 def test_a_pose_that_moves_changes_view_and_place(tmp_path):
-    near = View(max_range_m=25.0)
+    near = View(max_range_m=25.0, elevation_deg=90.0)
     poses = (pose(view=near), pose(easting=EAST + 2, view=near))
     track = PoseTrack(poses=poses, since=np.array([START, START + 0.5]))
     time = START + np.arange(20) * 0.05
@@ -185,11 +185,29 @@ def hits_at(folder, height_m, filters, *, range_m=None, tiles=None, **columns):
 
 
 @pytest.mark.parametrize(
-    ("height_m", "levels"), [(370.6, {0}), (376.8, {1}), (374.6, {0}), (400.0, set())]
+    ("height_m", "levels"), [(370.6, {0}), (376.8, {1}), (374.6, {0}), (394.0, set())]
 )
 def test_clearance_chooses_the_level(tmp_path, height_m, levels):
     assert hits_at(tmp_path / "a", height_m, Filters(clearance=(0.0, 4.5))) == levels
     assert hits_at(tmp_path / "b", height_m, Filters()) == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("view", "levels"),
+    [
+        ({}, {0, 1}),
+        ({"max_range_m": 20.0}, set()),
+        ({"min_range_m": 21.0}, set()),
+        ({"azimuth_deg": 1.0}, set()),
+        ({"elevation_deg": 20.0}, set()),
+    ],
+)
+def test_what_is_outside_the_view_of_its_sensor_hits_nothing(tmp_path, view, levels):
+    """Also where another sensor observes the tile, on which it would count."""
+    path = recording(tmp_path / "r.parquet", [START], [[20.25, 0.25, -4.4]])
+    seeing = pose(view=View(**{"max_range_m": 100.0, "elevation_deg": 90.0} | view))
+    ds = hits_of([path], [seeing], bridge(), tmp_path / "site")
+    assert {tile // 40 for tile, _ in pairs_of(ds)} == levels
 
 
 def test_clearance_widens_with_range(tmp_path):

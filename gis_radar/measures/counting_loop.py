@@ -14,7 +14,7 @@ import numpy as np
 
 from gis_radar.base import Floats, Integers, compiled
 from gis_radar.hdmap import Numbers, TileCells, is_inside
-from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of
+from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of, in_view
 
 # Columns of the table of frames.
 TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, POSE = range(7)
@@ -253,6 +253,8 @@ def _hit_by(  # pragma: no cover - compiled
         row, begin, end = low + k, first[cell[k]], first[cell[k] + 1]
         # Without elevation, a detection nearer than the road is not on it.
         hits = not math.isnan(zs[row]) or range_m[k] > pose.drop_m
+        x, y, z = np.float64(xs[row]), np.float64(ys[row]), np.float64(zs[row])
+        hits &= in_view(x, y, z, range_m[k], pose)
         hits &= not has_least or _passes(rates, strengths, row, limits)
         moves = counts_moves and abs(rates[row]) >= limits.sight_mps
         if not moves and not has_clearance:
@@ -264,7 +266,7 @@ def _hit_by(  # pragma: no cover - compiled
                 of_frame[tile] = number if is_hit else stamp
             continue
         around = _inside(tiles, edges, begin, end, east[k], north[k], inside)
-        height = height_of(xs[row], ys[row], zs[row], pose)
+        height = height_of(x, y, z, pose)
         if moves:
             _count_movement(inside, around, height, limits, road_m, moved, number, movement)
         if hits and has_clearance:

@@ -14,7 +14,7 @@ import numpy as np
 
 from gis_radar.base import Floats, compiled
 from gis_radar.hdmap import Numbers, TileCells, cell_at
-from gis_radar.poses import Pose
+from gis_radar.poses import Pose, View
 
 PLACED_AT_ONCE = 1024  # detections: 36 KiB, which fit in the processor's cache
 
@@ -31,6 +31,9 @@ class PoseNumbers(NamedTuple):
     drop_m, drop_m2 : float
         Height of the sensor over the road, on which detections without elevation are placed,
         metres, and its square; 0 where unknown.
+    near_m, far_m, cos_azimuth, tan_elevation : float
+        The view: least and greatest slant range, metres; cosine of half the azimuth, tangent of
+        half the elevation.
     number : int
         Number of the pose, which frames keep.
     """
@@ -49,6 +52,10 @@ class PoseNumbers(NamedTuple):
     height: float
     drop_m: float
     drop_m2: float
+    near_m: float
+    far_m: float
+    cos_azimuth: float
+    tan_elevation: float
     number: int
 
     @classmethod
@@ -56,9 +63,12 @@ class PoseNumbers(NamedTuple):
         """Return the numbers of a pose over a road at `road_m` (map frame; NaN where unknown)."""
         drop_m = 0.0 if math.isnan(road_m) else pose.height - road_m
         (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = pose.R_map_sensor.tolist()
+        view = pose.view or View()
         return cls(
             xx, xy, xz, yx, yy, yz, zx, zy, zz, float(pose.easting), float(pose.northing),
-            float(pose.height), float(drop_m), float(drop_m**2), number,
+            float(pose.height), float(drop_m), float(drop_m**2), float(view.min_range_m),
+            float(view.max_range_m), math.cos(math.radians(view.azimuth_deg / 2.0)),
+            math.tan(math.radians(view.elevation_deg / 2.0)), number,
         )  # fmt: skip
 
 
@@ -137,6 +147,16 @@ def _place_level(  # pragma: no cover - compiled
             places.cell[k] = cell_at(
                 east, north, cells.width, cells.height, 1.0 / cells.cell_m, cells.columns
             )
+
+
+@compiled
+def in_view(  # pragma: no cover - compiled
+    x: float, y: float, z: float, range_m: float, pose: PoseNumbers
+) -> bool:
+    """Return whether a detection is within a pose's view, as :meth:`View.sees` does."""
+    flat_m = math.sqrt(x * x + y * y)
+    level = math.isnan(z) or abs(z) <= flat_m * pose.tan_elevation
+    return level and x >= flat_m * pose.cos_azimuth and pose.near_m <= range_m <= pose.far_m
 
 
 @compiled
