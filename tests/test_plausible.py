@@ -60,7 +60,7 @@ def test_a_few_far_detections_are_no_fault(tmp_path, tiles):
     measured([tmp_path / "R1.parquet"], [POSE], tiles, tmp_path / "o")
 
 
-@pytest.mark.parametrize(("x", "named"), [(1.0, False), (300.0, True)])
+@pytest.mark.parametrize(("x", "named"), [(16.0, False), (300.0, True)])
 def test_a_recording_without_a_hit_is_named(tmp_path, tiles, x, named):
     heard = Listener()
     path = recording(tmp_path / "R1.parquet", x=x)

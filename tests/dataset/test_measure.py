@@ -53,6 +53,7 @@ def plainly(frames_of, validity_steps):
             valid = range(step, until[step] + 1)
             points = rows[["x", "y", "z"]].to_numpy(float)
             points = points[~np.isnan(points[:, 0])]
+            points = points[(pose.view or gr.View()).sees(points)]
             place = pose.to_map(points)
             hit = set(engine.assign(place[:, 0], place[:, 1])[1].tolist())
             hits |= {(tile, each) for tile in hit for each in valid}
