@@ -219,6 +219,18 @@ def test_feet_are_named_by_lanes_where_range_rates_do_not_tell(rows, tmp_path, f
         assert "feet" not in by_lanes(excerpt, lanes, {}).cause
 
 
+def test_lanes_that_are_driven_against_are_no_likelier_than_a_pose_across_the_street(rows, tmp_path):
+    """A lane's traffic, seen from 7 m beside, lies on the lane of the other direction."""
+    one_lane(rows["R1"]).to_parquet(tmp_path / "R1.parquet", index=False)
+    beside = replace(POSES["R1"], easting=POSES["R1"].easting - 7.0)
+    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [as_track(beside)]))
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
+    found = by_lanes(excerpt, lanes, {})
+    assert found.verdict == WRONG
+    assert re.match(r"its pose is off by 6\.\d m and 0\.\d deg or traffic runs ag", found.cause)
+    assert found.advice.count("; ") == 1
+
+
 def test_where_all_approach_lost_signs_and_turned_ones_are_the_same(checked, rows):
     table = rows["R1"][rows["R1"]["range_rate"] < MOVES_MPS]
     _, found, _ = checked({"R1": (table.assign(range_rate=table["range_rate"].abs()), POSES["R1"])})
