@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.base import Floats, Text
+from gis_radar.calibration.certainty import MAP_SIGMA_M, PLANE, advantage, along_valley
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.explanations import (
     CLEAR,
@@ -29,6 +30,7 @@ from gis_radar.calibration.findings import (
 from gis_radar.calibration.hypotheses import prior_at
 from gis_radar.calibration.kalman_filter import Measurement, covariance_of_angles
 from gis_radar.calibration.lanes import Scene
+from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.pace import PACE, lengthened
 from gis_radar.calibration.range_scale import RangeScale
 from gis_radar.calibration.rivals import (
@@ -56,6 +58,10 @@ TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 # A pose fits only if the traffic would show an error larger than this (metres; degrees of yaw,
 # pitch, roll): a third of a lane's width, here or 60 m ahead, and tilts that would be refused.
 SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
+# A pose is off if the vehicles prefer the fitted one by so many standard deviations (99.4 %,
+# one-sided), as the answer of a localization is preferred to every other.
+PREFERRED = 2.5
+HELD = 1e-4  # 1 sigma of the place (metres) and yaw (radians) of a pose that is held as given
 LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
 # Prior in place of NEAR where map or radar has no heights: height, roll and pitch stay as given.
 LEVEL = np.array([*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5]])
@@ -139,7 +145,21 @@ def _compared(
     if not fit.converged or fit.fitness < FITTING:
         return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
     seen = _measured(fit, prior)
-    return _beyond(excerpt, seen, centre, found.evidence) or _shown(excerpt, seen, centre, found)
+    beyond = _beyond(excerpt, seen, centre, found.evidence)
+    if beyond is not None:
+        held = _held(scene, prior)
+        if advantage(fit, held, scene.samples) >= PREFERRED:
+            return beyond
+        seen = _measured(fit, prior, rival=held.state)
+        beyond = _beyond(excerpt, seen, centre, found.evidence)
+    return beyond or _shown(excerpt, seen, centre, found)
+
+
+def _held(scene: Scene, prior: Prior) -> Fit:
+    """Return the fit with the place and yaw of the prior; heights and tilt are fitted."""
+    information = prior.information.copy()
+    information[PLANE, PLANE] = HELD**-2.0
+    return solve(scene, prior.mean, replace(prior, information=information), schedule=WINDOW)
 
 
 def _unfitted(found: Finding) -> Finding:
@@ -151,13 +171,18 @@ def _unfitted(found: Finding) -> Finding:
 
 
 def _fitted(scene: Scene, prior: Prior) -> Fit:
-    """Return the likeliest of fits from several starts, as many stop beside the right place."""
+    """Return the likeliest of fits from several starts, as many stop beside the right place.
+
+    Its error is that of a localization: where lanes are straight and parallel, vehicles that seem
+    to change to the next lane half-way fit a turned pose as well, which the curvature at one
+    optimum does not show, but the profile along the least-known direction does.
+    """
     fits = []
     for east, north in STARTS_M:
         step = np.zeros(len(prior.information))
         step[:2] = east, north
         fits.append(solve(scene, prior.mean.moved(step), prior, schedule=WINDOW))
-    return min(fits, key=lambda each: each.cost)
+    return along_valley(scene, min(fits, key=lambda each: each.cost), prior, MODEL)
 
 
 def _shown(excerpt: Excerpt, seen: Measurement, centre: State, found: Finding) -> Finding:
@@ -201,13 +226,15 @@ def _turned(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
     return list(zip(turns, sigmas.tolist(), strict=True))
 
 
-def _measured(fit: Fit, prior: Prior) -> Measurement:
+def _measured(fit: Fit, prior: Prior, *, rival: State | None = None) -> Measurement:
     """Return the pose by the data alone in directions that they fix better than the prior does.
 
     In other directions, as along a street, the prior held the fit, and the data's pose would be
-    an extrapolation.
+    an extrapolation. Its error is a localization's, that of the map's place included, as a pose is
+    surveyed without the map; `rival` is another pose that the vehicles do not exclude.
     """
-    seen, unit = data_alone(fit, prior), np.diag(prior.information[POSE, POSE]) ** -0.5
+    seen = data_alone(fit, prior, map_sigma_m=MAP_SIGMA_M, rival=rival)
+    unit = np.diag(prior.information[POSE, POSE]) ** -0.5
     turn = Rotation.from_quat(seen.quaternion).as_matrix()
     there = replace(prior.mean, position=seen.position, R_map_sensor=turn)
     away = there.difference(prior.mean)
