@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.base import Floats, Text
-from gis_radar.calibration.certainty import MAP_SIGMA_M, PLANE, advantage, along_valley
+from gis_radar.calibration.certainty import MAP_SIGMA_M, PLACE, PLANE, advantage, along_valley
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.explanations import (
     CLEAR,
@@ -45,7 +45,7 @@ from gis_radar.calibration.rivals import (
     ways_to_be_wrong,
 )
 from gis_radar.calibration.solver import Fit, Prior, solve
-from gis_radar.calibration.state import POSE, State
+from gis_radar.calibration.state import POSE, SIZE, State
 from gis_radar.calibration.traces import thin
 from gis_radar.calibration.windows import NEAR, WINDOW, data_alone
 from gis_radar.poses import Pose
@@ -146,20 +146,22 @@ def _compared(
         return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
     seen = _measured(fit, prior)
     beyond = _beyond(excerpt, seen, centre, found.evidence)
-    if beyond is not None:
-        held = _held(scene, prior)
-        if advantage(fit, held, scene.samples) >= PREFERRED:
-            return beyond
-        seen = _measured(fit, prior, rival=held.state)
+    if beyond is not None and not _prefers(scene, fit, prior):
+        gap = np.zeros(SIZE)
+        gap[PLANE] = _away(seen, centre)[PLANE]
+        both = seen.covariance + np.outer(gap, gap)[POSE, POSE] / 2.0
+        seen = replace(seen, covariance=both)
         beyond = _beyond(excerpt, seen, centre, found.evidence)
     return beyond or _shown(excerpt, seen, centre, found)
 
 
-def _held(scene: Scene, prior: Prior) -> Fit:
-    """Return the fit with the place and yaw of the prior; heights and tilt are fitted."""
+def _prefers(scene: Scene, fit: Fit, prior: Prior) -> bool:
+    """Return whether the vehicles clearly prefer a fit to the place and yaw of its prior."""
     information = prior.information.copy()
-    information[PLANE, PLANE] = HELD**-2.0
-    return solve(scene, prior.mean, replace(prior, information=information), schedule=WINDOW)
+    information[PLANE, PLANE] = HELD**-2.0  # heights and tilt are fitted
+    held = replace(prior, information=information)
+    given = solve(scene, prior.mean, held, schedule=WINDOW)
+    return advantage(fit, given, scene.samples) >= PREFERRED
 
 
 def _unfitted(found: Finding) -> Finding:
@@ -226,24 +228,30 @@ def _turned(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
     return list(zip(turns, sigmas.tolist(), strict=True))
 
 
-def _measured(fit: Fit, prior: Prior, *, rival: State | None = None) -> Measurement:
+def _measured(fit: Fit, prior: Prior) -> Measurement:
     """Return the pose by the data alone in directions that they fix better than the prior does.
 
     In other directions, as along a street, the prior held the fit, and the data's pose would be
-    an extrapolation. Its error is a localization's, that of the map's place included, as a pose is
-    surveyed without the map; `rival` is another pose that the vehicles do not exclude.
+    an extrapolation. A pose is surveyed without the map, so that the error of the map's place
+    counts, as in a localization.
     """
-    seen = data_alone(fit, prior, map_sigma_m=MAP_SIGMA_M, rival=rival)
+    seen = data_alone(fit, prior)
     unit = np.diag(prior.information[POSE, POSE]) ** -0.5
-    turn = Rotation.from_quat(seen.quaternion).as_matrix()
-    there = replace(prior.mean, position=seen.position, R_map_sensor=turn)
-    away = there.difference(prior.mean)
+    away = _away(seen, prior.mean)
     values, vectors = np.linalg.eigh(seen.covariance / np.outer(unit, unit))
     known = vectors[:, values < 1.0]
     away[POSE] = unit * (known @ (known.T @ (away[POSE] / unit)))
     there = prior.mean.moved(away)
     quaternion = Rotation.from_matrix(there.R_map_sensor).as_quat()
-    return replace(seen, position=there.position, quaternion=quaternion)
+    covariance = seen.covariance.copy()
+    covariance[PLACE, PLACE] += MAP_SIGMA_M**2
+    return replace(seen, position=there.position, quaternion=quaternion, covariance=covariance)
+
+
+def _away(seen: Measurement, centre: State) -> Floats:
+    """Return the step of a state from a centre to a measured pose."""
+    turn = Rotation.from_quat(seen.quaternion).as_matrix()
+    return replace(centre, position=seen.position, R_map_sensor=turn).difference(centre)
 
 
 def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> Finding | None:
@@ -254,7 +262,7 @@ def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> F
         there = rival.turned(pose)
         off_m, turn = rival.off(pose)
         if off_m > TOO_FAR * OFF_M or abs(turn) > TOO_FAR * OFF_DEG[0]:
-            if_so = Text("{}, {:.0%} if so", evidence, each.share)
+            if_so = Text("{}, {:.0%} if that is corrected", evidence, each.share)
             if rival.twofold(pose):
                 return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
             named = _with_name(excerpt, there.yaw, SAME_DEG[0]) if off_m < SAME_PLACE_M else rival
@@ -290,7 +298,9 @@ def _beyond(excerpt: Excerpt, seen: Measurement, centre: State, evidence: str) -
     far = [each for each in seen_off if each[0] > max(each[2], OFF_SIGMAS * each[1])]
     if not far:
         return None
-    put = Text("{}, and show it off by {}", evidence, Text(", ").join(each[3] for each in far))
+    put = Text(
+        "{}, and show that it is off by {}", evidence, Text(", ").join(each[3] for each in far)
+    )
     advice = Text("set {}", Text(", ").join(each[4] for each in far))
     if any(off > max(TOO_FAR * least, FAR_SIGMAS * sigma) for off, sigma, least, *_ in far):
         stands = off_m < max(TOO_FAR * OFF_M, OFF_SIGMAS * sigma_m)

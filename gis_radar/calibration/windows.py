@@ -41,9 +41,7 @@ LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
 FARTHEST = 4.0
 
 
-def data_alone(
-    fit: Fit, prior: Prior, *, map_sigma_m: float = 0.0, rival: State | None = None
-) -> Measurement:
+def data_alone(fit: Fit, prior: Prior) -> Measurement:
     """Remove the prior from a fit; else every window would confirm the pose before it.
 
     In coordinates where the prior has variance one along each axis, `1 + m` is the information of
@@ -55,12 +53,8 @@ def data_alone(
         A registration.
     prior : Prior
         The prior of the fit.
-    map_sigma_m : float
-        1 sigma of the map's place; 0 where windows of one recording are compared.
-    rival : State, optional
-        As for :func:`gis_radar.calibration.certainty.certainty`.
     """
-    known = certainty(fit, map_sigma_m=map_sigma_m, rival=rival)
+    known = certainty(fit, map_sigma_m=0.0)
     quaternion = _quaternion(fit.state)
     unit = np.diag(prior.information[POSE, POSE]) ** -0.5
     whole, noise = (
