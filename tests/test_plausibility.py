@@ -208,7 +208,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert checks["R2"] in events[-1]["summary"]["remarks"]
 
 
-def test_a_run_shows_what_it_doubts(run, mixed_up, rows, in_this_process, blank_paper):
+def test_a_run_shows_what_it_doubts(run, mixed_up, rows, in_this_process, blank_paper, monkeypatch):
     for name, file in (("R1", "A"), ("R2", "B")):
         rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
     write_pose(replace(POSES["R2"], northing=POSES["R2"].northing + 1.0), mixed_up / "R2.json")
@@ -217,6 +217,11 @@ def test_a_run_shows_what_it_doubts(run, mixed_up, rows, in_this_process, blank_
     code, out, err = run("check", site)
     assert code == 0
     assert "warning: R2: fits, but its pose may be off (" in err
+    assert re.search(r"sensor +verdict +evidence .*\nR1 +fits ", out)
+    with monkeypatch.context() as german:
+        german.setenv("GIS_RADAR_LANGUAGE", "de")
+        told = run("check", site)[1]
+    assert re.search(r"\nSensor +Urteil +Beleg .*\nR1 +passt ", told)
     code, out, _ = run("run", site, "-o", mixed_up / "out", "--json")
     assert code == 0
     summary = json.loads(out.splitlines()[-1])["summary"]

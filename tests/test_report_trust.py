@@ -12,7 +12,7 @@ from gis_radar.calibration.findings import RECORD_MORE
 
 DRIVE = Text("{:.0%} of {} vehicles drive along lanes", 0.96, 48)
 TURNED = Finding(
-    sensor="R2", verdict=WRONG, evidence=Text("{}, {:.0%} if so", DRIVE, 1.0),
+    sensor="R2", verdict=WRONG, evidence=Text("{}, {:.0%} if that is corrected", DRIVE, 1.0),
     cause=Text("from {} on: {}", "2025-06-15T15:06:50Z", Text("yaw is off by 180 deg")),
     advice=Text("set yaw to {:.1f}", 21.7),
 )  # fmt: skip

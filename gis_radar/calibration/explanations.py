@@ -90,7 +90,7 @@ def by_lanes(
             best = [found[0], best[0]]  # a map with swapped bounds is no likelier than a pose
         yaws = scored(excerpt, lanes, other_yaws(excerpt.usual))
     if best:
-        if_so = Text("{}, {:.0%} if so", evidence, best[0][1].share)
+        if_so = Text("{}, {:.0%} if that is corrected", evidence, best[0][1].share)
         twofold = best[0][0].twofold(excerpt.usual)
         if twofold or len(best) > MOST_CAUSES or _by_chance(excerpt, best[0], yaws):
             return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.base import Floats, Text
+from gis_radar.calibration.certainty import MAP_SIGMA_M, PLACE, PLANE, advantage, along_valley
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.explanations import (
     CLEAR,
@@ -29,6 +30,7 @@ from gis_radar.calibration.findings import (
 from gis_radar.calibration.hypotheses import prior_at
 from gis_radar.calibration.kalman_filter import Measurement, covariance_of_angles
 from gis_radar.calibration.lanes import Scene
+from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.pace import PACE, lengthened
 from gis_radar.calibration.range_scale import RangeScale
 from gis_radar.calibration.rivals import (
@@ -43,7 +45,7 @@ from gis_radar.calibration.rivals import (
     ways_to_be_wrong,
 )
 from gis_radar.calibration.solver import Fit, Prior, solve
-from gis_radar.calibration.state import POSE, State
+from gis_radar.calibration.state import POSE, SIZE, State
 from gis_radar.calibration.traces import thin
 from gis_radar.calibration.windows import NEAR, WINDOW, data_alone
 from gis_radar.poses import Pose
@@ -56,6 +58,10 @@ TOO_FAR, FAR_SIGMAS = 2.0, 5.0
 # A pose fits only if the traffic would show an error larger than this (metres; degrees of yaw,
 # pitch, roll): a third of a lane's width, here or 60 m ahead, and tilts that would be refused.
 SHOWS_M, SHOWS_DEG = 1.0, (1.0, TOO_FAR * OFF_DEG[1], TOO_FAR * OFF_DEG[2])
+# A pose is off if the vehicles prefer the fitted one by so many standard deviations (99.4 %,
+# one-sided), as the answer of a localization is preferred to every other.
+PREFERRED = 2.5
+HELD = 1e-4  # 1 sigma of the place (metres) and yaw (radians) of a pose that is held as given
 LIKELY = 2.0  # standard errors by which a pose may be farther off than it is measured to be
 # Prior in place of NEAR where map or radar has no heights: height, roll and pitch stay as given.
 LEVEL = np.array([*NEAR[:2], 0.01, 1e-4, 1e-4, NEAR[5]])
@@ -139,7 +145,23 @@ def _compared(
     if not fit.converged or fit.fitness < FITTING:
         return _elsewhere(excerpt, lanes, pose, found.evidence) or _unfitted(found)
     seen = _measured(fit, prior)
-    return _beyond(excerpt, seen, centre, found.evidence) or _shown(excerpt, seen, centre, found)
+    beyond = _beyond(excerpt, seen, centre, found.evidence)
+    if beyond is not None and not _prefers(scene, fit, prior):
+        gap = np.zeros(SIZE)
+        gap[PLANE] = _away(seen, centre)[PLANE]
+        both = seen.covariance + np.outer(gap, gap)[POSE, POSE] / 2.0
+        seen = replace(seen, covariance=both)
+        beyond = _beyond(excerpt, seen, centre, found.evidence)
+    return beyond or _shown(excerpt, seen, centre, found)
+
+
+def _prefers(scene: Scene, fit: Fit, prior: Prior) -> bool:
+    """Return whether the vehicles clearly prefer a fit to the place and yaw of its prior."""
+    information = prior.information.copy()
+    information[PLANE, PLANE] = HELD**-2.0  # heights and tilt are fitted
+    held = replace(prior, information=information)
+    given = solve(scene, prior.mean, held, schedule=WINDOW)
+    return advantage(fit, given, scene.samples) >= PREFERRED
 
 
 def _unfitted(found: Finding) -> Finding:
@@ -151,13 +173,18 @@ def _unfitted(found: Finding) -> Finding:
 
 
 def _fitted(scene: Scene, prior: Prior) -> Fit:
-    """Return the likeliest of fits from several starts, as many stop beside the right place."""
+    """Return the likeliest of fits from several starts, as many stop beside the right place.
+
+    Its error is that of a localization: where lanes are straight and parallel, vehicles that seem
+    to change to the next lane half-way fit a turned pose as well, which the curvature at one
+    optimum does not show, but the profile along the least-known direction does.
+    """
     fits = []
     for east, north in STARTS_M:
         step = np.zeros(len(prior.information))
         step[:2] = east, north
         fits.append(solve(scene, prior.mean.moved(step), prior, schedule=WINDOW))
-    return min(fits, key=lambda each: each.cost)
+    return along_valley(scene, min(fits, key=lambda each: each.cost), prior, MODEL)
 
 
 def _shown(excerpt: Excerpt, seen: Measurement, centre: State, found: Finding) -> Finding:
@@ -205,18 +232,26 @@ def _measured(fit: Fit, prior: Prior) -> Measurement:
     """Return the pose by the data alone in directions that they fix better than the prior does.
 
     In other directions, as along a street, the prior held the fit, and the data's pose would be
-    an extrapolation.
+    an extrapolation. A pose is surveyed without the map, so that the error of the map's place
+    counts, as in a localization.
     """
-    seen, unit = data_alone(fit, prior), np.diag(prior.information[POSE, POSE]) ** -0.5
-    turn = Rotation.from_quat(seen.quaternion).as_matrix()
-    there = replace(prior.mean, position=seen.position, R_map_sensor=turn)
-    away = there.difference(prior.mean)
+    seen = data_alone(fit, prior)
+    unit = np.diag(prior.information[POSE, POSE]) ** -0.5
+    away = _away(seen, prior.mean)
     values, vectors = np.linalg.eigh(seen.covariance / np.outer(unit, unit))
     known = vectors[:, values < 1.0]
     away[POSE] = unit * (known @ (known.T @ (away[POSE] / unit)))
     there = prior.mean.moved(away)
     quaternion = Rotation.from_matrix(there.R_map_sensor).as_quat()
-    return replace(seen, position=there.position, quaternion=quaternion)
+    covariance = seen.covariance.copy()
+    covariance[PLACE, PLACE] += MAP_SIGMA_M**2
+    return replace(seen, position=there.position, quaternion=quaternion, covariance=covariance)
+
+
+def _away(seen: Measurement, centre: State) -> Floats:
+    """Return the step of a state from a centre to a measured pose."""
+    turn = Rotation.from_quat(seen.quaternion).as_matrix()
+    return replace(centre, position=seen.position, R_map_sensor=turn).difference(centre)
 
 
 def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> Finding | None:
@@ -227,7 +262,7 @@ def _elsewhere(excerpt: Excerpt, lanes: LaneMap, pose: Pose, evidence: str) -> F
         there = rival.turned(pose)
         off_m, turn = rival.off(pose)
         if off_m > TOO_FAR * OFF_M or abs(turn) > TOO_FAR * OFF_DEG[0]:
-            if_so = Text("{}, {:.0%} if so", evidence, each.share)
+            if_so = Text("{}, {:.0%} if that is corrected", evidence, each.share)
             if rival.twofold(pose):
                 return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
             named = _with_name(excerpt, there.yaw, SAME_DEG[0]) if off_m < SAME_PLACE_M else rival
@@ -263,7 +298,9 @@ def _beyond(excerpt: Excerpt, seen: Measurement, centre: State, evidence: str) -
     far = [each for each in seen_off if each[0] > max(each[2], OFF_SIGMAS * each[1])]
     if not far:
         return None
-    put = Text("{}, and show it off by {}", evidence, Text(", ").join(each[3] for each in far))
+    put = Text(
+        "{}, and show that it is off by {}", evidence, Text(", ").join(each[3] for each in far)
+    )
     advice = Text("set {}", Text(", ").join(each[4] for each in far))
     if any(off > max(TOO_FAR * least, FAR_SIGMAS * sigma) for off, sigma, least, *_ in far):
         stands = off_m < max(TOO_FAR * OFF_M, OFF_SIGMAS * sigma_m)

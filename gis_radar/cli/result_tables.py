@@ -39,9 +39,9 @@ def table_of_rows(name: str, rows: list[list[Any]]) -> Table:
     head, *rest = rows
     table = Table(box=None, pad_edge=False, title=as_title(name), title_justify="left")
     for title in head:
-        table.add_column(Cell(str(title)), overflow="fold")  # nothing is cut
+        table.add_column(Cell(_cell(title)), overflow="fold")  # nothing is cut
     for row in rest:
-        table.add_row(*(Cell(_readable(each)) for each in row))
+        table.add_row(*(Cell(_cell(each)) for each in row))
     return table
 
 
