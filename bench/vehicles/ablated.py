@@ -63,6 +63,14 @@ FRESH = {
     ),
     "roundabout-925": Recipe(plan="roundabout", seed=925, per_hour=1100, radars=2, minutes=3.0),
     "junction-926": Recipe(plan="junction", seed=926, per_hour=1500, radars=2, minutes=3.0),
+    "town-931": Recipe(
+        plan="town", seed=931, per_hour=2500, radars=("R2", "R4", "R6"), minutes=10.0
+    ),
+    "tee-932": Recipe(plan="tee", seed=932, per_hour=1600, radars=1, minutes=10.0),
+    "arterial-933": Recipe(plan="arterial", seed=933, per_hour=2400, radars=2, minutes=10.0),
+    "gridlock-934": Recipe(
+        plan="junction", seed=934, per_hour=4200, radars=2, minutes=10.0, warm_up_s=600.0
+    ),
 }  # fmt: skip
 RECIPES.update(FRESH)  # type: ignore[attr-defined]
 # what they import counts as theirs here
