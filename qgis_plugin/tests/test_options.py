@@ -44,6 +44,7 @@ LEFT_OUT = {
         "signals": "for cycles",
         "service": "a table for engineers; a run's report has the levels",
     },
+    "compare": {"site": "QGIS renames lanes in the layer"},
     "run": {"template": "the site wizard writes the file"},
 }
 # Commands without an algorithm, and why.
