@@ -198,6 +198,8 @@ def test_a_level_of_service_follows_the_delay():
     assert service_levels(lanes, "hcm").tolist() == [*"AABCDEF", None, None, None]
     assert service_levels(lanes, "hbs").tolist() == [*"AAABDEE", None, None, None]
     assert [*HANDBOOKS["hcm"]] == [*"ABCDEF"]
+    with pytest.raises(gr.UsageError, match="service is 'rilsa', expected one of hcm, hbs"):
+        service_levels(lanes, "rilsa")
 
 
 @pytest.fixture(scope="module")
@@ -314,6 +316,12 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
         (GREEN.replace("23:01:20", "noon"), "line 4: green_begin is '2023-11-14 noon'"),
         (GREEN.replace("23:00:30", "23:00:41"), "ends before it begins, or after the next"),
         (GREEN.replace("23:00:30", "23:00:09"), "ends before it begins"),
+        (
+            GREEN.replace("23:01:20", "23:00:40.3") + "10;2023-11-14 23:00:40.6\n",
+            "two greens begin within a second",
+        ),
+        (GREEN.replace("\n10;", "\n20;", 1), "lane 20 has no stop line"),
+        (GREEN.partition("\n")[0], "holds no green times"),
     ],
 )
 def test_green_times_that_are_none_are_one_line(run, dataset, tmp_path, text, said):

@@ -267,3 +267,14 @@ def test_a_site_file_names_lanes(run, dataset, tmp_path):
     code, _, err = run("traffic", dataset.folder, "-o", tmp_path, *options)
     assert code == 3
     assert "would replace the input" in err
+
+
+def test_a_file_of_the_dataset_is_not_replaced(run, dataset):
+    before = {path: path.read_bytes() for path in dataset.folder.rglob("*") if path.is_file()}
+    for name, more in (("query", ["SELECT 1 AS a"]), ("quality", []), ("footprints", [])):
+        kind = "*.gpkg" if name == "footprints" else "*.parquet"
+        output = next(dataset.folder.rglob(kind))
+        code, _, err = run(name, dataset.folder, *more, "-o", output)
+        assert code == 3
+        assert f"would replace the input {output}" in err
+    assert all(path.read_bytes() == content for path, content in before.items())

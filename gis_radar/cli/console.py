@@ -330,15 +330,16 @@ def command(*, example: str, refuses: bool = True) -> Callable[[Verb], click.Com
 
 
 def _refuse_inputs(options: Mapping[str, Any]) -> None:
-    """Refuse outputs that would take the place of another file or folder that is named."""
+    """Refuse outputs in place of another file or folder that is named, or of a dataset's file."""
     inputs = [
         path
         for name, value in options.items() if name not in OUTPUTS
         for path in (value if isinstance(value, tuple) else (value,)) if isinstance(path, Path)
     ]  # fmt: skip
-    for name in OUTPUTS:
-        if options.get(name) is not None:
-            refuse_inputs(options[name], *inputs)
+    dataset = options.get("folder")
+    for output in filter(None, map(options.get, OUTPUTS)):
+        of_dataset = dataset and output.is_file() and dataset.resolve() in output.resolve().parents
+        refuse_inputs(output, *inputs, *([output] if of_dataset else []))
 
 
 def _require_memory() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 import gis_radar as gr
-from gis_radar.base import Reporter, refuse_inputs
+from gis_radar.base import Reporter
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (  # fmt: skip
     DURATION,
@@ -170,7 +170,6 @@ def quality(
         from gis_radar.products import require_table_name  # noqa: PLC0415 - late as above
 
         require_table_name(output)
-        refuse_inputs(output, *folder.rglob("*"))
     found = gr.measure_quality(gr.open_dataset(folder), timezone=timezone, reporter=reporter)
     outputs = [] if output is None else [found.write(output, csv_locale=csv_locale)]
     return Result(outputs=outputs, summary=found.figures(), timezone=timezone)

@@ -13,6 +13,7 @@ import pandas as pd
 from gis_radar.base import (
     STEP_US,
     STEPS_PER_HOUR,
+    InputError,
     current_language,
     interval_steps,
     speaking,
@@ -142,13 +143,16 @@ def signal_cycles(
     Raises
     ------
     InputError
-        If exact tables of that time were deleted, or the signals are not what they should be.
+        If exact tables of that time were deleted, or the signals are not what they should be or of
+        a lane without a stop line.
     """
     network, hours = _exact(dataset, dataset.span(begin, end))
     with speaking(language or current_language()):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
     known = None if signals is None else read_signals(signals, at, zone_of(dataset.timezone))
+    if off := [lane for lane in known or () if not network.has_stop_line[lane]]:
+        raise InputError("{}: lane {} has no stop line", signals, int(network.lane[off[0]]))
     found = [each for hour in hours for each in cycles(network, *hour, known=known)]
     with speaking(language or current_language()):
         reason = [tr(each.reason) if each.reason else "" for each in found]

@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from gis_radar.base import InputError, Text, listed, step_at
+from gis_radar.base import STEPS_PER_SECOND, InputError, Text, listed, step_at
 from gis_radar.dataset.csv_rows import csv_rows, stated_moment, text_in
 from gis_radar.measures import Greens
 
@@ -31,13 +31,15 @@ def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> 
     Raises
     ------
     InputError
-        If it is no such table, names an unknown lane, or a green ends before it begins or after
-        the next one begins.
+        If it is no such table, is empty, names an unknown lane, or a green ends before it begins or
+        after the next one begins, or two begin within a second.
     """
     header, rows = csv_rows(path, Text("not a table of signals"))
     if missing := [name for name in _NEEDED if name not in header]:
         hint = Text("columns are lane, green_begin, green_end")
         raise InputError("{}: lacks the columns {}", path, listed(missing), hint=hint)
+    if not rows:
+        raise InputError("{}: holds no green times", path)
     found: dict[int, dict[int, int]] = {}
     for number, row in rows:
         what = f"{path}, line {number}"
@@ -65,4 +67,6 @@ def _greens(ends: Mapping[int, int], path: str | Path) -> Greens:
     after = np.append(begin[1:], np.iinfo(np.int64).max)
     if (stated & ((end <= begin) | (end > after))).any():
         raise InputError("{}: a green ends before it begins, or after the next one begins", path)
+    if (np.diff(begin) < STEPS_PER_SECOND).any():  # queues are looked at each second
+        raise InputError("{}: two greens begin within a second", path)
     return Greens(begin, end)

@@ -6,6 +6,8 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
+from gis_radar.base import UsageError
+
 HANDBOOKS = {
     "hcm": {"A": 10.0, "B": 20.0, "C": 35.0, "D": 55.0, "E": 80.0, "F": np.inf},
     "hbs": {"A": 20.0, "B": 35.0, "C": 50.0, "D": 70.0, "E": np.inf},
@@ -33,7 +35,14 @@ def service_levels(lanes: gpd.GeoDataFrame, handbook: str) -> pd.Series:
     Series
         Letters. Null without a stop line or a delay, and where a queue reaches back beyond the
         lane: its delay is then not all of it.
+
+    Raises
+    ------
+    UsageError
+        If there is no such handbook.
     """
+    if handbook not in HANDBOOKS:
+        raise UsageError("service is {}, expected one of {}", repr(handbook), ", ".join(HANDBOOKS))
     limits = HANDBOOKS[handbook]
     delay = lanes["delay_s"].to_numpy(np.float64)
     level = np.array(list(limits), object)[
