@@ -184,6 +184,8 @@ def test_what_is_not_periodic_is_not_told():
     assert period_of(uneven[:3]) == FEW
     assert period_of(60.0 * np.array([1, 2, 4, 7, 11])) == UNEVEN  # few follow one another
     assert period_of(np.arange(5) * 20.0) == UNEVEN  # no signal is so fast
+    late = period_of(np.array([60.0, 72.0, 120.0, 180.0, 192.0, 240.0]))  # two start late
+    assert late.length_s == pytest.approx(60.0)
     even = period_of(60.0 * np.array([1, 2, 3, 5, 6]) + [0.0, 1.0, -1.0, 0.0, 1.0])
     assert even.length_s == pytest.approx(60.0, abs=0.5)
     nobody = told(drive(np.array([10.0]), never))

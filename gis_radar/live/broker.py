@@ -209,8 +209,8 @@ class Link:
     def publish(self, topic: str, payload: bytes, *, retain: bool = False, qos: int = 1) -> None:
         """Publish a message; without a link it is dropped.
 
-        Detections go at QoS 0: fusion acknowledges what it has stored, and asks for what is
-        missing, so that the broker's own acknowledgements of each message would be a second time.
+        Detections go at QoS 0: fusion acknowledges what it has stored and asks for what is missing,
+        so acknowledgements of the broker would add nothing.
         """
         if self._connected:
             self._client.publish(topic, payload, qos=qos, retain=retain)

@@ -95,12 +95,22 @@ class Period(NamedTuple):
 
 
 def period_of(begins_s: Floats) -> Period | str:
-    """Return the period of begins of green (ascending, s), or why there is none."""
+    """Return the period of begins of green (ascending, s), or why there is none.
+
+    Who starts late within a green seems to begin another one; of each cycle the first counts.
+    """
     if len(begins_s) < LEAST_GREENS:
         return FEW
     apart = np.diff(begins_s)
-    shortest = np.median(apart[apart < 1.5 * apart.min()])
+    long = apart[apart > CYCLE_S[0] - EVEN_S]
+    if not len(long):
+        return UNEVEN
+    shortest = np.median(long[long < 1.5 * long.min()])
     number = np.append(0, np.cumsum(np.rint(apart / shortest)))
+    first = np.diff(number, prepend=-1) > 0
+    number, begins_s = number[first], begins_s[first]
+    if len(number) < LEAST_GREENS:
+        return FEW
     slope, begin = np.polyfit(number, begins_s, 1)
     off = begins_s - begin - slope * number
     spread = float(np.sqrt((off**2).sum() / (len(off) - 2)))
