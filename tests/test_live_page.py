@@ -338,7 +338,7 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
         }[language]
     )
     shares = [
-        row.find_elements(By.TAG_NAME, "td")[2].text.split()[0]
+        row.find_elements(By.TAG_NAME, "td")[0].text.split()[0]
         for row in chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr")
     ]
     values = [float(each.replace(",", ".")) for each in shares if each[0].isdigit()]
@@ -432,7 +432,7 @@ def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     told = chromium.find_element(By.ID, "summary").text
     assert told.startswith(f"{count} vehicles now, 1 of them heavy")
     first = chromium.find_element(By.CSS_SELECTOR, "#lane-rows tr").find_elements(By.TAG_NAME, "td")
-    assert first[3].text == "10.0 %"
+    assert first[1].text == "10.0 %"
     classes = [each.colour for each in style.colour_classes()]
     painted = picture_of_tiles(chromium, "occupancy")
     assert painted[HIT] == 0

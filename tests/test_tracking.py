@@ -17,7 +17,13 @@ from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
-from gis_radar.base import CrsError, InputError, NoAnswerError, seconds_from_iso
+from gis_radar.base import (
+    CrsError,
+    InputError,
+    NoAnswerError,
+    OutputError,
+    seconds_from_iso,
+)
 from gis_radar.calibration import (
     Follower,
     WindowFitter,
@@ -470,9 +476,9 @@ def test_an_interrupted_track_leaves_nothing(files, monkeypatch):
 def test_outputs_that_cannot_be_are_refused(files):
     named = [*words(files)[:-1], str(files / "track.json")]
     assert isinstance(CliRunner().invoke(group, named).exception, gr.UsageError)
-    for figure in ("R1.json", "track.csv"):
+    for figure, error in (("R1.json", OutputError), ("track.csv", gr.UsageError)):
         over = CliRunner().invoke(group, words(files, "--figure", str(files / figure)))
-        assert isinstance(over.exception, gr.UsageError)
+        assert isinstance(over.exception, error)
     assert not (files / "track.csv").exists()
 
 
