@@ -243,6 +243,25 @@ def test_tiles_options_reach_their_arguments(tmp_path, run):
     assert set(tiles["subtype"]) == {"road"}
 
 
+DROPPING = """
+import ctypes, sys, click
+from gis_radar.cli.console import run_group
+@click.group()
+def group(): pass
+@group.command()
+def drop(): ctypes.pythonapi.PyRun_SimpleString(b"raise KeyboardInterrupt")
+sys.argv = ["gis-radar", "drop"]
+run_group(group)
+"""
+
+
+def test_an_interruption_that_compiled_code_drops_is_no_traceback():
+    """As of a message of PROJ, which pyproj hands to Python's log."""
+    words = [sys.executable, "-c", DROPPING]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM"])
 def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
     """A long recording is stopped midway."""

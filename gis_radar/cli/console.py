@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any, NoReturn, Self
 
 import click
@@ -356,7 +356,7 @@ def _console(*, json_lines: bool) -> Console:
 def run_group(group: click.Group) -> NoReturn:
     """Run a command of the group and exit with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
-    sys.unraisablehook = _interrupt_again
+    sys.unraisablehook, sys.excepthook = _interrupt_again, _print_dropped
     watch_input()
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of files need not be UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -444,6 +444,14 @@ def _exit_without_output() -> NoReturn:
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
+
+
+def _print_dropped(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    """Print an error that compiled code drops; of an interruption there is one line, later."""
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
 
 
 def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
