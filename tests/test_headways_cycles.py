@@ -198,9 +198,8 @@ def test_a_level_of_service_follows_the_delay():
     back = [0.0] * 8 + [np.nan, 61.0]  # no stop line, and a queue beyond the lane's begin
     lanes = gpd.GeoDataFrame({"delay_s": delays, "queue_max_m": back}, geometry=[line] * 10)
     assert service_levels(lanes, "hcm").tolist() == [*"AABCDEF", None, None, None]
-    assert service_levels(lanes, "hbs").tolist() == [*"AAABDEE", None, None, None]
     assert [*HANDBOOKS["hcm"]] == [*"ABCDEF"]
-    with pytest.raises(gr.UsageError, match="service is 'rilsa', expected one of hcm, hbs"):
+    with pytest.raises(gr.UsageError, match="service is 'rilsa', expected one of hcm"):
         service_levels(lanes, "rilsa")
 
 
@@ -324,6 +323,7 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
         ),
         (GREEN.replace("\n10;", "\n20;", 1), "lane 20 has no stop line"),
         (GREEN.partition("\n")[0], "holds no green times"),
+        (GREEN + GREEN.partition("\n")[2], "a green of the lane begins then already"),
     ],
 )
 def test_green_times_that_are_none_are_one_line(run, dataset, tmp_path, text, said):

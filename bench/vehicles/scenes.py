@@ -239,11 +239,6 @@ def _read_truth(path: Path) -> TrueOccupancy:
 def scene(name: str) -> SceneFiles:
     """Return a scene; it is made where it is missing or out of date.
 
-    Parameters
-    ----------
-    name : str
-        Of a recipe or a shared town; ``NAME@10`` is the recipe with 10 minutes of recordings.
-
     Raises
     ------
     KeyError
@@ -254,9 +249,7 @@ def scene(name: str) -> SceneFiles:
     if name in SHARED and shared.exists():
         kept.mkdir(parents=True, exist_ok=True)
         return SceneFiles(name=name, folder=shared, kept=kept)
-    known, _, minutes = name.partition("@")
-    recipe = RECIPES[known]
-    recipe = replace(recipe, minutes=float(minutes)) if minutes else recipe
+    recipe = RECIPES[name]
     stamp, wanted = kept / "made.txt", f"{_simulator()} {recipe}"
     if not (stamp.exists() and stamp.read_text() == wanted):
         kept.mkdir(parents=True, exist_ok=True)
@@ -274,7 +267,7 @@ def scene(name: str) -> SceneFiles:
 
 def is_there(name: str) -> bool:
     """Tell whether a scene is there or can be made."""
-    return name.partition("@")[0] in RECIPES or (ROOT.parent / "shared" / "data" / name).exists()
+    return name in RECIPES or (ROOT.parent / "shared" / "data" / name).exists()
 
 
 def _simulator() -> str:

@@ -147,6 +147,8 @@ def _compared(
     seen = _measured(fit, prior)
     beyond = _beyond(excerpt, seen, centre, found.evidence)
     if beyond is not None and not _prefers(scene, fit, prior):
+        if beyond.refused:  # it is off, but whether the fitted pose is the right one is open
+            return wrong(beyond.evidence, UNKNOWN_CAUSE, ONE_PLACE)
         gap = np.zeros(SIZE)
         gap[PLANE] = _away(seen, centre)[PLANE]
         both = seen.covariance + np.outer(gap, gap)[POSE, POSE] / 2.0

@@ -64,8 +64,8 @@ def _opened(folder: Path, site: Path | None, reporter: Reporter) -> gr.Dataset:
     help="CSV of green times, for cycles of these: lane, green_begin, green_end.",
 )  # fmt: skip
 @click.option(
-    "--service", type=click.Choice(["hcm", "hbs"]),
-    help="Add levels of service from the delay: Highway Capacity Manual or HBS.",
+    "--service", type=click.Choice(["hcm"]),
+    help="Add levels of service from the delay: Highway Capacity Manual.",
 )  # fmt: skip
 @names_of_lanes
 @language("Of the lanes' names and the titles.")

@@ -49,10 +49,10 @@ def read_signals(path: str | Path, lanes: Mapping[str, int], zone: ZoneInfo) -> 
                 "{}: lane {} is none that was measured", what, repr(lane),
                 hint="traffic.csv lists lanes with numbers and names",
             )  # fmt: skip
-        first = _step(begin, zone, f"{what}: green_begin")
-        found.setdefault(lanes[lane], {})[first] = (
-            _step(end, zone, f"{what}: green_end") if end else -1
-        )
+        first, ends = _step(begin, zone, f"{what}: green_begin"), found.setdefault(lanes[lane], {})
+        if first in ends:
+            raise InputError("{}: a green of the lane begins then already", what)
+        ends[first] = _step(end, zone, f"{what}: green_end") if end else -1
     return {lane: _greens(found[lane], path) for lane in sorted(found)}
 
 

@@ -1,4 +1,4 @@
-"""Levels of service at signals, from the delay: by the Highway Capacity Manual or the HBS."""
+"""Levels of service at signals, from the delay: by the Highway Capacity Manual."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ from gis_radar.base import UsageError
 
 HANDBOOKS = {
     "hcm": {"A": 10.0, "B": 20.0, "C": 35.0, "D": 55.0, "E": 80.0, "F": np.inf},
-    "hbs": {"A": 20.0, "B": 35.0, "C": 50.0, "D": 70.0, "E": np.inf},
 }
 """Longest mean delay (s a vehicle) of each level, at signals.
 
-`hcm`: Highway Capacity Manual (TRB, 7th edition, 2022), Exhibit 19-8. `hbs`: Handbuch für die
-Bemessung von Straßenverkehrsanlagen (FGSV, 2015), part S, chapter S4, motor traffic; its level F is
-a demand over the capacity, which no delay tells.
+`hcm`: Highway Capacity Manual (TRB, 6th edition, 2016), signalized intersections.
 """
 
 
@@ -27,7 +24,7 @@ def service_levels(lanes: gpd.GeoDataFrame, handbook: str) -> pd.Series:
     ----------
     lanes : GeoDataFrame
         From :meth:`gis_radar.Dataset.traffic`.
-    handbook : {"hcm", "hbs"}
+    handbook : {"hcm"}
         Whose thresholds count.
 
     Returns

@@ -255,7 +255,7 @@ def make_traffic(
         Tell the cycles of signals, as :func:`gis_radar.signal_cycles` does.
     signals : str or Path, optional
         CSV of green times, as for :func:`gis_radar.signal_cycles`, whose cycles are then returned.
-    service : {"hcm", "hbs"}, optional
+    service : {"hcm"}, optional
         Add the column `los` to the lanes: the level of service by this handbook.
 
     Raises

@@ -22,7 +22,6 @@ from gis_radar.base import (
     THIN_SPACE,
     Clock,
     Text,
-    current_language,
     figure_text,
     interval_steps,
     percent,
@@ -462,13 +461,12 @@ def _queue_table(
         *(figure(name) for name in _OF_QUEUES
           if name != "queue_max_m" and queues[name].notna().any()),
     ]  # fmt: skip
-    handbook = "hbs" if current_language() == "de" else "hcm"
-    levels = service_levels(queues, handbook)
+    levels = service_levels(queues, "hcm")
     told = ""
     if levels.notna().any():
         told = " " + tr("Levels of service are those of signals, by the delay on the lane.")
         queues = queues.assign(los=levels.fillna(NO_FIGURE))
-        columns.append(Column(tr(LEVEL), handbook.upper(), lambda row: str(row["los"])))
+        columns.append(Column(tr(LEVEL), "HCM", lambda row: str(row["los"])))
     rows = [row for _, row in queues.head(MOST_QUEUES).iterrows()]
     return Table(
         name="queues", caption=tr("The longest queues"), columns=columns,
