@@ -2,13 +2,15 @@
 
     python tools/count_entered.py
 
-From a recording to a dataset of hits alone and of all, to a heat map, and to a pose. The figures
-are a length of the way through the code: they should not grow without a reason. Compiled functions,
-comprehensions and code that runs at import are not counted.
+From a recording to a dataset of hits alone and of all, to a heat map, and to a pose; of a dataset,
+also the job of an hour alone, where the detections pass: what is around it looks at the inputs and
+checks the poses. The figures are a length of the way through the code: they should not grow without
+a reason. Compiled functions, comprehensions and code that runs at import are not counted.
 """
 
 from __future__ import annotations
 
+import inspect
 import sys
 import tempfile
 import threading
@@ -22,13 +24,22 @@ import gis_radar as gr
 PACKAGE = str(Path(gr.__file__).parent)
 
 
-def entered(work: Callable[[], Any]) -> tuple[Any, set[tuple[str, str, int]]]:
-    """Return what a call returns, and file, name and line of each function that it entered."""
+def entered(work: Callable[[], Any], within: str = "") -> tuple[Any, set[tuple[str, str, int]]]:
+    """Return what a call returns, and file, name and line of each function that it entered.
+
+    With `within`, the name of a function: only while that runs.
+    """
     found: set[tuple[str, str, int]] = set()
+    runs = [not within]
 
     def note(frame: FrameType, event: str, _: Any) -> None:
         code = frame.f_code
-        if event == "call" and code.co_filename.startswith(PACKAGE) and "<" not in code.co_name:
+        is_function = code.co_flags & inspect.CO_OPTIMIZED and "<" not in code.co_name
+        if not (is_function and code.co_filename.startswith(PACKAGE)):
+            return
+        if code.co_name == within and event in {"call", "return"}:
+            runs.append(event == "call")
+        if event == "call" and runs[-1]:
             found.add((code.co_filename, code.co_name, code.co_firstlineno))
 
     threading.setprofile(note)
@@ -51,9 +62,14 @@ def main(folder: Path) -> None:
     road = gr.read_road(folder / "road.laz", roads.crs)
     place = (pose.easting, pose.northing)
     made = [recording], [pose], tiles
-    dataset, counted = entered(lambda: gr.measure(*made, None, folder / "hits", hits_only=True))
-    show("measure, hits only", counted)
-    show("measure", entered(lambda: gr.measure(*made, sample / "junction.osm", folder / "site"))[1])
+    for name, lanes in (("hits", None), ("all", sample / "junction.osm")):
+        for part, within in (("", ""), (", the hour's job", "make_hour")):
+            output = folder / f"{name}{part}"
+            dataset, counted = entered(
+                lambda: gr.measure(*made, lanes, output, hits_only=not lanes),  # noqa: B023
+                within,
+            )
+            show(f"measure {name}{part}", counted)
     show("make_heatmap", entered(lambda: gr.make_heatmap(dataset))[1])
     show("localize", entered(lambda: gr.localize(recording, roads, road, guess=place))[1])
 
