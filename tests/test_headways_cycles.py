@@ -293,6 +293,18 @@ def test_known_green_times_are_the_cycles(run, dataset, tmp_path):
     assert len((tmp_path / "out" / "cycles.csv").read_text().splitlines()) == 3
 
 
+def test_cycles_of_hours_without_vehicles_have_the_types_of_others(dataset):
+    every = gr.signal_cycles(dataset)
+    none = gr.signal_cycles(dataset, begin="2023-11-15T12:00Z", end="2023-11-15T13:00Z")
+    assert none.empty
+    assert none.dtypes.to_dict() == every.dtypes.to_dict()
+
+
+def test_green_times_that_are_not_there_are_named(dataset, tmp_path):
+    with pytest.raises(gr.InputError, match=r"green\.csv: cannot be read: No such file"):
+        gr.signal_cycles(dataset, signals=tmp_path / "green.csv")
+
+
 def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):
     name = dataset.traffic(language="de").query(f"lane == {APPROACH}")["name"].iloc[0]
     rows = (
@@ -300,7 +312,7 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
         f"{name};14.11.2023 23:00:10;grün",
         f"{name};14.11.2023 23:00:40;",
     )
-    text = "\n".join([*rows, ";;", ""])
+    text = "\n".join(["", ";;", *rows, ";;", ""])
     (tmp_path / "green.csv").write_bytes(text.replace("\n", "\r\n").encode("cp1252"))
     found = gr.signal_cycles(dataset, signals=tmp_path / "green.csv", language="de")
     assert found["cycle_s"].tolist() == [30.0]
@@ -314,6 +326,7 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
         (GREEN + "\0", "line 5"),
         ("lane;begin\n10;x\n", "lacks the columns green_begin"),
         (GREEN.replace("\n10;", "\n11;", 1), "line 2: lane '11' is none"),
+        ("\n\n" + GREEN.replace("\n10;", "\n11;", 1), "line 4: lane '11' is none"),
         (GREEN.replace("23:01:20", "noon"), "line 4: green_begin is '2023-11-14 noon'"),
         (GREEN.replace("23:00:30", "23:00:41"), "ends before it begins, or after the next"),
         (GREEN.replace("23:00:30", "23:00:09"), "ends before it begins"),

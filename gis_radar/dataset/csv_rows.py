@@ -14,6 +14,8 @@ from gis_radar.base import InputError, Text, UsageError, first_line, moment_in
 
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}) +(\d{1,2})(:.*)")
 """What Excel in Germany makes of times: 12.06.2025 07:30."""
+_EMPTY = re.compile(r"\A[\s;,]*\n")
+"""Rows without values above a header."""
 
 
 def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
@@ -34,13 +36,19 @@ def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, 
         If it cannot be read, or a row has more values than the header.
     """
     try:
-        text = _decoded(Path(path).read_bytes())
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError("{}: cannot be read: {}", path, error.strerror or error) from error
+    try:
+        text = _decoded(content)
+        lines, text = text.count("\n"), _EMPTY.sub("", text)
+        skipped = lines - text.count("\n")
         separator = ";" if ";" in text.partition("\n")[0] else ","  # as Excel writes it in Germany
         reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator)
         header = [name.strip() for name in reader.fieldnames or ()]
         reader.fieldnames = header
-        rows = [(reader.line_num, row) for row in reader]
-    except (OSError, ValueError, csv.Error) as error:
+        rows = [(skipped + reader.line_num, row) for row in reader]
+    except (ValueError, csv.Error) as error:
         raise InputError("{}: {}: {}", path, wrong, first_line(error)) from error
     for number, row in rows:
         if any(map(str.strip, row.pop(None, []))):

@@ -42,6 +42,7 @@ from gis_radar.measures import (
 )
 
 _Hour: TypeAlias = tuple[StepGrid, FrontStates, VehicleTable, VisibleRuns]
+_LENGTHS = ("cycle_s", "cycle_se_s", "queue_max_m", "queue_mean_m", "queue_end_m")
 _HEADWAYS = ("headway_mean_s", "headway_se_s", "headway_median_s", "gap_mean_s", "gap_se_s")
 
 
@@ -160,11 +161,13 @@ def signal_cycles(
     place, zone = table["lane"].to_numpy(np.int64), zone_of(dataset.timezone)
     times = {"begin": _times(table["first"]), "end": _times(table["after"])}
     table = table.assign(lane=network.lane[place], counted=table["counted"].astype("Int64"))
-    table = table.drop(columns=["first", "after", "reason"])
+    table = table.drop(columns=["first", "after", "reason"]).astype(dict.fromkeys(_LENGTHS, float))
     for column, (name, values) in enumerate(times.items(), start=1):
         table.insert(column, name, values.dt.tz_convert(zone))
-    table.insert(1, "name", names[place])
-    return table.assign(reason=reason).sort_values(["lane", "begin"], ignore_index=True)
+    table.insert(1, "name", pd.array(names[place], "str"))
+    return table.assign(reason=pd.array(reason, "str")).sort_values(
+        ["lane", "begin"], ignore_index=True
+    )
 
 
 def _times(steps: pd.Series) -> pd.Series:
