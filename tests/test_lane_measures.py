@@ -363,7 +363,9 @@ def test_lanes_before_a_stop_line_fan_out_without_being_turns():
         rows += strip(lane, (40, 0), turn, 40, len(rows))
     tiles = gpd.GeoDataFrame(rows, crs=UTM)
     assert LaneNetwork.of(tiles, {2: 39.0, 3: 39.0}).turns() == []
-    assert LaneNetwork.of(tiles).turns() == [Turn(0, 1, ()), Turn(0, 2, ())]  # a diverge
+    ways_on = [Turn(0, 1, ()), Turn(0, 2, ())]
+    assert LaneNetwork.of(tiles).turns() == ways_on  # a diverge
+    assert LaneNetwork.of(tiles, {2: 39.0}).turns() == ways_on  # so its volume is that of both
     strips = LaneNetwork.of(tiles, {2: 39.0}).queue_strips()
     assert strips.lane.tolist() == [0, 1]
     assert strips.to_line_m.tolist() == [79.0, 39.0]

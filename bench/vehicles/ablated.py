@@ -1,4 +1,4 @@
-"""Parts of the search for vehicles, how each is switched off from outside, and scenes for it."""
+"""Parts of the search for vehicles, and how each is switched off from outside."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from scenes import RECIPES, Recipe
 
 from gis_radar.tracking import bodies, motion, passes, track_management
 from gis_radar.tracking import detectability as due
@@ -20,59 +19,6 @@ from gis_radar.tracking.posterior import estimate as estimate_module
 from gis_radar.tracking.posterior.background import Background
 from gis_radar.tracking.size import Size
 
-FRESH = {
-    "town-781": Recipe(plan="town", seed=781, per_hour=2400, radars=("R1", "R3", "R5")),
-    "roundabout-782": Recipe(plan="roundabout", seed=782, per_hour=1100, radars=2),
-    "tee-783": Recipe(plan="tee", seed=783, per_hour=1600, radars=1, minutes=3.0),
-    "harsh-784": Recipe(
-        plan="junction", seed=784, per_hour=1500, radars=2, conditions="harsh"
-    ),
-    "gridlock-785": Recipe(
-        plan="junction", seed=785, per_hour=4200, radars=2, warm_up_s=600.0
-    ),
-    "arterial-786": Recipe(plan="arterial", seed=786, per_hour=2400, radars=2),
-    "town-787": Recipe(plan="town", seed=787, per_hour=2600, radars=("R2", "R4", "R6")),
-    "gridlock-788": Recipe(
-        plan="town", seed=788, per_hour=9000, radars=("R1", "R3"), warm_up_s=900.0, free=False
-    ),
-    "junction-789": Recipe(plan="junction", seed=789, per_hour=1500, radars=2),
-    "roundabout-790": Recipe(plan="roundabout", seed=790, per_hour=1100, radars=1, minutes=3.0),
-    "town-901": Recipe(
-        plan="town", seed=901, per_hour=2500, radars=("R1", "R3", "R5"), minutes=3.0
-    ),
-    "tee-902": Recipe(plan="tee", seed=902, per_hour=1600, radars=1, minutes=3.0),
-    "arterial-903": Recipe(plan="arterial", seed=903, per_hour=2400, radars=2, minutes=3.0),
-    "gridlock-904": Recipe(
-        plan="junction", seed=904, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
-    ),
-    "town-911": Recipe(
-        plan="town", seed=911, per_hour=2500, radars=("R2", "R4", "R6"), minutes=3.0
-    ),
-    "tee-912": Recipe(plan="tee", seed=912, per_hour=1600, radars=1, minutes=3.0),
-    "arterial-913": Recipe(plan="arterial", seed=913, per_hour=2400, radars=2, minutes=3.0),
-    "gridlock-914": Recipe(
-        plan="junction", seed=914, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
-    ),
-    "town-921": Recipe(
-        plan="town", seed=921, per_hour=2500, radars=("R1", "R3", "R5"), minutes=3.0
-    ),
-    "tee-922": Recipe(plan="tee", seed=922, per_hour=1600, radars=1, minutes=3.0),
-    "arterial-923": Recipe(plan="arterial", seed=923, per_hour=2400, radars=2, minutes=3.0),
-    "gridlock-924": Recipe(
-        plan="junction", seed=924, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
-    ),
-    "roundabout-925": Recipe(plan="roundabout", seed=925, per_hour=1100, radars=2, minutes=3.0),
-    "junction-926": Recipe(plan="junction", seed=926, per_hour=1500, radars=2, minutes=3.0),
-    "town-931": Recipe(
-        plan="town", seed=931, per_hour=2500, radars=("R2", "R4", "R6"), minutes=10.0
-    ),
-    "tee-932": Recipe(plan="tee", seed=932, per_hour=1600, radars=1, minutes=10.0),
-    "arterial-933": Recipe(plan="arterial", seed=933, per_hour=2400, radars=2, minutes=10.0),
-    "gridlock-934": Recipe(
-        plan="junction", seed=934, per_hour=4200, radars=2, minutes=10.0, warm_up_s=600.0
-    ),
-}  # fmt: skip
-RECIPES.update(FRESH)  # type: ignore[attr-defined]
 # what they import counts as theirs here
 moves: Any = posterior_module
 estimate: Any = estimate_module

@@ -27,7 +27,7 @@ import numpy as np
 import own
 import pandas as pd
 from passages import score_passages
-from scenes import OUT, SceneFiles, scene
+from scenes import MORE, OUT, SceneFiles, scene
 from score import score_occupancy
 from tracks import COLUMNS, compared, score_tracks
 
@@ -170,7 +170,7 @@ def _occupancy(occupied: pd.DataFrame, visible: pd.DataFrame) -> pd.DataFrame:
 def main() -> None:
     """Run what is asked for; print a line a row."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", default=",".join([*list(ablated.FRESH)[:6], "town02"]))
+    parser.add_argument("--scene", default=",".join([*list(MORE)[:6], "town02"]))
     parser.add_argument("--only", default=",".join(ablated.PARTS))
     options = parser.parse_args()
     for name in options.scene.split(","):

@@ -12,11 +12,10 @@ import argparse
 import tempfile
 from pathlib import Path
 
-import ablated
 import numpy as np
 import pandas as pd
 from found import estimated_states
-from scenes import SceneFiles, scene
+from scenes import MORE, SceneFiles, scene
 from scipy.optimize import linear_sum_assignment
 from tracks import by_step, compared, similarity
 
@@ -48,7 +47,7 @@ def stated_and_true(site: SceneFiles) -> pd.DataFrame:
 def main() -> None:
     """Print a table of all scenes together, and the means of each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", default=",".join(ablated.FRESH))
+    parser.add_argument("--scene", default=",".join(MORE))
     names = parser.parse_args().scene.split(",")
     table = pd.concat([stated_and_true(scene(name)) for name in names], ignore_index=True)
     part = table.groupby(pd.cut(table["stated"], BINS), observed=True)

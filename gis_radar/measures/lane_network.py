@@ -3,7 +3,8 @@
 Junctions are found from the order of lanes. A *connector* leads from a branch to a merge and has no
 stop line. A *turn* leads from a lane to the next one that is no connector: over connectors, or
 directly where the lane has a stop line (its lanelets then reach through the junction) or where
-roads branch and merge without one. Lanes that fan out before a stop line are not turns.
+roads branch and merge without one. Of a lane that has a turn all ways on are turns. Where lanes
+only fan out before stop lines none is.
 """
 
 from __future__ import annotations
@@ -177,18 +178,20 @@ class LaneNetwork:
 
     def turns(self) -> list[Turn]:
         """Return the turns, by start and end."""
-        connector, found = self.connector, dict[tuple[int, int], Turn]()
+        connector, found = self.connector, list[Turn]()
         for start in np.flatnonzero(~connector).tolist():
             ways: list[tuple[int, tuple[int, ...]]] = [(each, ()) for each in self.after[start]]
-            seen = {start}
+            seen, ends = {start}, dict[int, Turn]()
             while ways:
                 at, via = ways.pop(0)
                 if connector[at] and at not in seen:
                     seen.add(at)
                     ways += [(each, (*via, at)) for each in self.after[at]]
-                elif not connector[at] and (via or self._is_turn(start, at)):
-                    found.setdefault((start, at), Turn(start, at, via))
-        return [found[key] for key in sorted(found)]
+                elif not connector[at]:
+                    ends.setdefault(at, Turn(start, at, via))
+            if any(each.via or self._is_turn(start, each.end) for each in ends.values()):
+                found += [ends[end] for end in sorted(ends)]
+        return found
 
     def _is_turn(self, start: int, end: int) -> bool:
         """Return whether a lane that follows without connector is a turn, not one fanning out."""
