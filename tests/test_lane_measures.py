@@ -371,8 +371,8 @@ def test_lanes_before_a_stop_line_fan_out_without_being_turns():
     assert strips.to_line_m.tolist() == [79.0, 39.0]
 
 
-def test_turns_lead_over_connectors():
-    """Two approaches, each with a connector to either of two exits."""
+def junction():
+    """Give tiles of an approach with a connector to either of two exits, where others merge."""
     rows = strip(1, (0, 0), 0, 20, 0)
     for lane, turn in ((3, 10), (4, -10)):
         rows += strip(lane, (20, 0), turn, 20, len(rows))
@@ -384,12 +384,40 @@ def test_turns_lead_over_connectors():
               for d, y in ((-15, up[1]), (15, down[1]))]  # fmt: skip
     rows += strip(7, beside[0], -15, 20, len(rows))
     rows += strip(8, beside[1], 15, 20, len(rows))
-    network = LaneNetwork.of(gpd.GeoDataFrame(rows, crs=UTM))
+    return gpd.GeoDataFrame(rows, crs=UTM)
+
+
+def test_turns_lead_over_connectors():
+    network = LaneNetwork.of(junction())
     assert network.lane[network.connector].tolist() == [3, 4]
     named = [(network.lane[t.start], network.lane[t.end], [network.lane[k] for k in t.via])
              for t in network.turns()]  # fmt: skip
     assert (1, 5, [3]) in named
     assert (1, 6, [4]) in named
+
+
+@pytest.mark.parametrize(("reached_m", "volumes"), [(11.0, [1.0, 1.0]), (9.0, [1.0, np.nan])])
+def test_who_passes_the_middle_of_a_connector_has_turned_where_the_exit_is_not_visible(
+    reached_m, volumes
+):
+    """One car drives to the exit 5; one over connector 4, on which it is followed so far."""
+    tiles = junction()
+    network = LaneNetwork.of(tiles)
+    runs, counts = seen_all(GRID, tiles)
+    dark = {6} if reached_m > 10.0 else {4, 6}
+    dark = np.isin(counts.tile_id, tiles.loc[tiles["lanelet_id"].isin(dark), "tile_id"])
+    counts = TileSteps(**{**vars(counts), "visible": np.where(dark, 0.0, counts.visible)})
+    ways = [(0, 1, 5.0), (0, 1, 15.0), (0, 3, 15.0), (0, 5, 2.0)]
+    ways += [(1, 1, 5.0), (1, 1, 15.0), (1, 4, reached_m)]
+    vehicle, lane, along = zip(*ways, strict=True)
+    states = FrontStates(
+        vehicle=np.array(vehicle), step=BEGIN + 20 * np.array([0, 1, 2, 3, 0, 1, 2]),
+        lane=np.searchsorted(network.lane, lane), along_m=np.array(along),
+        speed=np.full(7, 10.0), seen=np.ones(7, np.bool_),
+    )  # fmt: skip
+    found = measure_lanes(network, GRID, states, vehicles_of([0, 0]), runs, counts)
+    turns = pd.DataFrame(found.turns).set_index(["from_lane", "to_lane", "interval"])["volume"]
+    assert turns.loc[[(1, 5, 0), (1, 6, 0)]].tolist() == pytest.approx(volumes, nan_ok=True)
 
 
 @pytest.mark.parametrize(("offside", "right_hand"), [(3.0, True), (-3.0, False)])

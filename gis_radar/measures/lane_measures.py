@@ -15,7 +15,8 @@ The variance of a volume has three independent sources:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -32,7 +33,7 @@ from gis_radar.measures.lane_fronts import (
     crossings,
     driven,
 )
-from gis_radar.measures.lane_network import LaneNetwork
+from gis_radar.measures.lane_network import LaneNetwork, Turn
 from gis_radar.measures.queues import LOOK_STEPS, queues, standing_states
 
 SPEED_CLASS_KMH = 5.0
@@ -295,11 +296,13 @@ def _turns(
     Vehicles without a known exit may have taken one that is not visible: then the other exits only
     get the share of the volume that is known for them.
     """
-    ways = np.array([(each.start, each.end) for each in network.turns()], np.int64).reshape(-1, 2)
+    ways = _ways(network.turns())
     known = _known_turns(states, crossed, ways, grid, len(network.lane))
-    entry = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
     by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
-    share = np.minimum(by_lane["visible_share"], _share_at(entry, grid, tiles))
+    exits = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
+    lines = network.tile_id[network.tile_at(ways[:, 2], network.line_m[ways[:, 2]])]
+    told = np.maximum(_share_at(exits, grid, tiles), _share_at(lines, grid, tiles))
+    share = np.minimum(by_lane["visible_share"], told)
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
     )
@@ -328,16 +331,33 @@ def _turns(
 _OF_APPROACH = ("visible_share", "counted", "volume", "volume_se")
 
 
+def _ways(turns: Sequence[Turn]) -> Integers:
+    """Return rows of start, end, and the last connector, or the end where that is not its alone."""
+    last = [(each.start, each.via[-1] if each.via else each.end) for each in turns]
+    alone = Counter(last)
+    rows = [
+        (each.start, each.end, place[1] if alone[place] == 1 else each.end)
+        for each, place in zip(turns, last, strict=True)
+    ]
+    return np.array(rows, np.int64).reshape(-1, 3)
+
+
 def _known_turns(
     states: FrontStates, crossed: Crossings, ways: Integers, grid: StepGrid, lanes: int
 ) -> Floats:
     """Return the number of vehicles from an approach's line to an exit, by way and interval.
 
-    Each vehicle counts for the first exit of its approach that it reaches.
+    Each vehicle counts for the first exit of its approach that it reaches, else for the connector
+    whose middle it passes.
     """
     changes = np.flatnonzero(np.diff(states.lane, prepend=-2) != 0)
     came = pd.DataFrame(
-        {"vehicle": states.vehicle[changes], "row": changes, "end": states.lane[changes]}
+        {
+            "vehicle": np.append(states.vehicle[changes], crossed.vehicle),
+            "row": np.append(changes, crossed.row),
+            # lanes that are reached, then those whose lines are crossed
+            "end": np.append(states.lane[changes], lanes + crossed.lane),
+        }
     )
     left = pd.DataFrame(
         {
@@ -345,13 +365,15 @@ def _known_turns(
             "interval": grid.of(crossed.step),
         }
     )  # fmt: skip
-    pairs = left.merge(came, on="vehicle", suffixes=("", "_end"))
+    start, end, last = ways.T
+    way = np.arange(len(ways))
+    exits = pd.concat(
+        pd.DataFrame({"start": start, "end": reached, "way": way, "only_passed": passed})
+        for reached, passed in ((end, False), (lanes + last, True))
+    )
+    pairs = left.merge(came, on="vehicle", suffixes=("", "_end")).merge(exits, on=["start", "end"])
     pairs = pairs[pairs["row_end"] > pairs["row"]]
-    keys = ways[:, 0] * lanes + ways[:, 1]  # ascending
-    key = (pairs["start"] * lanes + pairs["end"]).to_numpy(np.int64)
-    at = np.minimum(np.searchsorted(keys, key), max(len(keys) - 1, 0))
-    mine = keys[at] == key if len(keys) else np.zeros(len(key), np.bool_)
-    pairs = pairs.assign(way=at)[mine].sort_values(["vehicle", "start", "row_end"])
+    pairs = pairs.sort_values(["vehicle", "start", "only_passed", "row_end"])
     pairs = pairs.drop_duplicates(["vehicle", "start"])
     cell = (pairs["way"] * grid.count + pairs["interval"]).to_numpy(np.int64)
     return np.bincount(cell, minlength=len(ways) * grid.count).astype(np.float64)
