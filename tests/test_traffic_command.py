@@ -133,7 +133,7 @@ def test_layers_have_times_in_utc_and_a_style(written, dataset):
     assert lanes.crs == dataset.crs
     assert lanes["begin"].iloc[0] == pd.Timestamp("2023-11-14T22:00Z")
     assert lanes["counted"].iloc[0] == 8
-    assert turns.geometry.length.round(3).eq(2.0).all()  # 1 m on either side of the line
+    assert turns.geometry.length.round(3).eq(16.0).all()  # 1 m before the line, 15 m of the exit
     with closing(sqlite3.connect(folder / "traffic.gpkg")) as database:
         styles = dict(database.execute("SELECT f_table_name, styleQML FROM layer_styles"))
     assert styles.keys() == {"lanes", "turns"}

@@ -21,6 +21,7 @@ from gis_radar.hdmap import turn_word
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 
 BEFORE_M = 5.0  # before the stop line, where direction and number of a lane are determined
+DIRECT_M = 15.0  # of the exit that the line of a turn without connectors shows: a short connector
 BESIDE_M = 5.5  # between the middles of lanes side by side, at most
 ABREAST_M = 30.0  # width over which lanes of one direction are searched
 PARALLEL = math.cos(math.radians(30.0))
@@ -139,7 +140,8 @@ def turn_lines(
 ) -> tuple[list[str], list[shapely.LineString]]:
     """Return the word (`left`, `straight`, `right` or `back`) and the line of each turn.
 
-    The line runs from the stop line, else from the approach's end, to the begin of the exit.
+    The line runs from the stop line, else from the approach's end, to the begin of the exit, or
+    some metres on where no connector lies between.
     """
     lines = lanes.set_index("lane").geometry
     found = []
@@ -148,7 +150,7 @@ def turn_lines(
         stop = network.has_stop_line[turn.start]
         line_m = float(network.line_m[turn.start] if stop else start.length)
         rest = shapely.ops.substring(start, min(line_m, start.length - 1.0), start.length)
-        entry = shapely.ops.substring(end, 0.0, min(1.0, end.length))
+        entry = shapely.ops.substring(end, 0.0, min(1.0 if via else DIRECT_M, end.length))
         points = np.concatenate([shapely.get_coordinates(each) for each in (rest, *via, entry)])
         new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-3)
         way, toward = place_on(start, max(line_m - BEFORE_M, 0.0))[1], place_on(end, 0.0)[1]
