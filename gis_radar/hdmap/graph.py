@@ -102,8 +102,13 @@ class LaneGraph:
         part = slice(self.first[lane], self.first[lane + 1])
         s = self.s_m[part]
         points = np.column_stack([np.interp(s_m, s, self.points[part, k]) for k in range(2)])
-        turned = np.interp(s_m, s, np.unwrap(self.heading[part]))
-        return points, np.asarray(turned)
+        return points, np.interp(s_m, s, self._unwrapped[part])
+
+    @cached_property
+    def _unwrapped(self) -> Floats:
+        """Headings of the samples, without jumps along a lanelet."""
+        spans = pairwise(self.first.tolist())
+        return np.concatenate([np.unwrap(self.heading[begin:end]) for begin, end in spans])
 
 
 def lane_graph(lanelets: gpd.GeoDataFrame) -> LaneGraph:

@@ -48,6 +48,10 @@ def length_prior(lengths: Floats) -> Floats:
     return np.asarray(np.log(density))
 
 
+_PRIOR = length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+_CELLS = np.gradient(LENGTHS)
+
+
 def size_of(
     along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats
 ) -> tuple[Size, float]:
@@ -78,15 +82,14 @@ def size_of(
         along[fits], ends[fits], noise[fits], time[fits], trust[fits]
     )
     coarse = _likelihood(along, ends, noise, weight, LENGTHS, SHIFTS)
-    coarse += length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+    coarse += _PRIOR
     top = np.unravel_index(int(coarse.argmax()), coarse.shape)
     fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
     fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
     fine = _likelihood(along, ends, noise, weight, fine_l, fine_d)
     fine += length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
     share = np.exp(coarse - coarse.max())
-    cells = np.gradient(LENGTHS)
-    by_length = share.sum(axis=1) * cells
+    by_length = share.sum(axis=1) * _CELLS
     by_length /= by_length.sum()
     mean = float(by_length @ LENGTHS)
     sigma = float(np.sqrt(by_length @ (LENGTHS - mean) ** 2))

@@ -136,11 +136,11 @@ def _cover(
     drove: Floats, last: Floats,
 ) -> None:  # fmt: skip
     """Note that a vehicle is on the spots under it."""
-    x, y, c, s, speed, length, width, _, _ = shape
-    a, b = 0.5 * length + BESIDE_M, 0.5 * width + BESIDE_M
-    reach = math.hypot(a, b)
-    low_i, low_j = int((x - reach - corner[0]) / SPOT_M), int((y - reach - corner[1]) / SPOT_M)
-    high_i, high_j = int((x + reach - corner[0]) / SPOT_M), int((y + reach - corner[1]) / SPOT_M)
+    x, y, c, s, speed = shape[0], shape[1], shape[2], shape[3], shape[4]
+    a, b = 0.5 * shape[5] + BESIDE_M, 0.5 * shape[6] + BESIDE_M
+    east, north = a * abs(c) + b * abs(s), a * abs(s) + b * abs(c)
+    low_i, low_j = int((x - east - corner[0]) / SPOT_M), int((y - north - corner[1]) / SPOT_M)
+    high_i, high_j = int((x + east - corner[0]) / SPOT_M), int((y + north - corner[1]) / SPOT_M)
     for i in range(max(low_i, 0), min(high_i + 1, bare.shape[0])):
         for j in range(max(low_j, 0), min(high_j + 1, bare.shape[1])):
             dx, dy = corner[0] + (i + 0.5) * SPOT_M - x, corner[1] + (j + 0.5) * SPOT_M - y

@@ -32,8 +32,7 @@ def cut(posterior: Posterior) -> list[Motion]:
     for sweep in range(SWEEPS):
         if sweep > 0:
             posterior.cover()
-        strength = [float(_by_window(posterior, k)[0].sum()) for k in range(count)]
-        for k in np.argsort(strength, kind="stable").tolist():
+        for k in np.argsort(posterior.strengths(), kind="stable").tolist():
             kept[k] = _kept(posterior, k)
             rows = posterior.states.rows(k)
             window = posterior.states.window[rows]

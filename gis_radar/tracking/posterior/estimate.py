@@ -9,7 +9,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers, give_back_memory
+from gis_radar.base import (
+    STEPS_PER_SECOND,
+    Booleans,
+    Floats,
+    Integers,
+    give_back_memory,
+    ranges,
+)
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.background import Background
@@ -17,9 +24,7 @@ from gis_radar.tracking.posterior.frames import (
     SPEED,
     Frames,
     States,
-    groups_of,
     motion_states,
-    window_of,
 )
 from gis_radar.tracking.posterior.likelihood import (
     CELL_M,
@@ -246,7 +251,7 @@ class Posterior:
             Whether it joins what is there.
         """
         return evaluate(
-            groups_of(self.states.group[rows]), self.states.frame[rows], self.sensor[rows], shape,
+            self.states.group[rows], self.states.frame[rows], self.sensor[rows], shape,
             self.open[rows], self.rates, self.seen, self.alpha, add,
         )  # fmt: skip
 
@@ -293,10 +298,26 @@ class Posterior:
         begin = self._pair_begin[rows.start : rows.stop + 1]
         pairs = slice(begin[0], begin[-1])
         return evaluate_pairs(
-            groups_of(self.states.group[rows]), self.states.shape[rows], self._due[rows],
+            self.states.group[rows], self.states.shape[rows], self._due[rows],
             begin - begin[0], self._density[pairs], self._pair_row[pairs], self._rate[pairs],
             self.total, self.alpha,
         )  # fmt: skip
+
+    def strengths(self) -> Floats:
+        """Return the gain of each vehicle as it is over all else."""
+        states = self.states
+        found = evaluate_pairs(
+            states.group, states.shape, self._due, self._pair_begin, self._density, self._pair_row,
+            self._rate, self.total, self.alpha,
+        )  # fmt: skip
+        vehicle = states.vehicle[np.diff(states.group, prepend=-1) > 0]
+        return np.bincount(vehicle, found[:, 0], len(self.motions)).astype(np.float64)
+
+    def detections_by(self, states: Integers) -> Integers:
+        """Return the detections in the frames of some states: their places in the total."""
+        frame = np.unique(self.states.frame[states])
+        first = self.frames.first[frame]
+        return ranges(first, self.frames.first[frame + 1] - first)
 
     def gain(self, motion: Motion, *, add: bool = False, within: tuple[float, float] | None = None
     ) -> float:  # fmt: skip
@@ -307,10 +328,9 @@ class Posterior:
             inside = (time > within[0]) & (time < within[1])
             frame, shape = frame[inside], shape[inside]
         sensor = self.frames.sensor[frame]
-        group = groups_of(sensor, window_of(self.frames.time[frame]))
         found = evaluate(
-            group, frame, sensor, shape, np.ones(len(frame)), self.rates, self.seen, self.alpha,
-            add,
+            self.frames.group[frame], frame, sensor, shape, np.ones(len(frame)), self.rates,
+            self.seen, self.alpha, add,
         )  # fmt: skip
         return float(found[:, 0].sum())
 
@@ -326,10 +346,10 @@ class Posterior:
 
     def remove(self, states: Integers) -> None:
         """Remove states."""
-        for e in states.tolist():
-            part = slice(self._pair_begin[e], self._pair_begin[e + 1])
-            self.total[self._pair_row[part]] -= self._rate[part]
-            self._rate[part] = 0.0
+        begin = self._pair_begin[states]
+        pairs = ranges(begin, self._pair_begin[states + 1] - begin)
+        np.subtract.at(self.total, self._pair_row[pairs], self._rate[pairs])
+        self._rate[pairs] = 0.0
         self.alive[states] = False
 
     def explained(self, vehicle: int) -> Integers:

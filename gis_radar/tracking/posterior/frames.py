@@ -31,6 +31,8 @@ class Frames:
         Where in `row` the detections of each frame begin.
     begin : (k + 1,) int64 array
         The first frame of each sensor.
+    window, group : (f,) int64 arrays
+        Half second of each frame; the frames of one sensor and half second are a group.
     eyes : (k, 2) array
         Places of the sensors, metres.
     """
@@ -40,6 +42,8 @@ class Frames:
     time: Floats
     first: Integers
     begin: Integers
+    window: Integers
+    group: Integers
     eyes: Floats
 
     @classmethod
@@ -53,10 +57,12 @@ class Frames:
         frame = np.concatenate(
             [begin[k] + np.searchsorted(times[k], time[sensor == k]) for k in range(count)]
         )
+        of, when = np.repeat(np.arange(count), np.diff(begin)), np.concatenate(times)
+        window = window_of(when)
         return cls(
-            row=order, sensor=np.repeat(np.arange(count), np.diff(begin)),
-            time=np.concatenate(times), first=np.searchsorted(frame, np.arange(begin[-1] + 1)),
-            begin=begin, eyes=detections.eyes(),
+            row=order, sensor=of, time=when,
+            first=np.searchsorted(frame, np.arange(begin[-1] + 1)), begin=begin,
+            window=window, group=groups_of(of, window), eyes=detections.eyes(),
         )  # fmt: skip
 
     def between(self, begin: float, end: float) -> Integers:
@@ -112,12 +118,11 @@ class States:
         sizes = [len(each) for each in frame_of]
         frame = np.concatenate([np.zeros(0, np.int64), *frame_of])
         vehicle = np.repeat(np.arange(len(sizes)), sizes)
-        window = window_of(frames.time[frame])
         return cls(
-            vehicle=vehicle, frame=frame, window=window,
+            vehicle=vehicle, frame=frame, window=frames.window[frame],
             shape=np.concatenate([np.zeros((0, len(COLUMNS))), *shape_of]),
             first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-            group=groups_of(vehicle, frames.sensor[frame], window),
+            group=groups_of(vehicle, frames.group[frame]),
         )  # fmt: skip
 
     def rows(self, vehicle: int) -> slice:
@@ -133,7 +138,9 @@ def window_of(time: Floats) -> Integers:
 def groups_of(*columns: Integers) -> Integers:
     """Return the number of the run of equal rows that each row is in."""
     changes = np.ones(len(columns[0]), np.bool_)
-    changes[1:] = np.any([np.diff(each) != 0 for each in columns], axis=0)
+    changes[1:] = False
+    for each in columns:
+        changes[1:] |= each[1:] != each[:-1]
     return np.cumsum(changes) - 1
 
 
@@ -141,8 +148,10 @@ def motion_states(motion: Motion, frames: Frames) -> tuple[Integers, Floats]:
     """Return the frames in which a motion has states, and its shape in each."""
     frame = frames.between((motion.first_step - 0.5) * STEP_S, (motion.last_step + 0.5) * STEP_S)
     s_m, speed = motion.at(frames.time[frame])
-    place, heading = motion.path.at(s_m)
-    size = np.tile([motion.length_m, motion.width_m], (len(frame), 1))
     rear, front = (motion.path.heading_at(s_m + way * BEND_M) for way in (-1.0, 1.0))
-    bends = np.column_stack([heading - rear, front - heading]) / BEND_M
-    return frame, np.column_stack([place, np.cos(heading), np.sin(heading), speed, size, bends])
+    shape = np.empty((len(frame), len(COLUMNS)))
+    shape[:, :COS], heading = motion.path.at(s_m)
+    shape[:, COS], shape[:, SIN], shape[:, SPEED] = np.cos(heading), np.sin(heading), speed
+    shape[:, LENGTH], shape[:, WIDTH] = motion.length_m, motion.width_m
+    shape[:, BEHIND], shape[:, AHEAD] = (heading - rear) / BEND_M, (front - heading) / BEND_M
+    return frame, shape

@@ -119,10 +119,10 @@ def taller(height: float, away: float) -> float:
 def kind_and_cell(shape: Floats, sensor: int, rates: Rates) -> tuple[int, int]:
     """Return the kind of a state, as a position in the table of rates, and its cell."""
     eyes, _, _, corner, size = rates
-    x, y, c, s, speed, length = shape[:6]
+    x, y, speed, length = shape[0], shape[1], shape[4], shape[5]
     dx, dy = x - eyes[sensor, 0], y - eyes[sensor, 1]
-    far = math.hypot(dx, dy)
-    facing = abs(dx * c + dy * s) / max(far, 1e-6)
+    far = math.sqrt(dx * dx + dy * dy)  # a third of the time of hypot
+    facing = abs(dx * shape[2] + dy * shape[3]) / max(far, 1e-6)
     aspect = 0 if facing < ASPECTS[0] else (1 if facing < ASPECTS[1] else 2)
     kind = (min(int(far / FAR_M), KINDS[0] - 1) * KINDS[1] + aspect) * 2
     kind = (kind + (1 if length > LONG_M else 0)) * 2 + (1 if speed < STANDS_MPS else 0)
@@ -186,11 +186,13 @@ def densities(shape: Floats, frame: int, seen: Seen, room: Floats, row: Integers
         The place after the last; what finds no room is left out.
     """
     first, points, sight, away, rate, height, _ = seen
-    x, y, c, s, speed, length, width, _, _ = shape
+    # one by one: to unpack an array takes five times as long
+    x, y, c, s, speed = shape[0], shape[1], shape[2], shape[3], shape[4]
+    length, width = shape[5], shape[6]
     reach = _reach(length, width)
     for d in range(first[frame], first[frame + 1]):
         dx, dy = points[d, 0] - x, points[d, 1] - y
-        if abs(dx) > reach or abs(dy) > reach:
+        if (abs(dx) > reach) | (abs(dy) > reach):  # one jump: few are near
             continue
         along, left, turn = on_body(shape, dx, dy)
         if not _near(along, left, length, width) or n >= len(room):
@@ -222,17 +224,27 @@ def gain_of(room: Floats, count: int, due: float, alpha: float) -> tuple[float, 
         out: exactly where no detection is of the vehicle (0 where none is due), and where all are.
     """
     n, bright = 0.0, 1.0
-    for _ in range(5):
+    for _ in range(5 if count > 0 else 1):
         n = 0.0
         for q in range(count):
             lit = room[q, 0] * bright
             n += lit / (room[q, 1] + lit)
         bright = (alpha + n) / (alpha + due)
     gain = alpha * math.log(alpha * bright) - (alpha + n) * math.log(alpha + n)
-    gain += math.lgamma(alpha + n) - math.lgamma(alpha)
+    if n > 0.0:
+        gain += math.lgamma(alpha + n) - math.lgamma(alpha)
     for q in range(count):
         gain += math.log(1.0 + room[q, 0] * bright / room[q, 1])
     return gain, bright
+
+
+@compiled
+def runs_in(group: Integers) -> int:
+    """Return the number of runs of equal numbers."""
+    count = min(len(group), 1)
+    for e in range(1, len(group)):
+        count += group[e] != group[e - 1]
+    return count
 
 
 @compiled
@@ -244,13 +256,13 @@ def evaluate(  # noqa: PLR0917 - numba takes plain arrays
 
     With `add` its rates are added to the total of `seen`.
     """
-    count = group[-1] - group[0] + 1 if len(group) else 0
-    found = np.zeros((count, 2))
+    found = np.zeros((runs_in(group), 2))
     room, row = np.empty((4096, 2)), np.empty(4096, np.int64)
     total, e = seen[6], 0
-    for g in range(count):
+    for g in range(len(found)):
         n, due, stands = 0, 0.0, 1 if shape[e, 4] < STANDS_MPS else 0
-        while e < len(group) and group[e] - group[0] == g:
+        mine = group[e]
+        while e < len(group) and group[e] == mine:
             kind, cell = kind_and_cell(shape[e], sensor[e], rates)
             mu = rates[1][kind] * rates[2][cell] * open_share[e]
             begin, n = n, densities(shape[e], frame[e], seen, room, row, n)
@@ -274,12 +286,12 @@ def evaluate_pairs(  # noqa: PLR0917 - numba takes plain arrays
 
     The detections of each state are those from `begin` on.
     """
-    count = group[-1] + 1 if len(group) else 0
-    found, room = np.zeros((count, 2)), np.empty((len(row), 2))
+    found, room = np.zeros((runs_in(group), 2)), np.empty((len(row), 2))
     e = 0
-    for g in range(count):
+    for g in range(len(found)):
         n, stands = 0, 1 if shape[e, 4] < STANDS_MPS else 0
-        while e < len(group) and group[e] == g:
+        mine = group[e]
+        while e < len(group) and group[e] == mine:
             for q in range(begin[e], begin[e + 1]):
                 room[n, 0], room[n, 1] = density[q] * due[e], total[row[q]] - rate[q]
                 n += 1
@@ -292,8 +304,8 @@ def evaluate_pairs(  # noqa: PLR0917 - numba takes plain arrays
 @compiled
 def _half_across(shape: Floats, x: float, y: float, far: float) -> float:
     """Return half the width of a body as seen along a direction (x, y) of length far."""
-    _, _, c, s, _, length, width, _, _ = shape
-    across = length * abs(c * y - s * x) + width * abs(c * x + s * y)
+    c, s = shape[2], shape[3]
+    across = shape[5] * abs(c * y - s * x) + shape[6] * abs(c * x + s * y)
     return float(0.5 * across / far)
 
 
@@ -303,24 +315,28 @@ def hide(
     open_share: Floats,
 ) -> None:  # fmt: skip
     """Fill in which share of each state others do not hide; `order` sorts them by frame."""
+    place = np.empty((int(np.diff(first).max()), 3))  # from the eye, and how wide at most
     for f in range(len(first) - 1):
         ex, ey = eyes[sensor[f], 0], eyes[sensor[f], 1]
-        for a in range(first[f], first[f + 1]):
-            i = order[a]
-            x, y = shape[i, 0] - ex, shape[i, 1] - ey
+        here = order[first[f] : first[f + 1]]
+        for a in range(len(here)):
+            place[a, 0], place[a, 1] = shape[here[a], 0] - ex, shape[here[a], 1] - ey
+            place[a, 2] = 0.5 * (shape[here[a], 5] + shape[here[a], 6])
+        for a in range(len(here)):
+            i, x, y = here[a], place[a, 0], place[a, 1]
             far = max(math.hypot(x, y), 1.0)
             half = _half_across(shape[i], x, y, far)
-            for b in range(first[f], first[f + 1]):
-                j = order[b]
-                jx, jy = shape[j, 0] - ex, shape[j, 1] - ey
-                near = (jx * x + jy * y) / far
-                if j == i or near <= 1.0 or near >= far:
+            for b in range(len(here)):
+                ahead = place[b, 0] * x + place[b, 1] * y  # times far, as aside
+                aside = place[b, 0] * y - place[b, 1] * x
+                beside = abs(aside) * far > half * ahead + place[b, 2] * far * far
+                if (ahead <= far) | (ahead >= far * far) | beside or a == b:  # hides nothing
                     continue
+                near, aside = ahead / far, aside / far
                 over = LOOK_M + (MAST_M - LOOK_M) * (1.0 - near / far)  # of the ray over the road
-                if over > (LORRY_M if shape[j, 5] > LONG_M else CAR_M):
+                if over > (LORRY_M if shape[here[b], 5] > LONG_M else CAR_M):
                     continue
-                mine, aside = half * near / far, (jx * y - jy * x) / far
-                other = _half_across(shape[j], x, y, far)
+                mine, other = half * near / far, _half_across(shape[here[b]], x, y, far)
                 both = min(mine, aside + other) - max(-mine, aside - other)
                 open_share[i] *= 1.0 - (1.0 - THROUGH) * max(both, 0.0) / (2.0 * mine + 1e-9)
 
@@ -334,12 +350,17 @@ def overlap(
     share = np.zeros(len(rows))
     for k in range(len(rows)):
         e = rows[k]
-        x, y, c, s, _, length, width, _, _ = shape[e]
+        x, y, c, s = shape[e, 0], shape[e, 1], shape[e, 2], shape[e, 3]
+        length, width = shape[e, 5], shape[e, 6]
         for a in range(first[frame[e]], first[frame[e] + 1]):
             o = order[a]
+            dx, dy = shape[o, 0] - x, shape[o, 1] - y
+            apart = 0.5 * (length + shape[o, 5] + width + shape[o, 6]) + CLEAR_M
+            if (abs(dx) > apart) | (abs(dy) > apart):  # one jump: few are near
+                continue
             if rows[0] <= o <= rows[-1] or not alive[o]:
                 continue
-            along, aside, turn = on_body(shape[e], shape[o, 0] - x, shape[o, 1] - y)
+            along, aside, turn = on_body(shape[e], dx, dy)
             if abs(aside) > 0.5 * (width + shape[o, 6]) + CLEAR_M:
                 continue
             if abs(aspect(c, s, turn, shape[o, 2:4])[0]) < 0.8:
@@ -361,18 +382,14 @@ def find_pairs(shape: Floats, frame: Integers, seen: Seen) -> tuple[Integers, Fl
     density, row : (n,) arrays
         How dense the state makes them, and which they are.
     """
-    first, points, _, _, _, _, _ = seen
-    begin = np.zeros(len(frame) + 1, np.int64)
+    first, most = seen[0], 0
     for e in range(len(frame)):
-        x, y, _, _, _, length, width, _, _ = shape[e]
-        reach = _reach(length, width)
-        begin[e + 1] = begin[e]
-        for d in range(first[frame[e]], first[frame[e] + 1]):
-            dx, dy = points[d, 0] - x, points[d, 1] - y
-            if abs(dx) <= reach and abs(dy) <= reach:
-                along, left, _ = on_body(shape[e], dx, dy)
-                begin[e + 1] += _near(along, left, length, width)
-    room, row = np.empty((begin[-1], 2)), np.empty(begin[-1], np.int64)
+        most += first[frame[e] + 1] - first[frame[e]]
+    begin, room, row = (
+        np.zeros(len(frame) + 1, np.int64),
+        np.empty((most, 2)),
+        np.empty(most, np.int64),
+    )
     for e in range(len(frame)):
-        densities(shape[e], frame[e], seen, room, row, begin[e])
-    return begin, room[:, 0].copy(), row
+        begin[e + 1] = densities(shape[e], frame[e], seen, room, row, begin[e])
+    return begin, room[: begin[-1], 0].copy(), row[: begin[-1]].copy()

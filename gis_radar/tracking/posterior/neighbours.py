@@ -128,9 +128,10 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
     rear = min(-0.5 * lengths[0], along - 0.5 * lengths[1])
     for each in (one, other):
         posterior.lift(each)
-    alone = posterior.total.copy()
+    near = posterior.detections_by(np.concatenate([a, b]))
+    alone = posterior.total[near]
     old = _sum(posterior, a, states.shape[a]) + _sum(posterior, b, states.shape[b])
-    posterior.total[:] = alone
+    posterior.total[near] = alone
     apart = abs(along) - 0.5 * sum(lengths)
     # at the speeds of all its time: who follows the first does so while it drives, too
     before = sum(map(prior, lengths)) - EXISTS + _gap_prior(apart, posterior.motions[one].speed)
@@ -201,16 +202,17 @@ def _as_two(posterior: Posterior, vehicle: int) -> list[tuple[float, float]]:
     pairs = [(USUAL_M, min(USUAL_M, other))]
     pairs += [(USUAL_M, other), (other, USUAL_M)] if other > USUAL_M else []
     posterior.lift(vehicle)
-    alone = posterior.total.copy()
+    near = posterior.detections_by(rows)
+    alone = posterior.total[near]
     now = _sum(posterior, rows, shape)
-    posterior.total[:] = alone
+    posterior.total[near] = alone
     best = LEAST_GAIN
     for front, rear in pairs:
         if rear < SHORTEST_M - BETWEEN_M:
             continue
         sizes = [(front, 0.5 * (length - front)), (rear, 0.5 * (rear - length))]
         new = sum(_sum(posterior, rows, _resized(shape, *size)) for size in sizes)
-        posterior.total[:] = alone
+        posterior.total[near] = alone
         apart = length - front - rear
         gain = float(_tempered(np.array(new - now)))
         gain += prior(front) + prior(rear) - EXISTS - prior(length)

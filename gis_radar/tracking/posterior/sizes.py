@@ -10,7 +10,7 @@ import numpy as np
 from gis_radar.base import Floats, Integers, compiled
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.posterior.estimate import Posterior
-from gis_radar.tracking.posterior.frames import SPEED, groups_of
+from gis_radar.tracking.posterior.frames import SPEED
 from gis_radar.tracking.posterior.likelihood import (
     REACH_M,
     STANDS_MPS,
@@ -94,7 +94,7 @@ def gains_of_sizes(
     table = np.array([(length, width_of(length), ahead) for length, ahead in sizes])
     states = posterior.states
     return _sum_gains(
-        groups_of(states.group[rows]), states.frame[rows], posterior.sensor[rows],
+        states.group[rows], states.frame[rows], posterior.sensor[rows],
         states.shape[rows], posterior.open[rows], table, posterior.rates, posterior.seen,
         posterior.alpha,
     )  # fmt: skip
@@ -111,30 +111,31 @@ def _sum_gains(  # noqa: PLR0917 - numba takes plain arrays
     across = np.empty((len(row), 3))
     gains = np.zeros(len(sizes))
     for k in range(len(sizes)):
-        length, width, ahead = sizes[k]
+        length, width, ahead = sizes[k, 0], sizes[k, 1], sizes[k, 2]
         half, side, e = 0.5 * length, 0.5 * width + REACH_M, 0
         if k == 0 or width != sizes[k - 1, 1]:
             for q in range(len(row)):
-                _, left, cos, sin = pair[q, :4]
-                across[q] = density_across(left, cos, sin, width, seen[3][row[q]])
+                left, cos, sin = pair[q, 1], pair[q, 2], pair[q, 3]
+                found = density_across(left, cos, sin, width, seen[3][row[q]])
+                across[q, 0], across[q, 1], across[q, 2] = found
         while e < len(group):
             g, n, due = group[e], 0, 0.0
             stands = 1 if shape[e, 4] < STANDS_MPS else 0
             while e < len(group) and group[e] == g:
-                new[:] = shape[e]
-                new[0] += ahead * shape[e, 2]
-                new[1] += ahead * shape[e, 3]
-                new[5], new[6] = length, width
+                new[0] = shape[e, 0] + ahead * shape[e, 2]
+                new[1] = shape[e, 1] + ahead * shape[e, 3]
+                new[2], new[3], new[4] = shape[e, 2], shape[e, 3], shape[e, 4]
+                new[5] = length
                 kind, cell = kind_and_cell(new, sensor[e], rates)
                 mu = rates[1][kind] * rates[2][cell] * open_share[e]
                 due += mu
                 for q in range(begin[e], begin[e + 1]):
                     along, left = pair[q, 0] - ahead, pair[q, 1]
                     if abs(along) < half + REACH_M and abs(left) < side:
-                        sigma, by_width, of_flank = across[q]
                         density = pair[q, 4] * density_along(
-                            along, pair[q, 2], pair[q, 3], length, width, sigma, by_width, of_flank
-                        )
+                            along, pair[q, 2], pair[q, 3], length, width,
+                            across[q, 0], across[q, 1], across[q, 2],
+                        )  # fmt: skip
                         if length > LONG_M:
                             density *= pair[q, 5]
                         room[n, 0], room[n, 1] = mu * density, seen[6][row[q]]
@@ -173,10 +174,10 @@ def _pairs(
     row, pair = np.empty(n, np.int64), np.empty((n, 6))
     n = 0
     for e in range(len(frame)):
-        x, y, c, s, speed = shape[e, :5]
+        x, y, c, s, speed = shape[e, 0], shape[e, 1], shape[e, 2], shape[e, 3], shape[e, 4]
         for d in range(first[frame[e]], first[frame[e] + 1]):
             dx, dy = points[d, 0] - x, points[d, 1] - y
-            if abs(dx) > reach or abs(dy) > reach:
+            if (abs(dx) > reach) | (abs(dy) > reach):
                 continue
             along, left, turn = on_body(shape[e], dx, dy)
             if rear - REACH_M < along < front + REACH_M and abs(left) < side:
