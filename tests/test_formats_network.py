@@ -216,6 +216,8 @@ STEPS = [  # what is loaded, and what is not there afterwards
      "gis_radar.recordings.readers.bags", {"rosbags"}),
     ("gr.open_dataset, gr.read_tiles", "geopandas", {"scipy.spatial", "laspy.lib"}),
     ("gr.measure_quality", "gis_radar.dataset.dataset", {"scipy.ndimage", "matplotlib"}),
+    ("p = gr.read_pose(gr.sample_folder() / 'R1.json'); repr(p), p._repr_html_()",
+     "gis_radar.poses", {"matplotlib", "folium"}),
 ]  # fmt: skip
 
 
