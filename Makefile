@@ -52,12 +52,14 @@ live-demo: set-up-dev ## Run the live system on the sample junction until Ctrl-C
 docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run
 	$(BIN)/python tools/build_docs.py --run-notebooks
 
+# Each worker of pytest would compile all tests for itself: they are collected once before, which writes what is compiled.
 # QGIS is one process of three then, and would end last if it took only what the others leave.
 test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 	@rm -rf $(DEMO) $(BUILT_DOCS) && mkdir -p $(dir $(DEMO))
 	$(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
 		'sh -c "$(BIN)/gis-radar demo -o $(DEMO) --json >$(DEMO).jsonl || { tail -n 1 $(DEMO).jsonl; exit 1; }"' \
 		'$(BESIDE) $(BIN)/mypy' '$(BESIDE) $(BIN)/python tools/build_docs.py $(BUILT_DOCS)' \
+		'$(BESIDE) sh -c "$(BIN)/pytest --collect-only >$(DEMO).tests || { tail -n 50 $(DEMO).tests; exit 1; }"' \
 		'$(BESIDE) sh tools/get_browser_and_qgis.sh'
 	GIS_RADAR_DEMO=$(DEMO) GIS_RADAR_DOCS=$(BUILT_DOCS) $(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
 		'$(BIN)/pytest -n 3 --dist worksteal' 'nice -n 3 sh tools/test_qgis.sh'

@@ -104,15 +104,21 @@ def measured_once(monkeypatch, measure_once):
     monkeypatch.setattr(gr, "measure", measured, raising=False)
 
 
-@pytest.fixture
-def measured_briefly(monkeypatch, measured_once, first_seconds):
-    """Do so with twelve seconds of the sample."""
-    measure = gr.measure
+def _of_the_first(seconds):
+    @pytest.fixture
+    def measured_once_of_the_first(monkeypatch, measured_once, first_seconds):
+        """Measure once what several examples ask for, of the sample's first seconds."""
+        measure = gr.measure
 
-    def measured(recordings, *given, **options):
-        return measure([first_seconds(each, 12.0) for each in recordings], *given, **options)
+        def measured(recordings, *given, **options):
+            return measure([first_seconds(each, seconds) for each in recordings], *given, **options)
 
-    monkeypatch.setattr(gr, "measure", measured, raising=False)
+        monkeypatch.setattr(gr, "measure", measured, raising=False)
+
+    return measured_once_of_the_first
+
+
+measured_briefly, measured_a_minute = _of_the_first(12.0), _of_the_first(61.0)
 
 
 @pytest.fixture(scope="session")

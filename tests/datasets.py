@@ -102,7 +102,11 @@ def stored(dataset, name):
 
 
 def runs_of(steps):
-    """Give the runs of a set of steps as (first, last), cut at hours."""
+    """Give the runs of a set of steps, or of a range, as (first, last), cut at hours."""
+    if isinstance(steps, range):
+        hours = range(steps.start // STEPS_PER_HOUR + 1, (steps.stop - 1) // STEPS_PER_HOUR + 1)
+        begins = [steps.start, *(hour * STEPS_PER_HOUR for hour in hours)] if steps else []
+        return list(zip(begins, [*(at - 1 for at in begins[1:]), steps.stop - 1], strict=False))
     ordered = np.array(sorted(steps), np.int64)
     cut = (np.diff(ordered) > 1) | (np.diff(ordered // STEPS_PER_HOUR) > 0)
     parts = np.split(ordered, np.flatnonzero(cut) + 1) if len(ordered) else []

@@ -75,8 +75,9 @@ def driven(
     kept = tracks[(step % TRACK_EVERY_STEPS == 0) | at_end]
     steps = np.arange(step.min(), step.max() + 1)
     ids = tiles.loc[~tiles["tile_id"].isin(unseen), "tile_id"].to_numpy()
+    first, end = int(steps[0]), int(steps[-1]) + 1
     last = until or {}
-    whole = {(n, True): set(steps[steps < last.get(n, steps[-1] + 1)].tolist()) for n in ids}
+    whole = {(n, True): range(first, max(first, min(last.get(n, end), end))) for n in ids}
     frames = {"sensor": np.full(len(steps), "R1"), "time_us": steps * 50_000, "first_step": steps,
               "last_step": steps, "pose": np.full(len(steps), "R1")}  # fmt: skip
     zeros = [name for name in FRAMES.names if name not in frames]

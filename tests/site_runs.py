@@ -15,6 +15,7 @@ from PIL import Image
 
 writing = import_module("gis_radar.products.report.report")  # of this name there is also a function
 PAPER = (".png", ".pdf", "report.html")  # which holds pictures
+HITS_ALONE = "\n[vehicles]\nfollow = false\n"  # where a test looks at no vehicle: it takes the most
 
 
 def in_a_thread(_jobs, scratch, _language):

@@ -150,7 +150,7 @@ def test_equal_values_tell_no_variance():
     assert compare_values(three, three.assign(day=1)).p == 1.0
 
 
-@pytest.mark.parametrize("count", [6, 12, 24])
+@pytest.mark.parametrize("count", [6, 24])
 def test_short_series_that_are_alike_are_seldom_told(count):
     """Neighbours with a correlation of a half, and no change."""
     rng = np.random.default_rng(count)

@@ -46,7 +46,7 @@ def code_of(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(elsewhere, path, request):
+def test_a_notebook_runs(elsewhere, path, request, measured_a_minute):
     """A notebook runs as it stands, draws something in each of its figures, and is quick."""
     names, code = {}, code_of(path)
     if any("from simulation" in source for source in code):

@@ -206,44 +206,25 @@ def test_a_disk_that_is_full(tmp_path):
     assert list(out.iterdir()) == []
 
 
-def test_start_up_does_not_load_the_bags_library():
-    code = "import sys, gis_radar.recordings.formats as f; f.known_formats(); print(*sys.modules)"
+STEPS = [  # what is loaded, and what is not there afterwards
+    ("import gis_radar.cli", "gis_radar.cli.recordings", {"numpy"}),
+    ("import gis_radar as gr; gr.run_site; import gis_radar.site.recipes", "gis_radar.site.run",
+     {"scipy.spatial", "geopandas", "matplotlib", "gis_radar.tracking"}),
+    ("gr.open_recording(gr.sample_folder() / 'R1.parquet')", "gis_radar.recordings",
+     {f"gis_radar.recordings.readers.{each}" for each in ("bags", "pcap", "pcd", "tables")}),
+    ("import gis_radar.recordings.formats as f; f.known_formats()",
+     "gis_radar.recordings.readers.bags", {"rosbags"}),
+    ("gr.open_dataset, gr.read_tiles", "geopandas", {"scipy.spatial", "laspy.lib"}),
+    ("gr.measure_quality", "gis_radar.dataset.dataset", {"scipy.ndimage", "matplotlib"}),
+    ("p = gr.read_pose(gr.sample_folder() / 'R1.json'); repr(p), p._repr_html_()",
+     "gis_radar.poses", {"matplotlib", "folium"}),
+]  # fmt: skip
+
+
+def test_no_command_waits_for_libraries_of_others():
+    code = "import sys\n" + "".join(f"{first}\nprint(*sys.modules)\n" for first, *_ in STEPS)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "gis_radar.recordings.readers.bags" in done.stdout.split()
-    assert "rosbags" not in done.stdout.split()
-
-
-def test_a_recording_as_we_write_it_opens_without_the_readers_of_others():
-    code = (
-        "import sys, gis_radar as gr; gr.open_recording(gr.sample_folder() / 'R1.parquet'); "
-        "print(*sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "gis_radar.recordings.readers." not in done.stdout
-
-
-def test_the_commands_are_there_before_numpy():
-    code = "import sys, gis_radar.cli; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "gis_radar.cli.recordings" in done.stdout.split()
-    assert "numpy" not in done.stdout.split()
-
-
-@pytest.mark.parametrize(
-    ("first", "not_loaded"),
-    [
-        ("import gis_radar as gr; gr.run_site", {"scipy.spatial", "geopandas", "matplotlib"}),
-        ("import gis_radar.site.recipes", {"scipy.spatial", "geopandas", "gis_radar.tracking"}),
-        (
-            "import gis_radar as gr; gr.open_dataset, gr.read_tiles",
-            {"scipy.spatial", "laspy.lib"},
-        ),
-        ("import gis_radar as gr; gr.measure_quality", {"scipy.ndimage", "matplotlib"}),
-    ],
-)
-def test_no_command_waits_for_libraries_of_others(first, not_loaded):
-    code = f"import sys; {first}; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.split())
-    assert "gis_radar" in loaded
-    assert not not_loaded & loaded
+    for (first, there, absent), shown in zip(STEPS, done.stdout.splitlines(), strict=True):
+        loaded = set(shown.split())
+        assert there in loaded, first
+        assert not absent & loaded, first

@@ -1,5 +1,6 @@
 """The commands about what sensors delivered: options reach their arguments, tables come out."""
 
+import shutil
 from dataclasses import replace
 
 import pandas as pd
@@ -14,17 +15,24 @@ BEGIN = 1_749_713_400.0  # of its recordings
 MAP = ("--map", str(SAMPLE / "junction.osm"))
 
 
-@pytest.fixture
-def site(tmp_path, monkeypatch):
-    """A folder with tiles, a second of two recordings and their poses; it is where we are."""
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with tiles, a second of two recordings and their poses."""
+    folder = tmp_path_factory.mktemp("made")
     roads = gr.read_map(SAMPLE / "junction.osm")
-    gr.write_tiles(gr.make_tiles(roads), tmp_path / "tiles.gpkg", problems=roads.problems)
+    gr.write_tiles(gr.make_tiles(roads), folder / "tiles.gpkg", problems=roads.problems)
     for name in ("R1", "R2"):
         table = pd.read_parquet(SAMPLE / f"{name}.parquet")
-        table[table["time"] < BEGIN + 1.0].to_parquet(f"{name}.parquet", index=False)
-        gr.write_pose(gr.read_pose(SAMPLE / f"{name}.json"), tmp_path / f"{name}.json")
-    return tmp_path
+        table[table["time"] < BEGIN + 1.0].to_parquet(folder / f"{name}.parquet", index=False)
+        gr.write_pose(gr.read_pose(SAMPLE / f"{name}.json"), folder / f"{name}.json")
+    return folder
+
+
+@pytest.fixture
+def site(made, tmp_path, monkeypatch):
+    """A copy of it; it is where we are."""
+    monkeypatch.chdir(tmp_path)
+    return shutil.copytree(made, tmp_path, dirs_exist_ok=True)
 
 
 def run(*words):

@@ -10,11 +10,11 @@ SENSORS, LATE_S = 9, 1.0
 
 
 def drive(rng, *, late_s=0.0):
-    """Return what one sensor sees of 40 vehicles on a street of 300 m, some metres off."""
+    """Return what one sensor sees of 20 vehicles on a street of 300 m, some metres off."""
     traffic = np.random.default_rng(7)
-    begin = np.sort(traffic.uniform(0.0, 120.0, 40))
-    speed = traffic.uniform(8.0, 16.0, 40)
-    moment = np.arange(0.0, 160.0, 0.25)
+    begin = np.sort(traffic.uniform(0.0, 60.0, 20))
+    speed = traffic.uniform(8.0, 16.0, 20)
+    moment = np.arange(0.0, 100.0, 0.25)
     on = (moment - begin[:, None]) * speed[:, None]
     vehicle, step = np.nonzero((on > 0.0) & (on < 300.0))
     order = np.argsort(moment[step], kind="stable")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
@@ -113,11 +110,3 @@ def test_a_track_is_drawn_component_by_component():
     assert track.plot().get_ylabel() == "easting, m"
     with pytest.raises(gr.UsageError, match="component is 'x'"):
         track.plot("x")
-
-
-def test_reading_a_pose_does_not_wait_for_matplotlib():
-    code = (
-        "import sys, gis_radar as gr; p = gr.read_pose(gr.sample_folder() / 'R1.json'); repr(p); "
-        "p._repr_html_(); assert not {'matplotlib', 'folium'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

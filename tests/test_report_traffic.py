@@ -30,7 +30,6 @@ from gis_radar.products import make_heatmap
 
 BEGIN = HOUR * STEPS_PER_HOUR
 FRONTS_M = (59.0, 52.0, 45.0)  # of three cars that wait, 4.5 m long
-RED = (186, 28, 77)
 
 
 def waiting(vehicle, first_step, front_m, exit_lane, wait_s=30):

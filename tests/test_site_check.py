@@ -18,10 +18,6 @@ import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.cli.console import JsonConsole, TerminalConsole
 
-ODD_ZONE = (
-    "timezone Asia/Tokyo is 8 hours from the sun at the site: "
-    "choose the zone whose clocks people there follow"
-)
 SAMPLE = Path(__file__).parents[1] / "sample_maps"
 
 

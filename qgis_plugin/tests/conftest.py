@@ -55,6 +55,21 @@ def site(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def brief(once):
+    """Ten seconds of the sample's recordings; its hundred take longer."""
+    cut = (
+        "import sys, pandas as pd\n"
+        "for name in ('R1', 'R2'):\n"
+        "    table = pd.read_parquet(f'{sys.argv[1]}/{name}.parquet')\n"
+        "    table = table[table['time'] < table['time'].iloc[0] + 10.0]\n"
+        "    table.to_parquet(f'{sys.argv[2]}/{name}.parquet', index=False)\n"
+    )
+    around = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
+    command = [WORKER, "-c", cut, str(SAMPLE)]
+    return once("brief", lambda at: subprocess.run([*command, str(at)], check=True, env=around))
+
+
+@pytest.fixture(scope="session")
 def project(site, tmp_path_factory):
     """A project as a run writes it, in a folder that was moved afterwards; only to be read."""
     place = tmp_path_factory.mktemp("project")

@@ -1,5 +1,6 @@
 """Each algorithm in a real QGIS: run, progress, cancel, crash, missing worker, odd layers."""
 
+import json
 import time
 from pathlib import Path
 
@@ -88,6 +89,9 @@ def test_run(run, site, tmp_path, name):
     assert heard.percents[-1] <= 100
     assert heard.stages, "no stage"
     assert leftovers(tmp_path) == []
+    if name == "localizeradar":
+        assert abs(json.loads((tmp_path / "R1.json").read_text())["easting"] - 690360.113) < 0.5
+        assert (tmp_path / "R1.png").stat().st_size > 10_000
 
 
 @pytest.mark.usefixtures("impatient")
@@ -172,12 +176,12 @@ def test_with_a_worker(provider, name):
     assert algorithm(name).canExecute() == (True, "")
 
 
-def test_hits_only_give_a_map_of_the_hit_share(run, site, tmp_path):
+def test_hits_only_give_a_map_of_the_hit_share(run, site, brief, tmp_path):
     """Two sensors, one after the other, into one dataset."""
     parameters, _ = parameters_of("measure", site, tmp_path)
     for name in ("R1", "R2"):
         one = {
-            "RECORDINGS": [str(SAMPLE / f"{name}.parquet")],
+            "RECORDINGS": [str(brief / f"{name}.parquet")],
             "POSES": [str(SAMPLE / f"{name}.json")],
         }
         _, heard = run("measure", parameters | one | {"SCANS": [], "HITS_ONLY": True})
@@ -218,8 +222,8 @@ def memory_copy(layer, keep):
 
 
 @pytest.mark.parametrize("kind", ["memory", "filtered", "selected"])
-def test_parts_of_tiles(run, site, tmp_path, kind):
-    """Sight on a part of the tiles, which live in QGIS alone."""
+def test_parts_of_tiles(run, site, tmp_path, kind, request):
+    """Sight on a part of the tiles, which live in QGIS alone; what the worker is given, of two."""
     layer = tiles_layer(site)
     few = layer.uniqueValues(layer.fields().lookupField("lanelet_id"))
     some = sorted(few)[: len(few) // 2]
@@ -237,13 +241,22 @@ def test_parts_of_tiles(run, site, tmp_path, kind):
         if kind == "selected":
             value = QgsProcessingFeatureSourceDefinition(layer.id(), selectedFeaturesOnly=True)
     assert 0 < count < 5387
-    package = tmp_path / "sight.gpkg"
+    package, table = tmp_path / "sight.gpkg", "sight"
+    if kind != "memory":
+        table = "tiles"
+        request.getfixturevalue("fake_worker")(
+            "import shutil\n"
+            "given, to = (words[words.index(each) + 1] for each in ('--tiles', '-o'))\n"
+            "shutil.copyfile(given, to)\n"
+            "say(event='result', outputs=[to], summary={})"
+        )
     call = {"POSES": [str(SAMPLE / "R1.json")], "SCANS": [str(SAMPLE / "scan.laz")],
             "TILES": value, "OUTPUT": str(package)}  # fmt: skip
     _, heard = run("sight", call)
     assert heard.errors == []
-    written = QgsVectorLayer(f"{package}|layername=sight", "sight", "ogr")
+    written = QgsVectorLayer(f"{package}|layername={table}", "sight", "ogr")
     assert 0 < written.featureCount() <= count
+    assert table == "sight" or written.featureCount() == count
 
 
 @pytest.mark.parametrize("kind", ["memory", "filtered"])

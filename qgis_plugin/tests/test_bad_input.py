@@ -72,13 +72,14 @@ def test_map_and_polygons(run, site, tmp_path):
     refused(run, "maskroad", parameters, "either a Lanelet2 map or a layer of road polygons")
 
 
-def test_other_tiles(run, site, tmp_path):
+def test_other_tiles(run, site, brief, tmp_path):
     """Tiles of another length do not fit a dataset."""
     shutil.copytree(site / "dataset", tmp_path / "dataset")
     other = {"MAP": str(SAMPLE / "junction.osm"), "LENGTH": 1.0}
     _, heard = run("splitlanelets", other | {"OUTPUT": str(tmp_path / "other.gpkg")})
     assert heard.errors == []
     parameters, made = parameters_of("measure", site, tmp_path)
+    parameters["RECORDINGS"] = [str(brief / f"{name}.parquet") for name in ("R2", "R1")]
     before = made.read_bytes()
     tiles = f"{tmp_path}/other.gpkg|layername=tiles"
     refused(run, "measure", parameters | {"TILES": tiles}, str(tmp_path / "dataset"), "tiles")
@@ -161,7 +162,7 @@ def test_two_runs_at_once(run, provider, site, tmp_path):
     done = {}
 
     def work(name):
-        words = ["tiles", str(SAMPLE / "junction.osm"), "-o", str(tmp_path / f"{name}.gpkg")]
+        words = ["sensors", str(SAMPLE / "R1.json"), "-o", str(tmp_path / f"{name}.gpkg")]
         done[name] = run_worker(os.environ["GIS_RADAR_PYTHON"], words, Listener())
 
     threads = [threading.Thread(target=work, args=(name,)) for name in "ab"]

@@ -1,4 +1,4 @@
-"""Algorithms chained in a model and repeated in a batch, as the modeller of QGIS does it."""
+"""Algorithms chained in a model, as the modeller of QGIS does it."""
 
 from conftest import SAMPLE
 from helpers import Feedback, context_of, is_whole
@@ -26,7 +26,7 @@ def child(model, name, **sources):
     return step
 
 
-def test_a_model_from_map_to_heat_map(provider, qgis_new_project, site, tmp_path):
+def test_a_model_from_map_to_heat_map(provider, qgis_new_project, brief, tmp_path):
     """The tiles of one step go into the next two; nothing is loaded by the way."""
     model = QgsProcessingModelAlgorithm("chain", "test")
     model.addModelParameter(
@@ -40,7 +40,7 @@ def test_a_model_from_map_to_heat_map(provider, qgis_new_project, site, tmp_path
     )  # fmt: skip
     measure = child(
         model, "measure",
-        RECORDINGS=VALUE(str(SAMPLE / "R1.parquet")), POSES=VALUE(str(SAMPLE / "R1.json")),
+        RECORDINGS=VALUE(str(brief / "R1.parquet")), POSES=VALUE(str(SAMPLE / "R1.json")),
         TILES=FROM("splitlanelets", "OUTPUT"), MAP=VALUE(str(SAMPLE / "junction.osm")),
     )  # fmt: skip
     model.addChildAlgorithm(measure)
@@ -61,17 +61,3 @@ def test_a_model_from_map_to_heat_map(provider, qgis_new_project, site, tmp_path
     assert done, heard.errors
     assert is_whole(out / "heatmap.gpkg")
     assert context.layersToLoadOnCompletion() == {}
-
-
-def test_a_batch(run, tmp_path):
-    """The same algorithm again and again with other values."""
-    counts = []
-    for number, length in enumerate((0.5, 1.0)):
-        parameters = {
-            "MAP": str(SAMPLE / "junction.osm"), "LENGTH": length,
-            "OUTPUT": str(tmp_path / f"{number}.gpkg"),
-        }  # fmt: skip
-        results, heard = run("splitlanelets", parameters)
-        assert heard.errors == []
-        counts.append(results["TILES"])
-    assert counts[0] > 1.8 * counts[1]

@@ -72,7 +72,7 @@ def some(cases, count):
 SOUND = {kind.words.replace("{}", kind.path): kind for kind in KINDS}  # each command once
 
 
-@pytest.mark.parametrize("kind", some(list(SOUND.values()), 15), ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", some(list(SOUND.values()), 5), ids=lambda kind: kind.name)
 def test_what_is_sound_is_read(runner, inputs, tmp_path, kind):
     folder = shutil.copytree(inputs, tmp_path / "case")
     answer = runner.run(folder, words_of(kind, folder))
@@ -139,7 +139,7 @@ def test_hardly_any_memory(runner, inputs, tmp_path, mebibytes, verb):
     assert answer["err"].count("\n") == 1
 
 
-@pytest.mark.parametrize(("name", "verb"), some(ODD, 10))
+@pytest.mark.parametrize(("name", "verb"), some(ODD, 5))
 def test_odd_names(runner, inputs, tmp_path, name, verb):
     """Signs that mean something to a shell, to GDAL, to SQLite or in an address."""
     folder = shutil.copytree(inputs, tmp_path / name)
@@ -152,7 +152,7 @@ def test_odd_names(runner, inputs, tmp_path, name, verb):
     assert sorted(path.name for path in tmp_path.iterdir()) == [name]
 
 
-@pytest.mark.parametrize("verb", some(list(WRITERS), 4))
+@pytest.mark.parametrize("verb", some(list(WRITERS), 2))
 def test_a_place_where_nobody_writes(runner, inputs, tmp_path, verb):
     folder = shutil.copytree(inputs, tmp_path / "case")
     words = words_of(WRITERS[verb], folder)

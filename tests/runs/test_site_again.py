@@ -18,7 +18,17 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 from maps import Listener
-from site_runs import PAPER, change, done_by, in_a_thread, only_pictures, results, same, states
+from site_runs import (
+    HITS_ALONE,
+    PAPER,
+    change,
+    done_by,
+    in_a_thread,
+    only_pictures,
+    results,
+    same,
+    states,
+)
 from sites import START, recording
 from waiting import is_gone, wait_for
 
@@ -257,6 +267,7 @@ def add_recording(folder, number, *, later_s):
 def test_what_is_added_is_measured_alone_and_as_if_all_were_measured_anew(copied, blank_paper):
     path, out = copied
     change(path, '"10s"', '"30min"')  # hundreds of intervals would take most of the time
+    path.write_text(path.read_text() + HITS_ALONE)
     after_all = ["measure", "heat map", "QGIS project", "report"]
     hour = out / "dataset" / "hours" / "2023-11-14" / "22.json"
     add_recording(path.parent, 1, later_s=2798.0)  # over the hour: 22:59:58 to 23:00:02

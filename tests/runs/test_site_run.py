@@ -21,7 +21,7 @@ import pytest
 import scans
 from click.testing import CliRunner
 from maps import Listener
-from site_runs import change, only_pictures, results, states
+from site_runs import HITS_ALONE, change, only_pictures, results, states
 from streets import errors
 
 import gis_radar as gr
@@ -31,8 +31,6 @@ from gis_radar.demo import pose_errors
 from gis_radar.site import run as product
 from gis_radar.site import stages_of
 from gis_radar.site.plan import OWNED
-
-HITS_ALONE = "\n[vehicles]\nfollow = false\n"  # where a test looks at no vehicle: it takes the most
 
 
 def test_the_whole_way(small):
