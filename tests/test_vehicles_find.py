@@ -195,19 +195,6 @@ def test_another_map_is_refused(site, tmp_path):
         gr.measure([SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "other.osm", folder / "other")
 
 
-def test_the_command_writes_a_dataset(site, tmp_path, run):
-    begin_of(SAMPLE / "R1.parquet", 8.0).to_parquet(tmp_path / "R1.parquet", index=False)
-    code, _, _ = run(
-        "measure", tmp_path / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
-        site[1] / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "site",
-    )  # fmt: skip
-    assert code == 0
-    read = gr.open_dataset(tmp_path / "site")
-    assert len(read.vehicles()) > 5
-    assert read.recordings()["path"].tolist() == [(tmp_path / "R1.parquet").as_posix()]
-    assert read.manifest.settings["sight"] == "view only"
-
-
 def test_a_file_of_sight_stands_for_the_scan(site, tmp_path):
     tiles, folder = site
     road = gr.SightTiles.of(tiles)

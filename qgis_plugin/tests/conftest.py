@@ -129,6 +129,15 @@ def fake_worker(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def copying_worker(site, fake_worker):
+    """A worker that makes the site's heat map whatever it is asked for: it copies it."""
+    return fake_worker(
+        f"import shutil\nshutil.copytree({str(site / 'heatmap')!r}, words[words.index('-o') + 1],"
+        " dirs_exist_ok=True)\nsay(event='result', outputs=[], summary={})"
+    )
+
+
+@pytest.fixture
 def run(provider, qgis_new_project):
     """Run an algorithm as the toolbox does, and load what it gives into the project."""
     from helpers import run_algorithm

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import SAMPLE
+from conftest import ROOT, SAMPLE, WORKER
 from helpers import Feedback, is_whole, layer_called, leftovers, one_sentence
 from qgis.core import QgsProcessingFeatureSourceDefinition, QgsProject, QgsVectorLayer
 from test_algorithms import memory_copy, parameters_of, tiles_layer
@@ -127,7 +127,7 @@ LOCK = (
 )
 
 
-def test_an_output_that_is_open_in_qgis(run, site, tmp_path):
+def test_an_output_that_is_open_in_qgis(run, site, tmp_path, copying_worker, monkeypatch):
     """It is replaced as a whole, and the layer shows what is there now; not while others write."""
     parameters, made = parameters_of("heatmap", site, tmp_path)
     _, heard = run("heatmap", dict(parameters), load=True)
@@ -135,6 +135,7 @@ def test_an_output_that_is_open_in_qgis(run, site, tmp_path):
     layer = layer_called("Occupancy by interval")
     assert layer.featureCount() == 5 * 5387
     assert sum(1 for _ in layer.getFeatures()) == 5 * 5387
+    monkeypatch.setenv("GIS_RADAR_PYTHON", WORKER)
     _, heard = run("heatmap", parameters | {"INTERVAL": "50s"}, load=True)
     assert heard.errors == []
     layer = layer_called("Occupancy by interval")  # still one: it was not loaded twice
@@ -233,8 +234,6 @@ def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):
         "    def progress(self, stage, done, total):\n        print(stage, flush=True)\n"
         "run_worker(sys.argv[2], sys.argv[3:], Told())\n"
     )
-    from conftest import ROOT, WORKER
-
     out = tmp_path / "occ"
     words = ["/usr/bin/python3", str(script), str(ROOT / "qgis_plugin"), WORKER, "measure",
              str(SAMPLE / "R1.parquet"), "--pose", str(SAMPLE / "R1.json"),

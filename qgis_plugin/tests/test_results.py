@@ -29,12 +29,8 @@ STYLE = runpy.run_path(str(ROOT / "gis_radar" / "products" / "heatmap" / "style.
 
 
 @pytest.fixture
-def heatmap(run, site, tmp_path, fake_worker):
-    """The layers of a heat map, loaded by the algorithm; the worker copies the site's: fast."""
-    fake_worker(
-        f"import shutil\nshutil.copytree({str(site / 'heatmap')!r}, words[words.index('-o') + 1],"
-        " dirs_exist_ok=True)\nsay(event='result', outputs=[], summary={})"
-    )
+def heatmap(run, site, tmp_path, copying_worker):
+    """The layers of a heat map, loaded by the algorithm."""
     parameters = {
         "DATASET": str(site / "dataset"), "INTERVAL": "20s", "OUTPUT": str(tmp_path / "map"),
     }  # fmt: skip

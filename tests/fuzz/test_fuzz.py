@@ -27,7 +27,7 @@ from fuzz import edits
 from fuzz.targets import FIRST_CLOUD, TARGETS, Bench
 
 TESTS = Path(__file__).parents[1]
-RUNS = 12  # a target
+RUNS = 8  # a target
 
 
 def column(name, value, kind):
