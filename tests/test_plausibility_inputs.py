@@ -17,9 +17,10 @@ from pyproj import Transformer
 from scans import write_points
 
 import gis_radar as gr
-from gis_radar.calibration import LaneMap
+from gis_radar.calibration import LaneMap, nearly_right
 from gis_radar.calibration.excerpt import read_excerpts
 from gis_radar.calibration.explanations import by_lanes
+from gis_radar.calibration.findings import UNKNOWN_CAUSE
 from gis_radar.calibration.plausibility import judge
 from gis_radar.calibration.range_scale import FEET, YARDS
 from gis_radar.calibration.traces import NONE
@@ -31,6 +32,7 @@ POSES = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in ("R1", "R2")}
 TO_UTM = Transformer.from_crs(4326, 25832, always_xy=True)
 FITS, WRONG, LITTLE = "fits", "does not fit", "too little traffic to tell"
 MOVES_MPS = 0.5
+NO_ROAD = np.empty((0, 3))
 NO_HEIGHTS = "without heights of map and radar, height and tilt are not compared"
 
 
@@ -187,6 +189,27 @@ def test_what_is_measured_to_be_off_counts_in_what_would_show(checked, rows, nor
     _, found, _ = checked({"R1": (table, moved(POSES["R1"], north_m))})
     assert found["R1"][0] == verdict
     assert ("a pose up to 1.2 m or" in found["R1"][1]) is (verdict == LITTLE)
+
+
+@pytest.mark.parametrize(
+    ("preferred", "north_m", "verdict", "cause"),
+    [
+        (nearly_right.PREFERRED, 2.5, WRONG, nearly_right.POSE_OFF),
+        (np.inf, 2.5, WRONG, UNKNOWN_CAUSE),
+        (np.inf, 1.0, LITTLE, ""),
+    ],
+)
+def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
+    rows, tmp_path, monkeypatch, preferred, north_m, verdict, cause
+):
+    """Far off it is refused all the same; nearer, both poses are one answer."""
+    monkeypatch.setattr(nearly_right, "PREFERRED", preferred)
+    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
+    track = as_track(moved(POSES["R1"], north_m))
+    excerpts = read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track])
+    found, _ = judge("R1", excerpts, LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD), {})
+    assert (found.verdict, found.cause) == (verdict, cause)
+    assert (north_m > 1.5) is (" off by " in found.evidence)
 
 
 @pytest.mark.parametrize("lost", [True, False])
