@@ -188,7 +188,28 @@ def test_what_is_measured_to_be_off_counts_in_what_would_show(checked, rows, nor
     table = rows["R1"][rows["R1"]["time"] < rows["R1"]["time"].iloc[0] + 22.0]
     _, found, _ = checked({"R1": (table, moved(POSES["R1"], north_m))})
     assert found["R1"][0] == verdict
-    assert ("a pose up to 1.2 m or" in found["R1"][1]) is (verdict == LITTLE)
+    assert ("a pose up to 1.1 m or" in found["R1"][1]) is (verdict == LITTLE)
+
+
+@pytest.mark.parametrize(
+    ("preferred", "north_m", "verdict", "cause"),
+    [
+        (nearly_right.PREFERRED, 2.5, WRONG, nearly_right.POSE_OFF),
+        (np.inf, 2.5, WRONG, UNKNOWN_CAUSE),
+        (np.inf, 1.0, LITTLE, ""),
+    ],
+)
+def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
+    rows, tmp_path, monkeypatch, preferred, north_m, verdict, cause
+):
+    """Far off it is refused all the same; nearer, both poses are one answer."""
+    monkeypatch.setattr(nearly_right, "PREFERRED", preferred)
+    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
+    track = as_track(moved(POSES["R1"], north_m))
+    excerpts = read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track])
+    found, _ = judge("R1", excerpts, LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD), {})
+    assert (found.verdict, found.cause) == (verdict, cause)
+    assert (north_m > 1.5) is (" off by " in found.evidence)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,8 @@ from gis_radar.calibration.certainty import (
     with_information_along,
 )
 from gis_radar.calibration.hypotheses import Hypothesis, level, look_around, prior_at
-from gis_radar.calibration.lanes import Lanes, Scene, match, match_along, place, sample_lanes
+from gis_radar.calibration.lanes import Lanes, Scene, place, sample_lanes
+from gis_radar.calibration.matches import match, match_along
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.residuals import (
     STRAY_HEIGHT_M,
@@ -405,8 +406,8 @@ def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
     fit = solve(scene, state, prior_at(state))
     hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
     curved = 1.0 / np.linalg.inv(fit.information)[0, 0]
-    flat = with_information_along(fit, hold, curved, 0.02 * curved)
-    assert 1.0 / np.linalg.inv(flat.information)[0, 0] == pytest.approx(0.02 * curved)
+    flat = with_information_along(fit, hold, curved, 1e-3 * curved)
+    assert 1.0 / np.linalg.inv(flat.information)[0, 0] == pytest.approx(1e-3 * curved)
     assert sigma_along(flat, hold) == pytest.approx(certainty(flat).sigma[0])
     assert certainty(flat).sigma[0] > 1.0
     costs = {0.5: 20.0, 1.0: 80.0, 2.0: 400.0, 4.0: 400.0}
@@ -420,6 +421,23 @@ def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
         assert certainty(walled).sigma[1] <= certainty(flat).sigma[1]
     else:
         assert walled is flat
+
+
+def test_less_is_known_by_vehicles_but_what_they_share_moves_the_answer_as_far(scene):
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
+    hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
+    flat = with_information_along(fit, hold, 1.0 / np.linalg.inv(fit.information)[0, 0], 40.0)
+    inverse, wide = (np.linalg.inv(each.information) for each in (fit, flat))
+    assert flat.biases @ wide == pytest.approx(fit.biases @ inverse)
+    assert flat.considered() @ wide == pytest.approx(fit.considered() @ inverse)
+    spread, wider = [
+        np.linalg.norm(each.scores @ known, axis=0)
+        for each, known in ((fit, inverse), (flat, wide))
+    ]
+    grows = np.sqrt(wide[0, 0] / inverse[0, 0])
+    assert grows > 1.2
+    assert wider[0] == pytest.approx(grows * spread[0])
 
 
 def test_a_fit_on_a_bump_begins_again_from_the_lowest_place(scene):

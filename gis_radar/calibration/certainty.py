@@ -230,6 +230,10 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
 def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
     """Change a fit's information along a linear combination of the state's components.
 
+    What vehicles disagree follows it: their scores change with its root. What they share (biases,
+    the constants of the model) moves the answer as far as before: a bias of all lanes does, however
+    well they are known.
+
     Parameters
     ----------
     fit : Fit
@@ -245,10 +249,15 @@ def with_information_along(fit: Fit, hold: Floats, before: float, after: float) 
         With the difference added to both information matrices.
     """
     more = (after - before) * np.outer(hold, hold)
+    way = np.linalg.solve(fit.information, hold)
+    root = np.eye(len(hold)) + before * (math.sqrt(after / before) - 1.0) * np.outer(way, hold)
     return replace(
         fit,
         information=fit.information + more,
         data_information=fit.data_information + more,
+        scores=fit.scores @ root,
+        biases=fit.biases @ root @ root,
+        considered=lambda: fit.considered() @ root @ root,
     )
 
 

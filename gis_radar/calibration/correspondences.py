@@ -11,7 +11,8 @@ import pandas as pd
 import scipy
 
 from gis_radar.base import Booleans, Floats, Integers
-from gis_radar.calibration.lanes import Lanes, match, place
+from gis_radar.calibration.lanes import Lanes, place
+from gis_radar.calibration.matches import match
 from gis_radar.calibration.model import MODEL
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, Moving, Samples

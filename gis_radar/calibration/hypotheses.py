@@ -22,7 +22,8 @@ from gis_radar.calibration.certainty import (
     advantage,
     along_valley,
 )
-from gis_radar.calibration.lanes import LANE_CELL_M, Lanes, Scene, match, place
+from gis_radar.calibration.lanes import LANE_CELL_M, Lanes, Scene, place
+from gis_radar.calibration.matches import match
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.solver import Fit, Prior, Schedule, cost_at, solve
 from gis_radar.calibration.state import LEVER_M, POSE, REFLECTION, SIZE, State

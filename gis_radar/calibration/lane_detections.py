@@ -9,7 +9,8 @@ import numpy as np
 import shapely
 
 from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
-from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, match_along, sample_lanes
+from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, sample_lanes
+from gis_radar.calibration.matches import match_along
 from gis_radar.hdmap import quads
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Detections, Recording

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gis_radar.base import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import Lanes, match_along
+from gis_radar.calibration.lanes import Lanes
+from gis_radar.calibration.matches import match_along
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, straight_line
 

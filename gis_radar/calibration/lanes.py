@@ -32,11 +32,9 @@ UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
 # Top speed as a multiple of the limit, and its least value (54 km/h).
 SPEEDING = 1.5
 MIN_TOP_MPS = 15.0
-# Largest height between sample and lane: LEVEL_M plus a share of the range (3 degrees of tilt).
-LEVEL_M = 4.0
-LEVEL_SHARE = 0.05
-SLACK_MPS = 0.5  # tolerance of range rates: noise, and the turning of a long vehicle
 BORDER_M = 1.0  # a sample nearer to its lane's middle is of no other lane: less than half a lane
+NEXT_LANE_M = 5.5  # largest distance between the middles of lanes beside each other
+PARALLEL = 0.87  # least cosine between their directions (30 degrees)
 NO_WAY_M = 1e-9  # shorter vectors have no direction
 # Length of the mean of a lane's directions under which it bends: an arc of 30 degrees.
 STRAIGHT = 0.9886
@@ -103,6 +101,26 @@ class Lanes:
         _, lane = np.unique(self.lane, return_inverse=True)
         mean = [(np.bincount(lane, way) / np.bincount(lane))[lane] for way in self.along.T]
         return np.asarray(np.hypot(*mean) < STRAIGHT)
+
+    @cached_property
+    def next_lanes(self) -> Integers:
+        """Sample beside each one on the next lane of its direction, left and right; -1 for none."""
+        pairs = scipy.spatial.cKDTree(self.points[:, :2]).query_pairs(
+            NEXT_LANE_M, output_type="ndarray"
+        )
+        one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+        ahead, left, _ = self.beside(one, self.points[other])
+        same = np.sum(self.along[one] * self.along[other], axis=1) > PARALLEL
+        near = same & (np.abs(ahead) < LANE_STEP_M) & (np.abs(left) > BORDER_M)
+        found = np.full((len(self.points), 2), -1)
+        order = np.flatnonzero(near)[np.argsort(-np.abs(left[near]), kind="stable")]
+        found[one[order], np.where(left[order] > 0.0, 0, 1)] = other[order]  # the nearest is last
+        return found
+
+    @property
+    def raster(self) -> tuple[Floats, Floats, Floats, Floats, np.ndarray]:
+        """What points are matched with."""
+        return self.points, self.along, self.top_speed, self.corner, self.nearest
 
     def beside(self, sample: Integers, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Return how far points are ahead of a sample, left of its lane, and over it, metres."""
@@ -356,121 +374,3 @@ def _placed(  # pragma: no cover - compiled
         if flat[i] > NO_WAY_M:
             sight[i, 0], sight[i, 1] = arms[i, 0] / flat[i], arms[i, 1] / flat[i]
     return points, arms, flat, sight
-
-
-@dataclass(frozen=True, kw_only=True)
-class Matches:
-    """The lane sample of each trace sample.
-
-    Parameters
-    ----------
-    lane : (n,) int array
-        Index of the lane sample; arbitrary where there is no match.
-    found : (n,) bool array
-        Whether there is a match.
-    """
-
-    lane: Integers
-    found: Booleans
-
-
-def match(lanes: Lanes, placed: Placed) -> Matches:
-    """Find for each sample the nearest lane of a direction that fits its range rate.
-
-    Parameters
-    ----------
-    lanes : Lanes
-        The map.
-    placed : Placed
-        Traces, placed by the assumed state of the sensor.
-    """
-    samples = placed.samples
-    return match_along(lanes, placed.points, placed.sight, samples.range_rate, samples.reach)
-
-
-def match_along(
-    lanes: Lanes,
-    points: Floats,
-    way: Floats,
-    speed: Floats,
-    reach: Floats,
-    *,
-    least_cosine: float = 0.0,
-) -> Matches:
-    """Find for each point the nearest lane whose traffic may have its speed along a direction.
-
-    Parameters
-    ----------
-    lanes : Lanes
-        The map.
-    points : (n, 3) array
-        Local map coordinates; a height that is NaN fits every lane.
-    way : (n, 2) array
-        Unit vectors along which the speed is known: the direction of sight, or that of travel.
-    speed : (n,) array
-        Speed along `way`, m/s.
-    reach : (n,) array
-        Distance from the sensor, metres: farther points may be higher or lower.
-    least_cosine : float
-        Least cosine of the angle between lane and `way`.
-    """
-    lane, found = _match(
-        least_cosine, points, way, reach, speed,
-        lanes.points, lanes.along, lanes.top_speed, lanes.corner, lanes.nearest,
-    )  # fmt: skip
-    return Matches(lane=lane, found=found)
-
-
-@compiled
-def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
-    least_cosine: float,
-    points: Floats,
-    sight: Floats,
-    reach: Floats,
-    range_rate: Floats,
-    lane_points: Floats,
-    along: Floats,
-    top_speed: Floats,
-    corner: Floats,
-    nearest: NDArray[np.int32],
-) -> tuple[Integers, Booleans]:
-    """Return the lane sample of each point, and whether there is one."""
-    bins, rows, columns = nearest.shape
-    lane = np.zeros(len(points), dtype=np.int64)
-    found = np.zeros(len(points), dtype=np.bool_)
-    for i in range(len(points)):
-        best = np.inf
-        for b in range(bins):
-            east, north = points[i, 0] - corner[0], points[i, 1] - corner[1]
-            # the nearest lane of a cell's centre; then, where lanes meet, of the cell beside it
-            for _ in range(2):
-                column, row = int(np.floor(east / LANE_CELL_M)), int(np.floor(north / LANE_CELL_M))
-                if not (0 <= column < columns and 0 <= row < rows):
-                    break
-                k = nearest[b, row, column]
-                if k < 0:
-                    break
-                # not as arrays: numba would allocate one for each
-                x = points[i, 0] - lane_points[k, 0]
-                y = points[i, 1] - lane_points[k, 1]
-                z = points[i, 2] - lane_points[k, 2]
-                across = y * along[k, 0] - x * along[k, 1]
-                # Doppler sign and size: the speed along the lane that explains the range rate
-                # is neither negative nor above the lane's top speed
-                cosine = along[k, 0] * sight[i, 0] + along[k, 1] * sight[i, 1]
-                forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
-                allowed = -SLACK_MPS <= forward <= abs(cosine) * top_speed[k] + SLACK_MPS
-                allowed = allowed and abs(cosine) >= least_cosine
-                if allowed and not abs(z) > LEVEL_M + LEVEL_SHARE * reach[i]:  # or NaN
-                    # past the end of a lane counts as off it; samples are a step apart
-                    ahead = abs(x * along[k, 0] + y * along[k, 1])
-                    gap = np.hypot(across, max(ahead - 1.5 * LANE_STEP_M, 0.0))
-                    if gap < best:
-                        best = gap
-                        lane[i] = k
-                        found[i] = True
-                if abs(across) < BORDER_M:
-                    break
-                east -= np.copysign(LANE_CELL_M, across) * along[k, 1]
-                north += np.copysign(LANE_CELL_M, across) * along[k, 0]
-    return lane, found

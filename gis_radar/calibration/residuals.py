@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, compiled
-from gis_radar.calibration.lanes import Lanes, Matches, Placed
+from gis_radar.calibration.lanes import Lanes, Placed
+from gis_radar.calibration.matches import Matches
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.state import SIZE
 from gis_radar.calibration.traces import SPELL_S, Samples
@@ -115,12 +116,19 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
         lanes.points, lanes.along, placed.points, placed.arms, placed.flat, placed.sight,
         samples.track, effect[:, 0],
     )  # fmt: skip
-    # samples of a vehicle within a few metres share its swaying: weight v / (v + n wander^2)
-    own_m = model.half_width / 2.0
-    weight: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
+    weight = weights(samples, model)
     stiffness = np.full((samples.tracks, 1, 1), model.driver**-2)
     value, precision, curvature, loss = rows
     return Residuals(value, precision, curvature, loss, jacobian, samples.track, stiffness, weight)
+
+
+def weights(samples: Samples, model: Model) -> Floats:
+    """Return the weight of each sample across its lane.
+
+    Samples of a vehicle within a few metres share its swaying: the weight is v / (v + n wander^2).
+    """
+    own_m = model.half_width / 2.0
+    return np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
 
 
 @compiled

@@ -20,9 +20,9 @@ from gis_radar.calibration.lanes import (
     MARGIN_M,
     Lanes,
     Scene,
-    match_along,
     sample_lanes,
 )
+from gis_radar.calibration.matches import match_along
 from gis_radar.calibration.range_scale import ABSOLUTE, UnitMistake
 from gis_radar.calibration.traces import thin
 from gis_radar.poses import Pose

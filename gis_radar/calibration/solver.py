@@ -9,17 +9,17 @@ from functools import cache, partial
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.calibration.lane_paths import match_paths
 from gis_radar.calibration.lanes import (
     LANE_BINS,
     STREET_SIGMA_M,
     Lanes,
-    Matches,
     Placed,
     Scene,
     direction_bin,
-    match,
     place,
 )
+from gis_radar.calibration.matches import Matches
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.residuals import (
     NO_VEHICLE,
@@ -114,7 +114,7 @@ class Fit:
     cost : float
         Negative log likelihood of data and prior, up to a constant.
     loss : (n,) array
-        Lateral loss of each sample, a weighted negative log likelihood.
+        Lateral loss of each sample, a weighted negative log likelihood, and cost of its path.
     aside : (tracks,) array
         Negative log likelihood of each vehicle's own place in its lane.
     costs : (tracks,) array
@@ -298,9 +298,12 @@ class _Cost:
     def at(self, point: _Point) -> _Here:
         """Return residuals and cost at a point."""
         placed = place(self.scene.samples, point.state)
-        matches = match(self.scene.lanes, placed)
+        matches = match_paths(
+            self.scene.lanes, placed, point.effects[0][:, 0], model=self.model, scale_m=self.scale_m
+        )
         families = self.families(placed, matches, point.effects)
         away = point.state.difference(self.prior.mean)
+        of_paths = float(matches.path_cost.sum())
         total = sum(
             float(f.weight @ f.loss + 0.5 * np.einsum("ki,kij,kj", effect, f.stiffness, effect))
             for f, effect in zip(families, point.effects, strict=True)
@@ -310,7 +313,7 @@ class _Cost:
             placed=placed,
             matches=matches,
             families=families,
-            total=total + 0.5 * float(away @ self.prior.information @ away),
+            total=total + of_paths + 0.5 * float(away @ self.prior.information @ away),
         )
 
     def families(self, placed: Placed, matches: Matches, effects: list[Floats]) -> list[Residuals]:
@@ -362,10 +365,10 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         habits=_habits(here, normal, street),
         biases=biases,
         cost=here.total,
-        loss=across.weight * across.loss,
+        loss=across.weight * across.loss + here.matches.path_cost,
         aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],
         costs=_costs(cost.scene.samples, here),
-        on_lane=across.loss < NO_VEHICLE - np.log(2.0),
+        on_lane=(across.loss < NO_VEHICLE - np.log(2.0)) & (here.matches.path_cost == 0.0),
         matches=here.matches,
         converged=converged,
         effects=here.point.effects,
@@ -375,7 +378,7 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
 
 def _costs(samples: Samples, here: _Here) -> Floats:
     """Return the cost of rows and random effects of each vehicle; zeros beyond the last."""
-    costs = np.zeros(samples.tracks)
+    costs = np.bincount(samples.track, here.matches.path_cost, minlength=samples.tracks)
     for rows, effect in zip(here.families, here.point.effects, strict=True):
         costs += np.bincount(samples.track, rows.weight * rows.loss, minlength=samples.tracks)
         costs += 0.5 * np.einsum("ki,kij,kj->k", effect, rows.stiffness, effect)

@@ -130,6 +130,11 @@ class Samples:
         return np.arange(self.tracks) if self.vehicle is None else self.vehicle
 
     @cached_property
+    def in_order(self) -> Integers:
+        """Indices of the samples, track by track and each in time, as samples are by time."""
+        return np.argsort(self.track, kind="stable")
+
+    @cached_property
     def kept(self) -> dict[tuple[float, ...], Floats]:
         """Cache of values computed from these samples, by the constants used."""
         return {}
