@@ -212,27 +212,6 @@ def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
     assert (north_m > 1.5) is (" off by " in found.evidence)
 
 
-@pytest.mark.parametrize(
-    ("preferred", "north_m", "verdict", "cause"),
-    [
-        (nearly_right.PREFERRED, 2.5, WRONG, nearly_right.POSE_OFF),
-        (np.inf, 2.5, WRONG, UNKNOWN_CAUSE),
-        (np.inf, 1.0, LITTLE, ""),
-    ],
-)
-def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
-    rows, tmp_path, monkeypatch, preferred, north_m, verdict, cause
-):
-    """Far off it is refused all the same; nearer, both poses are one answer."""
-    monkeypatch.setattr(nearly_right, "PREFERRED", preferred)
-    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
-    track = as_track(moved(POSES["R1"], north_m))
-    excerpts = read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track])
-    found, _ = judge("R1", excerpts, LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD), {})
-    assert (found.verdict, found.cause) == (verdict, cause)
-    assert (north_m > 1.5) is (" off by " in found.evidence)
-
-
 @pytest.mark.parametrize("lost", [True, False])
 def test_signs_that_are_lost_show_where_few_approach(rows, tmp_path, lost):
     """Who recedes for good, and drives along a lane backwards, has lost the sign of its rate."""
