@@ -31,6 +31,7 @@ LEAST_RISE = 0.5
 CLEAR_RISE = 50.0
 
 FINE = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)  # fit to all samples
+THERE = Schedule(scales_m=(0.0,), rounds=30)  # the same beside: wider spreads would lead away
 LOOKS = 4  # most searches for a better optimum, each around the last best one
 LOOK_GAIN = 1.0  # least gain in cost of a better optimum: one sigma costs 0.5
 
@@ -218,7 +219,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
         )
         if look == LOOKS or lowest.cost > fit.cost - LOOK_GAIN:
             break
-        again = solve(scene, lowest.state, prior, schedule=FINE, model=model)
+        again = solve(scene, lowest.state, prior, schedule=THERE, model=model)
         if not again.converged or again.cost > fit.cost - LOOK_GAIN:
             break
         fit = again
