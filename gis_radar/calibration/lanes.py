@@ -304,11 +304,15 @@ class Scene:
     lane_sigma_m : (2,) tuple
         1 sigma of the mean offset of a lane's drivers, on straight lanes and in bends; 0 among
         windows of one recording, which share it.
+    keeps_lanes : bool
+        Whether tracks take paths through the lanes, not each sample the nearest. False in windows:
+        some seconds of a track leave its path open, and half a metre of a move hides in it.
     """
 
     lanes: Lanes
     samples: Samples
     lane_sigma_m: tuple[float, float] = LANE_SIGMA_M
+    keeps_lanes: bool = True
 
     def of(self, samples: Samples) -> Scene:
         """Return the scene with other samples."""

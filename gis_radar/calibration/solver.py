@@ -19,7 +19,7 @@ from gis_radar.calibration.lanes import (
     direction_bin,
     place,
 )
-from gis_radar.calibration.matches import Matches
+from gis_radar.calibration.matches import Matches, match
 from gis_radar.calibration.model import MODEL, Model
 from gis_radar.calibration.residuals import (
     NO_VEHICLE,
@@ -298,9 +298,7 @@ class _Cost:
     def at(self, point: _Point) -> _Here:
         """Return residuals and cost at a point."""
         placed = place(self.scene.samples, point.state)
-        matches = match_paths(
-            self.scene.lanes, placed, point.effects[0][:, 0], model=self.model, scale_m=self.scale_m
-        )
+        matches = self.matches(placed, point.effects[0][:, 0])
         families = self.families(placed, matches, point.effects)
         away = point.state.difference(self.prior.mean)
         of_paths = float(matches.path_cost.sum())
@@ -315,6 +313,12 @@ class _Cost:
             families=families,
             total=total + of_paths + 0.5 * float(away @ self.prior.information @ away),
         )
+
+    def matches(self, placed: Placed, aside: Floats) -> Matches:
+        """Return the lane of each sample."""
+        if not self.scene.keeps_lanes:
+            return match(self.scene.lanes, placed)
+        return match_paths(self.scene.lanes, placed, aside, model=self.model, scale_m=self.scale_m)
 
     def families(self, placed: Placed, matches: Matches, effects: list[Floats]) -> list[Residuals]:
         """Return all residuals of samples that lie on their lanes."""

@@ -189,7 +189,9 @@ class WindowFitter:
 
     def scene(self, samples: Samples) -> Scene:
         """Return samples with the lanes within their reach."""
-        return Scene(lanes=self.lanes(samples), samples=samples, lane_sigma_m=(0.0, 0.0))
+        return Scene(
+            lanes=self.lanes(samples), samples=samples, lane_sigma_m=(0.0, 0.0), keeps_lanes=False
+        )
 
     def fit(
         self,
