@@ -124,11 +124,11 @@ def test_a_track_goes_on_along_the_lane_as_far_as_it_is_detected(graph):
     assert len(longer.rows) > 400
 
 
-@pytest.mark.parametrize(("each", "least_s", "most_s"), [(2.0, 0.3, 1.7), (0.1, 2.3, 2.6)])
+@pytest.mark.parametrize(("each", "least_s", "most_s"), [(2.0, 0.3, 1.7), (0.1, 2.3, 4.0)])
 def test_a_vehicle_is_there_undetected_until_silence_costs_as_much_as_an_end(
     each, least_s, most_s, graph
 ):
-    """In plain view sooner; at 10 m/s for 2.5 s at most: then it may drive at 5."""
+    """In plain view sooner; four seconds of which little is due cost less."""
     rng = np.random.default_rng(14)
     found = detected(returns(rng, 4, 16, 50.0, 10.0, each=each), clutter(rng, 20, 0.2))
     known = track(found, 4, 16, 50.0, 10.0)
@@ -140,7 +140,7 @@ def test_a_vehicle_is_there_undetected_until_silence_costs_as_much_as_an_end(
     assert moved == pytest.approx(-10.0 * (4.0 - begin), abs=0.01)
 
 
-@pytest.mark.parametrize(("through", "least_s", "most_s"), [(0, 2.3, 2.7), (4, 0.0, 1.1)])
+@pytest.mark.parametrize(("through", "least_s", "most_s"), [(0, 3.0, 10.1), (4, 0.0, 1.6)])
 def test_vehicles_drive_on_where_the_radar_is_blind(through, least_s, most_s, graph):
     """None of eight is detected beyond 100 m: they drive on. Where four others are, they end."""
     rng = np.random.default_rng(18)
@@ -153,16 +153,14 @@ def test_vehicles_drive_on_where_the_radar_is_blind(through, least_s, most_s, gr
         assert least_s <= span_s(other)[1] - span_s(one)[1] <= most_s
 
 
-@pytest.mark.parametrize(
-    ("speed", "least_s", "most_s"), [(0.0, 0.0, 0.0), (4.0, 0.9, 1.1), (16.0, 2.6, 4.1)]
-)
-def test_the_slower_a_vehicle_is_the_sooner_its_place_is_unknown(speed, least_s, most_s, graph):
-    """Who stands may have driven off, who drives at 4 m/s may stand after 2 s."""
+@pytest.mark.parametrize(("speed", "most_s"), [(0.0, 0.0), (2.0, 0.5), (6.0, 1.5)])
+def test_the_slower_a_vehicle_is_the_sooner_its_place_is_unknown(speed, most_s, graph):
+    """Who drives at 6 m/s may drive at 3 after 1.5 s, who stands may have driven off."""
     rng = np.random.default_rng(21)
-    found = detected(returns(rng, 4, 10, 50.0, speed, each=0.05), clutter(rng, 20, 0.2))
-    known = track(found, 4, 10, 50.0, speed)
+    found = detected(returns(rng, 4, 10, 20.0, speed, each=0.3), clutter(rng, 40, 0.2))
+    known = track(found, 4, 10, 20.0, speed)
     (longer,) = with_undetected_ends(Posterior(found, [known]), [known], graph)
-    assert least_s <= round(span_s(longer)[1] - span_s(known)[1], 3) <= most_s
+    assert 0.0 <= round(span_s(longer)[1] - span_s(known)[1], 3) <= most_s
 
 
 def test_an_undetected_vehicle_drives_into_no_other(graph):

@@ -34,6 +34,7 @@ GIVE_UP, LEAST_GAIN = 12.0, 3.0  # of the log-probability
 UNSEEN = 8  # half seconds without a gain, after which nobody is looked for any longer
 SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses nearer to each other are one
 SPREAD_M2, MOST_SPREAD_M2 = 0.05, 1.0  # variance of the place, a second
+UNDETECTED_WINDOWS = 20  # half seconds, after which a place is not visible any longer
 TURN_POINTS = 40  # metres ahead, in which a fork shows
 
 
@@ -93,9 +94,12 @@ def with_undetected_ends(
     cost[covered] = math.inf
     for k, motion in enumerate(motions):
         rows, mine = posterior.states.rows(k), posterior.given.time[motion.rows] * STEPS_PER_SECOND
+        known = 0.5 * motion.speed[[0, -1]] / USUAL_MPS2 * STEPS_PER_SECOND
         before, after = (
-            _undetected_steps(past, cost[rows])
-            for past in (mine.min() - step[rows], step[rows] - mine.max())
+            _undetected_steps(past, cost[rows], most)
+            for past, most in zip(
+                (mine.min() - step[rows], step[rows] - mine.max()), known.tolist(), strict=True
+            )
         )
         first, last = float(mine.min()) - before, float(mine.max()) + after
         whole = longest[k].between(
@@ -107,29 +111,35 @@ def with_undetected_ends(
     return found
 
 
-def _undetected_steps(past: Floats, cost: Floats) -> float:
-    """Return how many steps past a detection silence costs no more than an end in plain view."""
+def _undetected_steps(past: Floats, cost: Floats, known: float) -> float:
+    """Return how many steps past a detection a vehicle is there.
+
+    All the way on where that costs less than an end in plain view; else as far as it does, while
+    its place is known: at `USUAL_MPS2` its speed changes by half.
+    """
     order = np.argsort(past, kind="stable")
     order = order[past[order] > 0.0]
-    undetected = past[order][np.cumsum(cost[order]) <= END_MOST]
+    past, total = past[order], np.cumsum(cost[order])
+    if len(past) == 0 or total[-1] <= END_MOST:
+        return float(past[-1]) if len(past) else 0.0
+    undetected = past[(total <= END_MOST) & (past <= known)]
     return float(undetected[-1]) if len(undetected) else 0.0
 
 
 def _driven_on(motion: Motion, graph: LaneGraph, way: int) -> Motion:
     """Return a motion that goes on at its end (way 1) or its begin (-1), along the lanes there.
 
-    At the speed it has, while at `USUAL_MPS2` that would change by half at most, up to where lanes
-    end; of lanes that fork the straightest is taken.
+    At the speed it has, up to where lanes end; of lanes that fork the straightest is taken.
     """
     middle, heading = motion.places
     at = -1 if way > 0 else 0
     speed = float(motion.speed[at])
     lines = _ways(graph, middle[at], float(heading[at]) + (0.0 if way > 0 else math.pi))
     lines = [line for line in lines if len(line) > 2]
-    if not lines:
+    if speed <= STANDS_MPS or not lines:
         return motion
     line = min(lines, key=_turned)
-    far = speed * WINDOW_S * np.arange(round(0.5 * speed / USUAL_MPS2 / WINDOW_S) + 1)
+    far = speed * WINDOW_S * np.arange(UNDETECTED_WINDOWS + 1)
     far = far[far <= Path(line).s_m[-1]]
     if len(far) < 2:
         return motion
