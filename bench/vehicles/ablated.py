@@ -122,7 +122,6 @@ PARTS: dict[str, Part] = {
     "no-reassign": _off((moves, "reassign", _same)),
     "no-refit": _off((moves, "refit", _same)),
     "no-undetected-ends": _off((moves, "with_undetected_ends", lambda _, m, __: list(m))),
-    "no-driving-on": _off((ends, "END_MOST", -1.0)),
     "no-driven-as-one": _off((neighbours, "_driven_as_one", lambda *_: -np.inf)),
     "no-alone": _off((neighbours, "_alone", lambda *_: [])),
     # terms

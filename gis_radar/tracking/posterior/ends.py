@@ -12,7 +12,7 @@ from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
-from gis_radar.tracking.posterior.cuts import END_MOST, END_SHARE, END_WINDOWS
+from gis_radar.tracking.posterior.cuts import END_MOST
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import BEND_M, WINDOW_S
 from gis_radar.tracking.posterior.likelihood import (
@@ -34,11 +34,7 @@ GIVE_UP, LEAST_GAIN = 12.0, 3.0  # of the log-probability
 UNSEEN = 8  # half seconds without a gain, after which nobody is looked for any longer
 SAME_M, SAME_MPS = 0.4, 0.9  # hypotheses nearer to each other are one
 SPREAD_M2, MOST_SPREAD_M2 = 0.05, 1.0  # variance of the place, a second
-# An end costs END_SHARE for each detection due, so that a vehicle which is there is undetected for
-# 1 / END_SHARE of them on average; after 2 s its speed may have changed, and after 10 s a place is
-# not visible any longer.
-MOST_DUE, UNDETECTED_WINDOWS = 1.0 / END_SHARE, 20
-MOST_UNDETECTED_STEPS = round(END_WINDOWS * WINDOW_S * STEPS_PER_SECOND)
+UNDETECTED_WINDOWS = 20  # half seconds, after which a place is not visible any longer
 TURN_POINTS = 40  # metres ahead, in which a fork shows
 
 
@@ -69,7 +65,7 @@ def lengthen(posterior: Posterior, graph: LaneGraph) -> list[Motion]:
 def with_undetected_ends(
     posterior: Posterior, motions: Sequence[Motion], graph: LaneGraph
 ) -> list[Motion]:
-    """Return the vehicles extended at both ends for as long as hardly a detection is due there.
+    """Return the vehicles extended at both ends, while silence there and their speed allow.
 
     Vehicles do not vanish: far away, behind another one, or where the radar is blind, one is there
     undetected. How many detections are due in a place is learned from all others that drive over
@@ -93,16 +89,16 @@ def with_undetected_ends(
     longest = [_driven_on(_driven_on(each, graphs[1], 1), graphs[-1], -1) for each in motions]
     posterior.place(longest)
     covered = posterior.covered([(each.first_step, each.last_step) for each in motions])
-    time, *silence = posterior.due_by_others()
+    time, cost = posterior.silence_by_others()
     step, found = time * STEPS_PER_SECOND, []
-    due, cost = (np.where(covered, math.inf, each) for each in silence)
+    cost[covered] = math.inf
     for k, motion in enumerate(motions):
         rows, mine = posterior.states.rows(k), posterior.given.time[motion.rows] * STEPS_PER_SECOND
-        drives = motion.speed[[0, -1]] > STANDS_MPS
+        known = 0.5 * motion.speed[[0, -1]] / USUAL_MPS2 * STEPS_PER_SECOND
         before, after = (
-            _undetected_steps(past, due[rows], cost[rows], drives=bool(fast))
-            for past, fast in zip(
-                (mine.min() - step[rows], step[rows] - mine.max()), drives, strict=True
+            _undetected_steps(past, cost[rows], most)
+            for past, most in zip(
+                (mine.min() - step[rows], step[rows] - mine.max()), known.tolist(), strict=True
             )
         )
         first, last = float(mine.min()) - before, float(mine.max()) + after
@@ -115,18 +111,18 @@ def with_undetected_ends(
     return found
 
 
-def _undetected_steps(past: Floats, due: Floats, cost: Floats, *, drives: bool) -> float:
+def _undetected_steps(past: Floats, cost: Floats, known: float) -> float:
     """Return how many steps past a detection a vehicle is there.
 
-    One that drives goes all the way on where that costs less than an end in plain view; else it is
-    there while no more than `MOST_DUE` detections are due in all, and for 2 s at most.
+    All the way on where that costs less than an end in plain view; else as far as it does, while
+    its place is known: at `USUAL_MPS2` its speed changes by half.
     """
     order = np.argsort(past, kind="stable")
     order = order[past[order] > 0.0]
-    total = np.cumsum(due[order])
-    undetected = past[order][(total <= MOST_DUE) & (past[order] <= MOST_UNDETECTED_STEPS)]
-    if drives and len(order) and cost[order].sum() <= END_MOST:
-        undetected = past[order]
+    past, total = past[order], np.cumsum(cost[order])
+    if len(past) == 0 or total[-1] <= END_MOST:
+        return float(past[-1]) if len(past) else 0.0
+    undetected = past[(total <= END_MOST) & (past <= known)]
     return float(undetected[-1]) if len(undetected) else 0.0
 
 
@@ -140,7 +136,7 @@ def _driven_on(motion: Motion, graph: LaneGraph, way: int) -> Motion:
     speed = float(motion.speed[at])
     lines = _ways(graph, middle[at], float(heading[at]) + (0.0 if way > 0 else math.pi))
     lines = [line for line in lines if len(line) > 2]
-    if not lines:
+    if speed <= STANDS_MPS or not lines:
         return motion
     line = min(lines, key=_turned)
     far = speed * WINDOW_S * np.arange(UNDETECTED_WINDOWS + 1)

@@ -255,8 +255,8 @@ class Posterior:
             self.open[rows], self.rates, self.seen, self.alpha, add,
         )  # fmt: skip
 
-    def due_by_others(self) -> tuple[Floats, Floats, Floats]:
-        """Return of each state its time, UNIX seconds, what is due, and what its silence costs.
+    def silence_by_others(self) -> tuple[Floats, Floats]:
+        """Return of each state its time, UNIX seconds, and what its silence costs, nats.
 
         What is due follows from how often all other vehicles that are placed over its cell are
         detected there; no detection at all costs a vehicle, whose brightness is gamma-distributed,
@@ -276,7 +276,7 @@ class Posterior:
         group, slow = self.states.group, self.states.shape[:, SPEED] < STANDS_MPS
         whole, alpha = np.bincount(group, due)[group], self.alpha[slow.astype(np.int64)]
         cost = alpha * np.log1p(whole / alpha) * due / np.maximum(whole, 1e-12)
-        return self.frames.time[self.states.frame], due, np.asarray(cost)
+        return self.frames.time[self.states.frame], np.asarray(cost)
 
     def covered(self, spans: Sequence[tuple[int, int]]) -> Booleans:
         """Return which states lie on another vehicle while that is in its span of steps."""
