@@ -53,7 +53,7 @@ docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks
 	$(BIN)/python tools/build_docs.py --run-notebooks
 
 # Each worker of pytest would compile all tests for itself: they are collected once before, which writes what is compiled.
-# QGIS is one process of three then, and would end last if it took only what the others leave.
+# QGIS is one process of four then, and would end last if it took only what the others leave.
 test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 	@rm -rf $(DEMO) $(BUILT_DOCS) && mkdir -p $(dir $(DEMO))
 	$(ONE_THREAD) $(BIN)/python tools/side_by_side.py \

@@ -326,14 +326,16 @@ def test_a_front_that_wavers_over_the_line_counts_once():
     assert lanes.loc[APPROACH, "counted"].tolist() == [1, 0, 0, 0]
 
 
-def test_exits_that_are_not_visible_keep_what_may_have_taken_them():
+@pytest.mark.parametrize("tiles_hidden", [1, 1000])
+def test_exits_that_are_not_visible_keep_what_may_have_taken_them(tiles_hidden):
     """Of two cars one goes straight; the left exit is hidden, and the other car with it."""
     cars = [
         (STRAIGHT, BEGIN, np.arange(50.0, 90.0, 2.0)),
         (LEFT, BEGIN, np.array([56.0, 58.0, 59.99, 60.0])),
     ]
     runs, counts = seen_all(GRID)
-    left = np.isin(counts.tile_id, TILES.loc[TILES["lanelet_id"] == LEFT, "tile_id"])
+    first = TILES[TILES["lanelet_id"] == LEFT].sort_values("index").head(tiles_hidden)
+    left = np.isin(counts.tile_id, first["tile_id"])
     hidden = TileSteps(**{**vars(counts), "visible": np.where(left, 0.0, counts.visible)})
     states = states_of(cars)
     gone = (states.vehicle == 1) & (states.lane == np.searchsorted(NETWORK.lane, LEFT))
@@ -371,8 +373,11 @@ def test_lanes_before_a_stop_line_fan_out_without_being_turns():
     assert strips.to_line_m.tolist() == [79.0, 39.0]
 
 
-def junction():
-    """Give tiles of an approach with a connector to either of two exits, where others merge."""
+def junction(*, divides=False):
+    """Give tiles of an approach with a connector to either of two exits, where others merge.
+
+    The second connector leads to a third exit, too, if it `divides`.
+    """
     rows = strip(1, (0, 0), 0, 20, 0)
     for lane, turn in ((3, 10), (4, -10)):
         rows += strip(lane, (20, 0), turn, 20, len(rows))
@@ -384,6 +389,8 @@ def junction():
               for d, y in ((-15, up[1]), (15, down[1]))]  # fmt: skip
     rows += strip(7, beside[0], -15, 20, len(rows))
     rows += strip(8, beside[1], 15, 20, len(rows))
+    if divides:
+        rows += strip(9, down, -25, 20, len(rows))
     return gpd.GeoDataFrame(rows, crs=UTM)
 
 
@@ -396,16 +403,23 @@ def test_turns_lead_over_connectors():
     assert (1, 6, [4]) in named
 
 
-@pytest.mark.parametrize(("reached_m", "volumes"), [(11.0, [1.0, 1.0]), (9.0, [1.0, np.nan])])
+@pytest.mark.parametrize(
+    ("reached_m", "dark", "divides", "volumes"),
+    [
+        (11.0, {6}, False, [1.0, 1.0]),
+        (9.0, {6}, False, [2.0, 0.0]),  # it may yet be lost: shared as those that are known
+        (9.0, {4, 6}, False, [1.0, np.nan]),
+        (11.0, {6, 9}, True, [1.0, np.nan]),  # over the middle it may go to either exit
+    ],
+)
 def test_who_passes_the_middle_of_a_connector_has_turned_where_the_exit_is_not_visible(
-    reached_m, volumes
+    reached_m, dark, divides, volumes
 ):
     """One car drives to the exit 5; one over connector 4, on which it is followed so far."""
-    tiles = junction()
+    tiles = junction(divides=divides)
     network = LaneNetwork.of(tiles)
     runs, counts = seen_all(GRID, tiles)
-    dark = {6} if reached_m > 10.0 else {4, 6}
-    dark = np.isin(counts.tile_id, tiles.loc[tiles["lanelet_id"].isin(dark), "tile_id"])
+    dark = np.isin(counts.tile_id, tiles.loc[tiles["lanelet_id"].isin(list(dark)), "tile_id"])
     counts = TileSteps(**{**vars(counts), "visible": np.where(dark, 0.0, counts.visible)})
     ways = [(0, 1, 5.0), (0, 1, 15.0), (0, 3, 15.0), (0, 5, 2.0)]
     ways += [(1, 1, 5.0), (1, 1, 15.0), (1, 4, reached_m)]

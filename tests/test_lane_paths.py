@@ -1,5 +1,7 @@
 """A vehicle keeps its lane: its track takes one path through the lanes, and seldom changes it."""
 
+from dataclasses import replace
+
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -82,6 +84,37 @@ def test_the_lanes_of_which_a_sample_may_be_have_the_nearest_first(lanes):
     assert 4 not in lanes.lane[ahead[ahead >= 0]]  # range rates have the other sign there
     assert all(len(set(row[row >= 0])) == (row >= 0).sum() for row in near)
     assert (lanes_near(lanes, placed, most=1) == near[:, :1]).all()
+
+
+def test_a_place_past_the_end_of_a_lane_costs_by_the_metre(lanes):
+    """Lane 4 ends at 60 m to the west: two vehicles drive on beyond it, one three times as far."""
+    cost = []
+    for past_m in (2.0, 6.0):
+        placed = driven(lambda x: 2.0 * APART_M + 0.0 * x)
+        east = -60.0 - past_m + 0.0 * placed.points[:, 0]
+        spots = np.column_stack([east, placed.points[:, 1], 0.0 * east])
+        arms = spots - STATE.position
+        rate = -12.0 * arms[:, 0] / np.linalg.norm(arms, axis=1)
+        samples = replace(placed.samples, points=arms, range_rate=rate)
+        cost.append(followed(lanes, place(samples, STATE)).path_cost.sum())
+    assert 0.0 < cost[0] < cost[1]
+
+
+@pytest.mark.parametrize("slow", [0, 2])
+def test_a_slow_lane_on_one_side_leaves_the_one_on_the_other_side(slow):
+    """Three lanes eastward, of which the first or the last allows 10 km/h."""
+    lines = [[[-60.0, y], [60.0, y]] for y in (-APART_M, 0.0, APART_M)]
+    limit = [10.0 if number == slow else 50.0 for number in range(3)]
+    centre = gpd.GeoSeries([shapely.LineString(line) for line in lines], crs="EPSG:25832")
+    table = gpd.GeoDataFrame(
+        {"centre": centre, "participants": [("vehicle",)] * 3, "speed_limit_kmh": limit,
+         "one_way": True},
+        geometry=centre.buffer(1.75), crs="EPSG:25832",
+    )  # fmt: skip
+    lanes = sample_lanes(table, np.empty((0, 3)), place=np.zeros(2), reach_m=100.0)
+    near = lanes_near(lanes, driven(lambda x: 0.0 * x), most=6)
+    other = (np.where(near >= 0, lanes.lane[near], -1) == 2 - slow).any(axis=1)
+    assert other.mean() > 0.9
 
 
 def test_the_next_lanes_are_those_to_the_left_and_right(lanes):

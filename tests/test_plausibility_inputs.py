@@ -309,10 +309,12 @@ def test_left_hand_traffic_fits(checked, rows, tmp_path):
     table = rows["R1"].assign(y=-rows["R1"]["y"])
     code, found, _ = checked({"R1": (table, pose)}, osm=tmp_path / "left.osm")
     assert (code, found["R1"][0]) == (0, FITS)
+    code, found, _ = checked({"R1": (table, pose)})
+    assert (code, found["R1"][0]) == (4, WRONG)  # on the map that is not mirrored
 
 
 def test_clocks_are_not_compared_without_a_common_view(checked, rows):
-    """A clock a second off is named only where two sensors see the same vehicles."""
+    """A clock a second off cannot show where two sensors see no vehicle together."""
     middle_m = np.mean([each.easting for each in POSES.values()])
 
     def half(name, side):

@@ -231,9 +231,9 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
 def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
     """Change a fit's information along a linear combination of the state's components.
 
-    What vehicles disagree follows it: their scores change with its root. What they share (biases,
-    the constants of the model) moves the answer as far as before: a bias of all lanes does, however
-    well they are known.
+    The scores of vehicles are scaled by the root of the change, so that what they disagree widens
+    as sigma does. Biases and the constants of the model, which all share, are scaled so that they
+    move the answer as far as before.
 
     Parameters
     ----------

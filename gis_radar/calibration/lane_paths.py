@@ -17,7 +17,9 @@ from gis_radar.calibration.matches import Matches, lanes_near
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.residuals import FRONT, NO_VEHICLE, STRAY_SHARE, weights
 
-MOST_LANES = 6  # of a sample, among which its track chooses: three beside each other, two ways on
+MOST_LANES = (
+    6  # of a sample, among which its track chooses: three beside each other, and those that follow
+)
 # Negative log likelihood of a change of lanes: one vehicle in fifty, in the eight seconds of a
 # track.
 CHANGE = 4.0
@@ -27,8 +29,8 @@ STEP_M = 1.0
 LEAST_RADIUS_M = 6.0
 KINK = 0.5
 LEAST_COSINE = math.cos(KINK)
-# Cost of each metre farther than PAST_M from the last sample of a lane, at most that of no vehicle:
-# there is no lane on which it would be.
+# Cost of each metre farther than PAST_M from the last sample of a lane, at most that of a sample on
+# no vehicle: no lane is there.
 PAST, PAST_M = 1.0, 1.5 * LANE_STEP_M
 
 
@@ -112,7 +114,7 @@ def _costs(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
 
 
 @compiled
-def _summed(
+def _summed(  # pragma: no cover - compiled
     near: Integers,
     cost: Floats,
     order: Integers,

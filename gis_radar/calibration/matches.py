@@ -113,7 +113,7 @@ def lanes_near(lanes: Lanes, placed: Placed, *, most: int) -> Integers:
 
 
 @compiled
-def _match(  # noqa: C901, PLR0917 - calls of compiled functions cost  # pragma: no cover
+def _match(  # noqa: C901, PLR0912, PLR0917 - calls of compiled functions cost  # pragma: no cover
     most: int,
     next_lanes: Integers,
     least_cosine: float,
@@ -161,6 +161,8 @@ def _match(  # noqa: C901, PLR0917 - calls of compiled functions cost  # pragma:
                     allowed = -SLACK_MPS <= forward <= abs(cosine) * top_speed[q] + SLACK_MPS
                     allowed = allowed and abs(cosine) >= least_cosine
                     if not allowed or abs(z) > LEVEL_M + LEVEL_SHARE * reach[i]:  # or NaN
+                        if side > 0:
+                            continue
                         break
                     # past the end of a lane counts as off it; samples are a step apart
                     ahead = abs(x * along[q, 0] + y * along[q, 1]) - 1.5 * LANE_STEP_M

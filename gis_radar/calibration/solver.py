@@ -120,7 +120,7 @@ class Fit:
     costs : (tracks,) array
         Negative log likelihood of all rows and random effects of each vehicle, as `scores`.
     on_lane : (n,) bool array
-        Samples more likely on a vehicle in a lane than not.
+        Samples more likely on a vehicle in their nearest lane than not, whatever their paths.
     matches : Matches
         The lane of each sample.
     converged : bool
@@ -372,12 +372,19 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         loss=across.weight * across.loss + here.matches.path_cost,
         aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],
         costs=_costs(cost.scene.samples, here),
-        on_lane=(across.loss < NO_VEHICLE - np.log(2.0)) & (here.matches.path_cost == 0.0),
+        on_lane=_on_lane(cost, here),
         matches=here.matches,
         converged=converged,
         effects=here.point.effects,
         considered=cache(partial(_considered, cost, here)),
     )
+
+
+def _on_lane(cost: _Cost, here: _Here) -> Booleans:
+    """Return the samples that are more likely on a vehicle in their nearest lane than not."""
+    nearest = match(cost.scene.lanes, here.placed)
+    compared = cost.compared(here.placed, nearest)
+    return np.asarray(lateral(compared, here.point.effects[0]).loss < NO_VEHICLE - np.log(2.0))
 
 
 def _costs(samples: Samples, here: _Here) -> Floats:

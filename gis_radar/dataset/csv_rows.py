@@ -14,8 +14,8 @@ from gis_radar.base import InputError, Text, UsageError, first_line, moment_in
 
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}) +(\d{1,2})(:.*)")
 """What Excel in Germany makes of times: 12.06.2025 07:30."""
-_EMPTY = re.compile(r"\A[\s;,]*\n")
-"""Rows without values above a header."""
+_EMPTY = re.compile(r"\A(?:sep=.|[\s;,\"])*\n")
+"""Rows without values above a header, and Excel's statement of the separator."""
 
 
 def csv_rows(path: str | Path, wrong: Text) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:

@@ -15,8 +15,7 @@ The variance of a volume has three independent sources:
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -33,7 +32,7 @@ from gis_radar.measures.lane_fronts import (
     crossings,
     driven,
 )
-from gis_radar.measures.lane_network import LaneNetwork, Turn
+from gis_radar.measures.lane_network import LaneNetwork
 from gis_radar.measures.queues import LOOK_STEPS, queues, standing_states
 
 SPEED_CLASS_KMH = 5.0
@@ -296,12 +295,13 @@ def _turns(
     Vehicles without a known exit may have taken one that is not visible: then the other exits only
     get the share of the volume that is known for them.
     """
-    ways = _ways(network.turns())
+    ways = _ways(network)
     known = _known_turns(states, crossed, ways, grid, len(network.lane))
     by_lane = {n: lanes[n].reshape(-1, grid.count)[ways[:, 0]].ravel() for n in _OF_APPROACH}
     exits = network.tile_id[np.searchsorted(network.tile_lane, ways[:, 1])]
     lines = network.tile_id[network.tile_at(ways[:, 2], network.line_m[ways[:, 2]])]
-    told = np.maximum(_share_at(exits, grid, tiles), _share_at(lines, grid, tiles))
+    told, passed = _share_at(exits, grid, tiles), _share_at(lines, grid, tiles)
+    told = np.where(np.repeat(ways[:, 2] >= 0, grid.count), np.maximum(told, passed), told)
     share = np.minimum(by_lane["visible_share"], told)
     start = np.repeat(ways[:, 0], grid.count) * grid.count + np.tile(
         np.arange(grid.count), len(ways)
@@ -331,13 +331,13 @@ def _turns(
 _OF_APPROACH = ("visible_share", "counted", "volume", "volume_se")
 
 
-def _ways(turns: Sequence[Turn]) -> Integers:
-    """Return rows of start, end, and the last connector, or the end where that is not its alone."""
-    last = [(each.start, each.via[-1] if each.via else each.end) for each in turns]
-    alone = Counter(last)
+def _ways(network: LaneNetwork) -> Integers:
+    """Return rows of start, end, and last connector of turns; -1 if that leads elsewhere, too."""
     rows = [
-        (each.start, each.end, place[1] if alone[place] == 1 else each.end)
-        for each, place in zip(turns, last, strict=True)
+        (each.start, each.end, each.via[-1])
+        if each.via and network.after[each.via[-1]] == (each.end,)
+        else (each.start, each.end, -1)
+        for each in network.turns()
     ]
     return np.array(rows, np.int64).reshape(-1, 3)
 
@@ -365,12 +365,12 @@ def _known_turns(
             "interval": grid.of(crossed.step),
         }
     )  # fmt: skip
-    start, end, last = ways.T
-    way = np.arange(len(ways))
+    start, end, connector = ways.T
     exits = pd.concat(
-        pd.DataFrame({"start": start, "end": reached, "way": way, "only_passed": passed})
-        for reached, passed in ((end, False), (lanes + last, True))
-    )
+        pd.DataFrame({"start": start, "end": reached, "only_passed": passed})
+        .rename_axis("way").reset_index()[connector >= (0 if passed else -1)]
+        for reached, passed in ((end, False), (lanes + connector, True))
+    )  # fmt: skip
     pairs = left.merge(came, on="vehicle", suffixes=("", "_end")).merge(exits, on=["start", "end"])
     pairs = pairs[pairs["row_end"] > pairs["row"]]
     pairs = pairs.sort_values(["vehicle", "start", "only_passed", "row_end"])

@@ -21,7 +21,7 @@ from gis_radar.hdmap import turn_word
 from gis_radar.measures.lane_network import LaneNetwork, Turn
 
 BEFORE_M = 5.0  # before the stop line, where direction and number of a lane are determined
-DIRECT_M = 15.0  # of the exit that the line of a turn without connectors shows: a short connector
+DIRECT_M = 15.0  # of the exit, in the line of a turn without connectors: as long as a short one
 BESIDE_M = 5.5  # between the middles of lanes side by side, at most
 ABREAST_M = 30.0  # width over which lanes of one direction are searched
 PARALLEL = math.cos(math.radians(30.0))

@@ -3,8 +3,8 @@
 Junctions are found from the order of lanes. A *connector* leads from a branch to a merge and has no
 stop line. A *turn* leads from a lane to the next one that is no connector: over connectors, or
 directly where the lane has a stop line (its lanelets then reach through the junction) or where
-roads branch and merge without one. Of a lane that has a turn all ways on are turns. Where lanes
-only fan out before stop lines none is.
+roads branch and merge without one. If one way on from a lane is a turn, all are; if a lane only
+widens into lanes with stop lines, none is.
 """
 
 from __future__ import annotations
@@ -187,8 +187,8 @@ class LaneNetwork:
                 if connector[at] and at not in seen:
                     seen.add(at)
                     ways += [(each, (*via, at)) for each in self.after[at]]
-                elif not connector[at]:
-                    ends.setdefault(at, Turn(start, at, via))
+                elif not connector[at] and (at not in ends or (via and not ends[at].via)):
+                    ends[at] = Turn(start, at, via)
             if any(each.via or self._is_turn(start, each.end) for each in ends.values()):
                 found += [ends[end] for end in sorted(ends)]
         return found
