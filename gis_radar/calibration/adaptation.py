@@ -203,7 +203,8 @@ def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights |
     """
     samples, reach = scene.samples, scene.samples.reach
     over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches)
-    usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < NEAR_M))
+    on_path = fit.on_lane & (fit.matches.path_cost == 0.0)
+    usable = np.flatnonzero(on_path & np.isfinite(over) & (reach < NEAR_M))
     if len(usable) < LEAST_SAMPLES:
         return None
     usable = np.random.default_rng(0).permutation(usable)[:MOST_SAMPLES]
