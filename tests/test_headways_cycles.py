@@ -327,6 +327,7 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
         ("lane;begin\n10;x\n", "lacks the columns green_begin"),
         (GREEN.replace("\n10;", "\n11;", 1), "line 2: lane '11' is none"),
         ("\n\n" + GREEN.replace("\n10;", "\n11;", 1), "line 4: lane '11' is none"),
+        ('"";"";""\nsep=;\n' + GREEN.replace("\n10;", "\n11;", 1), "line 4: lane '11' is none"),
         (GREEN.replace("23:01:20", "noon"), "line 4: green_begin is '2023-11-14 noon'"),
         (GREEN.replace("23:00:30", "23:00:41"), "ends before it begins, or after the next"),
         (GREEN.replace("23:00:30", "23:00:09"), "ends before it begins"),

@@ -38,8 +38,9 @@ def _poses(text: str) -> list[str]:
     far = [float(row["2D mean, median"].split(",")[0]) for row in ours]
     turned = [float(row["yaw"].split()[0]) for row in ours]
     right = [int(re.findall(r"\d+", row["right"])[0]) for row in ours]
-    wrong = sum("wrong" in row["right"] for row in ours)
-    others = "the others are refused with the reason" + ("" if wrong else ", none is wrong")
+    wrong = [int(n) for row in ours for n in re.findall(r"(\d+)% wrong", row["right"])]
+    others = "the others are refused or said to be unsure, "
+    others += f"at most {max(wrong)} % are wrong" if wrong else "none is wrong"
     rows = {
         "place of a radar, found from 100 s of traffic": (
             f"{min(far):.2f} to {max(far):.2f} m off, on average by site"

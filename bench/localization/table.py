@@ -153,6 +153,11 @@ def readme(by_conditions: Mapping[str, Mapping[str, Figures]]) -> str:
         for groups in by_conditions.values()
         if (found := groups.get(f"site {name} lane"))
     ]
+    rows += [
+        _readme_row(f"ours, random places, {conditions}", str(found["starts"]), found)
+        for conditions, groups in by_conditions.items()
+        if (found := groups.get("random lane"))
+    ]
     heads = ("site", "starts", "2D mean, median", "height", "yaw", "roll, pitch", "right")
     return markdown_table(heads, rows)
 

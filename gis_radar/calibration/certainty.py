@@ -31,7 +31,8 @@ LEAST_RISE = 0.5
 CLEAR_RISE = 50.0
 
 FINE = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)  # fit to all samples
-THERE = Schedule(scales_m=(0.0,), rounds=30)  # the same beside: wider spreads would lead away
+# The same from a lower place of the valley: with wider spreads the fit would leave it again.
+THERE = Schedule(scales_m=(0.0,), rounds=30)
 LOOKS = 4  # most searches for a better optimum, each around the last best one
 LOOK_GAIN = 1.0  # least gain in cost of a better optimum: one sigma costs 0.5
 

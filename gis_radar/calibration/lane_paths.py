@@ -15,11 +15,17 @@ from gis_radar.base import Floats, Integers, compiled
 from gis_radar.calibration.lanes import LANE_STEP_M, Lanes, Placed
 from gis_radar.calibration.matches import Matches, lanes_near
 from gis_radar.calibration.model import Model
-from gis_radar.calibration.residuals import FRONT, NO_VEHICLE, STRAY_SHARE, weights
-
-MOST_LANES = (
-    6  # of a sample, among which its track chooses: three beside each other, and those that follow
+from gis_radar.calibration.residuals import (
+    FRONT,
+    NO_VEHICLE,
+    STRAY_SHARE,
+    faces,
+    lateral_constants,
+    weights,
 )
+
+# Lanes of a sample among which its track chooses: three beside each other, and those that follow.
+MOST_LANES = 6
 # Negative log likelihood of a change of lanes: one vehicle in fifty, in the eight seconds of a
 # track.
 CHANGE = 4.0
@@ -54,22 +60,16 @@ def match_paths(
     """
     samples = placed.samples
     near = lanes_near(lanes, placed, most=MOST_LANES)
-    constants = (
-        model.habit, model.half_width, model.face, model.bearing, scale_m, model.side_strength,
-        model.hidden_strength, model.hidden_share,
-    )  # fmt: skip
     weight = weights(samples, model)
     cost = _costs(
-        np.array(constants), np.array(FRONT), near, lanes.points, lanes.along, placed.points,
-        placed.flat, placed.sight, aside[samples.track], weight,
+        lateral_constants(model, scale_m), np.array(FRONT), near, lanes.points, lanes.along,
+        placed.points, placed.flat, placed.sight, aside[samples.track], weight,
     )  # fmt: skip
     road = lanes.points, lanes.along, lanes.lane
     before, come = _summed(near, cost, samples.in_order, samples.track, *road)
     taken = _followed(near, cost, samples.in_order, before, come)
     lane, found = np.maximum(taken, 0), taken >= 0
-    ahead, _, _ = lanes.beside(lane, placed.points)
-    past = np.minimum(PAST * np.maximum(np.abs(ahead) - PAST_M, 0.0), NO_VEHICLE)
-    path_cost = np.where(found, weight * past, 0.0) + _changes(taken, before, *road)
+    path_cost = _path_costs(taken, before, placed.points, weight, *road)
     return Matches(lane=lane, found=found, path_cost=path_cost)
 
 
@@ -87,30 +87,35 @@ def _costs(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
     weight: Floats,
 ) -> Floats:
     """Return the negative log likelihood of each sample on each of its lanes."""
-    habit, half_width, face, bearing, scale_m, shown, queued, queues = constants
+    habit, half_width, queues = constants[0], constants[1], constants[7]
     stray, cost = np.exp(-NO_VEHICLE), np.full(near.shape, np.inf)
     for i in range(len(near)):
         for m in range(near.shape[1]):
             k = near[i, m]
             if k < 0:
                 break
-            east, north = along[k, 0], along[k, 1]
-            x, y = points[i, 0] - lane_points[k, 0], points[i, 1] - lane_points[k, 1]
-            off = y * east - x * north - aside[i] - habit
-            left = sight[i, 0] * north - sight[i, 1] * east
-            ahead = abs(sight[i, 0] * east + sight[i, 1] * north)
-            square = face**2 + (bearing * flat[i] * ahead) ** 2 + scale_m**2
-            visible = shown * abs(left) / (shown * abs(left) + ahead)
-            hidden = queued * abs(left) / (queued * abs(left) + ahead)
+            off, left, square, visible, hidden = faces(
+                constants, i, k, lane_points, along, points, flat, sight
+            )
+            off -= aside[i] + habit
             side = visible + queues * (hidden - visible)
             bell = side * np.exp(-0.5 / square * (off - half_width * np.sign(left)) ** 2)
             for j in range(len(front)):
                 end = np.exp(-0.5 / square * (off - half_width * front[j]) ** 2)
                 bell += (1.0 - side) / len(front) * end
             bell *= (1.0 - STRAY_SHARE) / np.sqrt(square)
-            past = min(PAST * max(abs(x * east + y * north) - PAST_M, 0.0), NO_VEHICLE)
+            past = _past(points[i, 0], points[i, 1], k, lane_points, along)
             cost[i, m] = weight[i] * (past - np.log(bell + stray))
     return cost
+
+
+@compiled
+def _past(
+    x: float, y: float, lane: int, points: Floats, along: Floats
+) -> float:  # pragma: no cover
+    """Return the cost of a place past the end of a lane, of whose samples the nearest is given."""
+    ahead = (x - points[lane, 0]) * along[lane, 0] + (y - points[lane, 1]) * along[lane, 1]
+    return float(min(PAST * max(abs(ahead) - PAST_M, 0.0), NO_VEHICLE))
 
 
 @compiled
@@ -168,14 +173,18 @@ def _followed(  # pragma: no cover - compiled
 
 
 @compiled
-def _changes(  # pragma: no cover - compiled
-    taken: Integers, before: Integers, lane_points: Floats, along: Floats, lane: Integers
-) -> Floats:
-    """Return the cost of a change of lanes before each sample."""
+def _path_costs(  # pragma: no cover - compiled
+    taken: Integers, before: Integers, points: Floats, weight: Floats, lane_points: Floats,
+    along: Floats, lane: Integers,
+) -> Floats:  # fmt: skip
+    """Return the cost of a change of lanes before each sample, and of being past its lane's end."""
     cost = np.zeros(len(taken))
     for i in range(len(taken)):
+        if taken[i] >= 0:
+            past = _past(points[i, 0], points[i, 1], taken[i], lane_points, along)
+            cost[i] = weight[i] * past
         if before[i] >= 0:
-            cost[i] = _change(taken[before[i]], taken[i], lane_points, along, lane)
+            cost[i] += _change(taken[before[i]], taken[i], lane_points, along, lane)
     return cost
 
 

@@ -106,13 +106,8 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model = placed.samples, compared.model
-    constants = (
-        model.habit, model.half_width, model.face, model.bearing, compared.scale_m,
-        model.side_strength, model.hidden_strength, model.hidden_share,
-        STRAY_SHARE, NO_VEHICLE,
-    )  # fmt: skip
     rows, jacobian = _lateral(
-        np.array(constants), np.array(FRONT), matches.lane, matches.found,
+        lateral_constants(model, compared.scale_m), np.array(FRONT), matches.lane, matches.found,
         lanes.points, lanes.along, placed.points, placed.arms, placed.flat, placed.sight,
         samples.track, effect[:, 0],
     )  # fmt: skip
@@ -122,6 +117,14 @@ def lateral(compared: LaneComparison, effect: Floats) -> Residuals:
     return Residuals(value, precision, curvature, loss, jacobian, samples.track, stiffness, weight)
 
 
+def lateral_constants(model: Model, scale_m: float) -> Floats:
+    """Return what :func:`faces` and the comparison across a lane take from the model."""
+    return np.array([
+        model.habit, model.half_width, model.face, model.bearing, scale_m, model.side_strength,
+        model.hidden_strength, model.hidden_share, STRAY_SHARE, NO_VEHICLE,
+    ])  # fmt: skip
+
+
 def weights(samples: Samples, model: Model) -> Floats:
     """Return the weight of each sample across its lane.
 
@@ -129,6 +132,26 @@ def weights(samples: Samples, model: Model) -> Floats:
     """
     own_m = model.half_width / 2.0
     return np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
+
+
+@compiled
+def faces(  # pragma: no cover - compiled
+    constants: Floats, i: int, k: int, lane_points: Floats, along: Floats, points: Floats,
+    flat: Floats, sight: Floats,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """Return how sample i lies to lane sample k, and which faces of a vehicle there are seen.
+
+    These are metres to the left of the lane's middle, the direction of sight to its left, the
+    variance of a face across the lane, and the share of the side, of a vehicle that is free and of
+    one in a queue.
+    """
+    east, north = along[k, 0], along[k, 1]
+    x, y = points[i, 0] - lane_points[k, 0], points[i, 1] - lane_points[k, 1]
+    left = sight[i, 0] * north - sight[i, 1] * east
+    ahead = abs(sight[i, 0] * east + sight[i, 1] * north)
+    square = constants[2] ** 2 + (constants[3] * flat[i] * ahead) ** 2 + constants[4] ** 2
+    shown, queued = constants[5] * abs(left), constants[6] * abs(left)
+    return y * east - x * north, left, square, shown / (shown + ahead), queued / (queued + ahead)
 
 
 @compiled
@@ -147,27 +170,24 @@ def _lateral(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - 
     effect: Floats,
 ) -> tuple[Floats, Floats]:
     """Return value, precision, curvature and loss of each sample, (4, n), and the jacobian."""
-    habit, half_width, face, bearing, scale_m = constants[:5]
-    shown, queued, queues, stray_share, no_vehicle = constants[5:]
+    habit, half_width, queues = constants[0], constants[1], constants[7]
+    stray_share, no_vehicle = constants[8], constants[9]
     stray, count = np.exp(-no_vehicle), len(lane)
     value, bell = np.zeros((count, len(front) + 1)), np.zeros((count, len(front) + 1))
     square, side, odds = np.zeros(count), np.zeros((count, 2)), np.zeros(len(effect))
     jacobian = np.zeros((count, SIZE))
     for i in range(count):
         east, north = along[lane[i], 0], along[lane[i], 1]
-        x, y = points[i, 0] - lane_points[lane[i], 0], points[i, 1] - lane_points[lane[i], 1]
-        off = y * east - x * north - effect[track[i]] - habit
-        left = sight[i, 0] * north - sight[i, 1] * east
-        ahead = abs(sight[i, 0] * east + sight[i, 1] * north)
-        square[i] = face**2 + (bearing * flat[i] * ahead) ** 2 + scale_m**2
+        aside, left, square[i], side[i, 0], side[i, 1] = faces(
+            constants, i, lane[i], lane_points, along, points, flat, sight
+        )
+        off = aside - effect[track[i]] - habit
         peak, ends = found[i] * (1.0 - stray_share) / np.sqrt(square[i]), 0.0
         for j in range(len(front) + 1):
             value[i, j] = off - half_width * (np.sign(left) if j == 0 else front[j - 1])
             bell[i, j] = peak * np.exp(-0.5 / square[i] * value[i, j] ** 2)
             ends += bell[i, j] / len(front) if j else 0.0
         # odds, by all samples of a track, that as in a queue the next vehicle hides front and rear
-        side[i, 0] = shown * abs(left) / (shown * abs(left) + ahead)
-        side[i, 1] = queued * abs(left) / (queued * abs(left) + ahead)
         visible = side[i, 0] * bell[i, 0] + (1.0 - side[i, 0]) * ends + stray
         hidden = side[i, 1] * bell[i, 0] + (1.0 - side[i, 1]) * ends + stray
         odds[track[i]] += np.log(hidden / visible)

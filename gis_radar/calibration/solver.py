@@ -382,9 +382,11 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
 
 def _on_lane(cost: _Cost, here: _Here) -> Booleans:
     """Return the samples that are more likely on a vehicle in their nearest lane than not."""
-    nearest = match(cost.scene.lanes, here.placed)
-    compared = cost.compared(here.placed, nearest)
-    return np.asarray(lateral(compared, here.point.effects[0]).loss < NO_VEHICLE - np.log(2.0))
+    across = here.families[0]
+    if cost.scene.keeps_lanes:
+        nearest = match(cost.scene.lanes, here.placed)
+        across = lateral(cost.compared(here.placed, nearest), here.point.effects[0])
+    return np.asarray(across.loss < NO_VEHICLE - np.log(2.0))
 
 
 def _costs(samples: Samples, here: _Here) -> Floats:

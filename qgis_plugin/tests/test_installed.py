@@ -37,7 +37,7 @@ def test_the_version_is_the_projects(profiles):
 
 
 def test_a_night_on_the_sample(profiles, site, brief, tmp_path):
-    """Scan to report, each step by qgis_process, in a folder with a space and an umlaut."""
+    """Scan to report by qgis_process, but for localization, in a folder of an odd name."""
     out = tmp_path / "über Nacht"
     osm, road, tiles = SAMPLE / "junction.osm", out / "road.laz", out / "tiles.gpkg"
     run(profiles, "maskroad", SCANS=[SAMPLE / "scan.laz"], MAP=osm, OUTPUT=road)
