@@ -74,10 +74,12 @@ class Replay:
         """Return the hits as if they were occupied."""
         hits = np.bincount(self.tile[past], minlength=len(self.seen))
         visible = np.where(self.seen, self.at - self.first + 1, 0)
-        count = len(self.place.lane_numbers)
+        each = np.arange(len(self.place.lane_numbers))
         lanes = pd.DataFrame(
-            {"lane": self.place.lane_numbers, "occupied_s": 6.0, "visible_s": 60.0,
-             "passages": np.arange(count), "speed": np.where(np.arange(count), 10.0, np.nan)}
+            {"lane": self.place.lane_numbers, "occupancy": 0.1, "visible_share": 1.0,
+             "counted": each, "volume": np.where(each > 2, each, np.nan), "volume_se": 0.5,
+             "speed_kmh": np.where(each, 36.0, np.nan),
+             "queue_max_m": np.where(each % 2, 23.4, np.nan)}
         )  # fmt: skip
         return Lately(
             until_step=self.at, tiles=TileOccupancy(visible=visible, occupied=hits), lanes=lanes

@@ -15,7 +15,7 @@ from live_programs import Lines, pose_beside
 from live_site import wait_for
 
 import gis_radar as gr
-from gis_radar.base import InputError
+from gis_radar.base import InputError, step_begin
 from gis_radar.dataset import hour_text, read_hours
 from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
 from gis_radar.live import jobs as jobs_module
@@ -28,7 +28,7 @@ from gis_radar.live.hour_work import (
     take_up,
 )
 from gis_radar.live.jobs import DOUBTS, HourJobs
-from gis_radar.live.quarters import KEPT, Quarters, read_quarters
+from gis_radar.live.quarters import KEPT, TRAFFIC, Quarters, read_quarters
 from gis_radar.live.recordings import end_of_hour_s
 from gis_radar.live.settings import DEFAULTS
 
@@ -155,9 +155,11 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     assert not made.site.dataset.exists()
     (found,) = done.quarters
     assert found.until_step == (begin_us + QUARTER_US) // 50_000 - 1
-    assert found.lanes["passages"].sum() > 20
+    assert found.lanes["counted"].sum() > 8
+    assert found.lanes["volume"].isna().all()  # 20 s tell no volume of a quarter
     assert 0 < found.tiles.occupied.sum() < found.tiles.visible.sum()
-    assert found.lanes["speed"].dropna().between(1.0, 30.0).all()
+    assert found.lanes["speed_kmh"].dropna().between(0.0, 100.0).all()
+    assert (found.lanes["queue_max_m"] > 5.0).any()
     (folder,) = (made.folder / "provisional").iterdir()
     again = take_up(made.site, [])
     assert again.quarters[0].lanes.equals(found.lanes)
@@ -167,7 +169,11 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     tiles = gr.read_tiles(made.site.tiles)
     (by_hour,) = read_quarters(gr.open_dataset(made.site.dataset), tiles, [quarter])
     assert by_hour.lanes["hit_s"].equals(found.lanes["hit_s"])
-    assert by_hour.lanes["passages"].sum() == found.lanes["passages"].sum()
+    shown = by_hour.lanes.set_index("lane").dropna(subset="counted")[list(TRAFFIC)]
+    table = gr.open_dataset(made.site.dataset).traffic("15min").set_index("lane")
+    expected = table[table["begin"] == step_begin(quarter * 18_000)].loc[shown.index, list(TRAFFIC)]
+    pd.testing.assert_frame_equal(shown, expected.astype(float), rtol=1e-5)
+    assert by_hour.lanes["counted"].sum() == found.lanes["counted"].sum()
     assert take_up(made.site, []).hours == []
 
 
@@ -468,7 +474,7 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, id
 def test_quarters_of_a_day_are_kept():
     quarters = Quarters()
     none = TileOccupancy(visible=[], occupied=[])
-    lanes = pd.DataFrame({"lane": [7], "passages": [1]})
+    lanes = pd.DataFrame({"lane": [7], "volume": [1.0]})
     quarters.add(
         [Lately(until_step=18_000 * k - 1, tiles=none, lanes=lanes) for k in range(1, KEPT + 9)]
     )

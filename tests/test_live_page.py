@@ -48,6 +48,7 @@ from gis_radar.live import (
     read_live_site,
 )
 from gis_radar.live.page import HIT, VEHICLE, difference, page_server, whole_event
+from gis_radar.live.quarters import TRAFFIC
 from gis_radar.live.snapshot import NOT_OBSERVED
 from gis_radar.products.heatmap import style
 from gis_radar.site import PageTable
@@ -415,9 +416,9 @@ def test_the_legend_asks_nothing_of_browsers_that_some_lack():
 
 def test_a_little_traffic_does_not_read_as_none(live):
     snapshot = live.snapshot()
-    snapshot.lately.lanes["occupied_s"] = 0.02  # of 60
+    snapshot.lately.lanes["occupancy"] = 0.0003
     assert {each[0] for each in whole_event(live.place, snapshot)["traffic"].values()} == {1}
-    snapshot.lately.lanes["occupied_s"] = 0.0
+    snapshot.lately.lanes["occupancy"] = 0.0
     assert {each[0] for each in whole_event(live.place, snapshot)["traffic"].values()} == {0}
 
 
@@ -433,6 +434,14 @@ def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     assert told.startswith(f"{count} vehicles now, 1 of them heavy")
     first = chromium.find_element(By.CSS_SELECTOR, "#lane-rows tr").find_elements(By.TAG_NAME, "td")
     assert first[1].text == "10.0 %"
+    rows = {
+        row.get_attribute("title"): [each.text for each in row.find_elements(By.TAG_NAME, "td")][2:]
+        for row in chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr")
+    }
+    numbers = [str(each) for each in live.place.lane_numbers]
+    assert [rows[each] for each in numbers[:4]] == [
+        ["\N{EN DASH}"] * 3, ["≥ 1", "36", "23"], ["≥ 2", "36", "\N{EN DASH}"], ["3", "36", "23"],
+    ]  # fmt: skip
     classes = [each.colour for each in style.colour_classes()]
     painted = picture_of_tiles(chromium, "occupancy")
     assert painted[HIT] == 0
@@ -461,7 +470,11 @@ def test_vehicles_of_now_are_features(live, address):
     assert found["numberMatched"] == len(now) > 0
     assert {each["properties"]["heavy"] for each in found["features"]} == {False, True}
     lanes = get_json(f"{address}/ogc/collections/lanes/items")["features"]
-    assert lanes[0]["properties"]["occupancy_15min"] == pytest.approx(0.1)
+    traffic = {name: lanes[3]["properties"][f"{name}_15min"] for name in TRAFFIC}
+    assert traffic == {
+        "visible_share": 1.0, "counted": 3, "volume": 3.0, "volume_se": 0.5, "speed_kmh": 36.0,
+        "occupancy": 0.1, "queue_max_m": 23.4,
+    }  # fmt: skip
 
 
 def test_lanes_have_the_names_that_people_use_and_their_own(live, address):

@@ -23,6 +23,7 @@ from starlette.routing import Route
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, InputError, iso_from_step, seconds_from_iso
 from gis_radar.live.health import ALARMS
 from gis_radar.live.now_filter import VehiclesNow
+from gis_radar.live.quarters import TRAFFIC
 from gis_radar.live.snapshot import ShownMap, Snapshot, geometries
 from gis_radar.live.vehicles_now import layer_of
 
@@ -38,9 +39,9 @@ LIMIT, MOST = 1_000, 20_000  # features of a page by default, and at most
 COLLECTIONS = {  # title and description; the method of _Layers with this name returns the layer
     "tiles": ("Tiles", "Slices of 0.5 m of a lane that were observed in the last 15 minutes"),
     "vehicles": ("Vehicles", "Those of now: speed in m/s"),
-    "lanes": ("Lanes", "Hit share of the last 15 minutes"),
+    "lanes": ("Lanes", "Hit share of the last 15 minutes, traffic of the last measured quarter"),
     "intervals": (
-        "Lanes by 15 minutes", "Hit and observed seconds of each lane in intervals of 15 minutes",
+        "Lanes by 15 minutes", "Hits and traffic of each lane in intervals of 15 minutes",
     ),
     "sensors": ("Sensors", "Where they stand, and their state"),
 }  # fmt: skip
@@ -180,10 +181,7 @@ class _Layers:
         if now.lately is None:
             return table
         found = now.lately.lanes.set_index("lane").reindex(table["lane"])
-        return table.assign(
-            occupancy_15min=(found["occupied_s"] / found["visible_s"]).to_numpy(),
-            passages_15min=found["passages"].to_numpy(), speed_15min=found["speed"].to_numpy(),
-        )  # fmt: skip
+        return table.assign(**{f"{name}_15min": found[name].to_numpy() for name in TRAFFIC})
 
     def vehicles(self) -> gpd.GeoDataFrame:
         now = self._live.snapshot().vehicles or VehiclesNow.none()

@@ -68,7 +68,7 @@ _TEMPLATE = Environment(
     autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 ).from_string((WEB / "page.html").read_text(encoding="utf-8"))
 # Long words may break before these on a phone, whose browser need not know where German words do.
-SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|zyklen)")
+SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|zeuge|stau|zyklen)")
 # Colour of a tile that is hit now: no colour of the ramp is blue, nor one as light as this for the
 # red-green blind, to whom the ramp's purple is a deep blue.
 HIT = "#0090e0"
@@ -290,15 +290,14 @@ def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
 
 
 def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
-    """Return for each lane occupancy in permille, passages, mean speed in km/h."""
+    """Return occupancy in permille, volume, vehicles counted, km/h and queue in m of each lane."""
     if snapshot.lately is None:
         return {}
     table = snapshot.lately.lanes
-    share = table["occupied_s"] / table["visible_s"].where(table["visible_s"] > 0)
-    rows = zip(share.tolist(), table["passages"].tolist(), table["speed"].tolist(), strict=True)
+    whole = table[["volume", "counted", "speed_kmh", "queue_max_m"]].round().to_numpy(float)
     return {
-        i: [_permille(share), count, None if np.isnan(speed) else round(3.6 * speed)]
-        for i, (share, count, speed) in enumerate(rows)
+        i: [_permille(share), *(None if np.isnan(each) else int(each) for each in row)]
+        for i, (share, row) in enumerate(zip(table["occupancy"].tolist(), whole, strict=True))
     }
 
 
@@ -347,7 +346,6 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
                  "hit": tr("{n} tiles are hit now"),
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
                      "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
-                 "none": tr("not observed"),
                  "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
         colours = {"classes": [each.colour for each in colour_classes()],
                    "unobserved": NOT_OBSERVED, "free": NEVER_HIT,

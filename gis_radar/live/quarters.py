@@ -15,10 +15,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from gis_radar.base import STEP_S, Floats, Integers, step_begin
-from gis_radar.dataset import PASSAGES, STEPS_PER_QUARTER, TILE_COUNTS, Dataset, TableSchema
+from gis_radar.dataset import LANE_MEASURES, STEPS_PER_QUARTER, TILE_COUNTS, Dataset, TableSchema
 from gis_radar.products import lane_totals, lanes_with_tiles
 
 KEPT = 96  # quarters: a day
+TRAFFIC = (
+    "visible_share", "counted", "volume", "volume_se", "speed_kmh", "occupancy", "queue_max_m",
+)  # fmt: skip
+"""Columns of the traffic of a lane, as in :meth:`gis_radar.Dataset.traffic`."""
 
 
 def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
@@ -57,8 +61,7 @@ class Lately:
     tiles : TileOccupancy
         By position of the tiles.
     lanes : DataFrame
-        `lane, hit_s, observed_s` (means of its tiles); with vehicles also `occupied_s, visible_s`,
-        `passages, speed` (m/s, mean).
+        `lane, hit_s, observed_s` (means of its tiles); with vehicles also those of `TRAFFIC`.
     """
 
     until_step: int
@@ -80,7 +83,7 @@ class Quarters:
     def lately(self) -> Lately | None:
         """Return the newest quarter with vehicles; None where there is none."""
         known = self._known
-        followed = [step for step, each in known.items() if "passages" in each.lanes]
+        followed = [step for step, each in known.items() if "volume" in each.lanes]
         return known[max(followed)] if followed else None
 
     def intervals(self) -> pd.DataFrame:
@@ -112,13 +115,14 @@ def read_quarters(
         return []
     span = (quarters[0] * STEPS_PER_QUARTER, (quarters[-1] + 1) * STEPS_PER_QUARTER - 1)
     counts = _rows(dataset, TILE_COUNTS, span)
-    passages = _rows(dataset, PASSAGES, span) if dataset.has_vehicles else None
+    traffic = _rows(dataset, LANE_MEASURES, span) if dataset.has_vehicles else None
     found = []
     for quarter in quarters:
         begin = quarter * STEPS_PER_QUARTER
-        mine = counts[counts["first_step"] == begin] if len(counts) else counts
+        mine = counts[counts["first_step"] == begin]
         if len(mine):
-            found.append(_quarter(begin, mine, passages, tiles))
+            its = None if traffic is None else traffic[traffic["first_step"] == begin]
+            found.append(_quarter(begin, mine, its, tiles))
     return found
 
 
@@ -130,37 +134,22 @@ def _rows(dataset: Dataset, table: TableSchema, span: tuple[int, int]) -> pd.Dat
 
 
 def _quarter(
-    begin: int, counts: pd.DataFrame, passages: pd.DataFrame | None, tiles: gpd.GeoDataFrame
+    begin: int, counts: pd.DataFrame, traffic: pd.DataFrame | None, tiles: gpd.GeoDataFrame
 ) -> Lately:
     ids = tiles["tile_id"].to_numpy(np.int64)
     place = np.searchsorted(ids, counts["tile_id"].to_numpy(np.int64))
     lanes, lane_of_tile = lanes_with_tiles(tiles)
-    size = len(lanes)
-    number_of_tiles = np.maximum(np.bincount(lane_of_tile, minlength=size), 1)
+    number_of_tiles = np.maximum(np.bincount(lane_of_tile, minlength=len(lanes)), 1)
     steps: dict[str, Integers] = {}
-    table = pd.DataFrame({"lane": [lane.number for lane in lanes]})
     for name in ("hit", "observed", "occupied", "visible"):
         steps[name] = np.zeros(len(ids), np.int64)
         steps[name][place] = counts[f"{name}_steps"].fillna(0).to_numpy(np.int64)
-        total = lane_totals(steps[name].astype(float), lane_of_tile, size)
-        if passages is not None or name in {"hit", "observed"}:
-            table[f"{name}_s"] = total / number_of_tiles * STEP_S
-    if passages is not None:
-        inside = passages["step"].between(begin, begin + STEPS_PER_QUARTER - 1)
-        lane_of = dict(zip(tiles["lanelet_id"].tolist(), lane_of_tile.tolist(), strict=True))
-        table["passages"], table["speed"] = _passed(passages[inside], lane_of, size)
+    table = pd.DataFrame({"lane": [lane.number for lane in lanes]})
+    for name in ("hit", "observed"):
+        total = lane_totals(steps[name].astype(float), lane_of_tile, len(lanes))
+        table[f"{name}_s"] = total / number_of_tiles * STEP_S
+    if traffic is not None:
+        measured = traffic.assign(speed_kmh=3.6 * traffic["speed_mean"]).set_index("lane")
+        table = table.join(measured[[*TRAFFIC]].astype(float), on="lane")
     occupancy = TileOccupancy(visible=steps["visible"], occupied=steps["occupied"])
     return Lately(until_step=begin + STEPS_PER_QUARTER - 1, tiles=occupancy, lanes=table)
-
-
-def _passed(passages: pd.DataFrame, lane_of: dict[int, int], size: int) -> tuple[Integers, Floats]:
-    """Return the number of vehicles that passed each lane, and their mean speed, m/s."""
-    lane = passages["lanelet_id"].map(lane_of)
-    found = passages.assign(lane=lane).dropna(subset="lane").sort_values("step")
-    found = found.drop_duplicates(["vehicle", "lane"])
-    number = found["lane"].to_numpy(np.int64)
-    passes = np.bincount(number, minlength=size)
-    speed = np.full(size, np.nan)
-    total = np.bincount(number, found["speed_cms"].to_numpy(float) / 100.0, size)
-    np.divide(total, passes, out=speed, where=passes > 0)
-    return passes, speed

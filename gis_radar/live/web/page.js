@@ -126,9 +126,11 @@ function showLanes() {
   known.sort(([, one], [, other]) => (other ?? -1) - (one ?? -1));
   const percent = (share) => share === null ? "–" : `${tenths.format(share / 10)} %`;
   const lines = known.map(([lane, share, place]) => {
-    const [occupancy, passages, speed] = state.traffic[place] ?? [null, null, null];
-    const more = vehicles === null ? [] : [percent(occupancy), passages === null ? "–" : figure.format(passages), speed ?? "–"];
-    const line = row([lane.name, share === null ? words.none : percent(share), ...more], [1, 2, 3, 4]);
+    const [occupancy, volume, counted, speed, queue] = state.traffic[place] ?? [null, null, null, null, null];
+    const number = (value) => value === null ? "–" : figure.format(value);
+    const passed = volume === null && counted ? `≥ ${figure.format(counted)}` : number(volume);
+    const more = vehicles === null ? [] : [percent(occupancy), passed, number(speed), number(queue)];
+    const line = row([lane.name, percent(share), ...more], [1, 2, 3, 4, 5]);
     line.title = lane.number;
     return line;
   });
