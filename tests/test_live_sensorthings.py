@@ -12,15 +12,16 @@ from urllib.parse import parse_qs, unquote, urlsplit
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import pandas as pd
 import pytest
 from live_programs import Lines
 from live_site import LONGEST_S, SAMPLE, LiveSite, wait_for
 
 import gis_radar as gr
 from gis_radar.base import InputError
-from gis_radar.live import Fusion, Place, RecentCounts, read_live_site
+from gis_radar.live import Fusion, Lately, Place, RecentCounts, TileOccupancy, read_live_site
 from gis_radar.live.lane_push import LanePush
-from gis_radar.live.sensorthings import LaneMeasure, LaneServer, ServerError, Service
+from gis_radar.live.sensorthings import HITS, LaneMeasure, LaneServer, ServerError, Service
 from gis_radar.site import SensorThingsTable
 
 MANDATORY = {
@@ -62,12 +63,11 @@ class Server(ThreadingHTTPServer):
                 self.check("encoding", each["encodingType"] == "application/geo+json")
                 self.check("longitude first", 5 < each["location"]["coordinates"][0][0] < 16)
                 self.add("Locations", each)
-            for each in record.pop("Datastreams", []):
-                self.add("Datastreams", each)
         if kind == "Datastreams":
             unit = record["unitOfMeasurement"]
             self.check("unit", {"name", "symbol", "definition"} <= set(unit))
             for name, entities in (
+                ("Thing", "Things"),
                 ("Sensor", "Sensors"),
                 ("ObservedProperty", "ObservedProperties"),
             ):
@@ -226,6 +226,45 @@ def test_lanes_and_their_intervals_arrive_as_the_standard_asks(server, place, tm
     assert len(server.entities["Observations"]) == 3 * lanes
 
 
+def quarter_of(place, until_step, **columns):
+    """A measured quarter with the same traffic on all lanes."""
+    traffic = {"visible_share": 0.9, "volume": 7.0, "volume_se": 1.5, "speed_kmh": 31.25,
+               "occupancy": 0.125, "queue_max_m": np.nan} | columns  # fmt: skip
+    lanes = pd.DataFrame({"lane": place.lane_numbers}).assign(**traffic)
+    return Lately(until_step=until_step, tiles=TileOccupancy(visible=[], occupied=[]), lanes=lanes)
+
+
+def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place, tmp_path):
+    until, lanes = BEGIN + 6000 - 1, len(place.lane_numbers)
+    quarters = [quarter_of(place, until)]
+    push = push_of(server, place, tmp_path, interval="1min")
+    push.take_traffic(quarters)
+    until_sent(push)
+    push.take_traffic(
+        [*quarters, quarter_of(place, until + 18_000, volume=np.nan, queue_max_m=20.0)]
+    )
+    until_sent(push)
+    again = push_of(server, place, tmp_path, interval="1min")  # a new start reads the day again
+    again.take_traffic([quarter_of(place, until, volume=8.0)])
+    until_sent(again)
+    assert server.odd == []
+    lane = f"junction/lane/{place.lane_numbers[0]}"
+    first, second = ((f"2025-06-15T15:{begin}:00Z/2025-06-15T15:{end}:00Z")
+                     for begin, end in (("00", "15"), ("15", "30")))  # fmt: skip
+    assert [each for each in server.results() if each[0].startswith(f"{lane}/")] == [
+        (f"{lane}/occupancy", first, 12.5), (f"{lane}/occupancy", second, 12.5),
+        (f"{lane}/queue_max_m", second, 20.0),
+        (f"{lane}/speed_kmh", first, 31.25), (f"{lane}/speed_kmh", second, 31.25),
+        (f"{lane}/volume", first, 7.0),
+    ]  # fmt: skip
+    sizes = {name: len(rows) for name, rows in server.entities.items()}
+    assert sizes == {"Things": lanes, "Locations": lanes, "Datastreams": 4 * lanes, "Sensors": 1,
+                     "ObservedProperties": 4, "Observations": 6 * lanes}  # fmt: skip
+    beside = [each["parameters"] for each in server.entities["Observations"]]
+    assert {"volume_se": 1.5} in beside
+    assert {"visible_share": 0.9} in beside
+
+
 def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, place, tmp_path):
     said = Lines()
     server.fails, server.drops = 2, 1
@@ -242,14 +281,17 @@ def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, plac
 
 
 def test_what_waited_when_fusion_was_killed_is_sent_after_a_new_start(server, place, tmp_path):
-    rows = [LaneMeasure(place.lane_numbers[0], BEGIN, BEGIN + 1200, 12.5, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], HITS, BEGIN, BEGIN + 1200, 12.5, 60.0)]
     (tmp_path / "waiting.json").write_text(json.dumps(rows))
     push = push_of(server, place, tmp_path)
     until_sent(push)
     assert [each[2] for each in server.results()] == [12.5]
 
 
-@pytest.mark.parametrize("damaged", ["[[1, 2]]", "{", "5", '[[1, 2, 3, "a", 5]]'])
+@pytest.mark.parametrize(
+    "damaged",
+    ["[[1, 2]]", "{", "5", '[[1, "hits", 2, 3, "a", 5]]', '[[1, "else", 2, 3, 4.0, 5.0]]'],
+)
 def test_a_damaged_file_is_put_aside(server, place, tmp_path, damaged):
     said, file = Lines(), tmp_path / "waiting.json"
     file.write_text(damaged)
@@ -262,7 +304,7 @@ def test_a_damaged_file_is_put_aside(server, place, tmp_path, damaged):
 def test_a_server_without_the_extension_gets_them_one_by_one(place):
     server = Server(at_once=False)
     lane = place.lane_numbers[0]
-    rows = [LaneMeasure(lane, BEGIN + k * 1200, BEGIN + (k + 1) * 1200, 1.0, 60.0)
+    rows = [LaneMeasure(lane, HITS, BEGIN + k * 1200, BEGIN + (k + 1) * 1200, 1.0, 60.0)
             for k in range(3)]  # fmt: skip
     assert LaneServer(Service.of(table(server)), place, "junction").push(rows) == 0
     assert server.odd == []
@@ -312,7 +354,7 @@ OK = b"HTTP/1.0 200 OK\r\n\r\n"
      ("GET", OK + b'{"value": [{"@iot.id": {}}]}'), ("POST", OK + b"5")],
 )  # fmt: skip
 def test_what_is_no_answer_of_such_a_server_is_an_error_of_it(server, place, method, answer):
-    rows = [LaneMeasure(place.lane_numbers[0], BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], HITS, BEGIN, BEGIN + 1200, 1.0, 60.0)]
     lanes, begun = (LaneServer(Service.of(table(server)), place, "junction") for _ in range(2))
     lanes.push(rows)
     server.raw[method] = answer
@@ -336,7 +378,7 @@ def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, 
 def test_measures_of_lanes_that_the_map_no_longer_has_do_not_hold_up_others(
     server, place, tmp_path
 ):
-    rows = [LaneMeasure(max(place.lane_numbers) + 1, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(max(place.lane_numbers) + 1, HITS, BEGIN, BEGIN + 1200, 1.0, 60.0)]
     (tmp_path / "waiting.json").write_text(json.dumps(rows))
     assert push_of(server, place, tmp_path).waiting == 0
 
@@ -371,7 +413,7 @@ def test_what_waits_and_is_counted_again_waits_once(server, place, tmp_path):
 @pytest.mark.parametrize("code", [301, 302, 303, 307, 308])
 def test_a_server_that_sends_on_gets_nothing_sent_on(server, place, code):
     other = Server()
-    rows = [LaneMeasure(place.lane_numbers[0], BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    rows = [LaneMeasure(place.lane_numbers[0], HITS, BEGIN, BEGIN + 1200, 1.0, 60.0)]
     lanes = LaneServer(Service.of(table(server)), place, "junction")
     lanes.push(rows)
     server.moved = code, other.address

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import secrets
 import time
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from gis_radar.base import (
     QUIET,
@@ -18,9 +20,10 @@ from gis_radar.base import (
     atomic_write,
     interval_steps,
 )
+from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import BackgroundTask
-from gis_radar.live.quarters import share_of
-from gis_radar.live.sensorthings import LaneMeasure, LaneServer, Service
+from gis_radar.live.quarters import Lately, share_of
+from gis_radar.live.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.snapshot import Place
 from gis_radar.site import SensorThingsTable
 
@@ -65,7 +68,8 @@ class LanePush:
         self._sending: list[LaneMeasure] = []
         self._work = BackgroundTask[int]("sensorthings")
         self._again = True  # what a new start counts again may have arrived before
-        self._newest = -1  # begin of an interval
+        self._newest = -1  # begin of an interval of hits
+        self._taken: set[int] = set()  # last steps of quarters whose traffic was taken
         self._try_at, self._patience_s, self._said = 0.0, retry_s, ""
         self._retry_s = retry_s
 
@@ -87,18 +91,41 @@ class LanePush:
         done = self._measures(number, counts)
         if done and done[0].begin <= self._newest:  # the clock was set back
             self._again = True
-        known = {(each.lane, each.begin) for each in self._waiting} if done else set()
-        if done := [each for each in done if (each.lane, each.begin) not in known]:
-            self._newest = max(self._newest, done[0].begin)
-            self._waiting = [*self._waiting, *done][-MOST_WAITING:]
+        if added := self._add(done):
+            self._newest = max(self._newest, added[0].begin)
+
+    def take_traffic(self, quarters: Iterable[Lately]) -> None:
+        """Add the traffic of quarters of an hour that were not taken yet.
+
+        Parameters
+        ----------
+        quarters : iterable of Lately
+            Those with vehicles; each is taken as it was measured first, so that what its hour
+            changes later is not sent.
+        """
+        new = [each for each in quarters if each.until_step not in self._taken]
+        if not new:
+            return
+        self._again |= not self._taken  # the first may have arrived before this start
+        self._taken |= {each.until_step for each in new}
+        self._add([row for each in new for row in _traffic(each)])
+
+    def _add(self, done: Sequence[LaneMeasure]) -> list[LaneMeasure]:
+        """Add measures to those that wait, and return which are new."""
+        known = {each[:3] for each in self._waiting} if done else set()
+        if added := [each for each in done if each[:3] not in known]:
+            self._waiting = [*self._waiting, *added][-MOST_WAITING:]
             self._keep()
+        return added
 
     def _measures(self, number: int, counts: Integers) -> list[LaneMeasure]:
         place, begin = self._place, number * self._steps
         percent = 100.0 * share_of(*(place.totals_by_lane(each) for each in counts))
         observed_s = STEP_S * place.means_by_lane(counts[1])
         return [
-            LaneMeasure(lane, begin, begin + self._steps, round(share, DIGITS), round(s, DIGITS))
+            LaneMeasure(
+                lane, HITS, begin, begin + self._steps, round(share, DIGITS), round(s, DIGITS)
+            )
             for lane, share, s in zip(
                 place.lane_numbers, percent.tolist(), observed_s.tolist(), strict=True
             )
@@ -154,11 +181,31 @@ class LanePush:
             self._reporter.warn(error.message)
 
 
+def _traffic(quarter: Lately) -> Iterator[LaneMeasure]:
+    """Yield the measures of traffic of a quarter that are known."""
+    end = quarter.until_step + 1
+    for measure, beside in ((key, each.parameter) for key, each in MEASURES.items() if key != HITS):
+        table = quarter.lanes[["lane", measure, beside]].dropna()
+        scale = 100.0 if measure == "occupancy" else 1.0
+        for lane, result, parameter in table.itertuples(index=False, name=None):
+            yield LaneMeasure(
+                int(lane), measure, end - STEPS_PER_QUARTER, end,
+                round(scale * result, DIGITS), round(parameter, DIGITS),
+            )  # fmt: skip
+
+
+def _row(lane: Any, measure: Any, begin: Any, end: Any, result: Any, parameter: Any) -> LaneMeasure:
+    """Return a measure as it was kept."""
+    if measure not in MEASURES:
+        raise ValueError(measure)
+    return LaneMeasure(int(lane), measure, int(begin), int(end), float(result), float(parameter))
+
+
 def _read(path: Path, reporter: Reporter) -> list[LaneMeasure]:
     """Return measures that waited when fusion ended; rename and log a damaged file."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
-        return [LaneMeasure(*map(int, row[:3]), *map(float, row[3:])) for row in rows]
+        return [_row(*row) for row in rows]
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError, ArithmeticError, RecursionError):

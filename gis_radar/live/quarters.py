@@ -80,11 +80,14 @@ class Quarters:
         known = self._known | {each.until_step: each for each in found}
         self._known = {step: known[step] for step in sorted(known)[-KEPT:]}
 
+    def followed(self) -> list[Lately]:
+        """Return the quarters with vehicles, in order."""
+        return [each for each in self._known.values() if "volume" in each.lanes]
+
     def lately(self) -> Lately | None:
         """Return the newest quarter with vehicles; None where there is none."""
-        known = self._known
-        followed = [step for step, each in known.items() if "volume" in each.lanes]
-        return known[max(followed)] if followed else None
+        followed = self.followed()
+        return followed[-1] if followed else None
 
     def intervals(self) -> pd.DataFrame:
         """Return the lanes of all quarters, with `begin` and `end`."""

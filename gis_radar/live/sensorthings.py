@@ -1,7 +1,8 @@
 """Push of lane measures to a server that speaks the OGC SensorThings API 1.1 (OGC 18-088).
 
-A lane is a Thing with its line as Location and one Datastream: its hit share over an interval,
-in percent, with the observed seconds as a parameter. Nothing finer than a lane leaves the site.
+A lane is a Thing with its line as Location and a Datastream a measure: its hit share over an
+interval and, with vehicles, its traffic by quarter of an hour. Nothing finer than a lane leaves the
+site.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 import ssl
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby, islice
@@ -28,38 +29,88 @@ TIMEOUT_S = 30.0
 AT_ONCE = 500  # observations in a request
 ASKED_BACK = 100  # intervals of a lane that are requested from a server: one page of FROST
 MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
-PERCENT = {"name": "percent", "symbol": "%", "definition": "https://qudt.org/vocab/unit/PERCENT"}
-PROPERTY = {
-    "name": "hit share",
-    "definition": "urn:gis_radar:hit_share",
-    "description": "Share of the observed time in which a radar hit something on a tile of the "
-    "lane, the mean of its tiles. It is below the share in which vehicles occupy them.",
-}
+QUDT = "https://qudt.org/vocab/unit"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """What a Datastream of a lane holds.
+
+    Parameters
+    ----------
+    name, about : str
+        Name and description of its ObservedProperty.
+    unit : tuple of str
+        Name and symbol of its unit, and the name in the QUDT vocabulary.
+    parameter : str
+        Name of the parameter beside each result.
+    """
+
+    name: str
+    about: str
+    unit: tuple[str, str, str]
+    parameter: str
+
+
+_PERCENT = ("percent", "%", "PERCENT")
+HITS = "hits"
+MEASURES = {
+    HITS: Measure(
+        name="hit share", unit=_PERCENT, parameter="observed_s",
+        about="Share of the observed time in which a radar hit something on a tile of the lane, "
+        "the mean of its tiles. It is below the share in which vehicles occupy them.",
+    ),
+    "occupancy": Measure(
+        name="occupancy", unit=_PERCENT, parameter="visible_share",
+        about="Share of the visible time with a vehicle on a tile of the lane, the mean of its "
+        "tiles.",
+    ),
+    "volume": Measure(
+        name="volume", unit=("vehicles", "veh", "NUM"), parameter="volume_se",
+        about="Vehicles that cross the stop line of the lane, else its middle, in the interval; "
+        "estimated for all of it, with the standard error volume_se.",
+    ),
+    "speed_kmh": Measure(
+        name="speed", unit=("kilometre per hour", "km/h", "KiloM-PER-HR"),
+        parameter="visible_share", about="Space-mean speed of the vehicles on the lane.",
+    ),
+    "queue_max_m": Measure(
+        name="maximum back of queue", unit=("metre", "m", "M"), parameter="visible_share",
+        about="Farthest back of the queue from the stop line in the interval.",
+    ),
+}  # fmt: skip
+"""By the last word of the Datastream's name; those of traffic are columns of it."""
 COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
 _NOT_OFFERED = {404, 405, 501}  # status of servers without the extension for many observations
 _UNWRITTEN = "error"  # entry in place of the link of an observation that was not stored
 
 
 class LaneMeasure(NamedTuple):
-    """Measure of a lane over an interval: its hit share.
+    """Measure of a lane over an interval.
 
     Parameters
     ----------
     lane : int
         Number of the lane.
+    measure : str
+        Key of :data:`MEASURES`.
     begin, end : int
         Begin and exclusive end of the interval, steps.
-    percent : float
-        Hit share, percent.
-    observed_s : float
-        Mean over its tiles of the observed time, seconds.
+    result, parameter : float
+        In its unit, and the parameter beside it.
     """
 
     lane: int
+    measure: str
     begin: int
     end: int
-    percent: float
-    observed_s: float
+    result: float
+    parameter: float
+
+    @property
+    def stream(self) -> tuple[int, str]:
+        """Lane and measure."""
+        return self.lane, self.measure
 
 
 class ServerError(GisRadarError):
@@ -192,7 +243,7 @@ class LaneServer:
 
     def __init__(self, service: Service, place: Place, site: str) -> None:
         self._service, self._place, self._site = service, place, site
-        self._streams: dict[int, Any] = {}
+        self._streams: dict[tuple[int, str], Any] = {}
         self._one_by_one = False
         lanes = place.lanes.set_index("lane")
         shapes = geometries(place.in_degrees(place.lanes).geometry.to_numpy())
@@ -207,7 +258,7 @@ class LaneServer:
         Parameters
         ----------
         measures : sequence of LaneMeasure
-            In order of lane and time.
+            In order of lane, measure and time.
         again : bool
             Whether some may have arrived before, so that the server's are compared first.
 
@@ -223,14 +274,14 @@ class LaneServer:
         return refused
 
     def _new(self, measures: Sequence[LaneMeasure]) -> Iterator[LaneMeasure]:
-        """Yield the measures whose interval the server does not have for their lane."""
-        for lane, group in groupby(measures, lambda each: each.lane):
-            there, since = self._there(lane)
+        """Yield the measures whose interval the server does not have in their Datastream."""
+        for stream, group in groupby(measures, lambda each: each.stream):
+            there, since = self._there(*stream)
             yield from (each for each in group if each.begin >= since and each.begin not in there)
 
-    def _there(self, lane: int) -> tuple[set[int], float]:
-        """Return begins (steps) of a lane's intervals on the server, and since when all count."""
-        path = f"Datastreams({_key(self._stream(lane))})/Observations"
+    def _there(self, lane: int, measure: str) -> tuple[set[int], float]:
+        """Return begins (steps) of the intervals on the server, and since when all count."""
+        path = f"Datastreams({_key(self._stream(lane, measure))})/Observations"
         asked = f"$orderby=phenomenonTime%20desc&$top={ASKED_BACK}&$select=phenomenonTime"
         rows, more = self._service.rows(f"{path}?{asked}")
         texts = (str(each.get("phenomenonTime", "")).partition("/")[0] for each in rows)
@@ -248,15 +299,16 @@ class LaneServer:
                 self._one_by_one = True
         for each in measures:
             record = dict(zip(COMPONENTS, _values(each), strict=True))
-            self._service.post(f"Datastreams({_key(self._stream(each.lane))})/Observations", record)
+            stream = _key(self._stream(*each.stream))
+            self._service.post(f"Datastreams({stream})/Observations", record)
         return 0
 
     def _create_at_once(self, measures: Sequence[LaneMeasure]) -> int:
         arrays = []
-        for lane, group in groupby(measures, lambda each: each.lane):
+        for stream, group in groupby(measures, lambda each: each.stream):
             values = [_values(each) for each in group]
             arrays.append({
-                "Datastream": {"@iot.id": self._stream(lane)}, "components": COMPONENTS,
+                "Datastream": {"@iot.id": self._stream(*stream)}, "components": COMPONENTS,
                 "dataArray@iot.count": len(values), "dataArray": values,
             })  # fmt: skip
         links = self._service.post("CreateObservations", arrays)
@@ -264,22 +316,42 @@ class LaneServer:
             raise self._service.odd("CreateObservations")
         return sum(str(link).startswith(_UNWRITTEN) for link in links or [])
 
-    def _stream(self, lane: int) -> Any:
-        """Return the id of a lane's Datastream, which is made if it is missing."""
-        if lane not in self._streams:
-            name = f"{self._site}/lane/{lane}/hits"
-            found = self._service.find("Datastreams", name)
-            if found is None:
-                self._service.post("Things", self._thing(lane, name))
-                found = self._service.find("Datastreams", name)
-            if found is None:
-                raise ServerError("{}: does not keep what is made there", self._service.root)
-            self._streams[lane] = found
-        return self._streams[lane]
+    def _stream(self, lane: int, measure: str) -> Any:
+        """Return the id of a lane's Datastream."""
+        if (lane, measure) not in self._streams:
+            name = f"{self._thing_name(lane)}/{measure}"
+            found = self._entity("Datastreams", name, lambda: self._datastream(lane, measure, name))
+            self._streams[lane, measure] = found
+        return self._streams[lane, measure]
 
-    def _thing(self, lane: int, stream: str) -> dict[str, Any]:
-        about = f"{self._names[lane]}, {self._place.title}"
-        name = f"{self._site}/lane/{lane}"
+    def _thing_name(self, lane: int) -> str:
+        return f"{self._site}/lane/{lane}"
+
+    def _datastream(self, lane: int, measure: str, name: str) -> dict[str, Any]:
+        about = MEASURES[measure]
+        unit, symbol, word = about.unit
+        observed = {
+            "name": about.name, "description": about.about,
+            "definition": f"urn:gis_radar:{about.name.replace(' ', '_')}",
+        }  # fmt: skip
+        radars = {
+            "name": f"{self._site}/radars", "description": f"Radars of {self._place.title}",
+            "encodingType": "text/html", "metadata": "Roadside radars; lanes, by gis_radar.",
+        }  # fmt: skip
+        ids = {
+            "Thing": self._entity("Things", self._thing_name(lane), lambda: self._thing(lane)),
+            "Sensor": self._entity("Sensors", radars["name"], lambda: radars),
+            "ObservedProperty": self._entity("ObservedProperties", about.name, lambda: observed),
+        }
+        return {
+            "name": name, "description": f"{about.name.capitalize()} of lane {lane}",
+            "observationType": MEASUREMENT,
+            "unitOfMeasurement": {"name": unit, "symbol": symbol, "definition": f"{QUDT}/{word}"},
+            **{entity: {"@iot.id": found} for entity, found in ids.items()},
+        }  # fmt: skip
+
+    def _thing(self, lane: int) -> dict[str, Any]:
+        about, name = f"{self._names[lane]}, {self._place.title}", self._thing_name(lane)
         location = {"name": name, "description": about, "encodingType": "application/geo+json",
                     "location": self._shapes[lane]}  # fmt: skip
         return {
@@ -288,32 +360,23 @@ class LaneServer:
                 "site": self._site, "lane": str(lane), "street": self._streets.get(lane) or None,
             },
             "Locations": [location],
-            "Datastreams": [{
-                "name": stream, "description": f"Hit share of lane {lane}",
-                "observationType": MEASUREMENT, "unitOfMeasurement": PERCENT,
-                "Sensor": {"@iot.id": self._entity("Sensors", self._sensor())},
-                "ObservedProperty": {"@iot.id": self._entity("ObservedProperties", PROPERTY)},
-            }],
         }  # fmt: skip
 
-    def _sensor(self) -> dict[str, str]:
-        return {
-            "name": f"{self._site}/radars", "description": f"Radars of {self._place.title}",
-            "encodingType": "text/html",
-            "metadata": "Roadside radars; tiles of lanes that they hit, by gis_radar.",
-        }  # fmt: skip
-
-    def _entity(self, entities: str, record: dict[str, str]) -> Any:
-        found = self._service.find(entities, record["name"])
+    def _entity(self, entities: str, name: str, record: Callable[[], dict[str, Any]]) -> Any:
+        """Return the id of the entity with a name, which is made if it is missing."""
+        found = self._service.find(entities, name)
         if found is None:
-            self._service.post(entities, record)
-            found = self._service.find(entities, record["name"])
+            self._service.post(entities, record())
+            found = self._service.find(entities, name)
+        if found is None:
+            raise ServerError("{}: does not keep what is made there", self._service.root)
         return found
 
 
 def _values(each: LaneMeasure) -> list[Any]:
     begin, end = iso_from_step(each.begin), iso_from_step(each.end)
-    return [f"{begin}/{end}", end, each.percent, {"observed_s": each.observed_s}]
+    beside = {MEASURES[each.measure].parameter: each.parameter}
+    return [f"{begin}/{end}", end, each.result, beside]
 
 
 def _key(found: Any) -> str:
