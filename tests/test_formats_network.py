@@ -198,7 +198,8 @@ def test_a_disk_that_is_full(tmp_path):
         text=True,
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        # a compiled module cut off by the limit would stay for all
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1"},
     )
     assert done.returncode == 3
     assert "r.parquet: cannot be written" in done.stderr

@@ -77,6 +77,8 @@ max_inflight_messages {in_flight}
 max_queued_messages {queued}
 max_queued_bytes {queued_bytes}
 max_keepalive 60
+# Else a message waits up to 40 ms for the acknowledgement of the one before it (Nagle's algorithm).
+set_tcp_nodelay true
 connection_messages true
 log_dest stderr
 """

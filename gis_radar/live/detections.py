@@ -200,8 +200,8 @@ def unpack_detections(content: bytes) -> tuple[bytes, tuple[FrameDetections, ...
         if size > min(MOST_DETECTIONS, 8 * (len(content) - read.at)):
             raise InputError("a frame of {} detections in {} bytes", size, len(content))
         columns = np.empty((_COLUMNS, size), np.int64)
-        for column in columns if size else ():
-            read.at = _unpack_column(data, read.at, column)
+        if size:
+            read.at = _unpack_columns(data, read.at, columns)
             if read.at < 0:
                 raise InputError("a message ends within its detections")
         frames.append(_frame_of(time_us, columns))
@@ -282,3 +282,14 @@ def _unpack_column(  # pragma: no cover - compiled
             bit += 1
         out[k] = ((value >> 1) ^ -(value & 1)) + middle
     return (bit + 7) >> 3
+
+
+@compiled
+def _unpack_columns(  # pragma: no cover - compiled
+    data: Bytes, at: int, columns: Integers
+) -> int:
+    """Unpack the columns of a frame as :func:`_unpack_column` does each."""
+    for k in range(len(columns)):
+        if at >= 0:
+            at = _unpack_column(data, at, columns[k])
+    return at

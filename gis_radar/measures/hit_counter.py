@@ -209,21 +209,23 @@ class FrameCounter:
             If a time is no number, or times go back.
         """
         time = np.asarray(detections.time, np.float64)
-        if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
+        if not (np.isfinite(time).all() and (time[1:] >= time[:-1]).all()):
             raise InputError("times of frames are not finite, or go back")
         rows = rows_of_detections(detections)
         numbers = PoseNumbers.of(pose) if isinstance(pose, Pose) else pose
-        counted = [*self._counter.add(rows, 0, len(time), numbers), self._counter.end()]
-        frames = np.concatenate([each.frames for each in counted])
-        tiles = np.concatenate([each.tile for each in counted]).astype(np.int64)
-        begins = np.cumsum(frames[:, TILES_HIT])[:-1]
-        return [
-            CountedFrame(
-                time_us=frame[TIME_US], detections=frame[DETECTIONS], moving=frame[MOVING],
-                wild=frame[WILD], tiles=np.sort(hit),
-            )
-            for frame, hit in zip(frames.tolist(), np.split(tiles, begins), strict=True)
-        ]  # fmt: skip
+        found: list[CountedFrame] = []
+        for counted in (*self._counter.add(rows, 0, len(time), numbers), self._counter.end()):
+            begin = 0
+            for frame in counted.frames.tolist():
+                end = begin + frame[TILES_HIT]
+                found.append(
+                    CountedFrame(
+                        time_us=frame[TIME_US], detections=frame[DETECTIONS], moving=frame[MOVING],
+                        wild=frame[WILD], tiles=np.sort(counted.tile[begin:end].astype(np.int64)),
+                    )
+                )  # fmt: skip
+                begin = end
+        return found
 
 
 def limits_of(filters: Filters) -> Limits:

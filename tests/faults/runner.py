@@ -63,6 +63,7 @@ def main() -> None:
 def _limit(case: dict[str, object]) -> None:
     """Set limits, and send what is printed to files."""
     os.setsid()
+    sys.dont_write_bytecode = True  # a compiled module cut off by a limit would stay for all
     for descriptor, name in ((1, "out"), (2, "err")):
         os.dup2(os.open(Path(str(case[name])), os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
