@@ -24,13 +24,12 @@ from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import no_states, states_of
 from .table_schema import TableSchema
-from .tables import FRAMES, LANE_MEASURES, PASSAGES, TILE_COUNTS
+from .tables import FRAMES, PASSAGES, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
 from .upkeep import relink, withdraw
 
 __all__ = [
     "FRAMES",
-    "LANE_MEASURES",
     "PASSAGES",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from gis_radar.base import STEP_S, Floats, Integers, step_begin
-from gis_radar.dataset import LANE_MEASURES, STEPS_PER_QUARTER, TILE_COUNTS, Dataset, TableSchema
+from gis_radar.dataset import STEPS_PER_QUARTER, TILE_COUNTS, Dataset
 from gis_radar.products import lane_totals, lanes_with_tiles
 
 KEPT = 96  # quarters: a day
@@ -117,23 +117,21 @@ def read_quarters(
     if not quarters:
         return []
     span = (quarters[0] * STEPS_PER_QUARTER, (quarters[-1] + 1) * STEPS_PER_QUARTER - 1)
-    counts = _rows(dataset, TILE_COUNTS, span)
-    traffic = _rows(dataset, LANE_MEASURES, span) if dataset.has_vehicles else None
+    parts: list[pd.DataFrame] = [part.to_pandas() for part in dataset.batches(TILE_COUNTS, span)]
+    if not parts:
+        return []
+    counts = pd.concat(parts, ignore_index=True)
+    traffic = None
+    if dataset.has_vehicles:
+        traffic = dataset.traffic("15min", begin=span[0], end=span[1] + 1)
     found = []
     for quarter in quarters:
         begin = quarter * STEPS_PER_QUARTER
         mine = counts[counts["first_step"] == begin]
         if len(mine):
-            its = None if traffic is None else traffic[traffic["first_step"] == begin]
+            its = None if traffic is None else traffic[traffic["begin"] == step_begin(begin)]
             found.append(_quarter(begin, mine, its, tiles))
     return found
-
-
-def _rows(dataset: Dataset, table: TableSchema, span: tuple[int, int]) -> pd.DataFrame:
-    parts: list[pd.DataFrame] = [part.to_pandas() for part in dataset.batches(table, span)]
-    if not parts:
-        return pd.DataFrame(columns=[*table.names, "first_step"])
-    return pd.concat(parts, ignore_index=True)
 
 
 def _quarter(
@@ -152,7 +150,6 @@ def _quarter(
         total = lane_totals(steps[name].astype(float), lane_of_tile, len(lanes))
         table[f"{name}_s"] = total / number_of_tiles * STEP_S
     if traffic is not None:
-        measured = traffic.assign(speed_kmh=3.6 * traffic["speed_mean"]).set_index("lane")
-        table = table.join(measured[[*TRAFFIC]].astype(float), on="lane")
+        table = table.join(traffic.set_index("lane")[[*TRAFFIC]].astype(float), on="lane")
     occupancy = TileOccupancy(visible=steps["visible"], occupied=steps["occupied"])
     return Lately(until_step=begin + STEPS_PER_QUARTER - 1, tiles=occupancy, lanes=table)

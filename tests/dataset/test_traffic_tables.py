@@ -16,7 +16,6 @@ from sites import pose
 
 from gis_radar.base import STEPS_PER_HOUR, InputError, UsageError
 from gis_radar.dataset import (
-    LANE_MEASURES,
     STEPS_PER_QUARTER,
     TILE_COUNTS,
     LaneTraffic,
@@ -27,7 +26,7 @@ from gis_radar.dataset import (
     record_path,
     write_record,
 )
-from gis_radar.dataset.tables import HOUR_TABLES, TURNS, VISIBLE
+from gis_radar.dataset.tables import HOUR_TABLES, LANE_MEASURES, TURNS, VISIBLE
 
 HOUR = 472_222  # 2023-11-14, 22 h
 EDGE = (HOUR + 1) * STEPS_PER_HOUR
