@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from maps import Listener
 
 from gis_radar.base import (
     OutputError,
-    Reporter,
     atomic_folder,
     atomic_write,
     json_text,
@@ -228,21 +228,17 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, error):
 
 
 def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
-    said = []
-
-    class Listener(Reporter):
-        def log(self, message, level="info"):
-            said.append((level, message))
+    said = Listener()
 
     def refuse(_, *, blocking):
         raise OSError(errno.ENOTSUP, "Operation not supported")
 
     monkeypatch.setattr("filelock.lock_descriptor", refuse)
-    with only_writer(tmp_path / "o", reporter=Listener()):
+    with only_writer(tmp_path / "o", reporter=said):
         pass
-    with atomic_folder(tmp_path / "p", owned=(), reporter=Listener()):
+    with atomic_folder(tmp_path / "p", owned=(), reporter=said):
         pass
-    assert said == [
+    assert said.messages == [
         ("warning", f"{tmp_path / name}: cannot be locked: Operation not supported")
         for name in ("o", "p")
     ]
