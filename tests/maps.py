@@ -36,6 +36,14 @@ class Listener(Reporter):
     def log(self, message, level="info"):
         self.messages.append((level, message))
 
+    @property
+    def lines(self):
+        return [message for _, message in self.messages]
+
+    @property
+    def text(self):
+        return "\n".join(f"{level}: {message}" for level, message in self.messages)
+
 
 def one(path, **options):
     """Read the first lanelet of a map."""

@@ -10,9 +10,10 @@ import dpkt
 import numpy as np
 import pcapng
 import pyarrow.parquet as pq
+from maps import Listener
 from pcapng import blocks
 
-from gis_radar.base import Reporter
+import gis_radar as gr
 
 SENSOR, OTHER_SENSOR = "10.13.1.113", "10.13.1.114"
 START = 1_700_000_000.0
@@ -20,20 +21,6 @@ SYNCHRONISED, NEVER, LOST = 1, 2, 3
 
 # Written apart from the reader's table, field by field: one detection of the wire format.
 DETECTION = struct.Struct(">ffBffffffbHBBBHBH")
-
-
-class Notes(Reporter):
-    """Keeps what is said."""
-
-    def __init__(self):
-        self.lines = []
-
-    def log(self, message, level="info"):
-        self.lines.append(f"{level}: {message}")
-
-    @property
-    def text(self):
-        return "\n".join(self.lines)
 
 
 def detection(distance=100.0, azimuth=0.1, elevation=0.02, rate=-5.0, rcs=-10, *, invalid=0):
@@ -116,3 +103,10 @@ def times(count, *, start=START, period=0.05):
 def frame_times(path):
     """The distinct times of a recording."""
     return np.unique(pq.read_table(path)["time"].to_numpy())
+
+
+def convert(path, **options):
+    """Convert into the input's folder; return the result, the table and what was said."""
+    heard = Listener()
+    result = gr.convert(path, path.parent / "out.parquet", reporter=heard, **options)
+    return result, pq.read_table(result.outputs[0]).to_pandas(), heard.text

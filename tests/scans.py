@@ -22,6 +22,10 @@ def strewn(box, density, rng):
     return np.column_stack([rng.uniform(west, east, count), rng.uniform(south, north, count)])
 
 
+def level(x, y):
+    return np.full(np.shape(x), 100.0)
+
+
 def ground(box, height, *, density=10.0, seed=0):
     """Points on a surface, with noise; `height` takes x and y."""
     rng = np.random.default_rng(seed)

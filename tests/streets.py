@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import geopandas as gpd
+import laspy
 import numpy as np
 from pyproj import CRS
 from shapely import LineString, Polygon
@@ -32,9 +33,7 @@ class Street:
     crs: CRS = field(default=UTM)
 
     def placed(self, xy):
-        angle = np.radians(self.turn_deg)
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        return np.asarray(xy, dtype=float) @ turn.T + self.middle
+        return np.asarray(xy, dtype=float) @ _turned(self.turn_deg).T + self.middle
 
     def ground(self, xy):
         """Height of the road at places of the unturned, local plan."""
@@ -77,6 +76,15 @@ class Street:
         )
         height = self.ground(plan) + rng.normal(0.0, 0.02, len(plan))
         return np.column_stack([self.placed(plan), height])
+
+    def write_road(self, path):
+        """Write the points of the road as a scan."""
+        scan, points = laspy.create(point_format=6, file_version="1.4"), self.road_points()
+        scan.header.scales, scan.header.offsets = [0.001] * 3, np.floor(points.min(axis=0))
+        scan.header.add_crs(self.crs)
+        scan.xyz = points
+        scan.write(path)
+        return path
 
     def pose(self, place=(-14.0, 11.0), over_m=6.0, yaw=-38.0, pitch=3.0, roll=1.0):
         east, north = self.placed([place])[0]

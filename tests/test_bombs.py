@@ -1,7 +1,6 @@
 """Small files that ask for much time or memory: one line, and soon; limits are lowered here."""
 
 import gzip
-from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -26,14 +25,16 @@ from gis_radar.scans.cells import squares_with_cells
 
 
 @pytest.fixture
-def limited(monkeypatch):
+def limited():
     """Lower limits of the readers; others are as usual."""
-    usual = settings.DEFAULTS
+    with pytest.MonkeyPatch.context() as patch:
 
-    def lower(**limits):
-        monkeypatch.setattr(settings, "DEFAULTS", replace(usual, **limits))
+        def lower(**limits):
+            patch.undo()
+            for name, value in limits.items():
+                patch.setattr(settings, name.upper(), value)
 
-    return lower
+        yield lower
 
 
 def table(rows=200, **further):

@@ -1,16 +1,14 @@
 """Bags of ars430_ros_publisher: both makes of its packets, cycles of several packets."""
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from radars import START, Notes
+from radars import START, convert
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_formats_bags import header, write_bag
 
-import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.recordings.ars430 import DETECTION, PACKET
 
@@ -74,13 +72,6 @@ def write_camel(path, packets, *, later=0.01, stamped=True):
             content = store.serialize_ros1(message, PACKET)
             writer.write(topic, round((time + later) * 1e9), content)
     return path
-
-
-def convert(path):
-    notes = Notes()
-    out = path.parent / "out.parquet"
-    result = gr.convert(path, out, reporter=notes)
-    return result, pq.read_table(out).to_pandas(), notes.text
 
 
 TARGETS = list(zip(RANGE_M, AZIMUTH, strict=True))

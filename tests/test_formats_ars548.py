@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from radars import SENSOR, START, Notes, detection, detection_list, ethernet, ip_packets, write_pcap
+from maps import Listener
+from radars import SENSOR, START, detection, detection_list, ethernet, ip_packets, write_pcap
 
 import gis_radar as gr
 from gis_radar.recordings.readers.udp import method_of, read_detections
@@ -125,7 +126,7 @@ def test_nonsense_numbers_are_left_out_and_counted(tmp_path):
         detection(rate=-104.0, rcs=2),
     ]
     packets = [(START, ethernet(ip)) for ip in ip_packets(detection_list(START, rows))]
-    notes = Notes()
+    notes = Listener()
     path = write_pcap(tmp_path / "r.pcap", packets)
     result = gr.convert(path, tmp_path / "r.parquet", reporter=notes)
     table = pq.read_table(tmp_path / "r.parquet").to_pandas()

@@ -5,11 +5,10 @@ from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from radars import SENSOR, START, Notes, detection, detection_list, frame_times, times
+from radars import SENSOR, START, convert, detection, detection_list, frame_times, times
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -106,13 +105,6 @@ def ars548_rows(number=0, count=4):
     rows["x"], rows["y"], rows["z"] = np.arange(count) + 10 * number, -2.5, 0.5
     rows["v"], rows["RCS"] = -7.25, np.arange(count) - 20
     return rows
-
-
-def convert(path, **options):
-    notes = Notes()
-    out = path.parent / "out.parquet"
-    result = gr.convert(path, out, reporter=notes, **options)
-    return result, pq.read_table(result.outputs[0]).to_pandas(), notes.text
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -9,11 +9,11 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from maps import Listener
 from radars import (
     OTHER_SENSOR,
     SENSOR,
     START,
-    Notes,
     detection_list,
     ethernet,
     frame_times,
@@ -104,7 +104,7 @@ def test_an_old_fragment_does_not_mend_a_new_datagram():
 def test_a_lost_fragment_costs_its_frame_and_is_said(tmp_path):
     packets = list(frames_of(times(4)))
     del packets[30]  # of the second datagram
-    notes = Notes()
+    notes = Listener()
     result = convert(write_pcap(tmp_path / "r.pcap", packets), reporter=notes)
     np.testing.assert_allclose(frame_times(result.outputs[0]), np.delete(times(4), 1), atol=1e-6)
     assert result.left_out == {"incomplete_datagrams": 1}
@@ -171,7 +171,7 @@ def test_a_file_cut_off_keeps_what_is_whole(tmp_path, kind):
     content = path.read_bytes()
     content = content[: int(len(content) * 0.55)]
     path.write_bytes(gzip.compress(content) if kind.endswith("gz") else content)
-    notes = Notes()
+    notes = Listener()
     result = gr.convert(path, tmp_path / "out.parquet", reporter=notes)
     assert result.recordings[0].frames == 5
     assert result.left_out["damaged_files"] == 1
@@ -212,7 +212,7 @@ def test_object_lists_are_called_what_they_are(tmp_path):
 
 
 def test_a_short_snap_length_is_named(tmp_path):
-    notes = Notes()
+    notes = Listener()
     path = write_pcap(tmp_path / "r.pcap", [])
     with path.open("ab") as file:
         for _, packet in frames_of(times(2)):
@@ -234,7 +234,7 @@ def test_a_short_snap_length_is_named(tmp_path):
 )
 def test_captures_that_are_none(tmp_path, content, message, said):
     (tmp_path / "r.pcap").write_bytes(content)
-    notes = Notes()
+    notes = Listener()
     with pytest.raises(InputError, match=message):
         convert(tmp_path / "r.pcap", reporter=notes)
     assert said in notes.text

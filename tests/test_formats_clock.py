@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from radars import START, Notes, frame_times
+from maps import Listener
+from radars import START, frame_times
 from test_formats_order import LATER, capture, convert
 
 from gis_radar.base import InputError
@@ -33,7 +34,7 @@ def jitter(count, seed=0, size=0.009):
 
 
 def times_given(frames, clock="auto"):
-    notes = Notes()
+    notes = Listener()
     chosen = FrameClock("R1", clock, notes)
     timed = [pair for frame in frames for pair in chosen.feed(frame)]
     timed += chosen.finish()

@@ -4,13 +4,13 @@ import re
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from datasets import measured
 from hypothesis import given
 from hypothesis import strategies as st
-from radars import START, Notes, times
+from maps import Listener
+from radars import START, convert, times
 from sites import EAST, NORTH, crossing, pose, recording
 from streets import Street
 from test_formats_bags import clouds, write_bag
@@ -36,13 +36,6 @@ def slant(points):
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     nothing = np.full(len(points), np.nan)
     return np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), nothing])
-
-
-def convert(path, **options):
-    notes = Notes()
-    out = path.parent / "out.parquet"
-    result = gr.convert(path, out, reporter=notes, **options)
-    return result, pq.read_table(out).to_pandas(), notes.text
 
 
 def cloud_of(count, **columns):
@@ -226,7 +219,7 @@ def pairs(dataset):
 
 def test_hits_places_them_on_the_road(tmp_path):
     time, place = traffic()
-    looks, notes = pose(yaw=7.0), Notes()
+    looks, notes = pose(yaw=7.0), Listener()
     points = looks.to_sensor(place)
     full = recording(tmp_path / "full.parquet", time, points)
     level = recording(tmp_path / "level.parquet", time, slant(points))
@@ -269,7 +262,7 @@ def test_a_clearance_is_refused(tmp_path):
 
 
 def test_projection_has_no_gaps(tmp_path):
-    notes = Notes()
+    notes = Listener()
     points = project(level_recording(tmp_path / "r.parquet"), pose(), reporter=notes)
     xyz = np.array([[p.x, p.y, p.z] for p in points.geometry])
     assert np.isfinite(xyz).all()
@@ -285,7 +278,7 @@ def test_clocks_match_them_to_lanes(tmp_path):
         path = recording(tmp_path / f"{name}.parquet", time, seen, range_rate=8.0)
         lanelets = lanelets_of(crossing(ROAD_M))
         found = read_lane_detections(
-            open_recording(path), as_track(pose()), lanelets, time[0], Notes()
+            open_recording(path), as_track(pose()), lanelets, time[0], Listener()
         )
         counts.append(len(found))
     assert counts[0] > 50

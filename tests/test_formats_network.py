@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from radars import Notes, detection, detection_list, frames_of, times, write_pcap
+from maps import Listener
+from radars import detection, detection_list, frames_of, times, write_pcap
 
 import gis_radar as gr
 from gis_radar.base import InputError, UsageError
@@ -57,7 +58,7 @@ def sending():
 
 def test_listening_for_a_while(tmp_path, port, sending):
     sending("127.0.0.1", port)
-    notes = Notes()
+    notes = Listener()
     before = time.time()
     result = gr.convert(
         f"udp://127.0.0.1:{port}", tmp_path / "r.parquet", duration_s=0.8, reporter=notes

@@ -5,13 +5,13 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from maps import Listener
 from radars import (
     LOST,
     NEVER,
     OTHER_SENSOR,
     SENSOR,
     START,
-    Notes,
     detection_list,
     ethernet,
     frame_times,
@@ -41,7 +41,7 @@ def capture(path, stamped, *, source=SENSOR):
 
 
 def convert(path, **options):
-    notes = Notes()
+    notes = Listener()
     result = gr.convert(path, path.with_suffix(".parquet"), reporter=notes, **options)
     return result, notes.text
 
@@ -185,7 +185,7 @@ def test_files_are_merged_whatever_their_order_and_overlap(tmp_path):
 
 def test_one_of_several_files_may_hold_nothing(tmp_path):
     empty = write_pcap(tmp_path / "empty.pcap", [])
-    notes = Notes()
+    notes = Listener()
     gr.convert([empty, whole(tmp_path / "r.pcap")], tmp_path / "r.parquet", reporter=notes)
     assert "empty.pcap: no ARS548 detection list in it (it has no packet at all)" in notes.text
     with pytest.raises(InputError, match="no ARS548"):

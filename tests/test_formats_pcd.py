@@ -7,7 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from radars import START, Notes, times
+from maps import Listener
+from radars import START, times
 
 import gis_radar as gr
 from gis_radar.base import InputError
@@ -106,7 +107,7 @@ def test_a_folder_becomes_a_recording(tmp_path, data):
 def test_a_signed_intensity_beside_a_speed_is_the_cross_section(tmp_path):
     rows = np.zeros(2, dtype=[(n, "f4") for n in ("x", "y", "z", "v")] + [("intensity", "i1")])
     rows["x"], rows["intensity"] = 5.0, [-20, 3]
-    notes = Notes()
+    notes = Listener()
     path = write_pcd(tmp_path / f"{START:.3f}.pcd", rows)
     result = gr.convert(path, tmp_path / "r.parquet", reporter=notes)
     assert pq.read_table(tmp_path / "r.parquet")["rcs"].to_pylist() == [-20.0, 3.0]
@@ -193,7 +194,7 @@ def test_a_damaged_file_of_several_is_left_out(tmp_path, damage):
     write_pcd(tmp_path / f"{START:.1f}.pcd", rows_of())
     bad = write_pcd(tmp_path / f"{START + 1:.1f}.pcd", rows_of())
     bad.write_bytes(damage(bad.read_bytes()))
-    notes = Notes()
+    notes = Listener()
     result = gr.convert(tmp_path, tmp_path / "r.parquet", reporter=notes)
     assert result.recordings[0].frames == 1
     assert result.left_out == {"damaged_frames": 1}

@@ -1,13 +1,11 @@
 """Scenes in the layout of INFRA-3DRC, as its publication and its reader describe it."""
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from radars import Notes
+from radars import convert
 from test_formats_pcd import write_pcd
 
-import gis_radar as gr
 from gis_radar.base import InputError, UsageError
 from gis_radar.cli import group
 
@@ -42,12 +40,6 @@ def write_scene(folder):
         points = np.ones(3, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4")])
         write_pcd(lidar / name.replace("radar", "lidar"), points)
     return folder
-
-
-def convert(source, **options):
-    notes = Notes()
-    out = source.parent / "out.parquet"
-    return gr.convert(source, out, reporter=notes, **options), pq.read_table(out).to_pandas(), notes
 
 
 def test_a_scene_converts_without_further_ado(tmp_path):

@@ -7,17 +7,12 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from radars import START, Notes, frame_times
+from maps import Listener
+from radars import START, convert, frame_times
 from sites import recording
 
 import gis_radar as gr
 from gis_radar.base import InputError, UsageError
-
-
-def convert(path, **options):
-    out = path.parent / "out.parquet"
-    result = gr.convert(path, out, **options)
-    return result, pq.read_table(out).to_pandas()
 
 
 def write(path, text):
@@ -34,7 +29,7 @@ def test_columns_by_the_users_names(tmp_path):
     )
     columns = {"time": "stamp_ms", "x": "East", "y": "-Right", "z": "Up",
                "range_rate": "-closing", "rcs": "sigma"}  # fmt: skip
-    result, table = convert(path, columns=columns, time_unit="ms")
+    result, table, _ = convert(path, columns=columns, time_unit="ms")
     assert result.recordings[0].frames == 2
     np.testing.assert_allclose(table["time"], [START, START, START + 0.05])
     np.testing.assert_array_equal(table[["x", "y", "z"]][:2], [[1, -2, 3], [6, -7, 8]])
@@ -72,7 +67,7 @@ def test_a_recording_stays_what_it_is(tmp_path_factory, seed, frames, rows):
     points[np.repeat(counts == 0, np.maximum(counts, 1))] = np.nan
     rate = np.where(np.isnan(points[:, 0]), np.nan, 1.5)
     path = recording(folder / "r.parquet", time, points, range_rate=rate)
-    result, table = convert(path)
+    result, table, _ = convert(path)
     pd.testing.assert_frame_equal(table, pq.read_table(path).to_pandas())
     assert result.left_out == {}
     assert result.recordings[0].empty_frames == int((counts == 0).sum())
@@ -82,7 +77,7 @@ def test_a_frame_over_the_edge_of_two_batches_is_one(tmp_path, monkeypatch):
     monkeypatch.setattr("gis_radar.recordings.parquet_table.ROWS_AT_ONCE", 7)
     time = START + np.repeat(np.arange(4), 10) * 0.05
     path = recording(tmp_path / "r.parquet", time, np.ones((40, 3)))
-    result, table = convert(path)
+    result, table, _ = convert(path)
     assert result.recordings[0].frames == 4
     np.testing.assert_array_equal(table["time"], time)
 
@@ -103,7 +98,7 @@ def test_further_columns_that_differ_between_tables(tmp_path, monkeypatch, rows_
     one = write(tmp_path / "1.csv", f"time,x,y,id\n{START},1,2,7\n")
     two = write(tmp_path / "2.csv", f"time,x,y,name\n{START + 1},1,2,car\n")
     bad = write(tmp_path / "3.csv", f"time,x,y,id\n{START + 2},1,2,seven\n")
-    notes = Notes()
+    notes = Listener()
     gr.convert([one, two], tmp_path / "out.parquet", reporter=notes)
     table = pq.read_table(tmp_path / "out.parquet")
     assert table["id"].to_pylist() == [7, None]

@@ -16,7 +16,7 @@ from datasets import stepwise_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gis_radar.base import InputError, Reporter
+from gis_radar.base import InputError
 from gis_radar.products import HeatMap, make_heatmap
 
 T0 = 1_700_000_000 * 20  # a step of today's size, the begin of an aligned 20 s
@@ -114,14 +114,6 @@ def two_sensors(steps: int = 400) -> Site:
         if tile != 9
     }
     return make_site(tiles, delivered, seen, hit)
-
-
-class Remarks(Reporter):
-    def __init__(self):
-        self.lines = []
-
-    def log(self, message, level="info"):  # noqa: ARG002
-        self.lines.append(message)
 
 
 def assert_like_oracle(site: Site, heatmap: HeatMap) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from test_heatmap import T0, Remarks, assert_like_oracle, lane_tiles, make_site, two_sensors
+from maps import Listener
+from test_heatmap import T0, assert_like_oracle, lane_tiles, make_site, two_sensors
 
 from gis_radar.products import make_heatmap
 from gis_radar.products.heatmap.heatmap import NO_OCCUPANCY
@@ -61,7 +62,7 @@ def test_long_layer_has_a_row_for_every_tile_and_interval():
 def test_more_than_500_intervals_are_rows_only():
     view = ("R1", "a")
     site = make_site(lane_tiles(2), {view: set(range(T0, T0 + 501))}, {view: {0}}, {(T0 + 3, 0)})
-    remarks = Remarks()
+    remarks = Listener()
     heatmap = make_heatmap(site.dataset, interval="50ms", reporter=remarks)
     assert remarks.lines[1:] == [NO_OCCUPANCY]
     assert "501 intervals" in remarks.lines[0]
@@ -82,7 +83,7 @@ def test_many_intervals_without_frames_are_left_out():
     view = ("R1", "a")
     steps = {T0, T0 + 1, T0 + 399, T0 + 400, T0 + 401, T0 + 10_000_000}
     site = make_site(lane_tiles(1), {view: steps}, {view: {0}}, {(T0 + 400, 0)})
-    heatmap = make_heatmap(site.dataset, interval="20s", reporter=Remarks())
+    heatmap = make_heatmap(site.dataset, interval="20s", reporter=Listener())
     assert (heatmap.timeline.begin - T0).tolist() == [0, 400, 10_000_000]
     assert len(heatmap.columns) == 3
     assert_like_oracle(site, heatmap)

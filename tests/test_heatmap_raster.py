@@ -10,7 +10,8 @@ import pytest
 import rasterio
 import rasterio.features
 import shapely
-from test_heatmap import T0, Remarks, lane_tiles, make_site, two_sensors
+from maps import Listener
+from test_heatmap import T0, lane_tiles, make_site, two_sensors
 
 from gis_radar.base import UsageError
 from gis_radar.dataset import TILE_COUNTS
@@ -152,7 +153,7 @@ def test_tiles_far_apart_make_an_empty_middle_of_little_size(tmp_path):
 def test_more_than_500_intervals_make_one_band(tmp_path):
     view = ("R1", "a")
     site = make_site(lane_tiles(2), {view: set(range(T0, T0 + 501))}, {view: {0}}, {(T0 + 3, 0)})
-    make_heatmap(site.dataset, interval="50ms", reporter=Remarks()).write(tmp_path / "map")
+    make_heatmap(site.dataset, interval="50ms", reporter=Listener()).write(tmp_path / "map")
     with rasterio.open(tmp_path / "map" / "hits.tif") as raster:
         assert raster.count == 1
     info = pyogrio.read_info(tmp_path / "map" / "heatmap.gpkg", layer="by_interval")

@@ -7,7 +7,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
@@ -15,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sites import START, UTM, recording
+from sites import START, recording
 from streets import CROSSING, Street, errors
 
 import gis_radar as gr
@@ -497,13 +496,7 @@ def test_an_adjustment_never_knows_less_than_the_single_answers(seed, n, pairs):
 @pytest.fixture(scope="module")
 def files(recordings, tmp_path_factory):
     """The scanned road; the map's lanes come from the scene itself."""
-    scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    points = LONG.road_points()
-    scan.header.scales, scan.header.offsets = [0.001] * 3, np.floor(points.min(axis=0))
-    scan.header.add_crs(UTM)
-    scan.xyz = points
-    road = tmp_path_factory.mktemp("road") / "road.laz"
-    scan.write(road)
+    road = LONG.write_road(tmp_path_factory.mktemp("road") / "road.laz")
     return [str(recordings["R1"]), str(recordings["R2"]), "--map", "map.osm", "--road", str(road)]
 
 

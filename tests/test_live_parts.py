@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from live_programs import Lines
 from live_site import SAMPLE
 from pydantic import ValidationError
 
 import gis_radar as gr
-from gis_radar.base import GisRadarError, InputError, Reporter
+from gis_radar.base import GisRadarError, InputError
 from gis_radar.base.languages import catalogue
 from gis_radar.live import (
     Acknowledgement,
@@ -327,13 +328,8 @@ def test_a_looping_replay_is_at_the_same_place_whenever_it_began(monkeypatch):
 
 
 def test_a_clock_that_is_off_by_half_a_window_raises_the_alarm():
-    said = []
-
-    class Said(Reporter):
-        def log(self, message, _level="info"):
-            said.append(message)
-
-    health = SensorHealth(name="R1", reporter=Said())
+    said = Lines()
+    health = SensorHealth(name="R1", reporter=said)
     for k in range(40):
         health.heard(100.0 + k, 99.99 + k - 0.05 * (k % 3), live=True)
     assert not health.alarms  # late now and then; 10 ms at the least
@@ -346,7 +342,7 @@ def test_a_clock_that_is_off_by_half_a_window_raises_the_alarm():
     for k in range(300):
         health.heard(1600.0 + k, 1600.0 + k, live=True)
     assert not health.alarms
-    assert len(said) == 2
+    assert len(said.lines) == 2
     health.counts = Counter(frames=7)
     text = prometheus_text([health], {"map_step": 3.0})
     assert 'gis_radar_frames_total{sensor="R1"} 7' in text

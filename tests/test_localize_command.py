@@ -2,7 +2,6 @@
 
 import json
 
-import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -23,13 +22,7 @@ def files(tmp_path):
     """A recording and a scanned road; the map's lanes come from the scene itself."""
     street = Street()
     street.record(tmp_path / "R1.parquet", street.pose())
-    scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    points = street.road_points()
-    scan.header.scales = [0.001] * 3
-    scan.header.offsets = np.floor(points.min(axis=0))
-    scan.header.add_crs(UTM)
-    scan.xyz = points
-    scan.write(tmp_path / "road.laz")
+    street.write_road(tmp_path / "road.laz")
     return street, tmp_path
 
 

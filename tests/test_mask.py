@@ -14,6 +14,7 @@ from scans import (
     box_roads,
     ground,
     hidden,
+    level,
     strewn,
     write_points,
 )
@@ -24,10 +25,6 @@ from gis_radar.scans.settings import MaskSettings
 
 ROAD = (0.0, 0.0, 120.0, 8.0)
 AROUND = (-20.0, -20.0, 140.0, 28.0)
-
-
-def level(x, y):
-    return np.full(np.shape(x), 100.0)
 
 
 def slope(x, y):

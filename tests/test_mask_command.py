@@ -4,19 +4,14 @@ import json
 
 import geopandas as gpd
 import laspy
-import numpy as np
 import pytest
 import shapely
 from maps import write_road
-from scans import EAST, NORTH, UTM, ground, write_points
+from scans import EAST, NORTH, UTM, ground, level, write_points
 
 import gis_radar as gr
 from gis_radar.cli.maps import MASK_ENGINES
 from gis_radar.scans import engines
-
-
-def level(x, y):
-    return np.full(np.shape(x), 100.0)
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from maps import Listener
 
 from gis_radar.base import (
     OutputError,
-    Reporter,
     atomic_folder,
     atomic_write,
     json_text,
@@ -209,30 +209,6 @@ def test_another_process_holds_the_lock(tmp_path):
         pass
 
 
-def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
-    """A worker whose parent dies is stopped twice: by the broken pipe and by the watchdog."""
-    code = (
-        "import shutil, sys; from pathlib import Path\n"
-        "from gis_radar.base import atomic_folder\n"
-        "remove, told = shutil.rmtree, []\n"
-        "def rmtree(*words, **options):\n"
-        "    if not told:\n"
-        "        told.append(1)\n"
-        "        raise KeyboardInterrupt\n"
-        "    remove(*words, **options)\n"
-        "shutil.rmtree = rmtree\n"
-        "with atomic_folder(Path(sys.argv[1]), owned=()) as part:\n"
-        "    (part / 'half').touch()\n"
-        "    raise BrokenPipeError\n"
-    )
-    words = [sys.executable, "-c", code, tmp_path / "o"]
-    done = subprocess.run(
-        words, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1]
-    )
-    assert "KeyboardInterrupt" in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize(
     "error",
     [
@@ -252,21 +228,17 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, error):
 
 
 def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
-    said = []
-
-    class Listener(Reporter):
-        def log(self, message, level="info"):
-            said.append((level, message))
+    said = Listener()
 
     def refuse(_, *, blocking):
         raise OSError(errno.ENOTSUP, "Operation not supported")
 
     monkeypatch.setattr("filelock.lock_descriptor", refuse)
-    with only_writer(tmp_path / "o", reporter=Listener()):
+    with only_writer(tmp_path / "o", reporter=said):
         pass
-    with atomic_folder(tmp_path / "p", owned=(), reporter=Listener()):
+    with atomic_folder(tmp_path / "p", owned=(), reporter=said):
         pass
-    assert said == [
+    assert said.messages == [
         ("warning", f"{tmp_path / name}: cannot be locked: Operation not supported")
         for name in ("o", "p")
     ]

@@ -6,6 +6,7 @@ import pyarrow as pa
 import pyogrio
 import pytest
 import shapely
+from maps import Listener
 from sites import EAST, NORTH, START, UTM, pose, recording
 
 import gis_radar as gr
@@ -24,18 +25,14 @@ def made(tmp_path):
     )
 
 
-class Listener(Reporter):
-    """Keeps the remarks; `stop` is raised when work goes on."""
+class Stopping(Reporter):
+    """Raises `stop` when work goes on."""
 
-    def __init__(self, stop=None):
-        self.remarks, self.stop = [], stop
+    def __init__(self, stop):
+        self.stop = stop
 
     def progress(self, *_):
-        if self.stop:
-            raise self.stop
-
-    def log(self, message, *_):
-        self.remarks.append(message)
+        raise self.stop
 
 
 SUFFIXES = ("gpkg", "laz", "las", "parquet")
@@ -157,7 +154,7 @@ def test_trouble_in_a_late_batch_keeps_its_name(long, tmp_path, suffix):
 @pytest.mark.parametrize("stop", [KeyboardInterrupt(), ZeroDivisionError("own")])
 def test_what_stops_the_work_is_not_hidden(made, tmp_path, suffix, stop):
     with pytest.raises(type(stop)):
-        write_projection(made, pose(), tmp_path / f"hits.{suffix}", reporter=Listener(stop))
+        write_projection(made, pose(), tmp_path / f"hits.{suffix}", reporter=Stopping(stop))
     assert [p.name for p in tmp_path.iterdir()] == ["r.parquet"]
 
 
@@ -190,7 +187,7 @@ def test_columns_whose_names_are_taken_get_others(tmp_path, suffix):
         assert found[names[name]].tolist() == [i, i + 1]
     assert found["free"].tolist() == ["a", "b"]
     np.testing.assert_array_equal(found["time"], time)
-    (remark,) = listener.remarks
+    (remark,) = listener.lines
     assert remark.startswith("r.parquet: columns renamed: 'fid' to 'fid_recorded', ")
     assert "free" not in remark
 
@@ -214,7 +211,7 @@ def test_columns_of_every_type_pass_or_are_named(tmp_path, suffix):
     assert write_projection(path, pose(), tmp_path / f"h.{suffix}", reporter=listener) == 2
     assert rows_of(tmp_path / f"h.{suffix}") == 2
     if suffix == "gpkg":
-        assert listener.remarks[1] == "h.gpkg: a GeoPackage cannot hold span, exact: left out"
+        assert listener.lines[1] == "h.gpkg: a GeoPackage cannot hold span, exact: left out"
 
 
 @pytest.mark.parametrize("suffix", ["laz", "las"])
@@ -250,7 +247,7 @@ def test_a_scan_file_holds_every_number(tmp_path, suffix):
         np.testing.assert_array_equal(scan[f"sensor_{axis}"], points[:, i])
     about = {d.name: d.description for d in scan.header.point_format.extra_dimensions}
     assert about["small"] == f"missing: {lowest}"
-    (remark,) = listener.remarks
+    (remark,) = listener.lines
     assert remark.startswith(f"hits.{suffix}: columns left out, no numbers or a long name: ")
     for name in ("note", "when", long_name):
         assert name in remark

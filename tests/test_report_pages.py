@@ -9,11 +9,12 @@ from zoneinfo import ZoneInfo
 
 import pypdf
 import pytest
+from maps import Listener
 from PIL import Image
 from report_site import write_results
 
 import gis_radar as gr
-from gis_radar.base import Clock, OutputError, Reporter, speaking
+from gis_radar.base import Clock, OutputError, speaking
 from gis_radar.products.report.content import Chapter, Content, Fact, Figure, MapSeries, Table
 from gis_radar.products.report.pages import bound
 from gis_radar.products.report.paper import write_pdf
@@ -131,7 +132,7 @@ def test_map_and_legend_are_beside_each_other(tmp_path, size):
 
 
 def test_a_machine_without_its_library_has_all_but_the_pdf(tmp_path, monkeypatch):
-    folder, heard = write_results(tmp_path, names=("R1",), steps=400), []
+    folder, heard = write_results(tmp_path, names=("R1",), steps=400), Listener()
     (folder / "report.html").write_text("of an earlier report")
     (folder / "report.pdf").write_bytes(b"%PDF of an earlier report")
     (tmp_path / "modules" / "weasyprint").mkdir(parents=True)
@@ -139,14 +140,11 @@ def test_a_machine_without_its_library_has_all_but_the_pdf(tmp_path, monkeypatch
     (tmp_path / "modules" / "weasyprint" / "__init__.py").write_text(broken)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
 
-    class Listener(Reporter):
-        def log(self, message, level="info"):
-            heard.append((level, message))
-
-    made = gr.write_report(folder, reporter=Listener())
+    made = gr.write_report(folder, reporter=heard)
     assert "report.pdf" not in {path.name for path in made.outputs}
     assert not (folder / "report.pdf").exists()
-    assert [level for level, text in heard if "pip install gis_radar[pdf]" in text] == ["warning"]
+    told = [level for level, text in heard.messages if "pip install gis_radar[pdf]" in text]
+    assert told == ["warning"]
     assert (folder / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 

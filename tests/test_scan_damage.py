@@ -7,7 +7,7 @@ import laspy
 import numpy as np
 import pytest
 from maps import Listener
-from scans import box_roads, ground, write_points
+from scans import box_roads, ground, level, write_points
 
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError, NoAnswerError
@@ -16,10 +16,6 @@ from gis_radar.scans.header import read_header
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-5.0, -5.0, 65.0, 13.0)
 POINTS_AT = 96  # where a header says where its points begin
-
-
-def level(x, y):
-    return np.full(np.shape(x), 100.0)
 
 
 def mask(path, roads=None, **options):

@@ -11,7 +11,7 @@ import pytest
 import shapely
 from maps import SHARED, Listener, write_road
 from pyproj import CRS
-from scans import EAST, NORTH, UTM, box_roads, ground, write_points
+from scans import EAST, NORTH, UTM, box_roads, ground, level, write_points
 
 import gis_radar as gr
 from gis_radar.base import CrsError, GisRadarError, InputError, UsageError, transformer
@@ -21,10 +21,6 @@ from gis_radar.scans.scan import days_flown
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-5.0, -5.0, 65.0, 13.0)
 PLACES = {2154: (770_500, 6_277_500), 28992: (119_300, 485_100), 31468: (4_468_000, 5_400_000)}
-
-
-def level(x, y):
-    return np.full(np.shape(x), 100.0)
 
 
 def mask(path, roads=None, **options):

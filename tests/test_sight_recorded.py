@@ -2,7 +2,6 @@
 
 import geopandas as gpd
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
@@ -14,14 +13,11 @@ from test_sight import HOUSE, ROAD_M, ROOF_M, SENSOR, across, flat, left_m, sigh
 
 import gis_radar as gr
 from gis_radar.base import QUIET, InputError, UsageError
-from gis_radar.hdmap import TileGrid
-from gis_radar.measures import SightBook, pose_sights
+from gis_radar.measures import SightBook, count_movement, pose_sights
 from gis_radar.poses import View, as_track
-from gis_radar.recordings import Detections, open_recording
 from gis_radar.scans import (
     HIDDEN,
     IN_SIGHT,
-    MovementCounter,
     MovingHits,
     SightFile,
     SightTiles,
@@ -55,11 +51,9 @@ def compared(tmp_path, scanned, unseen):
     """Sight from a scan, and what a recording of the world as it is contradicts of it."""
     tiles = across()
     sight = sight_over(tmp_path, scanned, tiles)
-    counter = MovementCounter(tiles=tiles, engine=TileGrid(tiles.quads))
-    counter.add(
-        next(open_recording(traffic(tmp_path / "R1.parquet", unseen=unseen)).read()), SENSOR
-    )
-    hits = MovingHits(sight=sight, count=counter.count, frames=counter.frames)
+    path = traffic(tmp_path / "R1.parquet", unseen=unseen)
+    movement, frames = count_movement([path], as_track(SENSOR), tiles, [np.nan])
+    hits = MovingHits(sight=sight, count=movement[0], frames=frames[0])
     (found,) = find_contradictions([hits], tiles)
     return tiles, sight, found
 
@@ -130,20 +124,13 @@ def test_another_sensor_shows_the_flow_behind_a_wall(tmp_path):
 
 
 @pytest.mark.parametrize("level_m", [0.0, 6.5])
-def test_what_moves_on_a_bridge_does_not_count_below(level_m):
-    tiles = across(ROAD_M)
-    counter = MovementCounter(tiles=tiles, engine=TileGrid(tiles.quads))
-    piece = Detections(
-        time=np.full(3, START),
-        points=np.array(
-            [[100.0, -20.0, level_m - 5.0], [100.0, 0, level_m - 5.0], [100.0, 20, -5]]
-        ),
-        range_rate=np.array([5.0, 5.0, 0.2]),
-        rcs=np.zeros(3),
-        further=pa.RecordBatch.from_arrays([], names=[]),
+def test_what_moves_on_a_bridge_does_not_count_below(tmp_path, level_m):
+    points = np.array([[100.0, -20.0, level_m - 5.0], [100.0, 0, level_m - 5.0], [100.0, 20, -5]])
+    path = recording(
+        tmp_path / "R1.parquet", np.full(3, START), points, range_rate=np.array([5.0, 5.0, 0.2])
     )
-    counter.add(piece, SENSOR)
-    assert (counter.count.sum(), counter.frames) == (0 if level_m else 2, 1)
+    movement, frames = count_movement([path], as_track(SENSOR), across(ROAD_M), [np.nan])
+    assert (movement[0].sum(), frames[0]) == (0 if level_m else 2, 1)
 
 
 def test_contradictions_are_a_line_a_sensor(tmp_path):

@@ -7,12 +7,10 @@ import re
 from dataclasses import replace
 from types import SimpleNamespace
 
-import laspy
-import numpy as np
 import pytest
 from fake_stages import execute
 from maps import Listener
-from sites import UTM, recording
+from sites import recording
 from small_site import write_map
 from test_joint import LONG, TRAFFIC, stated
 
@@ -37,12 +35,7 @@ def site(tmp_path_factory):
     """A folder with map, road and recordings of two sensors on one street, and their poses."""
     folder = tmp_path_factory.mktemp("site")
     write_map(LONG, folder / "map.osm")
-    scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    points = LONG.road_points()
-    scan.header.scales, scan.header.offsets = [0.001] * 3, np.floor(points.min(axis=0))
-    scan.header.add_crs(UTM)
-    scan.xyz = points
-    scan.write(folder / "road.laz")
+    LONG.write_road(folder / "road.laz")
     far = replace(
         LONG.pose(place=(165.0, 9.0), yaw=184.0),
         sensor="R2", view=View(elevation_deg=60.0, max_range_m=115.0),

@@ -5,7 +5,6 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
-import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -13,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from maps import Listener
 from scipy.stats import ttest_1samp
-from sites import START, UTM, lane_quads, recording, tiles_of
+from sites import START, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
@@ -440,13 +439,7 @@ def files(seen, tmp_path, monkeypatch):
     """A recording, a pose and a scanned road; the map's lanes come from the scene itself."""
     record(tmp_path / "R1.parquet", seen, until=20.0)
     gr.write_pose(start(seen[3]), tmp_path / "R1.json")
-    scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    points = STREET.road_points()
-    scan.header.scales = [0.001] * 3
-    scan.header.offsets = np.floor(points.min(axis=0))
-    scan.header.add_crs(UTM)
-    scan.xyz = points
-    scan.write(tmp_path / "road.laz")
+    STREET.write_road(tmp_path / "road.laz")
     monkeypatch.setattr(gr, "read_map", lambda *_, **__: STREET.roads(), raising=False)
     return tmp_path
 

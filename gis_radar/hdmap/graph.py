@@ -201,29 +201,14 @@ class LaneField:
 
     Parameters
     ----------
-    first, segment : int64 arrays
-        For each cell, the index of its first entry in `segment`; the entries are indices of the
-        samples at which segments begin.
-    columns, rows : int
-        Size of the grid.
-    shift : float
-        Metres by which the grid's corner lies south-west of the graph's origin.
-    lane_of : (m,) int64 array
-        Position of each sample's lanelet.
-    points, s_m, heading, half_width_m : arrays
-        The samples, as in :class:`LaneGraph`.
+    arrays : tuple of arrays
+        Arguments of :func:`lanes_at`: for each cell, the index of its first entry in the next
+        array, whose entries are indices of the samples at which segments begin; columns and rows of
+        the grid; the position of each sample's lanelet; and the samples (x, y, height, s, heading,
+        half width, and the metres by which the grid's corner lies south-west of the origin).
     """
 
-    first: Integers
-    segment: Integers
-    columns: int
-    rows: int
-    shift: float
-    lane_of: Integers
-    points: Floats
-    s_m: Floats
-    heading: Floats
-    half_width_m: Floats
+    arrays: FieldArrays
 
     @classmethod
     def of(cls, graph: LaneGraph) -> LaneField:
@@ -246,26 +231,16 @@ class LaneField:
         cell = row * columns + column
         order = np.argsort(cell, kind="stable")
         count = np.bincount(cell, minlength=columns * rows)
-        return cls(
-            first=np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
-            segment=heads[number[order]].astype(np.int64),
-            columns=columns,
-            rows=rows,
-            shift=shift,
-            lane_of=lane_of.astype(np.int64),
-            points=graph.points,
-            s_m=graph.s_m,
-            heading=graph.heading,
-            half_width_m=graph.half_width_m,
-        )
-
-    @cached_property
-    def arrays(self) -> FieldArrays:
-        """Arguments of :func:`lanes_at`."""
-        size = np.array([self.columns, self.rows], np.int64)
-        shift = np.full(len(self.s_m), self.shift)
-        samples = np.column_stack([self.points, self.s_m, self.heading, self.half_width_m, shift])
-        return self.first, self.segment, size, self.lane_of, samples
+        first = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+        samples = np.column_stack(
+            [
+                graph.points, graph.s_m, graph.heading, graph.half_width_m,
+                np.full(len(graph.s_m), shift),
+            ]
+        )  # fmt: skip
+        grid = np.array([columns, rows], np.int64)
+        segment = heads[number[order]].astype(np.int64)
+        return cls(arrays=(first, segment, grid, lane_of.astype(np.int64), samples))
 
     def lanes(self, points: Floats) -> pd.DataFrame:
         """Return the lanes at local points: `point lane s_m d_m heading half_width_m height_m`."""

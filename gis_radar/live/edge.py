@@ -30,7 +30,7 @@ from gis_radar.live.own_pose import (
     view_of,
 )
 from gis_radar.live.payload import PoseContent, in_parts, key_of_pose
-from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
+from gis_radar.live.settings import EdgeFile, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
 from gis_radar.measures import road_near
 from gis_radar.poses import ANGLES, POSITION, Pose, read_track
@@ -45,8 +45,6 @@ class Edge:
     ----------
     file : EdgeFile
         The sensor's file.
-    settings : LiveSettings
-        Constants of sending.
     reporter : Reporter
         Receives the log.
 
@@ -56,11 +54,9 @@ class Edge:
         If tiles or pose cannot be read, or do not fit each other.
     """
 
-    def __init__(
-        self, file: EdgeFile, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
-    ) -> None:
+    def __init__(self, file: EdgeFile, *, reporter: Reporter = QUIET) -> None:
         self.frames = self.not_sent = self.not_followed = 0
-        self._file, self._settings, self._reporter = file, settings, reporter
+        self._file, self._reporter = file, reporter
         tiles = read_tiles(file.tiles)
         self._road = SightTiles.of(tiles)
         self._given = self._read_pose(tiles)
@@ -114,7 +110,7 @@ class Edge:
             )  # fmt: skip
             self.outbox = Outbox(
                 buffer, link, topics, figures=lambda: self._figures(buffer),
-                settings=self._settings, reporter=self._reporter,
+                reporter=self._reporter,
             )  # fmt: skip
             link.open()
             try:

@@ -295,12 +295,12 @@ class Fusion:
             self._disk.begin(self._spool.write)
             self._take_written(wait=wait)
 
-    def _rotate(self, *, wait: bool = False) -> None:
+    def _rotate(self) -> None:
         """Start a new file of the spool, which closes the present one."""
         marks = self.intake.marks
         self._committing, self._rotating = [], True
         self._disk.begin(lambda: self._spool.rotate(marks))
-        self._take_written(wait=wait)
+        self._take_written()
 
     def _take_written(self, *, wait: bool = False) -> None:
         """Acknowledge the messages that are on disk, and only these."""

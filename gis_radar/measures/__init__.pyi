@@ -30,7 +30,7 @@ from .pose_sights import (
     standing_for,
 )
 from .queues import QueueCourse, queue_course
-from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
+from .sensor_reading import HitTarget, RecordingCounts, SensorHour, count_movement, read_sensor
 from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 
 __all__ = [
@@ -70,6 +70,7 @@ __all__ = [
     "VisibleRuns",
     "bound_name",
     "compare_values",
+    "count_movement",
     "cycles",
     "frame_columns",
     "headways",

@@ -119,7 +119,7 @@ def open_csv_table(path: Path, *, numbers: tuple[str, ...]) -> CsvTable:
 
 def refuse_many_columns(count: int, path: Path) -> None:
     """Refuse a table of more columns than any radar fills: each costs time for every batch."""
-    if count > (most := settings.DEFAULTS.most_columns):
+    if count > (most := settings.MOST_COLUMNS):
         raise InputError(
             "{}: has {:,} columns, at most {:,} are read",
             path,

@@ -110,7 +110,7 @@ def _refuse_huge_columns(
     metadata: pq.FileMetaData, path: Path, columns: Sequence[str] | None
 ) -> None:
     """Refuse a row group whose texts or lists would fill the memory; numbers come in pages."""
-    most = settings.DEFAULTS.most_text_bytes
+    most = settings.MOST_TEXT_BYTES
     for place in range(metadata.num_columns):
         column = metadata.schema.column(place)
         is_list = column.max_repetition_level > 0
@@ -134,7 +134,7 @@ def _refuse_huge_columns(
 
 def _decoded(batch: pa.RecordBatch, texts: dict[str, pa.DataType], path: Path) -> pa.RecordBatch:
     """Return a batch with texts in place of dictionaries; refuse a text that is too long."""
-    most = settings.DEFAULTS.longest_text
+    most = settings.LONGEST_TEXT
     for place, field in enumerate(batch.schema):
         if field.name not in texts or not pa.types.is_dictionary(field.type):
             continue

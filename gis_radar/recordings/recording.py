@@ -412,7 +412,7 @@ def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
     same = len(time) - int(np.searchsorted(time, time[-1], side="left"))
     if same == len(time) and time[-1] == last:
         same += before
-    if same > (most := settings.DEFAULTS.most_rows_of_frame):
+    if same > (most := settings.MOST_ROWS_OF_FRAME):
         raise InputError(
             "{}: over {:,} rows of one time, {:.6f} s: no frame of a radar",
             path,

@@ -29,9 +29,8 @@ class LimitedStream:
     """
 
     def __init__(self, stream: BinaryIO, packed_bytes: int) -> None:
-        limits = settings.DEFAULTS
         self._stream, self._read = stream, 0
-        self._most = limits.free_expansion_bytes + limits.most_expansion * packed_bytes
+        self._most = settings.FREE_EXPANSION_BYTES + settings.MOST_EXPANSION * packed_bytes
 
     def read(self, size: int = -1) -> bytes:
         """Read some bytes.
@@ -44,7 +43,7 @@ class LimitedStream:
         data = self._stream.read(size)
         self._read += len(data)
         if self._read > self._most:
-            times = settings.DEFAULTS.most_expansion
+            times = settings.MOST_EXPANSION
             raise ExplodingError(Text("grows to over {} times its size when it is unpacked", times))
         return data
 
@@ -71,7 +70,7 @@ def unpacked(make: Callable[[], Any], packed: bytes) -> bytes:
     ExplodingError
         If it unpacks to more than a chunk may hold.
     """
-    most = settings.DEFAULTS.most_chunk_bytes
+    most = settings.MOST_CHUNK_BYTES
     plain = bytearray()
     while True:
         decompressor = make()

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, PlainValidator, model_validator
 
-from gis_radar.base import GisRadarError, Text, duration_s, interval_steps
+from gis_radar.base import Text, duration_s, interval_steps
 from gis_radar.site.values import (
     File,
     Meaning,
@@ -19,6 +19,7 @@ from gis_radar.site.values import (
     TomlTable,
     Unfit,
     key,
+    parsed,
     within,
 )
 
@@ -26,21 +27,13 @@ _NOT_IN_TOPICS = frozenset("+#/$")
 
 
 def _duration(value: Any) -> float:
-    try:
-        return duration_s(value) if isinstance(value, str) else _unfit()
-    except GisRadarError as error:
-        raise Unfit(hint=error.message) from error
-
-
-def _unfit() -> float:
-    raise Unfit
+    if not isinstance(value, str):
+        raise Unfit
+    return parsed(duration_s, value)
 
 
 def _interval(text: str) -> str:
-    try:
-        interval_steps(text)
-    except GisRadarError as error:
-        raise Unfit(hint=error.message) from error
+    parsed(interval_steps, text)
     return text
 
 

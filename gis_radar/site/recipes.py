@@ -6,7 +6,6 @@ what it calls, so that a command loads only the rooms that it uses.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -247,27 +246,18 @@ def _moving_hits(
     reporter: Reporter,
 ) -> list[MovingHits]:  # fmt: skip
     """Return the movement on tiles for each place of the sensor with enough frames."""
-    from gis_radar.hdmap import TileGrid
-    from gis_radar.measures import places_of, road_near, rows_of, standing_for, whole_frames
-    from gis_radar.recordings import open_recording
-    from gis_radar.scans import JUDGED_FRAMES, MovementCounter, MovingHits
+    from gis_radar.measures import count_movement, road_near, standing_for
+    from gis_radar.scans import JUDGED_FRAMES, MovingHits
 
-    engine = TileGrid(road.quads)
-    first, standing = places_of(track.poses), standing_for(track.poses)
-    road_m = {k: road_near(sights[id(track.poses[k])], road) for k in np.unique(standing).tolist()}
-    counters = defaultdict[int, MovementCounter](lambda: MovementCounter(tiles=road, engine=engine))
-    for recording in recordings:
-        opened, done = open_recording(recording), 0
-        for batch in whole_frames(opened.read()):
-            pose_of_row = track.at(batch.time)
-            for index in np.unique(pose_of_row).tolist():
-                counters[int(first[index])].add(
-                    rows_of(batch, pose_of_row == index), track.poses[index],
-                    road_m=road_m[standing[index]],
-                )  # fmt: skip
-            done += len(batch)
-            reporter.progress("comparing with the recording", done, opened.rows)
-    hits = [MovingHits.of(sights[id(track.poses[k])], [each]) for k, each in counters.items()]
+    standing = standing_for(track.poses).tolist()
+    near = {k: road_near(sights[id(track.poses[k])], road) for k in dict.fromkeys(standing)}
+    movement, frames = count_movement(
+        recordings, track, road, [near[k] for k in standing], reporter
+    )
+    hits = [
+        MovingHits(sight=sights[id(track.poses[k])], count=count, frames=frames[k])
+        for k, count in movement.items()
+    ]
     for each in hits:
         if each.frames < JUDGED_FRAMES:
             reporter.warn(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -40,6 +40,7 @@ _WILD = frozenset("*?[")
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|+#')  # + and # are wildcards of MQTT
 
 Steps = tuple[str | int, ...]
+Value = TypeVar("Value")
 
 
 class Unfit(ValueError):  # noqa: N818 - becomes an error where file and line are known
@@ -89,10 +90,10 @@ def _ascending(numbers: tuple[float, float]) -> tuple[float, float]:
     return numbers
 
 
-def _require_parsed(parse: Callable[[str], object], text: str) -> None:
-    """Check a text by a parser, whose message becomes the hint of the error."""
+def parsed(parse: Callable[[str], Value], text: str) -> Value:
+    """Return what a parser makes of a text; its message becomes the hint of the error."""
     try:
-        parse(text)
+        return parse(text)
     except GisRadarError as error:
         raise Unfit(hint=error.message) from error
 
@@ -106,15 +107,13 @@ def _crs(text: str) -> str:
 
 
 def _zone(text: str) -> str:
-    _require_parsed(zone_of, text)
+    parsed(zone_of, text)
     return text
 
 
 def _intervals(texts: tuple[str, ...]) -> tuple[str, ...]:
     found = tuple(each.strip().lower() for each in texts)
-    for each in found:
-        _require_parsed(interval_steps, each)
-    if len({interval_steps(each) for each in found}) < len(found):
+    if len({parsed(interval_steps, each) for each in found}) < len(found):
         raise Unfit(Text("lengths that differ from each other"))
     return found
 
@@ -123,10 +122,10 @@ def _cycle(value: Any) -> float:
     text = _text(value)
     if text == "auto":
         raise Unfit(hint=CYCLE_HINT)
-    _require_parsed(duration_s, text)
-    if not SHORTEST_CYCLE_S <= duration_s(text) <= LONGEST_CYCLE_S:
+    cycle_s = parsed(duration_s, text)
+    if not SHORTEST_CYCLE_S <= cycle_s <= LONGEST_CYCLE_S:
         raise Unfit(Text("{:g} to {:g} s", SHORTEST_CYCLE_S, LONGEST_CYCLE_S))
-    return duration_s(text)
+    return cycle_s
 
 
 def _folder(info: ValidationInfo) -> Path:

@@ -277,16 +277,12 @@ def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
         for document in dataset.poses()["document"]:
             pose = pose_from_dict(json.loads(document), what=Text("{}: a pose", dataset.folder))
             before = found.get(pose.sensor)
-            if before is None or _since(before) <= _since(pose):
+            if before is None or before.parsed_evidence().time <= pose.parsed_evidence().time:
                 found[pose.sensor] = pose
     elif (folder / "sensors").is_dir():
         for path in sorted((folder / "sensors").glob("*/pose.json")):
             found[path.parent.name] = read_track(path).poses[-1]
     return [found[name] for name in sorted(found)]
-
-
-def _since(pose: Pose) -> str:
-    return str(pose.evidence.get("time") or "")
 
 
 def _run(folder: Path) -> dict[str, Any]:
@@ -355,7 +351,7 @@ def _measured(
 ) -> str:
     """Return a number of a pose, or another value for it, with its standard deviation."""
     shown = figure_text(getattr(pose, name) if value is None else value, digits) + unit
-    known = _sigma(pose).get(name)
+    known = pose.parsed_evidence().sigma.get(name)
     return shown if known is None else f"{shown} {plus_minus(known, 2, unit)}"
 
 
@@ -363,16 +359,6 @@ def _looks_to(pose: Pose) -> str:
     ahead = pose.R_map_sensor[:2, 0]
     bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
     return f"{direction(*ahead)}, {_measured(pose, 'yaw', 1, bearing, '°')}"
-
-
-def _sigma(pose: Pose) -> dict[str, float]:
-    """Return the standard deviations of a pose that are known."""
-    sigma = pose.evidence.get("sigma")
-    return {
-        name: float(value)
-        for name, value in (sigma if isinstance(sigma, dict) else {}).items()
-        if isinstance(value, int | float) and math.isfinite(value)
-    }
 
 
 def write_sensor_table(path: Path, results: Results) -> None:
@@ -393,7 +379,7 @@ def _write_sensor_table(path: Path, results: Results) -> None:
             "crs": pose.as_dict()["crs"],
             "how_found": how_found(pose.evidence),
             **{name: round(getattr(pose, name), 4) for name in parts},
-            **{f"sigma_{name}": round(value, 4) for name, value in _sigma(pose).items()},
+            **{f"sigma_{n}": round(v, 4) for n, v in pose.parsed_evidence().sigma.items()},
             **asdict(pose.view or View()),
         }
         for pose in results.poses

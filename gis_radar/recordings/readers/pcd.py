@@ -184,9 +184,8 @@ def _header(file: Any) -> _Header:
         raise DamagedError(
             Text("the PCD header claims fields of {} numbers", ", ".join(counts)[:60])
         )
-    limits = settings.DEFAULTS
     whole = points * dtype.itemsize
-    if not 0 <= points <= limits.most_rows_of_frame or whole > limits.most_frame_bytes:
+    if not 0 <= points <= settings.MOST_ROWS_OF_FRAME or whole > settings.MOST_FRAME_BYTES:
         raise DamagedError(
             Text("the PCD header claims {:,} points of {:,} bytes", points, dtype.itemsize)
         )

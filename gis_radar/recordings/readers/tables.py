@@ -58,7 +58,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
         # A frame may go on in the next batch of rows.
         if held is not None and held.sensor_time == frame.sensor_time:
             held = _joined(held, frame)
-            if len(held) > (most := settings.DEFAULTS.most_rows_of_frame):
+            if len(held) > (most := settings.MOST_ROWS_OF_FRAME):
                 raise InputError(
                     "{}: over {:,} rows of one time, {} s: no frame of a radar",
                     path,

@@ -13,14 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
-from gis_radar.hdmap import TileEngine
-from gis_radar.poses import Pose
-from gis_radar.recordings import Detections
 from gis_radar.scans.sight.sight import (
     HIDDEN,
     IN_SIGHT,
@@ -73,49 +70,6 @@ class MovingHits:
     sight: Sight
     count: Integers = field(repr=False)
     frames: int
-
-    @classmethod
-    def of(cls, sight: Sight, counters: Sequence[MovementCounter]) -> Self:
-        """Return the sums of counters (one at least) from one place."""
-        count = np.sum([each.count for each in counters], axis=0)
-        return cls(sight=sight, count=count, frames=sum(each.frames for each in counters))
-
-
-@dataclass(kw_only=True)
-class MovementCounter:
-    """Counter of the frames with movement on each tile, batch by batch of a recording.
-
-    Parameters
-    ----------
-    tiles : SightTiles
-        All tiles.
-    engine : TileGrid or TileTree
-        Finds the tiles that points fall in.
-    count : (n,) int64 array
-        Number of frames with a moving detection on each tile.
-    frames : int
-        Number of all frames.
-    """
-
-    tiles: SightTiles
-    engine: TileEngine
-    count: Integers = field(init=False, repr=False)
-    frames: int = 0
-
-    def __post_init__(self) -> None:
-        self.count = np.zeros(len(self.tiles.tile_id), np.int64)
-
-    def add(self, batch: Detections, pose: Pose, *, road_m: float = math.nan) -> None:
-        """Add whole frames, seen from a pose; `road_m` as of :meth:`Pose.to_map`."""
-        stamps, frame = np.unique(batch.time, return_inverse=True)
-        self.frames += len(stamps)
-        moves = batch.present & (np.abs(batch.range_rate) >= MOVEMENT_MPS)
-        place = pose.to_map(batch.points[moves], road_m=road_m)
-        point, tile = self.engine.assign(place[:, 0], place[:, 1])
-        over_m = place[point, 2] - self.tiles.height[tile] - REFLECTION_M
-        kept = ~(np.abs(over_m) > MOVEMENT_LEVEL_M)  # an unknown height (NaN) is kept
-        pairs = np.unique(frame[moves][point[kept]] * len(self.count) + tile[kept])
-        self.count += np.bincount(pairs % len(self.count), minlength=len(self.count))
 
 
 @dataclass(frozen=True, kw_only=True)
