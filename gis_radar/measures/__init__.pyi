@@ -4,7 +4,7 @@ from .filters import Filters
 from .frame_hash import HashedFrames
 from .frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from .headways import Headways, headways
-from .hit_counter import FrameCounter
+from .hit_counter import FrameCounter, count_movement
 from .hour import LONGEST_VALID_STEPS, MARGIN_STEPS, HourWindow
 from .hour_hits import ValidFrames, frame_columns, observed_runs, sorted_hits, valid_runs
 from .lane_fronts import FrontStates, StepGrid, VisibleRuns
@@ -30,7 +30,7 @@ from .pose_sights import (
     standing_for,
 )
 from .queues import QueueCourse, queue_course
-from .sensor_reading import HitTarget, RecordingCounts, SensorHour, count_movement, read_sensor
+from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
 from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 
 __all__ = [

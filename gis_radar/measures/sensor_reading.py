@@ -2,41 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from gis_radar.base import (
-    QUIET,
-    STEP_S,
-    STEP_US,
-    Floats,
-    InputError,
-    Integers,
-    Reporter,
-    iso_from_step,
-    step_of,
-)
+from gis_radar.base import STEP_S, STEP_US, Floats, InputError, Integers, iso_from_step, step_of
 from gis_radar.hdmap import Numbers, TileGrid
 from gis_radar.measures.counting_loop import POSE, TILES_HIT, TIME_US
 from gis_radar.measures.filters import Filters
 from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
-from gis_radar.measures.hit_counter import (
-    NO_TILES,
-    Counted,
-    HitCounter,
-    rows_of_columns,
-    rows_of_detections,
-)
+from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
 from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
 from gis_radar.measures.placing import PoseNumbers
 from gis_radar.measures.pose_sights import PlacedRecording, PoseSight, places_of
 from gis_radar.measures.validity import FrameTimes
-from gis_radar.poses import PoseTrack
-from gis_radar.recordings import RangeCounts, RawRows, open_recording, read_raw
+from gis_radar.recordings import RangeCounts, RawRows, read_raw
 from gis_radar.scans import SightTiles
 
 NEVER_US = -(2**62)
@@ -352,52 +333,3 @@ def _refuse_difference(part: _Reading, earlier: Sequence[_Reading]) -> None:
         part.source.track.sensor,
         hint="leave one of them away, or cut it where the other begins",
     )
-
-
-def count_movement(
-    recordings: Sequence[str | Path],
-    track: PoseTrack,
-    road: SightTiles,
-    road_m: Sequence[float],
-    reporter: Reporter = QUIET,
-) -> tuple[dict[int, Integers], Counter[int]]:
-    """Count, from each place of a sensor, the frames with movement on each tile, and all frames.
-
-    Parameters
-    ----------
-    recordings : sequence of paths
-        Its recordings.
-    track : PoseTrack
-        Its poses.
-    road : SightTiles
-        All tiles.
-    road_m : sequence of float
-        For each pose, the height of the road near it, metres; NaN where unknown.
-    reporter : Reporter
-        Receives progress.
-
-    Returns
-    -------
-    movement, frames : dict, Counter
-        By the index of the first pose at a place: numbers by tile, (n,), and of all frames.
-    """
-    counter, places = HitCounter(road, TileGrid(road.quads)), places_of(track.poses)
-    numbers = [
-        PoseNumbers.of(pose, road_m=near_m, number=k)
-        for k, (pose, near_m) in enumerate(zip(track.poses, road_m, strict=True))
-    ]
-    movement, frames = dict[int, Integers](), Counter[int]()
-    for recording in recordings:
-        opened, done = open_recording(recording), 0
-        for batch in opened.read():
-            rows = rows_of_detections(batch)
-            for index, begin, end in track.runs(batch.time):
-                count = movement.setdefault(
-                    int(places[index]), np.zeros(len(road.tile_id), np.int64)
-                )
-                for counted in counter.add(rows, begin, end, numbers[index], movement=count):
-                    frames.update(places[counted.frames[:, POSE]].tolist())
-            done += len(batch)
-            reporter.progress("comparing with the recording", done, opened.rows)
-        frames.update(places[counter.end().frames[:, POSE]].tolist())
-    return movement, frames
