@@ -177,6 +177,50 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     assert take_up(made.site, []).hours == []
 
 
+def test_a_quarter_stays_until_its_hour_is_measured(tmp_path, monkeypatch):
+    made = SpooledSite(tmp_path)
+    quarter = FULL_US // QUARTER_US - 2
+    monkeypatch.setattr(hour_work, "time", Clock(end_of_hour_s(HOUR) + 20.0))
+    same = frames_at("R1", quarter * QUARTER_US + 300_000_000, seconds=5.0)
+    made.add("R1", same)
+    make_quarter(made.site, made.spool.closed, quarter)
+    (folder,) = (made.folder / "provisional").iterdir()
+    made.add("R2", same)  # one recording for two sensors: the hour cannot be measured
+    assert HOUR in make_hours(made.site, made.spool.closed, [HOUR]).not_measured
+    assert folder.exists()
+    monkeypatch.setattr(hour_work, "time", Clock(end_of_hour_s(HOUR + 25) + 20.0))
+    make_hours(made.site, [], [])
+    assert not folder.exists()
+
+
+def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path):
+    made, said = SpooledSite(tmp_path), Lines()
+    recorded_at(made, FULL_US - 20_000_000, ["R1"])
+    submitted = []
+
+    class Pool:
+        def submit(self, work, *_):
+            submitted.append(work)
+            done = Future()
+            if len(submitted) == 1:
+                done.set_exception(BrokenExecutor("killed"))
+            else:
+                done.set_result(Done())
+            return done
+
+        def shutdown(self, **_):
+            """Nothing runs."""
+
+    settings = replace(DEFAULTS, again_s=0.0)
+    jobs = HourJobs(made.site, Quarters(), settings=settings, process=Pool, reporter=said)
+    jobs.take_up(made.spool.closed)
+    for _ in range(3):
+        jobs.poll(0.0, {})
+        jobs.begin(made.spool.closed)
+    assert submitted[:2] == [take_up, take_up]
+    assert take_up not in submitted[2:]
+
+
 def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path):
     made = SpooledSite(tmp_path)
     recorded_at(made, FULL_US - 20_000_000, ["R1"])

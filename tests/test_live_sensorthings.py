@@ -265,24 +265,42 @@ def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place,
     assert {"visible_share": 0.9} in beside
 
 
+def test_quarters_that_are_read_again_are_neither_sent_nor_waiting_twice(server, place, tmp_path):
+    """After a new start the newest may come before the day; without its file the server is asked."""
+    day = [quarter_of(place, BEGIN + 6000 - 1 + 18_000 * k) for k in range(4)]
+    push = push_of(server, place, tmp_path, interval="1min")
+    push.take_traffic(day)
+    until_sent(push)
+    sent = server.results()
+    for kept in (True, False):
+        if not kept:
+            (tmp_path / "waiting.json").unlink()
+        again = push_of(server, place, tmp_path, interval="1min")
+        for quarters in (day[-1:], day):
+            again.take_traffic(quarters)
+            assert (again.waiting == 0) is kept
+            until_sent(again)
+    assert server.results() == sent
+
+
 def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, place, tmp_path):
     said = Lines()
     server.fails, server.drops = 2, 1
     push = push_of(server, place, tmp_path, said, interval="1min")
     count(push, place, BEGIN, 1201)
     kept = json.loads((tmp_path / "waiting.json").read_text())
-    assert len(kept) == len(place.lane_numbers)
+    assert len(kept["waiting"]) == len(place.lane_numbers)
     until_sent(push)
     results = server.results()
     assert len(results) == len({each[:2] for each in results}) == len(place.lane_numbers)
     assert sum("answers 503" in line for line in said.lines) >= 1
     assert said.lines[-1] == "the server of lane measures takes them again"
-    assert json.loads((tmp_path / "waiting.json").read_text()) == []
+    assert json.loads((tmp_path / "waiting.json").read_text())["waiting"] == []
 
 
 def test_what_waited_when_fusion_was_killed_is_sent_after_a_new_start(server, place, tmp_path):
     rows = [LaneMeasure(place.lane_numbers[0], HITS, BEGIN, BEGIN + 1200, 12.5, 60.0)]
-    (tmp_path / "waiting.json").write_text(json.dumps(rows))
+    (tmp_path / "waiting.json").write_text(json.dumps({"quarters": [], "waiting": rows}))
     push = push_of(server, place, tmp_path)
     until_sent(push)
     assert [each[2] for each in server.results()] == [12.5]
@@ -290,7 +308,14 @@ def test_what_waited_when_fusion_was_killed_is_sent_after_a_new_start(server, pl
 
 @pytest.mark.parametrize(
     "damaged",
-    ["[[1, 2]]", "{", "5", '[[1, "hits", 2, 3, "a", 5]]', '[[1, "else", 2, 3, 4.0, 5.0]]'],
+    [
+        "[[1, 2]]",
+        "{",
+        "5",
+        '{"quarters": [], "waiting": [[1, "hits", 2, 3, "a", 5]]}',
+        '{"quarters": [], "waiting": [[1, "else", 2, 3, 4.0, 5.0]]}',
+        '{"waiting": []}',
+    ],
 )
 def test_a_damaged_file_is_put_aside(server, place, tmp_path, damaged):
     said, file = Lines(), tmp_path / "waiting.json"
@@ -379,7 +404,7 @@ def test_measures_of_lanes_that_the_map_no_longer_has_do_not_hold_up_others(
     server, place, tmp_path
 ):
     rows = [LaneMeasure(max(place.lane_numbers) + 1, HITS, BEGIN, BEGIN + 1200, 1.0, 60.0)]
-    (tmp_path / "waiting.json").write_text(json.dumps(rows))
+    (tmp_path / "waiting.json").write_text(json.dumps({"quarters": [], "waiting": rows}))
     assert push_of(server, place, tmp_path).waiting == 0
 
 

@@ -209,6 +209,30 @@ def test_another_process_holds_the_lock(tmp_path):
         pass
 
 
+def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
+    """A worker whose parent dies is stopped twice: by the broken pipe and by the watchdog."""
+    code = (
+        "import shutil, sys; from pathlib import Path\n"
+        "from gis_radar.base import atomic_folder\n"
+        "remove, told = shutil.rmtree, []\n"
+        "def rmtree(*words, **options):\n"
+        "    if not told:\n"
+        "        told.append(1)\n"
+        "        raise KeyboardInterrupt\n"
+        "    remove(*words, **options)\n"
+        "shutil.rmtree = rmtree\n"
+        "with atomic_folder(Path(sys.argv[1]), owned=()) as part:\n"
+        "    (part / 'half').touch()\n"
+        "    raise BrokenPipeError\n"
+    )
+    words = [sys.executable, "-c", code, tmp_path / "o"]
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1]
+    )
+    assert "KeyboardInterrupt" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "error",
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import json
 import os
@@ -38,6 +39,7 @@ _WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL"
 _FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
 LEAST_FREE = 1 << 16  # bytes: a disk with less is full, whatever a library's error states
 
+_unfinished: set[Path] = set()
 _CLEARING_FILES = 4  # file descriptors that the removal of a nested folder needs
 
 
@@ -248,6 +250,8 @@ def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
         raise OutputError("{}: the name is not UTF-8, which libraries need to write it", path)
     clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
     private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
+    # Noted before it exists, for `_clear_up`: an interruption may come at any moment.
+    _unfinished.add(private)
     spare = list[int]()  # file descriptors kept for the removal: the block may use up all others
     try:
         with output_errors(path):
@@ -259,6 +263,7 @@ def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
         for each in spare:
             os.close(each)
         shutil.rmtree(private, ignore_errors=True)
+        _unfinished.discard(private)
 
 
 @contextmanager
@@ -324,6 +329,13 @@ def _is_full(path: Path) -> bool:
         return shutil.disk_usage(path.absolute().parent).free < LEAST_FREE
     except OSError:
         return False
+
+
+@atexit.register
+def _clear_up() -> None:
+    """Remove private folders whose removal a second interruption broke off."""
+    for private in tuple(_unfinished):
+        shutil.rmtree(private, ignore_errors=True)
 
 
 @contextmanager

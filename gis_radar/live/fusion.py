@@ -275,7 +275,7 @@ class Fusion:
             self._exporter.begin(self._export)
         self._exporter.take()
         if self._push is not None:
-            self._push.take_traffic(self.quarters.followed())
+            self._push.take_traffic(self.quarters.followed)
             self._push.regular()
         for each in self.sensors.values():
             if each.due:

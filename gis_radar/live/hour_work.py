@@ -218,15 +218,22 @@ def make_hours(
     if hours:
         _check_poses(site, max(hours), check, done)
     _read_day(site, done)
-    for path in (site.folder / PROVISIONAL).glob("2*"):
-        if time_of_name(path.name) // HOUR_US < before_hour:
-            shutil.rmtree(path, ignore_errors=True)
+    _remove_provisional(site, before_hour)
     measured = _measured(site)
     remove_old(
         site.folder, keep_s=site.keep_s, most_bytes=site.most_bytes, reporter=done,
         is_needed=lambda path: path.resolve().as_posix() not in measured,
     )  # fmt: skip
     return done
+
+
+def _remove_provisional(site: MeasuredSite, before_hour: int) -> None:
+    """Remove the quarters of hours that are measured, and those of over a day ago."""
+    made = read_hours(site.dataset)
+    for path in (site.folder / PROVISIONAL).glob("2*"):
+        hour = time_of_name(path.name) // HOUR_US
+        if hour in made or hour < before_hour - KEPT // 4:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def _measure_hours(site: MeasuredSite, hours: Sequence[int], before_hour: int, done: Done) -> None:

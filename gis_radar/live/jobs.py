@@ -117,6 +117,7 @@ class HourJobs:
         self._next: Work | None = None
         self._hours: dict[int, float | None] = {}  # hours being made, as in `touched` at the start
         self._unmeasured: dict[int, _Unmeasured] = {}
+        self._is_taken_up = True  # what an earlier run left
         self._now = 0  # the quarter that runs
         self._quarter = 0  # that was measured last
         self._said: set[str] = set()
@@ -124,6 +125,7 @@ class HourJobs:
 
     def take_up(self, spooled: Sequence[Path]) -> None:
         """Start with the hours that an earlier run left."""
+        self._is_taken_up = False
         self._submit(take_up, spooled)
 
     @property
@@ -148,6 +150,9 @@ class HourJobs:
             self._choose(now_s, newest, full=full)
 
     def _choose(self, now_s: float, newest: Mapping[str, float], *, full: bool) -> None:
+        if not self._is_taken_up:  # it failed
+            self._next = take_up
+            return
         due = sorted(hour for hour in self.touched if self._is_due(hour, now_s, newest))
         self._look_behind(now_s, due)
         quarter = self._due_quarter(now_s, newest)
@@ -231,6 +236,7 @@ class HourJobs:
             self._say([f"measuring failed and is tried again: {reason}"])
             self.stop()
             return
+        self._is_taken_up = True  # it is always the first
         for hour, touched in hours.items():
             if self.touched.get(hour) == touched:  # else frames came meanwhile: make it again
                 self.touched.pop(hour, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import secrets
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,13 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import STEPS_PER_QUARTER
 from gis_radar.live.background import BackgroundTask
-from gis_radar.live.quarters import Lately, share_of
+from gis_radar.live.quarters import KEPT, Lately, share_of
 from gis_radar.live.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.snapshot import Place
 from gis_radar.site import SensorThingsTable
 
 FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0
-MOST_WAITING = 50_000  # most waiting measures: ten days of 50 lanes by 15 minutes
+MOST_WAITING = 50_000  # most waiting measures: two days of 50 lanes by 15 minutes
 DIGITS = 3
 
 
@@ -64,12 +64,12 @@ class LanePush:
         self._place, self._steps = place, interval_steps(table.interval)
         self._path, self._reporter = path, reporter
         lanes = {*place.lane_numbers}  # another map may have others: no server takes those
-        self._waiting = [each for each in _read(path, reporter) if each.lane in lanes]
+        waiting, self._taken = _read(path, reporter)  # last steps of quarters that were taken
+        self._waiting = [each for each in waiting if each.lane in lanes]
         self._sending: list[LaneMeasure] = []
         self._work = BackgroundTask[int]("sensorthings")
         self._again = True  # what a new start counts again may have arrived before
         self._newest = -1  # begin of an interval of hits
-        self._taken: set[int] = set()  # last steps of quarters whose traffic was taken
         self._try_at, self._patience_s, self._said = 0.0, retry_s, ""
         self._retry_s = retry_s
 
@@ -94,21 +94,23 @@ class LanePush:
         if added := self._add(done):
             self._newest = max(self._newest, added[0].begin)
 
-    def take_traffic(self, quarters: Iterable[Lately]) -> None:
+    def take_traffic(self, quarters: Sequence[Lately]) -> None:
         """Add the traffic of quarters of an hour that were not taken yet.
 
         Parameters
         ----------
-        quarters : iterable of Lately
-            Those with vehicles; each is taken as it was measured first, so that what its hour
-            changes later is not sent.
+        quarters : sequence of Lately
+            Those with vehicles of the last day; each is taken as it was measured first, so that
+            what its hour changes later is not sent.
         """
         new = [each for each in quarters if each.until_step not in self._taken]
         if not new:
             return
-        self._again |= not self._taken  # the first may have arrived before this start
-        self._taken |= {each.until_step for each in new}
-        self._add([row for each in new for row in _traffic(each)])
+        # the file that says which were taken may be lost, or from before others were measured
+        self._again |= not self._taken or new[0].until_step < max(self._taken)
+        self._taken = set(sorted(self._taken | {each.until_step for each in new})[-KEPT:])
+        if not self._add([row for each in new for row in _traffic(each)]):
+            self._keep()
 
     def _add(self, done: Sequence[LaneMeasure]) -> list[LaneMeasure]:
         """Add measures to those that wait, and return which are new."""
@@ -176,7 +178,8 @@ class LanePush:
     def _keep(self) -> None:
         try:
             with atomic_write(self._path) as part:
-                part.write_text(json.dumps(self._waiting), encoding="utf-8")
+                kept = {"quarters": sorted(self._taken), "waiting": self._waiting}
+                part.write_text(json.dumps(kept), encoding="utf-8")
         except GisRadarError as error:
             self._reporter.warn(error.message)
 
@@ -184,13 +187,14 @@ class LanePush:
 def _traffic(quarter: Lately) -> Iterator[LaneMeasure]:
     """Yield the measures of traffic of a quarter that are known."""
     end = quarter.until_step + 1
-    for measure, beside in ((key, each.parameter) for key, each in MEASURES.items() if key != HITS):
-        table = quarter.lanes[["lane", measure, beside]].dropna()
-        scale = 100.0 if measure == "occupancy" else 1.0
+    for name, measure in MEASURES.items():
+        if name == HITS:
+            continue
+        table = quarter.lanes[["lane", name, measure.parameter]].dropna()
         for lane, result, parameter in table.itertuples(index=False, name=None):
             yield LaneMeasure(
-                int(lane), measure, end - STEPS_PER_QUARTER, end,
-                round(scale * result, DIGITS), round(parameter, DIGITS),
+                int(lane), name, end - STEPS_PER_QUARTER, end,
+                round(measure.scale * result, DIGITS), round(parameter, DIGITS),
             )  # fmt: skip
 
 
@@ -201,16 +205,16 @@ def _row(lane: Any, measure: Any, begin: Any, end: Any, result: Any, parameter: 
     return LaneMeasure(int(lane), measure, int(begin), int(end), float(result), float(parameter))
 
 
-def _read(path: Path, reporter: Reporter) -> list[LaneMeasure]:
-    """Return measures that waited when fusion ended; rename and log a damaged file."""
+def _read(path: Path, reporter: Reporter) -> tuple[list[LaneMeasure], set[int]]:
+    """Return what waited, and which quarters were taken; rename and log a damaged file."""
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
-        return [_row(*row) for row in rows]
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        return [_row(*row) for row in kept["waiting"]], {int(each) for each in kept["quarters"]}
     except FileNotFoundError:
-        return []
-    except (OSError, ValueError, TypeError, ArithmeticError, RecursionError):
+        return [], set()
+    except (OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError):
         aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
         with suppress(OSError):  # if it cannot be renamed, the next waiting measures replace it
             path.rename(aside)
         reporter.warn("{}: it is damaged, and put aside as {}", path, aside.name)
-        return []
+        return [], set()

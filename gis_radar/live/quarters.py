@@ -74,19 +74,17 @@ class Quarters:
 
     def __init__(self) -> None:
         self._known: dict[int, Lately] = {}
+        self.followed: list[Lately] = []  # those with vehicles, in order
 
     def add(self, found: Iterable[Lately]) -> None:
         """Add quarters; they replace earlier measures of the same ones."""
         known = self._known | {each.until_step: each for each in found}
         self._known = {step: known[step] for step in sorted(known)[-KEPT:]}
-
-    def followed(self) -> list[Lately]:
-        """Return the quarters with vehicles, in order."""
-        return [each for each in self._known.values() if "volume" in each.lanes]
+        self.followed = [each for each in self._known.values() if "volume" in each.lanes]
 
     def lately(self) -> Lately | None:
         """Return the newest quarter with vehicles; None where there is none."""
-        followed = self.followed()
+        followed = self.followed
         return followed[-1] if followed else None
 
     def intervals(self) -> pd.DataFrame:

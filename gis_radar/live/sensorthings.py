@@ -44,12 +44,15 @@ class Measure:
         Name and symbol of its unit, and the name in the QUDT vocabulary.
     parameter : str
         Name of the parameter beside each result.
+    scale : float
+        By which the column of the same name is multiplied.
     """
 
     name: str
     about: str
     unit: tuple[str, str, str]
     parameter: str
+    scale: float = 1.0
 
 
 _PERCENT = ("percent", "%", "PERCENT")
@@ -61,7 +64,7 @@ MEASURES = {
         "the mean of its tiles. It is below the share in which vehicles occupy them.",
     ),
     "occupancy": Measure(
-        name="occupancy", unit=_PERCENT, parameter="visible_share",
+        name="occupancy", unit=_PERCENT, parameter="visible_share", scale=100.0,
         about="Share of the visible time with a vehicle on a tile of the lane, the mean of its "
         "tiles.",
     ),
@@ -330,8 +333,8 @@ class LaneServer:
     def _datastream(self, lane: int, measure: str, name: str) -> dict[str, Any]:
         about = MEASURES[measure]
         unit, symbol, word = about.unit
-        observed = {
-            "name": about.name, "description": about.about,
+        observed = {  # a city's server may have a "speed" of its own
+            "name": f"gis_radar {about.name}", "description": about.about,
             "definition": f"urn:gis_radar:{about.name.replace(' ', '_')}",
         }  # fmt: skip
         radars = {
@@ -341,7 +344,9 @@ class LaneServer:
         ids = {
             "Thing": self._entity("Things", self._thing_name(lane), lambda: self._thing(lane)),
             "Sensor": self._entity("Sensors", radars["name"], lambda: radars),
-            "ObservedProperty": self._entity("ObservedProperties", about.name, lambda: observed),
+            "ObservedProperty": self._entity(
+                "ObservedProperties", observed["name"], lambda: observed
+            ),
         }
         return {
             "name": name, "description": f"{about.name.capitalize()} of lane {lane}",
