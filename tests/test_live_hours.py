@@ -193,34 +193,6 @@ def test_a_quarter_stays_until_its_hour_is_measured(tmp_path, monkeypatch):
     assert not folder.exists()
 
 
-def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path):
-    made, said = SpooledSite(tmp_path), Lines()
-    recorded_at(made, FULL_US - 20_000_000, ["R1"])
-    submitted = []
-
-    class Pool:
-        def submit(self, work, *_):
-            submitted.append(work)
-            done = Future()
-            if len(submitted) == 1:
-                done.set_exception(BrokenExecutor("killed"))
-            else:
-                done.set_result(Done())
-            return done
-
-        def shutdown(self, **_):
-            """Nothing runs."""
-
-    settings = replace(DEFAULTS, again_s=0.0)
-    jobs = HourJobs(made.site, Quarters(), settings=settings, process=Pool, reporter=said)
-    jobs.take_up(made.spool.closed)
-    for _ in range(3):
-        jobs.poll(0.0, {})
-        jobs.begin(made.spool.closed)
-    assert submitted[:2] == [take_up, take_up]
-    assert take_up not in submitted[2:]
-
-
 def test_an_hour_that_cannot_be_measured_is_named_and_holds_no_other_up(tmp_path):
     made = SpooledSite(tmp_path)
     recorded_at(made, FULL_US - 20_000_000, ["R1"])
@@ -367,6 +339,23 @@ class JobsHere(HourJobs):
             self.pool.future.set_exception(error)
         else:
             self.pool.future.set_result(done or Done())
+
+
+def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool):
+    made = SpooledSite(tmp_path)
+    recorded_at(made, FULL_US - 20_000_000, ["R1"])
+    jobs = HourJobs(
+        made.site, Quarters(), settings=replace(DEFAULTS, again_s=0.0), process=lambda: pool,
+        reporter=Lines(),
+    )  # fmt: skip
+    jobs.take_up(made.spool.closed)
+    pool.future.set_exception(BrokenExecutor())
+    jobs.poll(0.0, {})
+    jobs.begin(made.spool.closed)
+    pool.future.set_result(Done())
+    jobs.poll(0.0, {})
+    assert not jobs.wanted
+    assert [each[0] for each in pool.begun] == ["take_up", "take_up"]
 
 
 def test_quarters_and_hours_are_measured_once_all_frames_are_there_or_after_a_while(tmp_path, pool):

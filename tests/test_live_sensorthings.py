@@ -266,7 +266,7 @@ def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place,
 
 
 def test_quarters_that_are_read_again_are_neither_sent_nor_waiting_twice(server, place, tmp_path):
-    """After a new start the newest may come before the day; without its file the server is asked."""
+    """After a new start the newest may come first; without its file the server is asked."""
     day = [quarter_of(place, BEGIN + 6000 - 1 + 18_000 * k) for k in range(4)]
     push = push_of(server, place, tmp_path, interval="1min")
     push.take_traffic(day)
