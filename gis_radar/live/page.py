@@ -68,7 +68,7 @@ _TEMPLATE = Environment(
     autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 ).from_string((WEB / "page.html").read_text(encoding="utf-8"))
 # Long words may break before these on a phone, whose browser need not know where German words do.
-SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahren|stau|zyklen)")
+SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|stau|zyklen)")
 # Colour of a tile that is hit now: no colour of the ramp is blue, nor one as light as this for the
 # red-green blind, to whom the ramp's purple is a deep blue.
 HIT = "#0090e0"
