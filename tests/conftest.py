@@ -81,6 +81,7 @@ def measure_once(once):
     measure = gr.measure
 
     def measured(recordings, poses, tiles, map_path, **options):
+        options = {"check": False} | options  # a third of the time; test_plausibility.py is on it
         asked = [recordings, [vars(pose) for pose in poses], fingerprint(tiles), map_path, options]
         name = f"dataset-{hashlib.sha256(repr(asked).encode()).hexdigest()[:16]}"
 
