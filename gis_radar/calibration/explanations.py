@@ -47,7 +47,9 @@ HIGH_M = 1.5  # error of the median height over the road from which a height or 
 BACKWARDS, BACKWARDS_SHARE = 5, 0.1
 
 BESIDE_LANES = Text("many vehicles drive beside the lanes")
-ONE_PLACE = Text("are map, pose and recording of one place?")
+ONE_PLACE = Text(
+    "check that map, pose and recording are of one place, and find the pose with gis-radar localize"
+)
 
 
 def by_lanes(
@@ -101,7 +103,7 @@ def by_lanes(
         return wrong(by_chance, UNKNOWN_CAUSE, ONE_PLACE)
     beside = {} if given.share >= FITTING else {
         "cause": BESIDE_LANES,
-        "advice": Text("does the map lack lanes, or is the pose another sensor's?"),
+        "advice": Text("check whether the map lacks lanes, or the pose is another sensor's"),
     }  # fmt: skip
     return Finding(sensor="", verdict=FITS, evidence=evidence, **beside)
 

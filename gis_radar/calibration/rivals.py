@@ -102,9 +102,10 @@ class Rival:
         return float(np.hypot(*(there.position - pose.position)[:2])), turn
 
     def twofold(self, pose: Pose) -> bool:
-        """Return whether it assumes two mistakes at once, of place and of yaw."""
+        """Return whether it assumes two mistakes at once, of axes, place or yaw."""
         off_m, turn = self.off(pose)
-        return self.searched and off_m > ONE_MISTAKE_M and abs(turn) > ONE_MISTAKE_DEG
+        wrong = self.axes is not Axes.GIVEN, off_m > ONE_MISTAKE_M, abs(turn) > ONE_MISTAKE_DEG
+        return self.searched and sum(wrong) > 1
 
     def same_as(self, other: Rival, pose: Pose) -> bool:
         """Return whether two explanations of one pose differ by no more than a search's error.
@@ -394,8 +395,13 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
 def moved(pose: Pose, there: Pose) -> Rival:
     """Return the explanation that a sensor has the pose `there` instead."""
     off_m, turn = GIVEN.by(pose, there).off(pose)
+    cause = Text("its pose is off by {:.1f} m and {:.1f} deg", off_m, abs(turn))
+    if off_m <= ONE_MISTAKE_M and abs(turn) > ONE_MISTAKE_DEG:
+        cause = Text("its pose is off by {:.1f} deg of yaw", abs(turn))
+    if abs(turn) <= ONE_MISTAKE_DEG and off_m > ONE_MISTAKE_M:
+        cause = Text("its pose is off by {:.1f} m", off_m)
     return Rival(
-        cause=Text("its pose is off by {:.1f} m and {:.1f} deg", off_m, abs(turn)),
+        cause=cause,
         advice=Text(
             "find it with gis-radar localize, near {:.1f}, {:.1f} with yaw {:.1f}",
             there.easting, there.northing, there.yaw,
@@ -420,11 +426,17 @@ def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
     high_m = float(np.median(given.over[known])) - REFLECTION_M
     tilt = np.degrees(np.median((given.over[known] - REFLECTION_M) / ahead[known]))
     pose = excerpt.usual
+    height = Text("height is {:.1f} m too high", high_m)
+    if high_m < 0.0:
+        height = Text("height is {:.1f} m too low", -high_m)
+    pitch = Text("pitch is {:.1f} deg too low", tilt)
+    if tilt < 0.0:
+        pitch = Text("pitch is {:.1f} deg too high", -tilt)
     return [
-        Rival(cause=Text("height is {:.1f} m off", high_m),
+        Rival(cause=height,
               advice=Text("set height to {:.1f}", pose.height - high_m), fitted=1,
               turned=lambda p: replace(p, height=p.height - high_m)),
-        Rival(cause=Text("pitch is {:.1f} deg off", -tilt),
+        Rival(cause=pitch,
               advice=Text("set pitch to {:.1f}", pose.pitch + tilt), fitted=1,
               turned=lambda p: replace(p, pitch=p.pitch + tilt)),
     ]  # fmt: skip
