@@ -1,6 +1,7 @@
 """Vehicles as one estimate: what the posterior says of tracks, right, wrong or too short."""
 
 import math
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -153,16 +154,57 @@ def test_vehicles_drive_on_where_the_radar_is_blind(through, least_s, most_s, gr
         assert least_s <= span_s(other)[1] - span_s(one)[1] <= most_s
 
 
-@pytest.mark.parametrize(
-    ("speed", "least_s", "most_s"), [(0.0, 0.0, 0.0), (2.0, 0.3, 0.5), (6.0, 1.0, 1.5)]
-)
+@pytest.mark.parametrize(("speed", "least_s", "most_s"), [(2.0, 0.3, 0.5), (6.0, 1.0, 1.5)])
 def test_the_slower_a_vehicle_is_the_sooner_its_place_is_unknown(speed, least_s, most_s, graph):
-    """Who drives at 6 m/s may drive at 3 after 1.5 s, who stands may have driven off."""
+    """Who drives at 6 m/s may drive at 3 after 1.5 s."""
     rng = np.random.default_rng(21)
     found = detected(returns(rng, 4, 10, 20.0, speed, each=0.3), clutter(rng, 40, 0.2))
     known = track(found, 4, 10, 20.0, speed)
     (longer,) = with_undetected_ends(Posterior(found, [known]), [known], graph)
     assert least_s <= round(span_s(longer)[1] - span_s(known)[1], 3) <= most_s
+
+
+def stops(found, begin_s, stops_s, end_s, start_m, speed):
+    """Return a motion that drives along the lane, then stands."""
+    drives = track(found, begin_s, stops_s, start_m, speed)
+    stands = track(found, stops_s, end_s, start_m + speed * (stops_s - begin_s), 0.0)
+    both = ("rows", "s_m", "speed", "var_s", "along_m", "left_m")
+    joined = {n: np.concatenate([getattr(drives, n), getattr(stands, n)]) for n in both}
+    return replace(drives, **joined)
+
+
+@pytest.mark.parametrize(
+    ("each", "least_s", "most_s"), [(2.0, 0.0, 1.6), (0.3, 1.0, 6.0), (0.02, 9.5, 10.1)]
+)
+def test_who_stopped_is_there_undetected_until_silence_costs_as_much_as_an_end(
+    each, least_s, most_s, graph
+):
+    """In plain view hardly, at the edge of range for ten seconds; nobody who never drove is."""
+    rng = np.random.default_rng(21)
+    stood = returns(rng, 15, 45, 120.0, 0.0, each=each)
+    found = detected(returns(rng, 5, 15, 20.0, 10.0), stood, clutter(rng, 60, 0.2))
+    end = stood[-1, 0] - BEGIN
+    known = [stops(found, 5, 15, end, 20.0, 10.0), track(found, 15, end, 120.0, 0.0)]
+    held, other = (with_undetected_ends(Posterior(found, [m]), [m], graph)[0] for m in known)
+    assert least_s <= span_s(held)[1] - span_s(known[0])[1] <= most_s
+    assert span_s(other)[1] == pytest.approx(span_s(known[1])[1], abs=0.05)
+    assert held.places[0][-1] == pytest.approx(known[0].places[0][-1], abs=0.01)
+    assert held.speed[-1] == 0.0
+
+
+def test_nobody_stands_undetected_where_another_one_drives(graph):
+    """Beyond 100 m nobody is detected, but some seconds later another one drives over the place."""
+    rng = np.random.default_rng(23)
+    parts = [returns(rng, 0, 10, 20.0, 10.0), returns(rng, 10, 15, 120.0, 0.0, each=0.05)]
+    found = detected(*parts, returns(rng, 10, 18, 20.0, 10.0), clutter(rng, 60, 0.2))
+    stood = stops(found, 0, 10, 15, 20.0, 10.0)
+    other = track(found, 10, 26, 20.0, 10.0)
+    alone, held = (
+        with_undetected_ends(Posterior(found, all_of), all_of, graph)[0]
+        for all_of in ([stood], [stood, other])
+    )
+    assert span_s(alone)[1] > 22.0
+    assert 17.0 < span_s(held)[1] < 20.0
 
 
 def test_an_undetected_vehicle_drives_into_no_other(graph):

@@ -122,6 +122,7 @@ PARTS: dict[str, Part] = {
     "no-reassign": _off((moves, "reassign", _same)),
     "no-refit": _off((moves, "refit", _same)),
     "no-undetected-ends": _off((moves, "with_undetected_ends", lambda _, m, __: list(m))),
+    "no-stood-on": _off((ends, "_stood_on", lambda motion, _: motion)),
     "no-driven-as-one": _off((neighbours, "_driven_as_one", lambda *_: -np.inf)),
     "no-alone": _off((neighbours, "_alone", lambda *_: [])),
     # terms

@@ -178,6 +178,27 @@ MORE: Mapping[str, Recipe] = {
     "gridlock-934": Recipe(
         plan="junction", seed=934, per_hour=4200, radars=2, minutes=10.0, warm_up_s=600.0
     ),
+    "town-941": Recipe(
+        plan="town", seed=941, per_hour=2500, radars=("R1", "R3", "R5"), minutes=2.5,
+        warm_up_s=420.0,
+    ),
+    "tee-942": Recipe(plan="tee", seed=942, per_hour=1600, radars=1, minutes=3.0),
+    "arterial-943": Recipe(plan="arterial", seed=943, per_hour=2400, radars=2),
+    "gridlock-944": Recipe(
+        plan="junction", seed=944, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
+    ),
+    "roundabout-945": Recipe(plan="roundabout", seed=945, per_hour=1100, radars=2),
+    "town-951": Recipe(
+        plan="town", seed=951, per_hour=2500, radars=("R2", "R4", "R6"), minutes=2.5,
+        warm_up_s=420.0,
+    ),
+    "town-961": Recipe(
+        plan="town", seed=961, per_hour=2500, radars=("R1", "R3", "R5"), minutes=2.5,
+        warm_up_s=420.0,
+    ),
+    "gridlock-956": Recipe(
+        plan="junction", seed=956, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
+    ),
 }  # fmt: skip
 """Scenes that `make bench-vehicles` leaves out: for what a change or a part earns."""
 

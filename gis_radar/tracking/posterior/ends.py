@@ -12,6 +12,7 @@ from gis_radar.base import STEP_S, STEPS_PER_SECOND, Floats, Integers, compiled
 from gis_radar.hdmap import LaneGraph
 from gis_radar.tracking.motion import Motion
 from gis_radar.tracking.paths import Path
+from gis_radar.tracking.posterior.background import DRIVES_MPS
 from gis_radar.tracking.posterior.cuts import END_MOST
 from gis_radar.tracking.posterior.estimate import Posterior
 from gis_radar.tracking.posterior.frames import BEND_M, WINDOW_S
@@ -68,8 +69,8 @@ def with_undetected_ends(
     """Return the vehicles extended at both ends, while silence there and their speed allow.
 
     Vehicles do not vanish: far away, behind another one, or where the radar is blind, one is there
-    undetected. How many detections are due in a place is learned from all others that drive over
-    it or would, if they drove on along their lanes at the speed they had.
+    undetected. How many detections are due in a place is learned from all others that are in it or
+    would be, if they drove on along their lanes at the speed they had, or stood on.
 
     Parameters
     ----------
@@ -94,7 +95,9 @@ def with_undetected_ends(
     cost[covered] = math.inf
     for k, motion in enumerate(motions):
         rows, mine = posterior.states.rows(k), posterior.given.time[motion.rows] * STEPS_PER_SECOND
-        known = 0.5 * motion.speed[[0, -1]] / USUAL_MPS2 * STEPS_PER_SECOND
+        speed = motion.speed[[0, -1]]
+        known = 0.5 * speed / USUAL_MPS2 * STEPS_PER_SECOND
+        known[speed <= STANDS_MPS] = math.inf
         before, after = (
             _undetected_steps(past, cost[rows], most)
             for past, most in zip(
@@ -115,7 +118,7 @@ def _undetected_steps(past: Floats, cost: Floats, known: float) -> float:
     """Return how many steps past a detection a vehicle is there.
 
     All the way on where that costs less than an end in plain view; else as far as it does, while
-    its place is known: at `USUAL_MPS2` its speed changes by half.
+    its place is known: at `USUAL_MPS2` its speed changes by half. Who stands keeps its place.
     """
     order = np.argsort(past, kind="stable")
     order = order[past[order] > 0.0]
@@ -129,14 +132,17 @@ def _undetected_steps(past: Floats, cost: Floats, known: float) -> float:
 def _driven_on(motion: Motion, graph: LaneGraph, way: int) -> Motion:
     """Return a motion that goes on at its end (way 1) or its begin (-1), along the lanes there.
 
-    At the speed it has, up to where lanes end; of lanes that fork the straightest is taken.
+    At the speed it has, up to where lanes end; of lanes that fork the straightest is taken. Who
+    stands there, but drives before or after, stays.
     """
     middle, heading = motion.places
     at = -1 if way > 0 else 0
     speed = float(motion.speed[at])
+    if speed <= STANDS_MPS:
+        return _stood_on(motion, way) if motion.speed.max() > DRIVES_MPS else motion
     lines = _ways(graph, middle[at], float(heading[at]) + (0.0 if way > 0 else math.pi))
     lines = [line for line in lines if len(line) > 2]
-    if speed <= STANDS_MPS or not lines:
+    if not lines:
         return motion
     line = min(lines, key=_turned)
     far = speed * WINDOW_S * np.arange(UNDETECTED_WINDOWS + 1)
@@ -144,6 +150,17 @@ def _driven_on(motion: Motion, graph: LaneGraph, way: int) -> Motion:
     if len(far) < 2:
         return motion
     return _longer(motion, line, np.column_stack([far, np.full(len(far), speed)]), way)
+
+
+def _stood_on(motion: Motion, way: int) -> Motion:
+    """Return a motion that stays in its place after its end (way 1) or before its begin (-1)."""
+    count = round(UNDETECTED_WINDOWS * WINDOW_S * STEPS_PER_SECOND)
+    sides = (0, count) if way > 0 else (count, 0)
+    place, spread = (np.pad(each, sides, mode="edge") for each in (motion.s_m, motion.var_s))
+    return replace(
+        motion, first_step=motion.first_step - sides[0], s_m=place, var_s=spread,
+        speed=np.pad(motion.speed, sides),
+    )  # fmt: skip
 
 
 def _turned(line: Floats) -> float:
