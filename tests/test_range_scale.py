@@ -73,22 +73,6 @@ def test_times_that_run_twice_as_fast_are_found(right):
     assert scale.factor == pytest.approx(2.0, rel=0.02)
 
 
-def test_followers_at_an_even_headway_do_not_look_like_turned_signs():
-    """With times twice as fast, the next one seems to come back from 1.5 s ahead."""
-    car, begins = traffic(vehicles=1), 1.5 * np.arange(30)
-    time = np.round((car.time - car.time[0] + begins[:, None]).ravel() / 0.05)
-    order = np.argsort(time, kind="stable")
-    points, rate = np.tile(car.points, (30, 1))[order], np.tile(car.range_rate, 30)[order]
-    time = 1.7e9 + 0.025 * time[order]
-    moving = Moving(
-        time=time, points=points, range_rate=rate, frames=len(np.unique(time)),
-        begin=float(time[0]), end=float(time[-1]),
-    )  # fmt: skip
-    scale = measure_range_scale(moving)
-    assert scale.factor == pytest.approx(2.0, rel=0.02)
-    assert not scale.absolute
-
-
 def test_signs_that_are_lost_are_told_from_signs_that_are_turned(right):
     scale = measure_range_scale(replace(right, range_rate=np.abs(right.range_rate)))
     assert scale.absolute

@@ -236,12 +236,10 @@ def measure_range_scale(moving: Moving) -> RangeScale | None:
     moving : Moving
         Moving detections of one window.
     """
-    scales = (_refined(moving, factor, absolute=lost) for factor, lost in _search(moving))
-    return next((each for each in scales if each is not None), None)
-
-
-def _refined(moving: Moving, factor: float, *, absolute: bool) -> RangeScale | None:
-    """Refine a factor by regression; None where too few vehicles are followed at it."""
+    found = _search(moving)
+    if found is None:
+        return None
+    factor, absolute = found
     for _ in range(ROUNDS):
         tracks = _tracks(moving, factor)
         if absolute:
@@ -259,15 +257,11 @@ def _refined(moving: Moving, factor: float, *, absolute: bool) -> RangeScale | N
     )
 
 
-def _search(moving: Moving) -> list[tuple[float, bool]]:
-    """Return the factors of either sign that most pairs show, and whether signs are lost.
-
-    The second is for traffic in which the first is of unrelated pairs: vehicles that follow each
-    other at an even headway pair up at a factor of their own, at which none can be followed.
-    """
+def _search(moving: Moving) -> tuple[float, bool] | None:
+    """Return the factor that most pairs of detections show, and whether signs are lost."""
     rate = moving.range_rate
     if len(rate) == 0:
-        return []
+        return None
     fast = np.abs(rate) >= LEAST_SHARE * np.percentile(np.abs(rate), 99.0)
     ratios = _pair_ratios(moving.time[fast], np.nan_to_num(moving.points[fast]), rate[fast])
     peaks = []
@@ -277,14 +271,11 @@ def _search(moving: Moving) -> list[tuple[float, bool]]:
         density = (high - low) / RATIOS  # even for pairs of unrelated vehicles
         best = int(density.argmax())
         peaks.append((float(density[best]), sign * float(RATIOS[best])))
-    (rarer, other), (peak, factor) = sorted(peaks)
+    (rarer, _), (peak, factor) = sorted(peaks)
+    if peak * abs(factor) < LEAST_PAIRS:
+        return None
     one_sign = bool((rate > 0.0).all() or (rate < 0.0).all())
-    found = []
-    if peak * abs(factor) >= LEAST_PAIRS:
-        found.append((factor, one_sign and rarer > BOTH_SIGNS * peak))
-    if rarer * abs(other) >= LEAST_PAIRS:
-        found.append((other, False))
-    return found
+    return factor, one_sign and rarer > BOTH_SIGNS * peak
 
 
 def _pair_ratios(time: Floats, points: Floats, rate: Floats) -> Floats:
