@@ -78,6 +78,7 @@ from .notebooks import (
 )
 from .processes import (
     OFFLINE,
+    free_address_space,
     go_offline,
     interrupt_main_thread,
     run_child,
@@ -208,6 +209,7 @@ __all__ = [
     "duration_s",
     "figure_text",
     "first_line",
+    "free_address_space",
     "give_back_memory",
     "go_offline",
     "gps_seconds",

@@ -50,6 +50,18 @@ A data file can name an address; no command of ours needs one.
 _MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
 
 
+def free_address_space() -> int | None:
+    """Return how many bytes of address space this process may still take; None without a limit."""
+    try:
+        import resource  # noqa: PLC0415 - not on Windows
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        pages = int(Path("/proc/self/statm").read_bytes().split()[0])
+    except (ImportError, OSError, ValueError, IndexError):
+        return None
+    return None if limit == resource.RLIM_INFINITY else limit - pages * resource.getpagesize()
+
+
 def go_offline() -> None:
     """Keep GDAL off the network, in this process and all that it starts (:data:`OFFLINE`)."""
     os.environ.update(OFFLINE)

@@ -31,6 +31,7 @@ from gis_radar.base import (
     Text,
     UsageError,
     first_line,
+    free_address_space,
     interrupt_main_thread,
     json_text,
     one_line,
@@ -271,6 +272,7 @@ TRACEBACK = "GIS_RADAR_TRACEBACK"
 """The environment variable that shows the traceback of an unforeseen error."""
 UNFORESEEN = "unforeseen"
 NO_MEMORY = Text("there is not enough memory")
+LEAST_FREE_BYTES = 64 << 20  # with 100 MiB commands work or end with an error; with 30 GDAL aborts
 # In errors of the loader, of threads and of LLVM, which raise no MemoryError.
 _NO_MEMORY_TEXTS = (
     "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",
@@ -302,6 +304,7 @@ def command(*, example: str, refuses: bool = True) -> Callable[[Verb], click.Com
     def register(verb: Verb) -> click.Command:
         @functools.wraps(verb)
         def run(*, json_lines: bool, **options: Any) -> None:
+            _require_memory()
             with _console(json_lines=json_lines) as console:
                 try:
                     if refuses:
@@ -337,6 +340,13 @@ def _refuse_inputs(options: Mapping[str, Any]) -> None:
     for output in filter(None, map(options.get, OUTPUTS)):
         of_dataset = dataset and output.is_file() and dataset.resolve() in output.resolve().parents
         refuse_inputs(output, *inputs, *([output] if of_dataset else []))
+
+
+def _require_memory() -> None:
+    """Refuse to begin where memory is so short that libraries crash or hang without an error."""
+    free = free_address_space()
+    if free is not None and free < LEAST_FREE_BYTES:
+        raise OutputError(NO_MEMORY, hint="raise the limit of the address space (ulimit -v)")
 
 
 def _console(*, json_lines: bool) -> Console:

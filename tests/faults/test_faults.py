@@ -126,6 +126,19 @@ def test_no_room(runner, inputs, tmp_path, limit, verb):
         assert "/proc: cannot be written" in answer["err"], answer["err"]
 
 
+@pytest.mark.parametrize(
+    ("mebibytes", "verb"), [(1, "project.laz"), (1, "heatmap"), (30, "heatmap")]
+)
+def test_hardly_any_memory(runner, inputs, tmp_path, mebibytes, verb):
+    """Where GDAL would abort, or a writer wait for ever: refused before the work."""
+    folder = shutil.copytree(inputs, tmp_path / "case")
+    limits = {"more_bytes": mebibytes << 20, "seconds": 120.0}
+    answer = runner.run(folder, words_of(WRITERS[verb], folder), **limits)
+    assert (answer["code"], answer["late"]) == (3, False)
+    assert answer["err"].startswith("gis-radar: there is not enough memory (")
+    assert answer["err"].count("\n") == 1
+
+
 @pytest.mark.parametrize(("name", "verb"), some(ODD, 5))
 def test_odd_names(runner, inputs, tmp_path, name, verb):
     """Signs that mean something to a shell, to GDAL, to SQLite or in an address."""
