@@ -111,7 +111,7 @@ class Measuring:
         gr.write_tiles(gr.make_tiles(gr.read_map(map_path, crs="EPSG:25832")), place / "t.gpkg")
         names = sorted(of.glob("R?.parquet"))
         for name in names:
-            gr.write_pose(true_pose(of, name.stem), place / f"{name.stem}.json")
+            true_pose(of, name.stem).write(place / f"{name.stem}.json")
         return {
             "map": str(map_path), "tiles": str(place / "t.gpkg"), "names": list(map(str, names)),
             "poses": [str(place / f"{name.stem}.json") for name in names],

@@ -58,9 +58,7 @@ from .poses import (
     View,
     read_pose,
     read_track,
-    write_pose,
     write_sensors,
-    write_track,
 )
 from .products import (
     Comparison,
@@ -193,7 +191,6 @@ __all__ = [
     "withdraw",
     "write_comparison",
     "write_footprints",
-    "write_pose",
     "write_projection",
     "write_qgis_project",
     "write_report",
@@ -201,6 +198,5 @@ __all__ = [
     "write_sights",
     "write_site_project",
     "write_tiles",
-    "write_track",
     "yaw_from_compass",
 ]

@@ -15,7 +15,7 @@ import numpy as np
 import street_plan
 from pyproj import CRS
 
-from gis_radar.poses import Pose, View, write_pose
+from gis_radar.poses import Pose, View
 from simulation.curves import arc_length, points_at
 from simulation.demand import KINDS, LONG_KINDS, Flow
 from simulation.lanelet_writer import Crosswalk, write_lanelets
@@ -220,7 +220,7 @@ def write_recordings(site: Site, folder: Path, duration_s: float) -> None:
             radar, site.traffic, moments, rng=noise, blank_frames=mast.blank_frames
         )
         write_recording(recording, folder / f"{mast.sensor}.parquet")
-        write_pose(mast.pose(), folder / f"{mast.sensor}.json")
+        mast.pose().write(folder / f"{mast.sensor}.json")
 
 
 def make_samples(folder: Path, duration_s: float = DURATION_S) -> None:

@@ -7,8 +7,6 @@ from maps import write_osm
 from scans import write_points
 from streets import WIDTH_M, Street
 
-from gis_radar.poses import write_pose
-
 FRAMES = 600
 SCAN_BOX = (-95.0, -95.0, 95.0, 12.0)
 
@@ -56,7 +54,7 @@ def write_site(folder):
     poses = {"R1": street.pose(), "R2": street.pose(place=(12.0, 9.0), yaw=-120.0)}
     street.record(folder / "R1.parquet", poses["R1"], frames=FRAMES)
     street.record(folder / "R2_0.parquet", poses["R2"], frames=200, vehicles=10, seed=2)
-    write_pose(poses["R2"], folder / "R2.json")
+    poses["R2"].write(folder / "R2.json")
     true = poses["R1"]
     text = SITE.format(east=true.easting + 4.0, north=true.northing - 3.0)
     (folder / "SITE.toml").write_text(text, encoding="utf-8")

@@ -29,7 +29,7 @@ def site(tmp_path):
     """A folder with tiles, a recording and its pose."""
     problems = crossing().iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
     gr.write_tiles(crossing(), tmp_path / "tiles.gpkg", problems=problems)
-    gr.write_pose(pose(), tmp_path / "R1.json")
+    pose().write(tmp_path / "R1.json")
     rng = np.random.default_rng(0)
     time_s = START + np.arange(400) // 4 * 0.05
     points = np.column_stack(
@@ -88,13 +88,13 @@ def test_an_option_that_a_pose_agrees_with_is_no_warning(site, run):
 
 
 def test_no_trustworthy_answer(site, run):
-    gr.write_pose(pose(easting=EAST + 9000), site / "R1.json")
+    pose(easting=EAST + 9000).write(site / "R1.json")
     refused(run(*measure_words(site)), 4, "no tile lies in the view of R1")
     assert not (site / "occ").exists()
 
 
 def test_any_name_of_a_sensor_can_be_shown(site, run):
-    gr.write_pose(pose(sensor="[/b] $\\frac{$"), site / "R1.json")
+    pose(sensor="[/b] $\\frac{$").write(site / "R1.json")
     code, out, _ = run(*measure_words(site))
     assert code == 0
     assert "[/b] $\\frac{$" in out
@@ -187,7 +187,7 @@ def test_tiles_of_another_map_or_crs(site, run):
     words = list(measure_words(site))
     words[5] = site / "other.gpkg"
     refused(run(*words), 3, "tiles")
-    gr.write_pose(pose(crs="EPSG:32632"), site / "R1.json")
+    pose(crs="EPSG:32632").write(site / "R1.json")
     refused(run(*measure_words(site, "occ2")), 3, "EPSG:32632", "EPSG:25832")
     assert not (site / "occ2").exists()
 
@@ -216,7 +216,7 @@ def test_no_command_replaces_what_it_reads(site, run):
 
 def test_every_option_reaches_its_argument(site, run):
     """What the dataset says of a call that sets all options."""
-    gr.write_pose(pose(view=None), site / "R1.json")
+    pose(view=None).write(site / "R1.json")
     answer = run(
         *measure_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",
         "--min-speed", "0.15", "--min-rcs", "-3", "--clearance", "0.1,4.5",

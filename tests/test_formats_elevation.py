@@ -23,7 +23,7 @@ from gis_radar.calibration.surroundings import read_slow
 from gis_radar.cli import group
 from gis_radar.hdmap import write_tiles
 from gis_radar.measures import Filters
-from gis_radar.poses import as_track, write_pose
+from gis_radar.poses import as_track
 from gis_radar.products import project
 from gis_radar.recordings import RangeCounts, open_recording
 
@@ -316,7 +316,7 @@ def test_track_refuses_them(street):
 
 def test_the_commands(tmp_path):
     path = level_recording(tmp_path / "R1.parquet", [[20.0, 0.0], [15.0, 1.0]])
-    write_pose(pose(), tmp_path / "R1.json")
+    pose().write(tmp_path / "R1.json")
     tiles = crossing(ROAD_M)
     write_tiles(tiles, tmp_path / "tiles.gpkg", problems=tiles.iloc[:0])
     words = [str(path), "--pose", str(tmp_path / "R1.json")]

@@ -109,7 +109,7 @@ def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run):
 def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_confirms_it(
     run, tmp_path
 ):
-    gr.write_pose(WRONG, tmp_path / "R1.pose.json")
+    WRONG.write(tmp_path / "R1.pose.json")
     edge, sent, said = run(1500, pose='"R1.pose.json"', trusted={3})
     assert [doubted for _, doubted in edge.made] == [False, True, True]
     assert len(sent) + edge.not_sent == 1500
@@ -125,7 +125,7 @@ def test_a_recording_that_ends_before_the_pose_is_known_is_used_as_far_as_it_goe
 
 
 def test_a_pose_in_another_system_than_the_tiles_is_refused(tmp_path, once):
-    gr.write_pose(replace(RIGHT, crs="EPSG:25833"), tmp_path / "other.json")
+    replace(RIGHT, crs="EPSG:25833").write(tmp_path / "other.json")
     file = LiveSite(tmp_path, once).edge("R1", pose='"other.json"')
     with pytest.raises(CrsError, match="of R1 is in EPSG:25833, but the tiles in EPSG:25832"):
         Edge(read_edge_file(file))

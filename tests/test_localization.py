@@ -16,7 +16,7 @@ from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covarian
 from gis_radar.calibration.icp import pose_information, voxels
 from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.state import State
-from gis_radar.poses import read_pose, write_pose
+from gis_radar.poses import read_pose
 
 CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])
 
@@ -114,7 +114,7 @@ def test_sigma_counts_the_place_of_the_map_and_what_drivers_of_a_lane_do_alike(s
 
 
 def test_the_evidence_is_written_and_read(answer, tmp_path):
-    write_pose(answer.pose, tmp_path / "pose.json")
+    answer.pose.write(tmp_path / "pose.json")
     evidence = read_pose(tmp_path / "pose.json").evidence
     covariance = np.array(evidence["covariance"])
     assert covariance.shape == (6, 6)

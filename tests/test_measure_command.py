@@ -24,7 +24,7 @@ def made(tmp_path_factory):
     for name in ("R1", "R2"):
         table = pd.read_parquet(SAMPLE / f"{name}.parquet")
         table[table["time"] < BEGIN + 1.0].to_parquet(folder / f"{name}.parquet", index=False)
-        gr.write_pose(gr.read_pose(SAMPLE / f"{name}.json"), folder / f"{name}.json")
+        gr.read_pose(SAMPLE / f"{name}.json").write(folder / f"{name}.json")
     return folder
 
 
@@ -121,7 +121,7 @@ def test_a_folder_to_look_in_has_to_be_there(site):
 def test_what_a_dataset_keeps_or_makes_again_is_said(site):
     assert run("measure", *BOTH, *MAP, "-o", "site", "--hits-only").exit_code == 0
     pose = gr.read_pose("R1.json")
-    gr.write_pose(replace(pose, yaw=pose.yaw + 1.0), "R1.json")
+    replace(pose, yaw=pose.yaw + 1.0).write("R1.json")
     words = ("--hits-only", "--timezone", "Europe/Berlin")
     said = run("measure", *BOTH, *MAP, "-o", "site", *words).output
     assert "R1.parquet: is placed or timed otherwise than before" in " ".join(said.split())

@@ -28,7 +28,7 @@ def test_a_pose_that_cannot_be_names_its_file(tmp_path, told):
 def test_a_pose_of_a_track_names_its_row(tmp_path):
     pose = gr.read_pose(gr.sample_folder() / "R1.json")
     since = [seconds_from_iso("2025-06-12T07:30:00Z", what="")]
-    gr.write_track(gr.PoseTrack(poses=(pose,), since=since), tmp_path / "t.csv")
+    gr.PoseTrack(poses=(pose,), since=since).write(tmp_path / "t.csv")
     head, row = (tmp_path / "t.csv").read_text().splitlines()
     cells = dict(zip(head.split(","), row.split(","), strict=True)) | {"azimuth_deg": "400"}
     (tmp_path / "t.csv").write_text(f"{','.join(cells)}\n{','.join(cells.values())}\n")

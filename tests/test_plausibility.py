@@ -22,7 +22,7 @@ from gis_radar.calibration import (
     refuse_implausible,
 )
 from gis_radar.calibration.findings import wrong
-from gis_radar.poses import PoseTrack, as_track, write_pose
+from gis_radar.poses import PoseTrack, as_track
 
 SAMPLE = gr.sample_folder()
 MAP = SAMPLE / "junction.osm"
@@ -175,7 +175,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     for name, file in (("R1", "A"), ("R2", "B")):
         rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
     there = replace(POSES["R2"], yaw=POSES["R2"].yaw + 180.0)
-    write_pose(there, mixed_up / "R2.json")
+    there.write(mixed_up / "R2.json")
     site = mixed_up / "SITE.toml"
     site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
     code, _, err = run("run", site, "-o", mixed_up / "out")
@@ -211,7 +211,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
 def test_a_run_shows_what_it_doubts(run, mixed_up, rows, in_this_process, blank_paper, monkeypatch):
     for name, file in (("R1", "A"), ("R2", "B")):
         rows[name].to_parquet(mixed_up / f"{file}.parquet", index=False)
-    write_pose(replace(POSES["R2"], northing=POSES["R2"].northing + 1.0), mixed_up / "R2.json")
+    replace(POSES["R2"], northing=POSES["R2"].northing + 1.0).write(mixed_up / "R2.json")
     site = mixed_up / "SITE.toml"
     site.write_text(site.read_text().replace(f"{SAMPLE / 'R2'}.json", "R2.json"))
     with monkeypatch.context() as german:

@@ -28,7 +28,7 @@ from gis_radar.calibration.range_scale import FEET, YARDS
 from gis_radar.calibration.rivals import GIVEN, MIRRORED
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE
-from gis_radar.poses import PoseTrack, as_track, write_pose
+from gis_radar.poses import PoseTrack, as_track
 
 SAMPLE = gr.sample_folder()
 MAP = SAMPLE / "junction.osm"
@@ -55,7 +55,7 @@ def checked(run, tmp_path):
         parts += ['crs = "EPSG:25832"\n', scan, "[vehicles]\nfollow = false\n"]
         for name, (table, pose) in sensors.items():
             table.to_parquet(tmp_path / f"{name}.parquet", index=False)
-            write_pose(replace(pose, sensor=name), tmp_path / f"{name}.json")
+            replace(pose, sensor=name).write(tmp_path / f"{name}.json")
             parts.append(
                 f'[[sensor]]\nname = "{name}"\nrecordings = ["{name}.parquet"]\n'
                 f'pose = "{name}.json"\naccept = {str(name in accepted).lower()}\n'

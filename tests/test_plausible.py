@@ -97,7 +97,7 @@ def track(tmp_path):
     views = gr.View()
     poses = tuple(replace(POSE, easting=EAST + k, view=views) for k in range(4))
     path = tmp_path / "track.csv"
-    gr.write_track(gr.PoseTrack(poses=poses, since=1.7e9 + np.arange(4.0)), path)
+    gr.PoseTrack(poses=poses, since=1.7e9 + np.arange(4.0)).write(path)
     return path
 
 
@@ -116,7 +116,7 @@ def test_a_track_needs_no_line_end_at_its_end(tmp_path, view):
     """RFC 4180: "The last record in the file may or may not have an ending line break"."""
     poses = tuple(replace(POSE, easting=EAST + k, view=view) for k in range(2))
     path = tmp_path / "track.csv"
-    gr.write_track(gr.PoseTrack(poses=poses, since=1.7e9 + np.arange(2.0)), path)
+    gr.PoseTrack(poses=poses, since=1.7e9 + np.arange(2.0)).write(path)
     path.write_text(path.read_text().rstrip("\n"))
     assert gr.read_track(path).poses[1].easting == EAST + 1
 

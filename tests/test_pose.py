@@ -16,8 +16,6 @@ from gis_radar.poses import (
     pose_from_dict,
     read_pose,
     read_track,
-    write_pose,
-    write_track,
 )
 
 ANGLE = st.floats(-179.0, 179.0)
@@ -63,7 +61,7 @@ def test_to_map_and_back(seed, yaw, pitch, roll):
 def test_a_pose_survives_its_file(tmp_path):
     record = RECORD | {"sigma": {"easting": 0.1}, "method": "lane", "view": {"azimuth_deg": 100}}
     first = pose_from_dict(record, what="test")
-    write_pose(first, tmp_path / "pose.json")
+    first.write(tmp_path / "pose.json")
     again = read_pose(tmp_path / "pose.json")
     assert again == first
     assert again.view == View(azimuth_deg=100)
@@ -198,10 +196,10 @@ def test_a_track_holds_each_pose_until_the_next(tmp_path):
 def test_a_track_survives_its_file_twice(tmp_path):
     evidence = {"sigma": {"yaw": 0.25}, "event": "moved", "vehicles": 12, "fitness": 0.91}
     first, again = tmp_path / "a.csv", tmp_path / "b.csv"
-    write_track(PoseTrack(poses=(pose(evidence=evidence),), since=np.array([1.7e9])), first)
+    PoseTrack(poses=(pose(evidence=evidence),), since=np.array([1.7e9])).write(first)
     read = read_track(first)
     assert read.poses[0].evidence == evidence | {"time": "2023-11-14T22:13:20Z"}
-    write_track(read, again)
+    read.write(again)
     assert again.read_text() == first.read_text()
 
 

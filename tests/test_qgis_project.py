@@ -110,7 +110,7 @@ def results(tmp_path_factory):
     folder, sample = tmp_path_factory.mktemp("site") / "Straße", gr.sample_folder()
     (folder / "sensors" / "R1").mkdir(parents=True)
     known = gr.read_pose(sample / "R1.json")
-    gr.write_pose(known, folder / "sensors" / "R1" / "pose.json")
+    known.write(folder / "sensors" / "R1" / "pose.json")
     tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
     problems = tiles.iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
     gr.write_tiles(tiles, folder / "tiles.gpkg", problems=problems)

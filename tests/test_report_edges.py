@@ -89,7 +89,7 @@ def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
     for name, crs in (("R1", "EPSG:25832"), ("R2", "EPSG:25833")):
         (tmp_path / "run" / "sensors" / name).mkdir(parents=True)
-        gr.write_pose(pose(sensor=name, crs=crs), tmp_path / "run" / "sensors" / name / "pose.json")
+        pose(sensor=name, crs=crs).write(tmp_path / "run" / "sensors" / name / "pose.json")
     report = gr.write_report(tmp_path / "run")
     told = "The pose of sensor R2 is in EPSG:25833, the map in EPSG:25832: it is left out."
     assert told in report.summary["remarks"]

@@ -99,7 +99,7 @@ def test_the_order_of_inputs_changes_no_byte(places, run, monkeypatch, tmp_path,
         seen.assign(x=seen["x"] + np.float32(0.25)).to_parquet(folder / "R2.parquet")
         pose = gr.read_pose(folder / "R1.json")
         there = replace(pose, sensor="R2", northing=pose.northing + 2.0)
-        gr.write_pose(there, folder / "R2.json")
+        there.write(folder / "R2.json")
         monkeypatch.chdir(folder)
         code, _, error = run(*words.format(*order).split())
         assert code == 0, error

@@ -222,7 +222,7 @@ def rebuilt(tmp_path, monkeypatch):
     problems = table.iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
     gr.write_tiles(table, tmp_path / "tiles.gpkg", problems=problems)
     write_points(tmp_path / "scan.laz", flat())
-    gr.write_pose(SENSOR, tmp_path / "R1.json")
+    SENSOR.write(tmp_path / "R1.json")
     traffic(tmp_path / "R1.parquet", unseen=(BEHIND_THE_HOUSE,), seconds=900)
     return table
 
@@ -285,7 +285,7 @@ def test_a_short_recording_corrects_no_sight(rebuilt, run, tmp_path):
 
 
 def test_the_pose_and_the_tiles_of_a_sight_are_in_one_system(rebuilt, run, tmp_path):
-    gr.write_pose(moved(crs="EPSG:25833"), tmp_path / "R1.json")
+    moved(crs="EPSG:25833").write(tmp_path / "R1.json")
     words = ("--pose", "R1.json", "--tiles", "tiles.gpkg", "--scan", "scan.laz")
     code, _, err = run("sight", *words, "-o", "sight.gpkg")
     told = "the pose of R1 is in EPSG:25833, but the tiles in EPSG:25832"

@@ -38,7 +38,7 @@ from gis_radar.calibration.moves import AGREEMENT, agreement
 from gis_radar.calibration.traces import Moving
 from gis_radar.calibration.windows import WindowTraffic
 from gis_radar.cli import group
-from gis_radar.poses import read_track, write_track
+from gis_radar.poses import read_track
 
 STREET = Street()
 FRAMES, VEHICLES = 2000, 140  # 100 s
@@ -156,7 +156,7 @@ def test_a_fit_that_came_to_no_rest_contradicts_nothing(seen, tmp_path, monkeypa
 
 def test_a_track_is_written_and_read(still, tmp_path):
     found, *_ = still
-    write_track(found.poses, tmp_path / "track.csv")
+    found.poses.write(tmp_path / "track.csv")
     again = read_track(tmp_path / "track.csv")
     assert np.allclose(again.since, found.poses.since, atol=1e-6)
     for here, there in zip(found.poses.poses, again.poses, strict=True):
@@ -174,7 +174,7 @@ def test_a_track_is_written_and_read(still, tmp_path):
 
 def test_the_sign_of_the_quaternion_does_not_jump(still, tmp_path):
     poses = [replace(still[0].poses.poses[0], yaw=yaw) for yaw in (179.9, -179.9)]
-    write_track(gr.PoseTrack(poses=tuple(poses), since=np.array([1.7e9, 1.7e9 + 5])),
+    gr.PoseTrack(poses=tuple(poses), since=np.array([1.7e9, 1.7e9 + 5])).write(
                 tmp_path / "track.csv")  # fmt: skip
     with (tmp_path / "track.csv").open() as file:
         first, second = list(csv.DictReader(file))
@@ -226,8 +226,8 @@ def test_a_move_of_half_a_metre_is_told(seen, tmp_path):
 def test_hits_uses_the_corrected_poses(moved, seen, tmp_path):
     """What stands at a place of the map after the knock falls on its tile by the track alone."""
     found, after, _ = moved
-    write_track(found.poses, tmp_path / "track.csv")
-    gr.write_pose(seen[3], tmp_path / "fixed.json")
+    found.poses.write(tmp_path / "track.csv")
+    seen[3].write(tmp_path / "fixed.json")
     target = STREET.placed([[60.0, -1.75]])[0]
     spot = np.array([*target, float(STREET.ground([60.0, -1.75])) + 0.5])
     moments = START + 70.0 + np.arange(400) * 0.05
@@ -438,7 +438,7 @@ def words(folder, *more):
 def files(seen, tmp_path, monkeypatch):
     """A recording, a pose and a scanned road; the map's lanes come from the scene itself."""
     record(tmp_path / "R1.parquet", seen, until=20.0)
-    gr.write_pose(start(seen[3]), tmp_path / "R1.json")
+    start(seen[3]).write(tmp_path / "R1.json")
     STREET.write_road(tmp_path / "road.laz")
     monkeypatch.setattr(gr, "read_map", lambda *_, **__: STREET.roads(), raising=False)
     return tmp_path

@@ -34,7 +34,6 @@ from figures import keep
 from simulated import sites, true_pose
 
 import gis_radar as gr
-from gis_radar.poses import write_pose
 
 PARTS = ("table", "sites", "random")
 SITE_STARTS, QUICK_STARTS = 10, 2
@@ -103,7 +102,7 @@ def _at_site(site: Path, options: argparse.Namespace) -> list[Trial]:
     names = sorted(path.stem for path in site.glob("R*.parquet"))
     for name in names:
         link(site / f"{name}.parquet", folder / f"{name}.parquet")
-        write_pose(true_pose(site, name), folder / f"{name}.json")
+        true_pose(site, name).write(folder / f"{name}.json")
     return spread(
         folder, names, f"site {site.name}", method="lane", seed=17,
         count=QUICK_STARTS if options.quick else SITE_STARTS,

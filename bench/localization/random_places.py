@@ -28,7 +28,6 @@ from street_plans import PLANS
 from trials import NEAR_M, Trial, in_workers
 
 import gis_radar as gr
-from gis_radar.poses import write_pose
 from simulation.demand import KINDS
 from simulation.driving import LaneKeeping
 from simulation.roadside import Roadside
@@ -95,7 +94,7 @@ def _make(number: int, folder: Path, conditions: str) -> None:
     )
     pose = _sensor(place.scene, rng)
     write_moving(place.record(pose, seed=number, model=under.model), folder / "R1.parquet")
-    write_pose(pose, folder / "R1.json")
+    pose.write(folder / "R1.json")
     place.write_ground(folder, seed=number)
 
 

@@ -21,7 +21,6 @@ from street_plans import StreetPlan
 
 import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.poses import write_pose
 from simulation.scene import Scene
 from simulation.terrain import Terrain
 
@@ -180,7 +179,7 @@ def town_folder(conditions: str = TEXTBOOK) -> Path:
                 seed = 100 * SEED + 10 * k + number
                 heard = place.record(pose, seed=seed, model=under.model, begin_s=k * WINDOW_S)
                 write_moving(heard, folder / f"{set_name}_{pose.sensor}.parquet")
-                write_pose(pose, folder / f"{set_name}_{pose.sensor}.json")
+                pose.write(folder / f"{set_name}_{pose.sensor}.json")
         place.write_ground(folder, seed=SEED)
 
     return made(folder, make, "town", "places", "conditions", "street_plans")

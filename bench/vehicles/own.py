@@ -12,7 +12,6 @@ import pandas as pd
 from scenes import SceneFiles
 
 import gis_radar as gr
-from gis_radar.poses import write_pose
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 from figures import Ran, run_alone
@@ -76,7 +75,7 @@ def true_pose_files(site: SceneFiles) -> list[Path]:
     folder = site.kept / "true-poses"
     folder.mkdir(exist_ok=True)
     for pose in site.poses:
-        write_pose(pose, folder / f"{pose.sensor}.json")
+        pose.write(folder / f"{pose.sensor}.json")
     return [folder / f"{pose.sensor}.json" for pose in site.poses]
 
 

@@ -44,7 +44,6 @@ from wide_map import widen  # noqa: E402
 
 import gis_radar as gr  # noqa: E402
 from gis_radar.base import Integers  # noqa: E402
-from gis_radar.poses import write_pose  # noqa: E402
 from simulation.lanelet_writer import write_lanelets  # noqa: E402
 from simulation.presets import TEXTBOOK  # noqa: E402
 from simulation.radar import RadarModel  # noqa: E402
@@ -379,7 +378,7 @@ def _make(recipe: Recipe, folder: Path) -> None:
             duration_s=recipe.minutes * 60.0,
         )  # fmt: skip
         write_moving(heard, folder / f"{pose.sensor}.parquet")
-        write_pose(pose, folder / f"{pose.sensor}.json")
+        pose.write(folder / f"{pose.sensor}.json")
     write_lanelets(place.network, folder / "map.osm", terrain=place.scene.terrain, crs=UTM)
     if recipe.plan.endswith(WIDE):
         widen(folder / "map.osm")

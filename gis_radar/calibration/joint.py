@@ -46,7 +46,7 @@ from gis_radar.calibration.scan_check import (
 )
 from gis_radar.calibration.traces import Moving
 from gis_radar.hdmap import LaneletMap
-from gis_radar.poses import Pose, write_pose
+from gis_radar.poses import Pose
 
 # Length of the time, in which most sensors recorded, that is used of long recordings: 2000 frames.
 COMMON_S = 100.0
@@ -99,7 +99,7 @@ class JointCalibration:
         made = [folder / f"{name}.json" for name in self.found]
         with atomic_writes(made[0]) as (private, places):
             for found, path in zip(self.found.values(), made, strict=True):
-                write_pose(found.pose, private / path.name)
+                found.pose.write(private / path.name)
                 places[private / path.name] = path
         return made
 

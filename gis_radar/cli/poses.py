@@ -110,7 +110,7 @@ def localize(
         compass=next(iter(compasses), None), scans=scans, figure=figure, reporter=reporter,
         **options,
     )  # fmt: skip
-    gr.write_pose(found.pose, output)
+    found.pose.write(output)
     outputs = [output] if figure is None else [output, figure]
     return Result(outputs=outputs, summary=found.figures())
 
@@ -153,7 +153,7 @@ def track(
     if figure is not None:
         gr.draw_track(followed, figure)
         outputs.append(figure)
-    gr.write_track(followed.poses, output)
+    followed.poses.write(output)
     return Result(outputs=outputs, summary=followed.figures())
 
 

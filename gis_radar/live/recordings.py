@@ -35,7 +35,7 @@ from gis_radar.live.detections import FrameDetections, unpack_detections
 from gis_radar.live.payload import PoseContent, key_of_pose, unpack_message
 from gis_radar.live.spool import FRAMES, POSE, SpoolFile
 from gis_radar.measures import MARGIN_STEPS, FrameIndex
-from gis_radar.poses import PoseTrack, pose_from_dict, read_track, write_pose, write_track
+from gis_radar.poses import PoseTrack, pose_from_dict, read_track
 from gis_radar.recordings import open_recording
 
 HOUR_US = 3_600_000_000
@@ -251,9 +251,9 @@ class JoinedRows:
         alone = len(track.poses) == 1
         named = path.with_suffix(".json" if alone else ".csv")
         if alone:
-            write_pose(track.poses[0], named)
+            track.poses[0].write(named)
         else:
-            write_track(track, named)
+            track.write(named)
         path.with_suffix(".csv" if alone else ".json").unlink(missing_ok=True)
         return read_track(named)
 

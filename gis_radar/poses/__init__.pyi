@@ -1,10 +1,9 @@
-from .files import DECIMALS, PoseTrack, as_track, read_pose, read_track, write_pose, write_track
+from .evidence import COMPONENTS, Evidence
+from .files import DECIMALS, PoseTrack, as_track, read_pose, read_track
 from .layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
 from .pose import (
     ANGLES,
-    COMPONENTS,
     POSITION,
-    Evidence,
     Pose,
     View,
     draw_sensor,
@@ -31,7 +30,5 @@ __all__ = [
     "read_pose",
     "read_style",
     "read_track",
-    "write_pose",
     "write_sensors",
-    "write_track",
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -75,6 +74,34 @@ class PoseTrack:
         """Return the same track with a view wherever a pose has none."""
         return replace(self, poses=tuple(pose.with_view(view) for pose in self.poses))
 
+    def write(self, path: str | Path) -> None:
+        """Write the track as CSV, whole or not at all.
+
+        A row a pose: time, position, angles, quaternion (x, y, z, w; its sign does not jump from
+        row to row), sigma in metres and degrees, then `event`, `vehicles`, `fitness` and the view
+        where a pose has them. Unknown values stay empty.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file. The times of the track must be finite.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        seen = any(pose.view is not None for pose in self.poses)
+        names = (*TRACK_FIELDS, *(VIEW_FIELDS if seen else ()))
+        with atomic_write(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(names)
+            last = self.poses[0].quaternion
+            for pose, since in zip(self.poses, self.since, strict=True):
+                last = pose.quaternion if pose.quaternion @ last >= 0.0 else -pose.quaternion
+                values = _row_of_pose(pose, float(since), last)
+                table.writerow([values.get(name, "") for name in names])
+
     def __repr__(self) -> str:
         return f"PoseTrack({self._title()})"
 
@@ -104,12 +131,6 @@ def as_track(pose: Pose | PoseTrack) -> PoseTrack:
     return PoseTrack(poses=(pose,), since=np.array([-math.inf]))
 
 
-def write_pose(pose: Pose, path: str | Path) -> None:
-    """Write a pose as JSON, whole or not at all."""
-    with atomic_write(Path(path)) as part:
-        part.write_text(json.dumps(pose.as_dict(), indent=1) + "\n", encoding="utf-8")
-
-
 def read_pose(path: str | Path) -> Pose:
     """Read one pose from JSON.
 
@@ -128,37 +149,6 @@ def read_pose(path: str | Path) -> Pose:
     if not isinstance(record, dict):
         raise InputError("{}: not a pose: expected a JSON object with its fields", path)
     return pose_from_dict(record, what=str(path))
-
-
-def write_track(track: PoseTrack, path: str | Path) -> None:
-    """Write a pose track as CSV, whole or not at all.
-
-    A row a pose: time, position, angles, quaternion (x, y, z, w; its sign does not jump from row
-    to row), sigma in metres and degrees, then `event`, `vehicles`, `fitness` and the view where a
-    pose has them. Unknown values stay empty.
-
-    Parameters
-    ----------
-    track : PoseTrack
-        Its times must be finite.
-    path : str or Path
-        The file.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
-    seen = any(pose.view is not None for pose in track.poses)
-    names = (*TRACK_FIELDS, *(VIEW_FIELDS if seen else ()))
-    with atomic_write(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(names)
-        last = track.poses[0].quaternion
-        for pose, since in zip(track.poses, track.since, strict=True):
-            last = pose.quaternion if pose.quaternion @ last >= 0.0 else -pose.quaternion
-            values = _row_of_pose(pose, float(since), last)
-            table.writerow([values.get(name, "") for name in names])
 
 
 def _row_of_pose(pose: Pose, since: float, quaternion: Floats) -> dict[str, Any]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from gis_radar.base import (
     Floats,
     InputError,
     Text,
+    atomic_write,
     axes_or_new,
     card,
     label_map,
@@ -26,6 +29,7 @@ from gis_radar.base import (
     require_on_earth,
     tr,
 )
+from gis_radar.poses.evidence import Evidence, from_zero, parse_covariance, parse_sigma
 
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
@@ -210,6 +214,20 @@ class Pose:
         }
         return record if self.view is None else record | {"view": vars(self.view)}
 
+    def write(self, path: str | Path) -> None:
+        """Write the pose as JSON, whole or not at all.
+
+        Examples
+        --------
+        >>> import gis_radar as gr
+        >>> pose = gr.read_pose(gr.sample_folder() / "R1.json")
+        >>> pose.write("R1.json")
+        >>> gr.read_pose("R1.json") == pose
+        True
+        """
+        with atomic_write(Path(path)) as part:
+            part.write_text(json.dumps(self.as_dict(), indent=1) + "\n", encoding="utf-8")
+
     def outline(self) -> shapely.Polygon:
         """Return the view's area in the map, seen from above.
 
@@ -241,9 +259,9 @@ class Pose:
         scale = stated.get("range_scale")  # a text where none could be fitted
         sigma = scale.get("sigma") if isinstance(scale, Mapping) else None
         return Evidence(
-            range_scale_sigma=_from_zero(0.0 if sigma is None else sigma, "range_scale", what),
-            sigma=_parse_sigma(stated.get("sigma"), what),
-            covariance=_parse_covariance(stated.get("covariance"), what),
+            range_scale_sigma=from_zero(0.0 if sigma is None else sigma, "range_scale", what),
+            sigma=parse_sigma(stated.get("sigma"), what),
+            covariance=parse_covariance(stated.get("covariance"), what),
             method=str(stated.get("method") or ""),
             time=str(stated.get("time") or ""),
         )
@@ -428,73 +446,3 @@ def draw_sensor(
     if ring is not None:
         x, y = ring.exterior.xy
         ax.plot(x, y, color=INK, linewidth=1.0, label=tr("95 % ellipse of the place"), zorder=5)
-
-
-COMPONENTS = ("easting", "northing", "height", "roll", "pitch", "yaw")  # order of a covariance
-LEAST_EIGENVALUE = -1e-6  # of a covariance scaled to a unit diagonal: files hold rounded numbers
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evidence:
-    """Accuracy and origin of a pose as its file states them, parsed and checked.
-
-    Parameters
-    ----------
-    sigma : mapping of str to float
-        One standard deviation by component, metres and degrees; only those that are stated.
-    covariance : (6, 6) array or None
-        In the order of `COMPONENTS`, metres and radians.
-    method : str
-        How the pose was found: `lane`, `icp`, `track`; empty where not stated.
-    time : str
-        Time of the last frame it was found from, ISO 8601; empty where not stated.
-    range_scale_sigma : float
-        One standard deviation of the factor on its ranges; 0 where not stated.
-    """
-
-    sigma: Mapping[str, float]
-    covariance: Floats | None
-    method: str
-    time: str
-    range_scale_sigma: float = 0.0
-
-    def plane_covariance(self) -> Floats | None:
-        """Return the covariance of easting and northing, (2, 2) m^2, or None where not stated."""
-        if self.covariance is not None:
-            plane = self.covariance[:2, :2]
-            return np.asarray((plane + plane.T) / 2)
-        if not {"easting", "northing"} <= self.sigma.keys():
-            return None
-        return np.diag([self.sigma["easting"] ** 2, self.sigma["northing"] ** 2])
-
-
-def _parse_sigma(stated: Any, what: str) -> dict[str, float]:
-    if stated is None:
-        return {}
-    if not isinstance(stated, Mapping):
-        raise InputError("{}: sigma is {}, expected a number by component", what, repr(stated))
-    known = {name: stated[name] for name in COMPONENTS if stated.get(name) is not None}
-    return {name: _from_zero(value, name, what) for name, value in known.items()}
-
-
-def _from_zero(value: Any, name: str, what: str) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not 0.0 <= value < math.inf:
-        raise InputError("{}: sigma of {} is {}, expected a number from 0", what, name, repr(value))
-    return float(value)
-
-
-def _parse_covariance(stated: Any, what: str) -> Floats | None:
-    if stated is None:
-        return None
-    try:
-        covariance = np.asarray(stated, dtype=np.float64)
-    except (TypeError, ValueError):
-        covariance = np.empty(0)
-    if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-        raise InputError("{}: covariance is not 6 x 6 finite numbers", what)
-    scale = np.sqrt(np.abs(np.diag(covariance))) + 1e-12
-    lowest = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
-    if not np.allclose(covariance, covariance.T) or lowest < LEAST_EIGENVALUE:
-        raise InputError("{}: covariance is not symmetric and positive", what)
-    return covariance

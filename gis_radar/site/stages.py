@@ -23,7 +23,7 @@ from gis_radar.base import (
     name_of,
     scratch_folder,
 )
-from gis_radar.poses import COMPONENTS, Pose, PoseTrack, View, read_track, write_pose
+from gis_radar.poses import COMPONENTS, Pose, PoseTrack, View, read_track
 from gis_radar.site.together import (
     RECORDED,
     read_together,
@@ -104,7 +104,7 @@ def localize_stage(
     except AmbiguousError as refusal:
         write_candidates(refusal, options["sensor"], several)
         return {"candidates": len(refusal.answers)}
-    write_pose(found.pose, pose)
+    found.pose.write(pose)
     asked = max(n for n, path in enumerate(recordings, start=1) if path.name == found.recording)
     return {**found.figures(), "recording": found.recording, "asked": asked}
 
@@ -147,7 +147,7 @@ def tied_pose_stage(
     pose, line = read_together(together, sensor)
     if view is not None:
         pose = replace(pose, view=View(**view))
-    write_pose(pose, outputs[0])
+    pose.write(outputs[0])
     reporter.progress("taking the pose", 1, 1)
     return {**_pose_figures(pose), "together": line}
 
@@ -176,7 +176,7 @@ def pose_stage(
             shutil.copyfile(pose, part)
         return {"poses": len(track.poses)}
     only = _named_with_view(track, sensor, view).poses[0]
-    write_pose(only, outputs[0])
+    only.write(outputs[0])
     return _pose_figures(only)
 
 

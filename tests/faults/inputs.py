@@ -138,9 +138,9 @@ def _recordings(folder: Path) -> None:
         northing=NORTH, height=105.0, yaw=0.0, pitch=0.0, roll=0.0, view=gr.View(max_range_m=60.0),
         evidence={"sigma": {"easting": 0.1, "northing": 0.1}, "event": ""},
     )  # fmt: skip
-    gr.write_pose(pose, folder / "R1.json")
+    pose.write(folder / "R1.json")
     poses = tuple(replace(pose, easting=EAST - 5.0 + k / 10) for k in range(3))
-    gr.write_track(gr.PoseTrack(poses=poses, since=START + np.arange(3.0)), folder / "track.csv")
+    gr.PoseTrack(poses=poses, since=START + np.arange(3.0)).write(folder / "track.csv")
 
 
 def _radars(folder: Path) -> None:

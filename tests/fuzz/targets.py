@@ -192,14 +192,14 @@ def _rows(path: Path) -> int:
 def _pose(folder: Path) -> None:
     """Read a pose, and again as it was written."""
     pose = gr.read_pose(folder / "R1.json")
-    gr.write_pose(pose, folder / "again.json")
+    pose.write(folder / "again.json")
     again = gr.read_pose(folder / "again.json")
     assert (again.sensor, again.crs, again.easting) == (pose.sensor, pose.crs, pose.easting)
 
 
 def _track(folder: Path) -> None:
     track = gr.read_track(folder / "track.csv")
-    gr.write_track(track, folder / "again.csv")
+    track.write(folder / "again.csv")
     assert len(gr.read_track(folder / "again.csv").poses) == len(track.poses)
 
 
