@@ -26,7 +26,7 @@ from simulated import DATA, true_pose
 
 import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.hdmap import TileEngine, polygons
+from gis_radar.hdmap import TileEngine, TileGrid, TileTree, polygons, quads
 from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}
@@ -60,7 +60,7 @@ def _figures(rates: dict[str, float], tiles: int) -> Iterator[Figure]:
 def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
     """Return a site's tiles and `count` footprints on them, in the order they were seen."""
     tiles = gr.make_tiles(gr.read_map(next(site.glob("*.osm"))))
-    grid = gr.TileGrid(gr.quads(tiles))
+    grid = TileGrid(quads(tiles))
     batches = []
     for path in sorted(site.glob("R*.parquet")):
         pose = true_pose(site, path.stem)
@@ -85,9 +85,9 @@ def _check(engines: tuple[TileEngine, ...], strtree: shapely.STRtree, x: Floats,
 
 def _rates(tiles: gpd.GeoDataFrame, x: Floats, y: Floats) -> dict[str, float]:
     """Return million points a second of each way, the slower ones on fewer points."""
-    quads = gr.quads(tiles)
-    grid, tree, plain = gr.TileGrid(quads), gr.TileTree(quads), TileGridNumpy(quads)
-    strtree = shapely.STRtree(polygons(quads))
+    corners = quads(tiles)
+    grid, tree, plain = TileGrid(corners), TileTree(corners), TileGridNumpy(corners)
+    strtree = shapely.STRtree(polygons(corners))
     _check((grid, tree), strtree, x[:300_000], y[:300_000])
     few = min(len(x), 1_000_000)
     shapes = tiles[["tile_id", "geometry"]]

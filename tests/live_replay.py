@@ -39,7 +39,7 @@ class Replay:
             title="Sample junction",
             zone=ZoneInfo("Europe/Berlin"),
             tiles=tiles,
-            lanes=gr.lanes(roads),
+            lanes=roads.lanes(),
         )
         self.at, self.silent = self.first + 600, set()
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.base import InputError
+from gis_radar.hdmap import TileGrid, TileTree, quads
 from gis_radar.measures import FrameCounter, PoseNumbers
 from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT, count_rows
 from gis_radar.measures.hit_counter import HitCounter, rows_of_columns
@@ -30,7 +31,7 @@ def test_each_frame_has_the_tiles_that_it_hits(tiles):
     frames = FrameCounter(SightTiles.of(tiles))
     detections = next(gr.open_recording(SAMPLE / "R1.parquet").read())
     place = pose.to_map(detections.points)
-    point, tile = gr.TileGrid(gr.quads(tiles)).assign(place[:, 0], place[:, 1])
+    point, tile = TileGrid(quads(tiles)).assign(place[:, 0], place[:, 1])
     times, frame = np.unique(detections.time, return_inverse=True)
     expected = [np.unique(tile[frame[point] == k]).tolist() for k in range(50)]
     few = detections.take(frame < 50)
@@ -43,8 +44,8 @@ def test_each_frame_has_the_tiles_that_it_hits(tiles):
 
 def test_the_loop_is_compiled_for_one_kind_of_tiles(tiles):
     """Another kind of the same arrays costs a user eight seconds of compiling anew."""
-    quads, road = gr.quads(tiles), SightTiles.of(tiles)
-    grids = [gr.TileGrid(each) for each in (quads, np.asfortranarray(quads))]
+    corners, road = quads(tiles), SightTiles.of(tiles)
+    grids = [TileGrid(each) for each in (corners, np.asfortranarray(corners))]
     pose = gr.read_pose(SAMPLE / "R1.json")
     detections = next(gr.open_recording(SAMPLE / "R1.parquet").read())
     first = detections.take(detections.time == detections.time[0])
@@ -70,7 +71,7 @@ def test_a_frame_without_positions_hits_nothing(tiles):
 
 @pytest.fixture(scope="module")
 def tree(tiles):
-    return gr.TileTree(gr.quads(tiles))
+    return TileTree(quads(tiles))
 
 
 @given(
@@ -93,7 +94,7 @@ def test_any_rows_hit_what_the_tree_and_numpy_say(tiles, tree, seed, rows, kind,
     road = SightTiles.of(tiles)
     ranges = RangeCounts()
     counter = HitCounter(
-        road, gr.TileGrid(road.quads), filters=gr.Filters(min_speed=least), ranges=ranges
+        road, TileGrid(road.quads), filters=gr.Filters(min_speed=least), ranges=ranges
     )
     columns = rows_of_columns(time, *np.ascontiguousarray(points.T), rate, rate[:0])
     road_m = pose.height - 3.0

@@ -43,7 +43,7 @@ def test_the_number_of_a_lane_in_real_maps(name):
 
 
 def numbered_by_the_rule(roads):
-    lanes = gr.lanes(roads)
+    lanes = roads.lanes()
     mine = {
         ref: lane
         for lane, refs in zip(lanes["lane"], lanes["lanelets"], strict=True)
@@ -55,7 +55,7 @@ def numbered_by_the_rule(roads):
 
 def test_tiles_carry_the_number_and_the_same_lanes(junction):
     tiles = gr.make_tiles(junction)
-    lanes = gr.lanes(junction).set_index("lane")
+    lanes = junction.lanes().set_index("lane")
     for lane in lanes_of(tiles):
         assert lane.lanelets == lanes.loc[lane.number, "lanelets"]
         assert tiles["length_m"].iloc[lane.rows].sum() == pytest.approx(
@@ -89,15 +89,15 @@ def test_rings_and_gaps():
 def test_turns_by_geometry_are_those_that_mappers_tagged(name):
     roads = gr.read_map(SHARED / "maps" / f"{name}.osm")
     bare = roads.lanelets.assign(turn_direction=None)
-    tagged = gr.lanes(roads)["turn"]
-    seen = gr.lanes(gr.LaneletMap(**{**vars(roads), "lanelets": bare}))["turn"]
+    tagged = roads.lanes()["turn"]
+    seen = gr.LaneletMap(**{**vars(roads), "lanelets": bare}).lanes()["turn"]
     both = tagged.notna() & seen.notna()
     assert both.sum() > 20
     assert (tagged[both] == seen[both]).mean() > 0.9
 
 
 def test_the_sample_has_stop_lines_where_its_lights_are(junction):
-    stops, lanes = gr.stop_lines(junction), gr.lanes(junction).set_index("lane")
+    stops, lanes = junction.stop_lines(), junction.lanes().set_index("lane")
     named = {ref for refs in junction.regulatory["lanelet_ids"] for ref in refs}
     assert set(stops["lanelet_id"]) == named
     for _, stop in stops.iterrows():
@@ -110,10 +110,10 @@ def test_a_stop_line_of_lanelets_that_were_left_out_ends_no_lane(junction):
     named = {ref for refs in junction.regulatory["lanelet_ids"] for ref in refs}
     left = junction.lanelets[~junction.lanelets["lanelet_id"].isin(named)].reset_index(drop=True)
     roads = gr.LaneletMap(**{**vars(junction), "lanelets": left})
-    stops = gr.stop_lines(roads)
-    assert (len(stops), list(stops)) == (0, list(gr.stop_lines(junction)))
+    stops = roads.stop_lines()
+    assert (len(stops), list(stops)) == (0, list(junction.stop_lines()))
     assert stops.crs == junction.crs
-    assert gr.lanes(roads)["stop_line_m"].isna().all()
+    assert roads.lanes()["stop_line_m"].isna().all()
 
 
 def two_lanes(folder, apart_m=0.0, stop=None, **tags):
@@ -135,15 +135,13 @@ def two_lanes(folder, apart_m=0.0, stop=None, **tags):
 
 def test_a_stop_line_that_nothing_names_ends_the_lane_before_it_only(tmp_path):
     roads = two_lanes(tmp_path, stop=((21.0, 2.8), (21.0, 0.2)))
-    stops = gr.stop_lines(roads)
+    stops = roads.stop_lines()
     assert stops[["stop_line", "lane"]].to_numpy().tolist() == [[50, 100]]
     assert stops["lane_m"].to_numpy() == pytest.approx([20.0], abs=0.01)
 
 
 def test_the_map_names_streets_by_its_tags(tmp_path):
-    assert (
-        gr.lanes(two_lanes(tmp_path, road_name="Am Markt"))["street"].tolist() == ["Am Markt"] * 2
-    )
+    assert two_lanes(tmp_path, road_name="Am Markt").lanes()["street"].tolist() == ["Am Markt"] * 2
 
 
 # Names of streets.
@@ -151,7 +149,7 @@ def test_the_map_names_streets_by_its_tags(tmp_path):
 
 def streets_of(junction, **names):
     """Lay a street of each name along a lane."""
-    lines = gr.lanes(junction).set_index("lane").geometry
+    lines = junction.lanes().set_index("lane").geometry
     ends = [lines[int(lane[1:])].coords for lane in names]
     shapes = [shapely.LineString([each[0], each[-1]]) for each in ends]
     return gpd.GeoDataFrame({"Name": list(names.values())}, geometry=shapes, crs=junction.crs)
@@ -161,7 +159,7 @@ def test_lanes_are_named_by_the_street_that_they_run_along(junction, tmp_path):
     streets = streets_of(junction, l83="Weststraße", l568="Südring").to_crs(4326)
     streets.to_file(path := tmp_path / "streets.gpkg")
     for given in (streets, path, streets.rename_geometry("geom")):
-        lanes = gr.lanes(junction, streets=given).set_index("lane")
+        lanes = junction.lanes(streets=given).set_index("lane")
         assert lanes.loc[[83, 160, 176, 111], "street"].tolist() == ["Weststraße"] * 4
         assert lanes.loc[[568, 553], "street"].tolist() == ["Südring"] * 2
         assert lanes.loc[[352, 382], "street"].isna().all()  # other arms have no street here
@@ -170,13 +168,13 @@ def test_lanes_are_named_by_the_street_that_they_run_along(junction, tmp_path):
 def test_the_name_in_the_map_comes_first(junction):
     tagged = junction.lanelets.assign(street="Am Markt")
     roads = gr.LaneletMap(**{**vars(junction), "lanelets": tagged})
-    lanes = gr.lanes(roads, streets=streets_of(junction, l83="Weststraße"))
+    lanes = roads.lanes(streets=streets_of(junction, l83="Weststraße"))
     assert set(lanes["street"]) == {"Am Markt"}
 
 
 def told(roads, **options):
     """Return the lanes and the warnings that they come with."""
-    lanes = gr.lanes(roads, reporter=(listener := Listener()), **options)
+    lanes = roads.lanes(reporter=(listener := Listener()), **options)
     return lanes, [message for level, message in listener.messages if level == "warning"]
 
 
@@ -188,12 +186,12 @@ def test_a_layer_without_names_is_told_in_one_sentence(junction):
     assert len(warned) == 1
     assert "no column of names" in warned[0]
     with pytest.raises(gr.InputError, match="has no column 'nom'"):
-        gr.lanes(junction, streets=streets, street_field="nom")
+        junction.lanes(streets=streets, street_field="nom")
     with pytest.raises(gr.CrsError, match="states no coordinate system"):
-        gr.lanes(junction, streets=streets.set_crs(None, allow_override=True))
+        junction.lanes(streets=streets.set_crs(None, allow_override=True))
     points = streets.set_geometry(streets.centroid)
     with pytest.raises(gr.InputError, match="streets are lines, the layer has Point"):
-        gr.lanes(junction, streets=points)
+        junction.lanes(streets=points)
 
 
 def test_two_streets_of_one_name_are_told(tmp_path):

@@ -170,7 +170,7 @@ def place():
     roads = gr.read_map(SAMPLE / "junction.osm")
     return Place(
         title="O'Hara's junction", zone=ZoneInfo("UTC"), tiles=gr.make_tiles(roads),
-        lanes=gr.lanes(roads),
+        lanes=roads.lanes(),
     )  # fmt: skip
 
 

@@ -20,9 +20,9 @@ from gis_radar.hdmap import (
     make_tiles,
     quads,
     read_tiles,
-    with_road_heights,
     write_tiles,
 )
+from gis_radar.hdmap.tiles import with_road_heights
 from gis_radar.scans import read_road
 
 NO_PROBLEMS = gpd.GeoDataFrame(

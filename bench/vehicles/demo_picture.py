@@ -27,6 +27,7 @@ from score import OccupancyScore, score_occupancy, with_occupancy
 
 import gis_radar as gr
 from gis_radar.base import Floats
+from gis_radar.hdmap import quads
 from gis_radar.products import BREAKS, NEVER_HIT, NOT_OBSERVED
 from gis_radar.products.heatmap.style import RAMP, legend
 
@@ -49,10 +50,10 @@ def main() -> None:
         tiles = site.tiles()
         table = estimated_occupancy(gr.open_dataset(options.demo / "dataset"))
         text = caption(score_occupancy(truth, table))
-        quads = pd.Series(list(gr.quads(tiles)), index=tiles["tile_id"])
+        corners = pd.Series(list(quads(tiles)), index=tiles["tile_id"])
     true = truth.table().set_index("tile_id")["occupancy"].dropna()
     given = with_occupancy(table).set_index("tile_id")["occupancy"].dropna()
-    figure = draw(quads, true, given[given.index.isin(true.index)])
+    figure = draw(corners, true, given[given.index.isin(true.index)])
     figure.savefig(options.picture, dpi=WIDTH_PX / figure.get_figwidth())
     print(text)
     if options.into is not None:
@@ -70,7 +71,7 @@ def caption(score: OccupancyScore) -> str:
     )
 
 
-def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
+def draw(corners: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
     """Return the three maps, of tiles by their number."""
     figure = Figure(figsize=(16, 5.0), layout="constrained")
     axes = figure.subplots(1, 3)
@@ -80,7 +81,7 @@ def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
     ):
         # The least above a break belongs to the class below, and 0 to its own.
         below = pd.Series(np.nextafter(values, -1.0), index=values.index)
-        _add(ax, quads, below, cmap=shares[0], norm=shares[1])
+        _add(ax, corners, below, cmap=shares[0], norm=shares[1])
         ax.set_title(title)
     classes = legend("hit_share")[:-2]
     handles = [Patch(facecolor=colour, label=label) for colour, label in classes]
@@ -88,18 +89,18 @@ def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
     handles.append(Patch(facecolor=NOT_OBSERVED, label="not in sight"))
     axes[0].legend(handles=handles, loc="lower right", fontsize="small", frameon=False)
     off = 100.0 * (given - true).dropna()
-    drawn = _add(axes[2], quads, off, cmap=LESS_TO_MORE, clim=(-OFF, OFF))
+    drawn = _add(axes[2], corners, off, cmap=LESS_TO_MORE, clim=(-OFF, OFF))
     axes[2].set_title("estimated less true, percentage points")
     figure.colorbar(drawn, ax=axes[2], shrink=0.7, extend="both", format="%+d")
     return figure
 
 
-def _add(ax: Axes, quads: pd.Series, values: pd.Series, **colours: Any) -> PolyCollection:
+def _add(ax: Axes, corners: pd.Series, values: pd.Series, **colours: Any) -> PolyCollection:
     """Draw tiles by value over the road."""
     order = values.abs().sort_values().index  # the largest on top where tiles overlap
-    ground: list[Floats] = list(quads)
+    ground: list[Floats] = list(corners)
     ax.add_collection(PolyCollection(ground, facecolor=NOT_OBSERVED, edgecolor="none"))
-    drawn = PolyCollection(list(quads.loc[order]), array=values.loc[order].to_numpy(), **colours)
+    drawn = PolyCollection(list(corners.loc[order]), array=values.loc[order].to_numpy(), **colours)
     drawn.set(edgecolor="face", linewidth=0.2)
     ax.add_collection(drawn)
     west, east, south, north = AROUND

@@ -26,7 +26,6 @@ from tracks import COLUMNS, Scored, by_step, compared, similarity
 
 import gis_radar as gr
 from gis_radar.base import Integers, step_of
-from gis_radar.hdmap import lanes
 from gis_radar.measures import FrontStates, LaneNetwork, StepGrid
 from gis_radar.measures.lane_fronts import crossings
 
@@ -50,7 +49,7 @@ class Lost:
     @cached_property
     def network(self) -> LaneNetwork:
         """The lanes, with their stop lines."""
-        table = lanes(gr.read_map(self.site.map))
+        table = gr.read_map(self.site.map).lanes()
         stops = dict(zip(table["lane"], table["stop_line_m"], strict=True))
         network = LaneNetwork.of(self.site.tiles(), stops)
         lines = self._lines(network)

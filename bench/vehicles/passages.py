@@ -17,6 +17,7 @@ from true_traffic import HEAVY_M, TrueTraffic
 
 import gis_radar as gr
 from gis_radar.base import Floats, Integers
+from gis_radar.hdmap import quads
 
 MOVE_M = 1.0  # the way is looked at so often
 ACROSS_M, HEADING = 0.8, 0.35  # standard deviations from the middle of a lanelet, and rad
@@ -79,7 +80,7 @@ def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
 
 def joined(tiles: gpd.GeoDataFrame) -> set[tuple[int, int]]:
     """Return lanelets and those that begin where they end, shared nodes or not."""
-    right0, right1, left1, left0 = np.moveaxis(gr.quads(tiles), 1, 0)
+    right0, right1, left1, left0 = np.moveaxis(quads(tiles), 1, 0)
     begin, end = (right0 + left0) / 2.0, (right1 + left1) / 2.0
     lanelet, index = tiles["lanelet_id"].to_numpy(), tiles["index"].to_numpy()
     last = np.flatnonzero(index == tiles.groupby("lanelet_id")["index"].transform("max"))

@@ -36,6 +36,7 @@ from stonesoup.updater.kalman import KalmanUpdater
 
 import gis_radar as gr
 from gis_radar.base import STEP_S, Floats, step_of
+from gis_radar.hdmap import TileGrid, quads
 
 WINDOW_STEPS = 2
 MOVING_MPS = 0.5
@@ -59,7 +60,7 @@ def clusters(
 ) -> Iterator[tuple[int, list[tuple[Floats, Floats]]]]:
     """Yield by window the middles of clusters of moving detections on lanes, and their points."""
 
-    grid = gr.TileGrid(gr.quads(site.tiles()))
+    grid = TileGrid(quads(site.tiles()))
     steps, places = [], []
     for pose, path in zip(poses, site.recordings, strict=True):
         table = pd.read_parquet(path).dropna(subset=["x", "range_rate"])

@@ -16,6 +16,7 @@ from true_traffic import LONG_M, TrueTraffic, rectangles, runs_at_rest, strip
 
 import gis_radar as gr
 from gis_radar.base import STEP_S, Booleans, Floats, Integers, step_of
+from gis_radar.hdmap import quads
 
 OVERLAP_M, LEVEL_M = 0.5, 2.0
 HIDDEN_STEPS = 200  # 10 s
@@ -144,7 +145,7 @@ def frames_valid(
 
 def middle_lines(tiles: gpd.GeoDataFrame) -> Floats:
     """Return the (n, 2, 2) right and left ends of the lines across tiles, half-way along them."""
-    right0, right1, left1, left0 = np.moveaxis(gr.quads(tiles), 1, 0)
+    right0, right1, left1, left0 = np.moveaxis(quads(tiles), 1, 0)
     return np.stack([(right0 + right1) / 2.0, (left0 + left1) / 2.0], axis=1)
 
 

@@ -38,7 +38,7 @@ def resolve(
 
 
 def other_names(target: str) -> Iterator[str]:
-    """Yield the public name of a thing, and the name where it is defined."""
+    """Yield the public name of a thing, that in its room, and the name where it is defined."""
     parts = target.split(".")
     for cut in range(len(parts) - 1, 0, -1):
         try:
@@ -53,5 +53,7 @@ def other_names(target: str) -> Iterator[str]:
             if getattr(gis_radar, public) is thing:
                 yield ".".join(["gis_radar", public, *rest])
         if hasattr(thing, "__qualname__"):
+            room = thing.__module__.split(".")[:2]
+            yield ".".join([*room, thing.__qualname__, *rest])
             yield ".".join([thing.__module__, thing.__qualname__, *rest])
         return

@@ -40,7 +40,7 @@ from gis_radar.calibration.scan_check import (
     require_scans_near,
 )
 from gis_radar.calibration.traces import LEAST_FRAMES, Moving
-from gis_radar.hdmap import LaneletMap, make_tiles, read_map, with_road_heights
+from gis_radar.hdmap import LaneletMap, make_tiles, read_map
 from gis_radar.poses import Pose, View
 from gis_radar.recordings import open_recording
 from gis_radar.scans import Sight, SightScan, SightTiles, find_sight, read_road, road_crs
@@ -276,8 +276,8 @@ def _sight(
     reporter: Reporter,
 ) -> tuple[Sight, SightTiles] | None:
     """Return the sensor's sight of the lanes, for the figure; warn of a scan that does not fit."""
-    large = make_tiles(roads, length_m=FIGURE_TILE_M, reporter=SILENT)
-    tiles = SightTiles.of(with_road_heights(large, points))
+    large = make_tiles(roads, length_m=FIGURE_TILE_M, road=points, reporter=SILENT)
+    tiles = SightTiles.of(large)
     try:
         return find_sight(pose, tiles, SightScan(scans, tiles, scan_crs=scan_crs)), tiles
     except InputError as error:

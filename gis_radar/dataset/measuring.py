@@ -52,7 +52,7 @@ from gis_radar.dataset.registry import (
     validity_by_sensor,
 )
 from gis_radar.dataset.remarks import Examined, remark_on_recordings, remark_on_vehicles
-from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph, lanes, stop_lines
+from gis_radar.hdmap import LaneGraph, LaneletMap, fingerprint, lane_graph
 from gis_radar.measures import Filters, PlacedRecording, RecordingCounts, SightBook, validity_of
 from gis_radar.poses import Pose, PoseTrack, as_track
 from gis_radar.recordings import Recording, as_recording
@@ -429,7 +429,7 @@ def _layers(roads: LaneletMap | None) -> dict[str, gpd.GeoDataFrame]:
     """Return the layers beside the tiles."""
     if roads is None:
         return {}
-    return {"problems": roads.problems, "lanes": lanes(roads), "stop_lines": stop_lines(roads)}
+    return {"problems": roads.problems, "lanes": roads.lanes(), "stop_lines": roads.stop_lines()}
 
 
 def _as_before(given: _Given, found: Manifest) -> _Given:

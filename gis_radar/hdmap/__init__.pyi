@@ -1,18 +1,17 @@
 from .bounds import CannotMendError, at_fractions, bound_length, rungs, slices, sound, sound_rungs
 from .graph import LANE_MARGIN_M, FieldArrays, LaneGraph, lane_graph, lanes_at
+from .lanelet_map import LaneletMap
 from .lanes import (
     LANE_EXIT_M,
     LANES_LAYER,
     STOP_LINES_LAYER,
     chain_lanelets,
     lane_style,
-    lanes,
-    stop_lines,
     turn_word,
 )
 from .mending import outline
 from .osm import read_osm
-from .reader import LaneletMap, read_map
+from .reader import read_map
 from .tagging import ON_FOOT_OR_BICYCLE, is_driven
 from .tile_lanes import Lane, lanes_of
 from .tile_lookup import (
@@ -23,7 +22,6 @@ from .tile_lookup import (
     TileTree,
     cell_at,
     is_inside,
-    with_road_heights,
 )
 from .tiles import (
     LANE_COLUMN,
@@ -68,7 +66,6 @@ __all__ = [
     "is_inside",
     "lane_graph",
     "lane_style",
-    "lanes",
     "lanes_at",
     "lanes_of",
     "make_tiles",
@@ -83,8 +80,6 @@ __all__ = [
     "slices",
     "sound",
     "sound_rungs",
-    "stop_lines",
     "turn_word",
-    "with_road_heights",
     "write_tiles",
 ]

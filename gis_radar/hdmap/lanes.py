@@ -19,7 +19,6 @@ import scipy
 import shapely
 
 from gis_radar.base import QUIET, Floats, Integers, Reporter, wind_of
-from gis_radar.hdmap.reader import LaneletMap
 from gis_radar.hdmap.streets import name_streets
 from gis_radar.hdmap.tagging import STREET, TURN_TAG
 
@@ -143,57 +142,16 @@ def lane_numbers(lanelets: gpd.GeoDataFrame) -> dict[int, int]:
     return {ref: min(chain) for chain in lane_chains(lanelets) for ref in chain}
 
 
-def lanes(
-    roads: LaneletMap,
+def lane_table(
+    lanelets: gpd.GeoDataFrame,
+    regulatory: gpd.GeoDataFrame,
     *,
     streets: gpd.GeoDataFrame | str | Path | None = None,
     street_field: str | None = None,
     reporter: Reporter = QUIET,
 ) -> gpd.GeoDataFrame:
-    """Return the lanes of a map, with street, direction and turns.
-
-    A lane is a chain of lanelets, each the only successor of its only predecessor.
-
-    Parameters
-    ----------
-    roads : LaneletMap
-        The map.
-    streets : GeoDataFrame, str or Path, optional
-        Lines of streets with names, in any coordinate system, such as a layer of the city. Lanes
-        named in the map keep their name; others get that of the street along most of their length.
-    street_field : str, optional
-        Its column of names; without it the first of the usual ones.
-    reporter : Reporter
-        Receives remarks on lanes without names and on streets of one name.
-
-    Returns
-    -------
-    GeoDataFrame
-        One row a lane, by `lane` (int64, its number: its smallest lanelet id). `lanelets` (tuple of
-        int, in driving order); `subtype` of the first; `street` (None where unknown);
-        `street_part` (of several streets of that name more than 250 m apart, which one: by its
-        place among them, a compass wind such as `north-east`, else a number; None for a single
-        street); `direction` (of its last 5 m: one of eight compass winds, from grid north); `turn`
-        (`left`, `straight`, `right`, `back`, joined by `;`: the turns in a junction of the lane or
-        of those that it leads to, by the map's tags, else by geometry; None elsewhere);
-        `stop_line_m` (metres along the lane, NaN where the map has none); `length_m`;
-        `speed_limit_kmh` (mean speed of a vehicle that drives at the limits, NaN where the map does
-        not state them all); its centre line as geometry.
-
-    Raises
-    ------
-    InputError
-        If the streets cannot be read, or have no column of that name.
-    CrsError
-        If the streets state no coordinate system.
-
-    Examples
-    --------
-    >>> import gis_radar as gr
-    >>> lanes = gr.lanes(gr.read_map(gr.sample_folder() / "junction.osm"))
-    >>> lanes[["lane", "direction", "turn"]].head(2)  # doctest: +SKIP
-    """
-    table = _by_id(roads.lanelets)
+    """Return the lanes of a map; see :meth:`gis_radar.LaneletMap.lanes`."""
+    table = _by_id(lanelets)
     chains = lane_chains(table)
     number = {ref: min(chain) for chain in chains for ref in chain}
     after = _lanelets_after(table)
@@ -203,7 +161,7 @@ def lanes(
         )
     lines = [_centre_line([table.at[ref, "centre"] for ref in chain]) for chain in chains]
     turns = _lane_turns(chains, table, after)
-    stops = stop_lines(roads)
+    stops = stop_line_table(lanelets, regulatory)
     stop_m = dict(zip(stops["lane"], stops["lane_m"], strict=True))
     result = gpd.GeoDataFrame(
         {
@@ -218,7 +176,7 @@ def lanes(
             "speed_limit_kmh": [_limit_along(table, chain) for chain in chains],
         },
         geometry=lines,
-        crs=roads.crs,
+        crs=lanelets.crs,
     )
     return name_streets(result, streets, street_field, reporter)
 
@@ -307,37 +265,22 @@ def turn_word(turned: float) -> str:
 # Stop lines.
 
 
-def stop_lines(roads: LaneletMap) -> gpd.GeoDataFrame:
-    """Return the stop lines of a map, a row for each lane that one ends.
-
-    A stop line ends the lanes that it crosses, and those that end up to 2 m before it. If lanelets
-    name its regulatory element, only these count.
-
-    Parameters
-    ----------
-    roads : LaneletMap
-        The map.
-
-    Returns
-    -------
-    GeoDataFrame
-        `stop_line` (int64, the way's id), `lane`, `lanelet_id` (int64), `s_m` along the lanelet and
-        `lane_m` along the lane, metres; `sign` (such as `de294`; empty where none); the line.
-    """
-    table = _by_id(roads.lanelets)
+def stop_line_table(lanelets: gpd.GeoDataFrame, regulatory: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the stop lines of a map; see :meth:`gis_radar.LaneletMap.stop_lines`."""
+    table = _by_id(lanelets)
     before: dict[int, tuple[int, float]] = {}
     for chain in lane_chains(table):
         gone = np.cumsum([0.0, *(table.at[ref, "centre"].length for ref in chain)])
         before |= {ref: (min(chain), float(m)) for ref, m in zip(chain, gone, strict=False)}
     rows: dict[tuple[int, int], tuple[Any, ...]] = {}
-    for way, named, sign, line in _drawn_stop_lines(roads.regulatory):
+    for way, named, sign, line in _drawn_stop_lines(regulatory):
         for ref, s_m in _stopped(table["centre"], line, named):
             lane, gone_m = before[ref]
             rows[way, lane] = (way, lane, ref, s_m, gone_m + s_m, sign, line)
     order = sorted(rows.values(), key=lambda row: (row[1], row[4]))
     columns = {name: [row[i] for row in order] for i, name in enumerate(_STOP_KINDS)}
     lines = [row[-1] for row in order]
-    return gpd.GeoDataFrame(columns, geometry=lines, crs=roads.crs).astype(_STOP_KINDS)
+    return gpd.GeoDataFrame(columns, geometry=lines, crs=lanelets.crs).astype(_STOP_KINDS)
 
 
 def _drawn_stop_lines(

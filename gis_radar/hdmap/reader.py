@@ -15,7 +15,7 @@ from pyproj import CRS
 from shapely import LineString, MultiLineString
 from shapely.geometry.base import BaseGeometry
 
-from gis_radar.base import QUIET, Floats, InputError, Reporter, Text, card, name_of
+from gis_radar.base import QUIET, Floats, InputError, Reporter, Text
 from gis_radar.hdmap.bounds import (
     CannotMendError,
     arc_lengths,
@@ -25,6 +25,7 @@ from gis_radar.hdmap.bounds import (
     slices,
     without_repeats,
 )
+from gis_radar.hdmap.lanelet_map import DOUBTFUL, LEFT_OUT, REPAIRED, LaneletMap
 from gis_radar.hdmap.mending import Mended, mend, outline
 from gis_radar.hdmap.osm import OsmMap, Relation, read_osm
 from gis_radar.hdmap.positions import place_nodes
@@ -41,61 +42,9 @@ from gis_radar.hdmap.tagging import (
 )
 
 STAGE = "reading lanelets"
-REPAIRED, LEFT_OUT, DOUBTFUL = "repaired", "left out", "doubtful"
 WIDE_M = 40.0  # width from which on a lanelet is doubtful: squares and turning areas are narrower
 WIDEST_M = 500.0  # width from which on a node must be in the wrong place
 STRAY_M = 100_000.0  # from the middle of the map: no site is so large
-
-
-@dataclass(frozen=True, kw_only=True)
-class LaneletMap:
-    """A Lanelet2 map in one metric system.
-
-    Parameters
-    ----------
-    lanelets : GeoDataFrame
-        Sorted by `lanelet_id` (int64). `subtype`; `location`, `street` (its name) and
-        `turn_direction` (None where not tagged);
-        `speed_limit_kmh` (NaN where unknown); `one_way`; `participants`, `successors`,
-        `predecessors` (tuples); `left`, `right`, `centre` (lines in driving direction, with
-        heights where these are known); the outline as geometry.
-    regulatory : GeoDataFrame
-        A row for each member of a regulatory element, see :func:`regulatory_table`.
-    problems : GeoDataFrame
-        `lanelet_id`, `action` (`repaired`, `left out`, or `doubtful` for one that is kept),
-        `reason`, geometry (or None).
-    crs : CRS
-        The system of all coordinates.
-    remarks : tuple of str
-        Remarks for the user on the reading of the map.
-    """
-
-    lanelets: gpd.GeoDataFrame
-    regulatory: gpd.GeoDataFrame
-    problems: gpd.GeoDataFrame
-    crs: CRS
-    remarks: tuple[str, ...]
-
-    def figures(self) -> dict[str, Any]:
-        """Return key figures by name."""
-        done = self.problems["action"].value_counts()
-        return {
-            "lanelets": len(self.lanelets),
-            "length_km": round(float(self.lanelets["centre"].length.sum()) / 1000.0, 3),
-            "crs": name_of(self.crs),
-            REPAIRED: int(done.get(REPAIRED, 0)),
-            LEFT_OUT: int(done.get(LEFT_OUT, 0)),
-        }
-
-    def __repr__(self) -> str:
-        shown = self.figures()
-        return (
-            f"LaneletMap({shown['lanelets']} lanelets, {shown['length_km']} km, {shown['crs']}; "
-            f"{shown[REPAIRED]} {REPAIRED}, {shown[LEFT_OUT]} {LEFT_OUT})"
-        )
-
-    def _repr_html_(self) -> str:
-        return card("Lanelet map", self.figures())
 
 
 @dataclass(frozen=True, kw_only=True)

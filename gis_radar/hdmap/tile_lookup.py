@@ -16,15 +16,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, TypeAlias
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
-import scipy
 from numpy.typing import NDArray
 from rtree import index as rtree_index
 
-from gis_radar.base import Floats, InputError, Integers, compiled
-from gis_radar.hdmap.tiles import LENGTH_M, quads
+from gis_radar.base import Floats, Integers, compiled
 
 Numbers: TypeAlias = NDArray[np.int32]
 SLACK_M = 1e-6  # added around tiles: rounding may move a point to the next cell
@@ -83,6 +79,7 @@ def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: 
     return False
 
 
+LEAST_CELL_M = 0.5  # as long as a tile
 MOST_CELLS = 16_000_000  # of a grid, 64 MB; larger maps get larger cells
 Pairs = tuple[Integers, Integers]
 
@@ -129,8 +126,9 @@ class TileGrid:
     Examples
     --------
     >>> import gis_radar as gr
+    >>> from gis_radar.hdmap import TileGrid, quads
     >>> tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm"))
-    >>> point, tile = gr.TileGrid(gr.quads(tiles)).assign([690400.0], [5336200.0])
+    >>> point, tile = TileGrid(quads(tiles)).assign([690400.0], [5336200.0])
     >>> point.tolist(), tiles["tile_id"].iloc[tile].tolist()
     ([0], [4894])
     """
@@ -139,7 +137,7 @@ class TileGrid:
         origin = _origin(quads)
         local = np.ascontiguousarray(quads - origin)  # one layout, one compiled form
         span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
-        cell_m = max(LENGTH_M, math.sqrt(float(span.prod()) / MOST_CELLS))
+        cell_m = max(LEAST_CELL_M, math.sqrt(float(span.prod()) / MOST_CELLS))
         columns, rows = (int(side * (1.0 / cell_m)) + 1 for side in span)  # rounded as in cell_at
         first, tiles = _fill_cells(local, columns, rows, cell_m)
         (west, south), (width, height) = origin.tolist(), span.tolist()
@@ -288,45 +286,3 @@ def _assign(  # pragma: no cover - compiled
             tile_out[found] = tiles[k]
             found += is_inside(edges, tiles[k], px, py)
     return len(x), found
-
-
-SAME_LEVEL_M = 2.0  # of the contract; bridges are over 4 m above
-NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
-
-
-def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame:
-    """Return tiles whose `height_m` is that of the scanned road.
-
-    A tile takes the median height of the points in it; without any, that of the nearest point
-    within `NEAR_M` of its centre; else it keeps its height. Points that differ from the map's
-    height by more than `SAME_LEVEL_M` belong to another road, and do not count.
-
-    Parameters
-    ----------
-    tiles : GeoDataFrame
-        As from :func:`gis_radar.hdmap.tiles.make_tiles`.
-    road : (n, 3) array
-        Points of the road's surface in the tiles' CRS, metres.
-
-    Raises
-    ------
-    InputError
-        If no tile gets a height: scan and map do not overlap.
-    """
-    known = tiles["height_m"].to_numpy(np.float64)
-    point, tile = TileGrid(quads(tiles)).assign(road[:, 0], road[:, 1])
-    level = ~(np.abs(road[point, 2] - known[tile]) > SAME_LEVEL_M)
-    inside = pd.Series(road[point[level], 2]).groupby(tile[level]).median()
-    found = inside.reindex(np.arange(len(tiles))).to_numpy(copy=True)
-    bare = np.flatnonzero(np.isnan(found))
-    centres = tiles.geometry.centroid
-    distance, nearest = scipy.spatial.cKDTree(road[:, :2]).query(
-        np.column_stack([centres.x, centres.y])[bare], distance_upper_bound=NEAR_M
-    )
-    near = np.isfinite(distance)
-    height = road[np.asarray(nearest)[near], 2]
-    fits = ~(np.abs(height - known[bare[near]]) > SAME_LEVEL_M)
-    found[bare[near][fits]] = height[fits]
-    if np.isnan(found).all():
-        raise InputError("the road's points and the map do not overlap")
-    return tiles.assign(height_m=np.where(np.isnan(found), known, found))

@@ -12,6 +12,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
+import scipy
 import shapely
 from shapely.geometry.base import BaseGeometry
 
@@ -32,10 +33,12 @@ from gis_radar.base import (
     opened_package,
 )
 from gis_radar.hdmap.bounds import CannotMendError, slices, sound_rungs
+from gis_radar.hdmap.lanelet_map import LaneletMap
 from gis_radar.hdmap.lanes import LANES_LAYER, STOP_LINES_LAYER, lane_numbers, lane_style
 from gis_radar.hdmap.mending import outline
-from gis_radar.hdmap.reader import LaneletMap, problem_table
+from gis_radar.hdmap.reader import problem_table
 from gis_radar.hdmap.tagging import ON_FOOT_OR_BICYCLE
+from gis_radar.hdmap.tile_lookup import TileGrid
 
 LENGTH_M = 0.5  # by the contract and the paper
 LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
@@ -56,6 +59,7 @@ def make_tiles(
     *,
     length_m: float = LENGTH_M,
     subtypes: Collection[str] | None = None,
+    road: Floats | None = None,
     reporter: Reporter = QUIET,
 ) -> gpd.GeoDataFrame:
     """Split the lanelets of a map into tiles.
@@ -73,6 +77,9 @@ def make_tiles(
         cross themselves.
     subtypes : collection of str, optional
         Subtypes to tile; without it all but those for pedestrians and bicycles.
+    road : (n, 3) array, optional
+        Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them:
+        tiles take their height from those of their level, where there are some near.
     reporter : Reporter
         Receives progress, the lanelets that are not tiled, and the area that long tiles cut off.
 
@@ -80,13 +87,14 @@ def make_tiles(
     -------
     GeoDataFrame
         A row a tile in the order of (lanelet_id, index), with the columns `TILE_COLUMNS`, `lane`
-        (the number of its lane, as :func:`gis_radar.lanes` has it) and the CRS. `height_m` is NaN
-        where the map has no heights.
+        (the number of its lane, as :meth:`LaneletMap.lanes` has it) and the CRS. `height_m` is NaN
+        where neither map nor road has heights.
 
     Raises
     ------
     InputError
-        If no lanelet is of these subtypes, one cannot be cut, or there are too many tiles.
+        If no lanelet is of these subtypes, one cannot be cut, there are too many tiles, or map and
+        road do not overlap.
     UsageError
         If `length_m` is not positive.
 
@@ -104,7 +112,7 @@ def make_tiles(
     tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
     numbers = tiles["lanelet_id"].map(lane_numbers(roads.lanelets)).astype(np.int64)
     tiles.insert(len(TILE_COLUMNS), LANE_COLUMN, numbers)
-    return tiles
+    return tiles if road is None else with_road_heights(tiles, road)
 
 
 TILE_FIELDS = {
@@ -223,7 +231,7 @@ def write_tiles(
     problems : GeoDataFrame, optional
         As :attr:`LaneletMap.problems`; none without it.
     lanes, stop_lines : GeoDataFrame, optional
-        As from :func:`gis_radar.lanes` and :func:`gis_radar.stop_lines`.
+        As from :meth:`LaneletMap.lanes` and :meth:`LaneletMap.stop_lines`.
     path : str or Path
         The GeoPackage; it appears whole or not at all.
     """
@@ -332,6 +340,48 @@ def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
     if tiles["tile_id"].duplicated().any():
         twice = tiles["tile_id"][tiles["tile_id"].duplicated()].iloc[0]
         raise InputError("{}: tile {} is there twice", path, twice)
+
+
+SAME_LEVEL_M = 2.0  # of the contract; bridges are over 4 m above
+NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
+
+
+def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame:
+    """Return tiles whose `height_m` is that of the scanned road.
+
+    A tile takes the median height of the points in it; without any, that of the nearest point
+    within `NEAR_M` of its centre; else it keeps its height. Points that differ from the map's
+    height by more than `SAME_LEVEL_M` belong to another road, and do not count.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        As from :func:`make_tiles`.
+    road : (n, 3) array
+        Points of the road's surface in the tiles' CRS, metres.
+
+    Raises
+    ------
+    InputError
+        If no tile gets a height: scan and map do not overlap.
+    """
+    known = tiles["height_m"].to_numpy(np.float64)
+    point, tile = TileGrid(quads(tiles)).assign(road[:, 0], road[:, 1])
+    level = ~(np.abs(road[point, 2] - known[tile]) > SAME_LEVEL_M)
+    inside = pd.Series(road[point[level], 2]).groupby(tile[level]).median()
+    found = inside.reindex(np.arange(len(tiles))).to_numpy(copy=True)
+    bare = np.flatnonzero(np.isnan(found))
+    centres = tiles.geometry.centroid
+    distance, nearest = scipy.spatial.cKDTree(road[:, :2]).query(
+        np.column_stack([centres.x, centres.y])[bare], distance_upper_bound=NEAR_M
+    )
+    near = np.isfinite(distance)
+    height = road[np.asarray(nearest)[near], 2]
+    fits = ~(np.abs(height - known[bare[near]]) > SAME_LEVEL_M)
+    found[bare[near][fits]] = height[fits]
+    if np.isnan(found).all():
+        raise InputError("the road's points and the map do not overlap")
+    return tiles.assign(height_m=np.where(np.isnan(found), known, found))
 
 
 AREA_TOLERANCE = 0.005  # share of a lanelet's area from which on cut corners are reported

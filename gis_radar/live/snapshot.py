@@ -29,7 +29,7 @@ from gis_radar.base import (
     zone_of,
 )
 from gis_radar.dataset import stated_lanes
-from gis_radar.hdmap import fingerprint, lanes, read_map
+from gis_radar.hdmap import fingerprint, read_map
 from gis_radar.live.intake import SensorState
 from gis_radar.live.map_of_now import MapState
 from gis_radar.live.now_filter import VehiclesNow
@@ -67,7 +67,7 @@ class Place:
     tiles : GeoDataFrame
         As from :func:`gis_radar.read_tiles`.
     lanes : GeoDataFrame
-        As from :func:`gis_radar.lanes`, with the site's own names of lanes.
+        As from :meth:`gis_radar.LaneletMap.lanes`, with the site's own names of lanes.
     """
 
     title: str
@@ -342,7 +342,7 @@ def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
         names.
     """
     roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
-    layer = lanes(roads, streets=site.map.streets, street_field=site.map.street_field)
+    layer = roads.lanes(streets=site.map.streets, street_field=site.map.street_field)
     stated = [each.model_dump() for each in site.lane]
     place = Place(
         title=site.title, zone=zone_of(site.timezone), tiles=tiles,

@@ -36,7 +36,7 @@ from gis_radar.calibration import (
     read_clocks,
     refuse_implausible,
 )
-from gis_radar.hdmap import LaneletMap, lanes, read_map
+from gis_radar.hdmap import LaneletMap, read_map
 from gis_radar.poses import read_track
 from gis_radar.recordings import RangeCounts, Recording, open_recording, time_warnings
 from gis_radar.scans import open_scan, read_road, road_crs
@@ -163,7 +163,7 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
         _check_place(sensor, roads)
     warnings = list(_zone_warning(site, roads))
     collector = _WarningCollector(warnings)
-    lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=collector)
+    roads.lanes(streets=site.map.streets, street_field=site.map.street_field, reporter=collector)
     found: dict[str, SensorCheck] = {}
     recorded: dict[str, list[tuple[float, float, Path]]] = {}
     for done, sensor in enumerate(site.sensor):

@@ -43,24 +43,15 @@ def split_map(
     Tiles take their heights from the scanned road, if given; lanes without a street's name take it
     from the layer `streets`. Options are those of :func:`gis_radar.make_tiles`.
     """
-    from gis_radar.hdmap import (
-        fingerprint,
-        lanes,
-        make_tiles,
-        read_map,
-        stop_lines,
-        with_road_heights,
-        write_tiles,
-    )
+    from gis_radar.hdmap import fingerprint, make_tiles, read_map, write_tiles
     from gis_radar.scans import read_road
 
     roads = read_map(map_file, crs=crs, origin=origin, reporter=reporter)
-    table = make_tiles(roads, reporter=reporter, **options)
-    if road is not None:
-        table = with_road_heights(table, read_road(road, roads.crs))
-    ways = lanes(roads, streets=streets, street_field=street_field, reporter=reporter)
+    points = None if road is None else read_road(road, roads.crs)
+    table = make_tiles(roads, road=points, reporter=reporter, **options)
+    ways = roads.lanes(streets=streets, street_field=street_field, reporter=reporter)
     tiled = ways[ways["lane"].isin(table["lane"])]
-    stops = stop_lines(roads)
+    stops = roads.stop_lines()
     write_tiles(table, output, problems=roads.problems, lanes=tiled, stop_lines=stops)
     actions = roads.problems["action"].value_counts()
     return {

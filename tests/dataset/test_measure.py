@@ -11,6 +11,7 @@ from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 
 import gis_radar as gr
 from gis_radar.base import step_of
+from gis_radar.hdmap import TileTree, quads
 
 
 def random_frames(rng, cycle_s, late_s, seconds=2.0):
@@ -38,7 +39,7 @@ def steps_at(times):
 
 def plainly(frames_of, validity_steps):
     """The pairs of tile and step, and the observed steps of each tile, sentence by sentence."""
-    engine = gr.TileTree(gr.quads(tiles()))
+    engine = TileTree(quads(tiles()))
     hits, observed = set(), {}
     for sensor, table in frames_of.items():
         pose = sample_pose(sensor)

@@ -51,7 +51,7 @@ def table_by_lane(
     each : bool
         Whether each interval has its own rows; else all intervals are taken together.
     lanes : GeoDataFrame, optional
-        From :func:`gis_radar.lanes`: its columns and lines are added.
+        From :meth:`gis_radar.LaneletMap.lanes`: its columns and lines are added.
 
     Returns
     -------
