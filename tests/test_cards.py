@@ -12,6 +12,7 @@ import pytest
 import gis_radar as gr
 from gis_radar.base import card, table_card
 from gis_radar.base.notebooks import MOST_ROWS
+from gis_radar.calibration import Clocks, Localization, SensorClock, Track
 from gis_radar.dataset import measure
 
 SAMPLE = gr.sample_folder()
@@ -59,7 +60,7 @@ def a_localization():
     x = np.linspace(5.0, 60.0, 50)
     traces = np.column_stack([x, 0.1 * x, np.zeros(50)])
     rate = np.where(np.arange(50) % 2, 5.0, -5.0)
-    return gr.Localization(
+    return Localization(
         pose=a_pose(), fitness=0.97, observable=False, vehicles=12, traces=traces, range_rate=rate
     )
 
@@ -78,13 +79,13 @@ def made(tmp_path_factory, first_seconds):
         "dataset": dataset,
         "heat map": gr.make_heatmap(dataset),
         "quality": gr.measure_quality(dataset),
-        "clocks": gr.Clocks(
-            reference="R1", clocks={"R2": gr.SensorClock(offset_s=0.5, sigma_s=0.01)},
+        "clocks": Clocks(
+            reference="R1", clocks={"R2": SensorClock(offset_s=0.5, sigma_s=0.01)},
             refused={"R3": "no common traffic"}, pairs={},
         ),
         "pose": a_pose(),
         "pose track": a_track(),
-        "track": gr.Track(poses=a_track()),
+        "track": Track(poses=a_track()),
         "localization": a_localization(),
         "site": gr.read_site(SAMPLE / "SITE.toml"),
     }  # fmt: skip

@@ -18,7 +18,15 @@ from sites import START, recording
 from streets import CROSSING, Street, errors
 
 import gis_radar as gr
-from gis_radar.calibration import CLASH_HINT, AmbiguousError, adjust_poses
+from gis_radar.calibration import (
+    CLASH_HINT,
+    AmbiguousError,
+    JointCalibration,
+    Localization,
+    SensorClock,
+    adjust_poses,
+    localize_together,
+)
 from gis_radar.calibration.adjustment import (
     STRETCH_SIGMA_M,
     Correspondences,
@@ -170,7 +178,7 @@ def test_two_sensors_that_contradict_each_other_end_with_one_line(recordings, tr
     poses = {"R1": stated(true["R1"]), "R2": stated(true["R2"], along_m=4.0)}
 
     def single(recording, *_, **__):
-        return gr.Localization(pose=poses[recording.stem], fitness=0.9, observable=True)
+        return Localization(pose=poses[recording.stem], fitness=0.9, observable=True)
 
     monkeypatch.setattr("gis_radar.calibration.joint.localize", single)
     with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict[^;]*$") as refusal:
@@ -190,7 +198,7 @@ def test_the_span_of_a_recording_is_that_of_its_rows(recordings, tmp_path):
     for name in ("R1.parquet", "R1.csv"):
         same = read_span(tmp_path / name)
         assert (same.begin, same.end) == pytest.approx((found.begin, found.end), abs=1e-6)
-    ahead = read_span(recordings["R1"], gr.SensorClock(offset_s=3.0))
+    ahead = read_span(recordings["R1"], SensorClock(offset_s=3.0))
     assert found.begin - ahead.begin == pytest.approx(3.0)
 
 
@@ -218,7 +226,7 @@ def test_a_sensor_that_did_not_record_then_is_named(recordings, true, tmp_path):
 def test_measured_clocks_are_corrected(recordings, true, tmp_path):
     time, xyz, rate = LONG.detections(true["R2"], noise=1, **TRAFFIC)
     late = recording(tmp_path / "R2.parquet", time + 3600.0, xyz, range_rate=rate)
-    clocks = {"R2": gr.SensorClock(offset_s=3600.0, sigma_s=0.01)}
+    clocks = {"R2": SensorClock(offset_s=3600.0, sigma_s=0.01)}
     solved = adjust_poses(
         {"R1": recordings["R1"], "R2": late}, {n: (stated(pose),) for n, pose in true.items()},
         LONG.roads(), LONG.road_points(), clocks=clocks,
@@ -320,7 +328,7 @@ def test_a_contradiction_is_told_once_and_others_keep_their_poses(recordings, tr
     )
     assert solved.poses.keys() == {"R3"}
     assert solved.refused.keys() == {"R1", "R2"}
-    failure = gr.JointCalibration(found={}, refused=solved.refused, pairs={}).failure
+    failure = JointCalibration(found={}, refused=solved.refused, pairs={}).failure
     assert failure.message.startswith("R1 and R2: their poses contradict")
     assert failure.message.count("contradict") == 1
 
@@ -352,7 +360,7 @@ def test_a_sensor_that_sees_other_traffic_keeps_its_answer(
 
 
 def test_the_poses_that_fit_come_back_from_a_worker_process(true):
-    each = gr.Localization(pose=true["R1"], fitness=0.9, observable=True)
+    each = Localization(pose=true["R1"], fitness=0.9, observable=True)
     sent = AmbiguousError("R1: ambiguous", hint="record longer", answers=(each, each))
     back = pickle.loads(pickle.dumps(sent))  # noqa: S301 - our own
     assert (back.message, back.hint, len(back.answers)) == ("R1: ambiguous", "record longer", 2)
@@ -363,12 +371,12 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
     other = TRAFFIC | {"seed": 77}
     alone = LONG.record(tmp_path / "R2.parquet", true["R2"], noise=9, **other)
     results = {
-        "R1": gr.Localization(pose=stated(true["R1"]), fitness=0.9, observable=True),
+        "R1": Localization(pose=stated(true["R1"]), fitness=0.9, observable=True),
         "R2": AmbiguousError(
             "R2: ambiguous",
             hint="",
             answers=tuple(
-                gr.Localization(pose=stated(true["R2"], along_m=far), fitness=0.9, observable=True)
+                Localization(pose=stated(true["R2"], along_m=far), fitness=0.9, observable=True)
                 for far in (0.0, 14.0)
             ),
         ),
@@ -418,7 +426,7 @@ def counts():
 @pytest.mark.parametrize(("paths", "options", "message"), list(counts()))
 def test_wrong_calls_are_refused_in_a_line(paths, options, message):
     with pytest.raises(gr.UsageError, match=message):
-        gr.localize_together(paths, "map.osm", "road.laz", **options)
+        localize_together(paths, "map.osm", "road.laz", **options)
 
 
 def some_moments(seed, place, *, vehicles=10):
@@ -536,11 +544,9 @@ def test_the_command_fails_after_the_poses_where_a_sensor_has_none(
     files, true, tmp_path, monkeypatch
 ):
     pose = stated(true["R1"])
-    found = gr.Localization(pose=pose, fitness=0.9, observable=True)
-    part = gr.JointCalibration(
-        found={"R1": found}, refused={"R2": "R2: 2 moving vehicles"}, pairs={}
-    )
-    monkeypatch.setattr(gr, "localize_together", lambda *_, **__: part)
+    found = Localization(pose=pose, fitness=0.9, observable=True)
+    part = JointCalibration(found={"R1": found}, refused={"R2": "R2: 2 moving vehicles"}, pairs={})
+    monkeypatch.setattr("gis_radar.calibration.localize_together", lambda *_, **__: part)
     done = invoke(files, tmp_path, *guess_words(true))
     assert isinstance(done.exception, gr.NoAnswerError)
     assert done.exception.message == "R2: 2 moving vehicles"

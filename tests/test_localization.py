@@ -11,7 +11,7 @@ from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
 from gis_radar.base import InputError, NoAnswerError, UsageError
-from gis_radar.calibration import draw_localization, lane_method, localize
+from gis_radar.calibration import lane_method, localize
 from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.calibration.icp import pose_information, voxels
 from gis_radar.calibration.moving import read_moving
@@ -229,7 +229,7 @@ def test_an_unknown_method_is_refused(scene):
 
 def test_the_figure_appears(scene, answer, tmp_path):
     street, *_ = scene
-    draw_localization(answer, street.roads(), street.road_points(), tmp_path / "figure.png")
+    answer.draw(tmp_path / "figure.png", street.roads(), street.road_points())
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -18,6 +18,7 @@ from gis_radar.calibration import (
     ImplausibleError,
     LaneMap,
     RecordedSensor,
+    SensorClock,
     check_plausibility,
     refuse_implausible,
 )
@@ -300,7 +301,7 @@ def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_pat
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
     assert "R1: does not fit: its clock and that of R2 are apart (-1.0" in e.value.message
     assert [each.sensor for each in e.value.findings] == ["R1", "R2"]
-    clocks = {"R2": gr.SensorClock(offset_s=1.0)}
+    clocks = {"R2": SensorClock(offset_s=1.0)}
     gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True, clocks=clocks)
 
 

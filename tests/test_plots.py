@@ -12,6 +12,7 @@ from test_cards import a_localization, a_pose, a_track
 from test_heatmap import T0, lane_tiles, make_site
 
 import gis_radar as gr
+from gis_radar.calibration import Track
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.picture import STRIPE
 
@@ -103,7 +104,7 @@ def test_a_localization_is_drawn_with_or_without_a_map():
 
 
 def test_a_track_is_drawn_component_by_component():
-    track = gr.Track(poses=a_track())
+    track = Track(poses=a_track())
     ax = track.plot("yaw")
     assert ax.get_ylabel() == "yaw, deg"
     assert ax.lines[-1].get_ydata()[0] == pytest.approx(30.0)

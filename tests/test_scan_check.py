@@ -25,6 +25,7 @@ from gis_radar.calibration import (
     Localization,
     Solved,
     joint,
+    localize_together,
     require_scans_near,
 )
 from gis_radar.calibration import localization as localizing
@@ -290,7 +291,7 @@ def test_a_radar_that_hides_what_stands_has_nothing_to_compare(tmp_path):
     assert found.verdict == "nothing to compare"
     assert "no still detections" in found.reason
     assert json.loads(json.dumps(found.figures(), allow_nan=False))["standing_cells"] == 0
-    gr.draw_scan_check(found, tmp_path / "look.png")
+    found.draw(tmp_path / "look.png")
     assert (tmp_path / "look.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -389,7 +390,7 @@ def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
     known = gr.View(azimuth_deg=90.0, max_range_m=150.0)
     answer = Localization(pose=POSE, fitness=1.0, observable=True)
     monkeypatch.setattr(localizing, "localize", lambda *_, **__: answer)
-    found = gr.localize_files(
+    found = gr.localize(
         R2, SAMPLE / "junction.osm", SCAN, guess=(690379, 5336233), scans=[SCAN], view=known
     )
     assert found.pose.view == known
@@ -406,8 +407,8 @@ def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypat
     monkeypatch.setattr(localizing, "localize", ambiguous)
     files = (R2, SAMPLE / "junction.osm", SCAN)
     with pytest.raises(AmbiguousError):
-        gr.localize_files(*files, guess=POSE.position[:2])
-    found = gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN])
+        gr.localize(*files, guess=POSE.position[:2])
+    found = gr.localize(*files, guess=POSE.position[:2], scans=[SCAN])
     assert found.pose.easting == POSE.easting
     assert found.pose.evidence["scan_check"]["verdict"] == "confirms"
 
@@ -431,13 +432,13 @@ def test_what_stands_decides_though_it_fits_elsewhere_too(monkeypatch):
     heard = Listener()
     files = (R2, SAMPLE / "junction.osm", SCAN)
     several[:] = [aside, POSE]
-    found = gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN], reporter=heard)
+    found = gr.localize(*files, guess=POSE.position[:2], scans=[SCAN], reporter=heard)
     assert found.pose.easting == POSE.easting
     assert found.pose.evidence["scan_check"]["verdict"] == "nothing to compare"
     assert "R2: ambiguous; what stands in the scan prefers one of them" in str(heard.messages)
     several[:] = [POSE, POSE]  # nothing to choose between
     with pytest.raises(AmbiguousError):
-        gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN])
+        gr.localize(*files, guess=POSE.position[:2], scans=[SCAN])
 
 
 @pytest.fixture(scope="module")
@@ -514,7 +515,7 @@ def test_of_poses_that_contradict_each_other_the_confirmed_one_stays(monkeypatch
 
 def together(**options):
     guesses = [gr.read_pose(SAMPLE / f"{name}.json").position[:2] for name in ("R1", "R2")]
-    return gr.localize_together(
+    return localize_together(
         [SAMPLE / "R1.parquet", R2], SAMPLE / "junction.osm", SCAN, guesses=guesses, **options
     )
 

@@ -15,7 +15,7 @@ from small_site import write_map
 from test_joint import LONG, TRAFFIC, stated
 
 import gis_radar as gr
-from gis_radar.calibration import AmbiguousError
+from gis_radar.calibration import AmbiguousError, Localization
 from gis_radar.poses import View
 from gis_radar.products.report.content import how_found
 from gis_radar.site import SiteRun, stages_of
@@ -51,15 +51,13 @@ def run(site, tmp_path, monkeypatch):
     """Find the poses of a site, each alone as given, and return how it ended."""
 
     def call(alone, **options):
-        def localize_files(paths, *_, sensor, **__):
+        def localize(paths, *_, sensor, **__):
             found = alone[sensor]
             if isinstance(found, Exception):
                 raise found
-            return gr.Localization(
-                pose=found, fitness=0.9, observable=True, recording=paths[0].name
-            )
+            return Localization(pose=found, fitness=0.9, observable=True, recording=paths[0].name)
 
-        monkeypatch.setattr("gis_radar.calibration.localize_files", localize_files)
+        monkeypatch.setattr("gis_radar.calibration.localize", localize)
         path = site.folder / f"{tmp_path.name}.toml"
         sensors = "".join(SENSOR.format(name, options.get(name, "")) for name in alone)
         sensors = sensors.replace(R2, options.get("recordings", R2))
@@ -88,7 +86,7 @@ def traffic(site):
 
 def several(*poses):
     """The refusal of a sensor that fits in several places."""
-    answers = tuple(gr.Localization(pose=each, fitness=0.9, observable=True) for each in poses)
+    answers = tuple(Localization(pose=each, fitness=0.9, observable=True) for each in poses)
     text = f"{poses[0].sensor}: ambiguous, two poses"
     return AmbiguousError(text, hint="record longer", answers=answers)
 

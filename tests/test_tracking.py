@@ -26,7 +26,6 @@ from gis_radar.base import (
 from gis_radar.calibration import (
     Follower,
     WindowFitter,
-    draw_track,
     monitor,
     start_estimate,
     track,
@@ -424,7 +423,7 @@ def test_false_evidence_is_refused(seen, evidence):
 
 
 def test_the_figure_appears(moved, tmp_path):
-    draw_track(moved[0], tmp_path / "figure.png")
+    moved[0].draw(tmp_path / "figure.png")
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -460,7 +459,7 @@ def test_an_interrupted_track_leaves_nothing(files, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(gr, "draw_track", stop, raising=False)
+    monkeypatch.setattr("gis_radar.calibration.pose_track.Track.draw", stop)
     before = sorted(files.iterdir())
     CliRunner().invoke(group, words(files, "--figure", str(files / "figure.png")))
     assert sorted(files.iterdir()) == before

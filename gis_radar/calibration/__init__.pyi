@@ -12,16 +12,16 @@ from .findings import (
 from .joint import JointCalibration, adjust_poses, gain_line, localize_together
 from .kalman_filter import CYCLE_S, DRIFT
 from .lane_detections import lanelets_of
-from .localization import localize, localize_files
+from .localization import localize
 from .monitor import LOST_S, Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
 from .plausibility import RecordedSensor, check_plausibility
-from .pose_track import MOVED, Track, draw_track, track_of
+from .pose_track import MOVED, Track, track_of
 from .range_scale import RangeScale, measure_range_scale
-from .result import AmbiguousError, Localization, Problem, draw_localization
+from .result import AmbiguousError, Localization, Problem
 from .rivals import LaneMap
-from .scan_check import ScanCheck, check_against_scan, require_scans_near
-from .scan_check_picture import draw_scan_check
+from .scan_check import check_against_scan, require_scans_near
+from .scan_check_result import ScanCheck
 from .traces import FRAMES, MIN_SPEED_MPS
 from .windows import WindowFitter
 
@@ -56,14 +56,10 @@ __all__ = [
     "adjust_poses",
     "check_against_scan",
     "check_plausibility",
-    "draw_localization",
-    "draw_scan_check",
-    "draw_track",
     "gain_line",
     "is_record",
     "lanelets_of",
     "localize",
-    "localize_files",
     "localize_together",
     "measure_clocks",
     "measure_range_scale",

@@ -29,7 +29,7 @@ from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.lanes import MARGIN_M, Lanes, sample_lanes
 from gis_radar.calibration.localization import (
     decided_by_scan,
-    localize,
+    localize_one,
     read_ground,
     refuse_both,
     start_in_map,
@@ -38,12 +38,8 @@ from gis_radar.calibration.moving import RIGHT, Span, best_end, common_time, rea
 from gis_radar.calibration.network import CLASH_HINT, Solved, solve_network
 from gis_radar.calibration.placing import Station
 from gis_radar.calibration.result import AmbiguousError, Localization
-from gis_radar.calibration.scan_check import (
-    CONFIRMS,
-    ScanCheck,
-    check_against_scan,
-    require_scans_near,
-)
+from gis_radar.calibration.scan_check import check_against_scan, require_scans_near
+from gis_radar.calibration.scan_check_result import CONFIRMS, ScanCheck
 from gis_radar.calibration.traces import Moving
 from gis_radar.hdmap import LaneletMap
 from gis_radar.poses import Pose
@@ -113,8 +109,8 @@ class JointCalibration:
 
 def localize_together(
     recordings: Sequence[str | Path],
-    map_path: str | Path,
-    road: str | Path,
+    roads: LaneletMap | str | Path,
+    road: Floats | str | Path,
     *,
     guesses: Sequence[Sequence[float]],
     guess_crs: Any = None,
@@ -126,7 +122,7 @@ def localize_together(
     scan_crs: Any = None,
     reporter: Reporter = QUIET,
 ) -> JointCalibration:
-    """Find the poses of several sensors that recorded at the same time, from files.
+    """Find the poses of several sensors that recorded at the same time.
 
     Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
     the same time relate their poses, which are adjusted together. A sensor with several
@@ -138,10 +134,8 @@ def localize_together(
     ----------
     recordings : sequence of paths
         One a sensor, which is named after the file; they overlap in time.
-    map_path : str or Path
-        A Lanelet2 map.
-    road : str or Path
-        The scanned road, as :func:`gis_radar.mask_road` makes it.
+    roads, road, crs, origin
+        As for :func:`gis_radar.localize`.
     guesses : sequence of (easting, northing) or (easting, northing, height)
         As many as recordings, in order; each within 15 m of the truth.
     guess_crs : CRS, str or int, optional
@@ -150,12 +144,8 @@ def localize_together(
         As many yaws in degrees, counter-clockwise from grid east, within 25 degrees of the truth.
     compasses : sequence of float, optional
         The same as bearings: degrees clockwise from true north.
-    crs : CRS, str or int, optional
-        The map frame; that of the road where it is not given.
-    origin : (easting, northing), optional
-        Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
     scans, scan_crs
-        As for :func:`gis_radar.localize_files`: where the traffic in front of a sensor fits several
+        As for :func:`gis_radar.localize`: where the traffic in front of a sensor fits several
         poses, the scan check decides first.
     reporter : Reporter
         Receives progress and remarks.
@@ -172,7 +162,7 @@ def localize_together(
     """
     paths = [Path(each) for each in recordings]
     _check_counts(paths, guesses, headings, compasses)
-    roads, points = read_ground(map_path, road, crs=crs, origin=origin, reporter=reporter)
+    roads, points = read_ground(roads, road, crs=crs, origin=origin, reporter=reporter)
     none = [None] * len(paths)
     starts = [
         start_in_map(roads, guess, guess_crs, heading, compass)
@@ -215,7 +205,7 @@ def locate_all(
     sure = [None] * len(guesses) if headings is None else headings
     asks = [
         partial(
-            localize, roads=roads, road_points=road_points, guess=guess, heading=heading,
+            localize_one, roads=roads, road_points=road_points, guess=guess, heading=heading,
             reporter=reporter,
         )
         for guess, heading in zip(guesses, sure, strict=True)

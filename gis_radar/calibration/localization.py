@@ -28,17 +28,15 @@ from gis_radar.calibration.icp import by_icp
 from gis_radar.calibration.lane_method import by_lanes
 from gis_radar.calibration.moving import read_moving
 from gis_radar.calibration.range_scale import NOT_FITTED, measure_range_scale
-from gis_radar.calibration.result import AmbiguousError, Localization, Problem, draw_localization
+from gis_radar.calibration.result import AmbiguousError, Localization, Problem
 from gis_radar.calibration.scan_check import (
     CLEAR_SIGMAS,
-    CONFIRMS,
-    DOUBTS,
     LEAST_COVERED,
-    ScanCheck,
     align,
     check_against_scan,
     require_scans_near,
 )
+from gis_radar.calibration.scan_check_result import CONFIRMS, DOUBTS, ScanCheck
 from gis_radar.calibration.traces import LEAST_FRAMES, Moving
 from gis_radar.hdmap import LaneletMap, make_tiles, read_map
 from gis_radar.poses import Pose, View
@@ -53,7 +51,7 @@ METHODS: dict[str, Callable[[Problem, Moving, Reporter], Localization]] = {
 }
 
 
-def localize(
+def localize_one(
     recording: str | Path,
     roads: LaneletMap,
     road_points: Floats,
@@ -63,36 +61,7 @@ def localize(
     method: str = "lane",
     reporter: Reporter = QUIET,
 ) -> Localization:
-    """Find the pose of the sensor that made a recording.
-
-    Parameters
-    ----------
-    recording : str or Path
-        A recording; its last 2000 frames count.
-    roads : LaneletMap
-        The lanes.
-    road_points : (n, 3) array
-        Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them.
-    guess : (easting, northing) or (easting, northing, height)
-        Within 15 m of the truth, in the map's CRS; the height only helps `icp`.
-    heading : float, optional
-        Yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth; without
-        it the heading is searched.
-    method : str
-        `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
-    reporter : Reporter
-        Receives progress and remarks.
-
-    Raises
-    ------
-    UsageError
-        If there is no such method, or the guess is no position in metres.
-    InputError
-        If the recording cannot be read, or scan and map do not overlap.
-    NoAnswerError
-        If no trustworthy answer follows: no traffic, too few frames, ranges that do not change as
-        the range rates state, a guess too far off, several answers, a mirrored recording.
-    """
+    """Find the pose of a sensor from one recording, in the map's CRS; see :func:`localize`."""
     if method not in METHODS:
         raise UsageError("method is {}, expected one of {}", repr(method), ", ".join(METHODS))
     if len(guess) not in {2, 3}:
@@ -134,10 +103,10 @@ def localize(
     return METHODS[method](problem, moving, reporter)
 
 
-def localize_files(
+def localize(
     recordings: str | Path | Sequence[str | Path],
-    map_path: str | Path,
-    road: str | Path,
+    roads: LaneletMap | str | Path,
+    road: Floats | str | Path,
     *,
     guess: Sequence[float],
     guess_crs: Any = None,
@@ -153,20 +122,22 @@ def localize_files(
     figure: str | Path | None = None,
     reporter: Reporter = QUIET,
 ) -> Localization:
-    """Find the pose of a sensor from files: recordings, a map and a scanned road.
+    """Find the pose of a sensor from its recordings, the lanes, the scanned road and a rough guess.
 
-    Read map and road, take guess and compass to the map's CRS, localize by the first recording
-    that gives a pose, check it against scans where there are some, and draw the figure.
+    Take guess and compass to the map's CRS, localize by the first recording that gives a pose,
+    check it against scans where there are some, and draw the figure.
 
     Parameters
     ----------
     recordings : path or sequence of paths
-        Recordings of one sensor at one place. The first that gives a pose counts, so that adding
-        recordings changes nothing. Five are tried at most: the first four, and the last.
-    map_path : str or Path
-        A Lanelet2 map.
-    road : str or Path
-        The scanned road, as :func:`gis_radar.mask_road` makes it.
+        Recordings of one sensor at one place, of which the last 2000 frames count. The first that
+        gives a pose counts, so that adding recordings changes nothing. Five are tried at most: the
+        first four, and the last.
+    roads : LaneletMap, str or Path
+        The lanes, or a file of a Lanelet2 map.
+    road : (n, 3) array, str or Path
+        Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them,
+        or their file, as :func:`gis_radar.mask_road` makes it.
     guess : (easting, northing) or (easting, northing, height)
         Within 15 m of the truth; the height only helps `icp`.
     guess_crs : CRS, str or int, optional
@@ -177,11 +148,11 @@ def localize_files(
     compass : float, optional
         The same as a bearing: degrees clockwise from true north.
     crs : CRS, str or int, optional
-        The map frame; that of the road where it is not given.
+        The map frame of a map that is read; that of the road's file where it is not given.
     origin : (easting, northing), optional
-        Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
+        Map-frame position of its local (0, 0), for maps without latitudes and longitudes.
     method : str
-        `lane` or `icp`, as for :func:`gis_radar.localize`.
+        `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
     scans : sequence of paths
         Airborne scans for a :func:`gis_radar.check_against_scan`; with them the range that the
         recording reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is
@@ -193,26 +164,29 @@ def localize_files(
     view : View, optional
         The view of the sensor, which goes into the pose.
     figure : str or Path, optional
-        Draw the traces over lanes and scan into this PNG, as :func:`gis_radar.draw_localization`.
+        Draw the traces over lanes and scan into this PNG, as :meth:`Localization.draw`.
     reporter : Reporter
         Receives progress and remarks.
 
     Raises
     ------
     UsageError
-        If both heading and compass are given, or the method is unknown.
+        If both heading and compass are given, there is no such method, or the guess is no position
+        in metres.
     InputError
         If a file cannot be read, or scans, map and guess do not overlap.
     NoAnswerError
-        If none of the recordings gives a trustworthy pose, with the reason of the first.
+        If none of the recordings gives a trustworthy pose, with the reason of the first: no
+        traffic, too few frames, ranges that do not change as the range rates state, a guess too far
+        off, several answers, a mirrored recording.
     """
     refuse_both(heading, compass)
-    roads, points = read_ground(map_path, road, crs=crs, origin=origin, reporter=reporter)
+    roads, points = read_ground(roads, road, crs=crs, origin=origin, reporter=reporter)
     place, heading = start_in_map(roads, guess, guess_crs, heading, compass)
     if scans:
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
     ask = partial(
-        localize, roads=roads, road_points=points,
+        localize_one, roads=roads, road_points=points,
         guess=place, heading=heading, method=method, reporter=reporter,
     )  # fmt: skip
     look_at = None
@@ -227,7 +201,7 @@ def localize_files(
         found = found.with_scan_check(look)
     if figure is not None:
         seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
-        draw_localization(found, roads, points, figure, look=look, seen=seen)
+        found.draw(figure, roads, points, look=look, seen=seen)
     return found
 
 
@@ -238,17 +212,18 @@ def refuse_both(heading: Any, compass: Any) -> None:
 
 
 def read_ground(
-    map_path: str | Path,
-    road: str | Path,
+    roads: LaneletMap | str | Path,
+    road: Floats | str | Path,
     *,
     crs: Any,
     origin: tuple[float, float] | None,
     reporter: Reporter,
 ) -> tuple[LaneletMap, Floats]:
-    """Read a map, and the scanned road in its coordinate system; see :func:`localize_files`."""
-    frame = road_crs(road) if crs is None else crs
-    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
-    return roads, read_road(road, roads.crs)
+    """Read what is a file: a map, and the scanned road in its CRS; see :func:`localize`."""
+    if not isinstance(roads, LaneletMap):
+        frame = road_crs(road) if crs is None and isinstance(road, str | Path) else crs
+        roads = read_map(roads, crs=frame, origin=origin, reporter=reporter)
+    return roads, read_road(road, roads.crs) if isinstance(road, str | Path) else road
 
 
 def start_in_map(

@@ -31,6 +31,8 @@ LINE, NEAR, FAR, MOVE, REJECT, QUIET = (
     "#1d4ed8", "#93b4f5", "#dbe6fd", "#c2410c", "#fcd9a0", "#e5e7eb",
 )  # fmt: skip
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
+DPI = 150
+SIZE_IN = (11.0, 8.0)
 LEAST_SPAN = (0.1, 0.05)  # least span of an axis, metres and degrees, lest noise fill it
 
 
@@ -157,7 +159,7 @@ class Track:
         ----------
         component : str
             `easting`, `northing`, `height` (metres), `roll`, `pitch` or `yaw` (degrees). All six
-            on one page: :func:`gis_radar.draw_track`.
+            on one page: :meth:`draw`.
         ax : matplotlib Axes, optional
             Axes to draw on; by default those of a new figure.
 
@@ -180,6 +182,24 @@ class Track:
         ax.set_title(self.describe(), fontsize="medium")
         ax.legend(loc="best", frameon=False, ncols=3)
         return ax
+
+    def draw(self, path: str | Path) -> None:
+        """Draw the pose over time with bands of one and two sigma, and what happened (PNG).
+
+        Parameters
+        ----------
+        path : str or Path
+            The picture; appears whole or not at all.
+        """
+        with picture_file(path, SIZE_IN, DPI) as figure:
+            axes = figure.subplots(3, 2, sharex=True)
+            for i, name in enumerate(COMPONENTS):
+                self._draw(name, axes[i % 3, i // 3])
+            for ax in axes[2]:
+                label_times(ax)
+            handles, labels = axes[0, 0].get_legend_handles_labels()
+            figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+            figure.suptitle(self.describe(), fontsize=10)
 
     def _draw(self, component: str, ax: Any) -> None:
         poses, angle = self.poses.poses, COMPONENTS.index(component) > 2
@@ -249,28 +269,3 @@ def _pose(problem: Problem, row: Row, step: int) -> Pose:
         "corrected": row.corrected,
     }
     return problem.pose(estimate.state(0.0), evidence)
-
-
-DPI = 150
-SIZE_IN = (11.0, 8.0)
-
-
-def draw_track(track: Track, path: str | Path) -> None:
-    """Draw the pose over time with bands of one and two sigma, and what happened (PNG).
-
-    Parameters
-    ----------
-    track : Track
-        As from :func:`gis_radar.track`.
-    path : str or Path
-        The picture; appears whole or not at all.
-    """
-    with picture_file(path, SIZE_IN, DPI) as figure:
-        axes = figure.subplots(3, 2, sharex=True)
-        for i, name in enumerate(COMPONENTS):
-            track._draw(name, axes[i % 3, i // 3])  # noqa: SLF001
-        for ax in axes[2]:
-            label_times(ax)
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
-        figure.suptitle(track.describe(), fontsize=10)

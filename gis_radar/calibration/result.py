@@ -26,7 +26,7 @@ from gis_radar.base import (
     step_of,
     tr,
 )
-from gis_radar.calibration.scan_check import ScanCheck
+from gis_radar.calibration.scan_check_result import ScanCheck
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import Moving
 from gis_radar.hdmap import LaneletMap
@@ -174,6 +174,57 @@ class Localization:
         parts[0] = f"{self.pose.sensor}: {parts[0]}"
         return ";\n".join(fill(each, LINE) for each in parts)
 
+    def draw(
+        self,
+        path: str | Path,
+        roads: LaneletMap,
+        road_points: Floats,
+        *,
+        look: ScanCheck | None = None,
+        seen: tuple[Sight, SightTiles] | None = None,
+    ) -> None:
+        """Draw the traces at the found pose over lanes and scanned road (PNG).
+
+        Parameters
+        ----------
+        path : str or Path
+            The picture; appears whole or not at all.
+        roads : LaneletMap
+            The lanes, in the answer's CRS.
+        road_points : (n, 3) array
+            The scanned road.
+        look : ScanCheck, optional
+            A scan check, drawn beside it: what stands, over canopy, roofs and walls.
+        seen : (Sight, SightTiles), optional
+            The sensor's sight, drawn beside it: which tiles it sees from there, and which are
+            hidden.
+        """
+        # not at the top: matplotlib is slow to load, and only pictures need it
+        from matplotlib.text import Text  # noqa: PLC0415
+
+        from gis_radar.scans import draw_sight  # noqa: PLC0415
+
+        beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
+        size_in = (SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
+        rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
+        with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
+            panels = figure.subplot_mosaic(rows)
+            self.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
+            if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters
+                for text in panels["traces"].findobj(match=Text):
+                    text.set_fontsize(LARGER * text.get_fontsize())
+            if look is not None:
+                look.plot(panels["look"])
+            if seen is not None:
+                ax = panels["sight"]
+                draw_sight(ax, *seen)
+                label_map(ax)
+                counts = seen[0].figures()
+                share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
+                text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
+                ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))
+                legend_below(ax)
+
     def __repr__(self) -> str:
         doubt = "" if self.observable else "; the scene does not fix all of the pose"
         return f"Localization({self.pose!r}; {self.fitness:.0%} of the traces fit{doubt})"
@@ -216,60 +267,6 @@ class AmbiguousError(NoAnswerError):
     ) -> None:  # fmt: skip
         super().__init__(template, *values, hint=hint)
         self.answers = answers
-
-
-def draw_localization(
-    found: Localization,
-    roads: LaneletMap,
-    road_points: Floats,
-    path: str | Path,
-    *,
-    look: ScanCheck | None = None,
-    seen: tuple[Sight, SightTiles] | None = None,
-) -> None:
-    """Draw the traces at the found pose over lanes and scanned road (PNG).
-
-    Parameters
-    ----------
-    found : Localization
-        The answer.
-    roads : LaneletMap
-        The lanes, in the answer's CRS.
-    road_points : (n, 3) array
-        The scanned road.
-    path : str or Path
-        The picture; appears whole or not at all.
-    look : ScanCheck, optional
-        A scan check, drawn beside it: what stands, over canopy, roofs and walls.
-    seen : (Sight, SightTiles), optional
-        The sensor's sight, drawn beside it: which tiles it sees from there, and which are hidden.
-    """
-    # not at the top: matplotlib is slow to load, and only pictures need it
-    from matplotlib.text import Text  # noqa: PLC0415
-
-    from gis_radar.calibration.scan_check_picture import draw_surroundings  # noqa: PLC0415
-    from gis_radar.scans import draw_sight  # noqa: PLC0415
-
-    beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
-    size_in = (SIZE_IN, WITH_ONE_IN, WITH_TWO_IN)[len(beside)]
-    rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
-    with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
-        panels = figure.subplot_mosaic(rows)
-        found.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
-        if len(beside) == 2:  # shown as wide as the others on a phone, it needs larger letters
-            for text in panels["traces"].findobj(match=Text):
-                text.set_fontsize(LARGER * text.get_fontsize())
-        if look is not None:
-            draw_surroundings(panels["look"], look)
-        if seen is not None:
-            ax = panels["sight"]
-            draw_sight(ax, *seen)
-            label_map(ax)
-            counts = seen[0].figures()
-            share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
-            text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
-            ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))
-            legend_below(ax)
 
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:

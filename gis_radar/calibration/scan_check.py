@@ -6,7 +6,7 @@ scores of poses moved and turned from there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -17,6 +17,14 @@ import scipy
 from pyproj import CRS
 
 from gis_radar.base import CELL_M, QUIET, Floats, InputError, Reporter, Text
+from gis_radar.calibration.scan_check_result import (
+    CONFIRMS,
+    DOUBTS,
+    SHIFT_M,
+    UNCLEAR,
+    PoseOffset,
+    ScanCheck,
+)
 from gis_radar.calibration.surroundings import (
     LevelFrame,
     Slow,
@@ -40,9 +48,7 @@ BETTER_SIGMAS, CLEAR_SIGMAS = 3.0, 2.0
 LEAST_CELLS = 60  # with fewer cells there is nothing to compare
 LEAST_COVERED = 0.5  # share of the cells that the scan must cover
 COARSE_CELLS = 2  # width of the cells in the search over all headings, in cells
-# Step of heading of that search, and its reach ahead and aside.
-TURN_DEG = 1.0
-SHIFT_M = 10.0
+TURN_DEG = 1.0  # step of heading of that search
 CANDIDATES = 8  # peaks of that search that are refined
 # Steps of the hill climbing, metres and degrees.
 CLIMBING_STEPS: tuple[tuple[float, float], ...] = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))
@@ -54,48 +60,6 @@ LEAST_PATCHES = 12  # with fewer patches there is nothing to compare
 LEAST_REACH_M = 60.0
 MOST_REACH_M = 300.0
 MARGIN_M = 20.0  # scan read beyond that radius: reach of the search (14 m) and of the walls
-
-CONFIRMS, DOUBTS = Text("confirms"), Text("doubts")
-UNCLEAR = Text("nothing to compare")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseOffset:
-    """Offset of a pose from the answer, and how well it fits there.
-
-    Parameters
-    ----------
-    ahead_m, left_m : float
-        Shift ahead and to the left, in the direction in which the sensor looks.
-    turn_deg : float
-        Turn about the sensor, counter-clockwise, -180 to 180.
-    score : float
-        0 to 1; see :class:`Alignment`.
-    """
-
-    ahead_m: float
-    left_m: float
-    turn_deg: float
-    score: float
-
-    @property
-    def place(self) -> tuple[float, float, float]:
-        """The offset as (ahead in m, left in m, turn in degrees)."""
-        return self.ahead_m, self.left_m, self.turn_deg
-
-    @property
-    def shift_m(self) -> float:
-        """Distance by which the pose is moved, metres."""
-        return float(np.hypot(self.ahead_m, self.left_m))
-
-    def words(self) -> str:
-        """Return shift and turn as text."""
-        return Text("{:.1f} m and {:.1f} deg away", self.shift_m, abs(self.turn_deg))
-
-    def beyond(self, shift_m: float, turn_deg: float) -> bool:
-        """Return whether it is moved by `shift_m` or turned by `turn_deg`, or more."""
-        return self.shift_m >= shift_m or abs(self.turn_deg) >= turn_deg
-
 
 HERE = (0.0, 0.0, 0.0)
 
@@ -227,98 +191,6 @@ def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -
         found = scipy.fft.irfft(rows, side, axis=1)[:, reach]
         scores.append(np.asarray(found, np.float64) / len(points))
     return np.stack(scores)
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class ScanCheck:
-    """Scan check of a pose: what stands around the sensor, compared with a scan, and the verdict.
-
-    The score is the share of what stands (cells of half a metre) that is on canopy and walls of
-    the scan. It does not measure height, roll and pitch.
-
-    Parameters
-    ----------
-    pose : Pose
-        The pose that was checked.
-    verdict : str
-        `confirms`, `doubts` or `nothing to compare`.
-    reason : str
-        The reason for the verdict, in one line.
-    score : float
-        Score at the pose, 0 to 1; NaN where there was nothing to compare.
-    chance : float
-        Mean score of all poses up to 10 m away, in all headings.
-    best : PoseOffset, optional
-        Where the score is highest, near the pose or up to 10 m ahead and aside, in all headings.
-    rival : PoseOffset, optional
-        The best offset a lane (3 m) or 3 degrees or more away from the pose.
-    z_score : float
-        By how many standard deviations what stands prefers the pose to `rival`; negative where it
-        prefers the rival, infinite where there is none.
-    standing : Standing
-        What stands, in the level frame of the pose.
-    closeness : (n,) array
-        Closeness of each standing cell to a structure, 0 to 1; the score is the mean.
-    covered : float
-        Share of the standing cells over which the scan has points.
-    structure : Structure
-        The structures of the scan.
-    surface : (k, k) array
-        Scores at the pose's heading, (ahead, left) every 0.5 m from -10 to 10 m.
-    range_m : float
-        Slant range of 99.9 % of the recording's detections, metres; 0 without any.
-    """
-
-    pose: Pose
-    verdict: str
-    reason: str
-    score: float = float("nan")
-    chance: float = float("nan")
-    best: PoseOffset | None = None
-    rival: PoseOffset | None = None
-    z_score: float = float("nan")
-    standing: Standing
-    closeness: Floats = field(default_factory=lambda: np.empty(0))
-    covered: float = float("nan")
-    structure: Structure
-    surface: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    range_m: float
-
-    @property
-    def level(self) -> LevelFrame:
-        """The frame of the cells and the structure."""
-        return LevelFrame(pose=self.pose)
-
-    def __repr__(self) -> str:
-        return f"ScanCheck({self.pose.sensor}: {self.verdict}: {self.reason})"
-
-    def figures(self) -> Mapping[str, Any]:
-        """Return the figures, ready for JSON.
-
-        `best_east_m`, `best_north_m` and `best_turn_deg` lead from the pose to where the score is
-        highest.
-        """
-        found: dict[str, Any] = {
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "standing_cells": len(self.standing),
-            "scan_classified": self.structure.classified,
-        }
-        if self.best is not None:
-            beside = np.array([[self.best.ahead_m, self.best.left_m]])
-            east, north = (self.level.to_map(beside)[0] - self.pose.position[:2]).tolist()
-            found |= {
-                "covered": round(self.covered, 3),
-                "score": round(self.score, 3),
-                "chance": round(self.chance, 3),
-                "best_score": round(self.best.score, 3),
-                "best_east_m": round(east, 2),
-                "best_north_m": round(north, 2),
-                "best_turn_deg": round(self.best.turn_deg, 2),
-            }
-        if self.rival is not None:
-            found |= {"rival_score": round(self.rival.score, 3), "z_score": round(self.z_score, 2)}
-        return found
 
 
 def require_scans_near(

@@ -88,7 +88,9 @@ def localize(
         if figure or options.pop("method") != "lane":
             raise UsageError("--figure and {} icp are for one sensor", "--method")
         _check_folder(output, recordings, map_path, road, *scans)
-        several = gr.localize_together(
+        from gis_radar.calibration import localize_together  # noqa: PLC0415 - as below
+
+        several = localize_together(
             recordings, map_path, road, guesses=guesses, headings=headings or None,
             compasses=compasses or None, scans=scans, reporter=reporter, **options,
         )  # fmt: skip
@@ -105,7 +107,7 @@ def localize(
                 hint=Text("{} takes several sensors", "--together"),
             )
     _check_outputs(output, figure, *recordings, map_path, road, *scans)
-    found = gr.localize_files(
+    found = gr.localize(
         recordings[0], map_path, road, guess=guesses[0], heading=next(iter(headings), None),
         compass=next(iter(compasses), None), scans=scans, figure=figure, reporter=reporter,
         **options,
@@ -151,7 +153,7 @@ def track(
     followed = gr.track(recording, roads, points, start, reporter=reporter)
     outputs = [output]
     if figure is not None:
-        gr.draw_track(followed, figure)
+        followed.draw(figure)
         outputs.append(figure)
     followed.poses.write(output)
     return Result(outputs=outputs, summary=followed.figures())

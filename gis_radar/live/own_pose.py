@@ -22,7 +22,7 @@ from gis_radar.calibration import (
     Follower,
     Problem,
     WindowFitter,
-    localize_files,
+    localize,
     start_estimate,
     track_of,
 )
@@ -73,7 +73,7 @@ def find_own_pose(file: EdgeFile, frames: deque[Detections], *, reporter: Report
             "rcs": np.concatenate([each.rcs for each in frames]),
         }
         pq.write_table(pa.table(columns), path)
-        found = localize_files(
+        found = localize(
             path, file.map.file, file.road, guess=file.guess, heading=file.heading,
             compass=file.compass, crs=file.map.crs, origin=file.map.origin, sensor=file.sensor,
             view=view_of(file), reporter=reporter,

@@ -94,13 +94,13 @@ def localize_stage(
 
     If several poses fit, all are written: other sensors may decide among them.
     """
-    from gis_radar.calibration import AmbiguousError, localize_files
+    from gis_radar.calibration import AmbiguousError, localize
 
     pose, picture, several = outputs
     for before in outputs:
         before.unlink(missing_ok=True)  # so that a pose and candidates never exist together
     try:
-        found = localize_files(recordings, map_file, road, figure=picture, **options)
+        found = localize(recordings, map_file, road, figure=picture, **options)
     except AmbiguousError as refusal:
         write_candidates(refusal, options["sensor"], several)
         return {"candidates": len(refusal.answers)}
