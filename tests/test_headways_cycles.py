@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import geopandas as gpd
 import numpy as np
@@ -213,7 +214,7 @@ def dataset(tmp_path_factory):
 
 
 def test_tables_have_headways_and_their_errors(dataset):
-    lanes = gr.with_headways(dataset, dataset.traffic("1min"), "1min")
+    lanes = dataset.traffic("1min", headways=True)
     mine = lanes[lanes["lane"] == APPROACH].reset_index(drop=True)
     assert mine["headways"].tolist() == [4, 1]
     assert mine["headway_mean_s"].iloc[0] == pytest.approx(3.0, abs=0.02)
@@ -221,7 +222,7 @@ def test_tables_have_headways_and_their_errors(dataset):
     # of counting alone, as all are alike: 3 s times the error of the number
     assert mine["headway_se_s"].iloc[0] == pytest.approx(3.0 * 0.3 / np.sqrt(4), rel=0.02)
     assert np.isnan(mine["headway_se_s"].iloc[1])  # of one there is no error
-    whole = gr.with_headways(dataset, dataset.traffic("1h"), "1h").set_index("lane")
+    whole = dataset.traffic("1h", headways=True).set_index("lane")
     assert whole.loc[APPROACH, "headways"] == 5
     assert whole.loc[APPROACH, "headway_mean_s"] == pytest.approx(
         (4 * mine["headway_mean_s"][0] + mine["headway_mean_s"][1]) / 5
@@ -230,7 +231,7 @@ def test_tables_have_headways_and_their_errors(dataset):
     assert np.isnan(whole.loc[LEFT, "headway_mean_s"])
     late = {"begin": "2023-11-14 23:01"}
     assert (
-        gr.with_headways(dataset, dataset.traffic("1min", **late), "1min", **late)["headways"].sum()
+        dataset.traffic("1min", headways=True, **late)["headways"].sum()
         == mine["headways"][1] + lanes.loc[lanes["lane"] == STRAIGHT, "headways"].iloc[1]
     )
 
@@ -250,7 +251,7 @@ def test_the_command_writes_them(run, dataset, tmp_path):
     assert "Cycles" in pyogrio.list_layers(tmp_path / "out" / "traffic.xlsx")[:, 0]
     layer = gpd.read_file(tmp_path / "out" / "traffic.gpkg", layer="lanes")
     assert {"headways", "gap_se_s", "los"} <= set(layer)
-    german = gr.signal_cycles(dataset, language="de")
+    german = dataset.signal_cycles(language="de")
     assert german["reason"].tolist() == ["weniger als 4 Grünbeginne gesehen"]
     assert str(german["begin"].dtype.tz) == "Europe/Berlin"
     assert pd.isna(german["counted"]).all()
@@ -258,7 +259,7 @@ def test_the_command_writes_them(run, dataset, tmp_path):
 
 def test_without_pairs_there_are_no_means(tmp_path):
     alone = fork_dataset(tmp_path / "data", [through(0, BEGIN + 200, LEFT)])
-    lanes = gr.with_headways(alone, alone.traffic("1min"), "1min")
+    lanes = alone.traffic("1min", headways=True)
     assert set(lanes["headways"]) == {0}
     assert lanes[["headway_mean_s", "gap_se_s"]].isna().all(axis=None)
 
@@ -268,10 +269,14 @@ def test_hours_without_exact_tables_are_refused(dataset, tmp_path):
     for record in read_hours(tmp_path / "data").values():
         write_record(tmp_path / "data", replace(record, dropped=tuple(record.parts)))
     old = gr.open_dataset(tmp_path / "data")
-    lanes = dataset.traffic()
-    for asked in (gr.signal_cycles, lambda data: gr.with_headways(data, lanes)):
+    for asked in (old.signal_cycles, partial(old.traffic, headways=True)):
         with pytest.raises(gr.InputError, match="has no exact tables any more"):
-            asked(old)
+            asked()
+
+
+def test_headways_of_the_whole_time_are_refused(dataset):
+    with pytest.raises(gr.UsageError, match="headways are of intervals"):
+        dataset.traffic(headways=True, whole=True)
 
 
 GREEN = (
@@ -282,7 +287,7 @@ GREEN = (
 
 def test_known_green_times_are_the_cycles(run, dataset, tmp_path):
     (tmp_path / "green.csv").write_text(GREEN)
-    found = gr.signal_cycles(dataset, signals=tmp_path / "green.csv")
+    found = dataset.signal_cycles(signals=tmp_path / "green.csv")
     assert found["cycle_s"].tolist() == [30.0, 40.0]
     assert found["begin"].iloc[0] == pd.Timestamp("2023-11-14T23:00:10+01:00")
     assert found["counted"].tolist() == [5, 0]
@@ -294,15 +299,15 @@ def test_known_green_times_are_the_cycles(run, dataset, tmp_path):
 
 
 def test_cycles_of_hours_without_vehicles_have_the_types_of_others(dataset):
-    every = gr.signal_cycles(dataset)
-    none = gr.signal_cycles(dataset, begin="2023-11-15T12:00Z", end="2023-11-15T13:00Z")
+    every = dataset.signal_cycles()
+    none = dataset.signal_cycles(begin="2023-11-15T12:00Z", end="2023-11-15T13:00Z")
     assert none.empty
     assert none.dtypes.to_dict() == every.dtypes.to_dict()
 
 
 def test_green_times_that_are_not_there_are_named(dataset, tmp_path):
     with pytest.raises(gr.InputError, match=r"green\.csv: cannot be read: No such file"):
-        gr.signal_cycles(dataset, signals=tmp_path / "green.csv")
+        dataset.signal_cycles(signals=tmp_path / "green.csv")
 
 
 def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path):
@@ -314,7 +319,7 @@ def test_green_times_are_read_as_excel_writes_them_in_germany(dataset, tmp_path)
     )
     text = "\n".join(["", ";;", *rows, ";;", ""])
     (tmp_path / "green.csv").write_bytes(text.replace("\n", "\r\n").encode("cp1252"))
-    found = gr.signal_cycles(dataset, signals=tmp_path / "green.csv", language="de")
+    found = dataset.signal_cycles(signals=tmp_path / "green.csv", language="de")
     assert found["cycle_s"].tolist() == [30.0]
 
 

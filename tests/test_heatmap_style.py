@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from gis_radar.products.footprints import footprint_style
+from gis_radar.dataset import footprint_style
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.layers import BEGIN, END
 from gis_radar.products.heatmap.picture import STRIPE

@@ -37,22 +37,22 @@ ACROSS = lines(early=[(20, -5), (20, 5)], late=[(40, -5), (40, 5)], exits=[(80, 
 
 
 def test_who_crosses_a_section_is_counted_there(dataset):
-    found = gr.count_sections(dataset, ACROSS, "15min")
+    found = dataset.count_sections(ACROSS, "15min")
     assert found.groupby("section")["counted"].sum().to_dict() == {
         "early": 10, "late": 8, "exits": 8,
     }  # fmt: skip
     assert set(found["direction"]) == {"eastbound"}
     assert found["speed_time_mean_kmh"].dropna().tolist() == pytest.approx([36.0] * 4, abs=1.0)
-    by_minute = gr.count_sections(dataset, ACROSS, "1min")
+    by_minute = dataset.count_sections(ACROSS, "1min")
     sums = by_minute.groupby("section")["counted"].sum()
     assert sums.to_dict() == {"early": 10, "late": 8, "exits": 8}
-    whole = gr.count_sections(dataset, ACROSS, "1h").set_index("section")
+    whole = dataset.count_sections(ACROSS, "1h").set_index("section")
     assert whole["counted"].to_dict() == sums.to_dict()
 
 
 def test_a_section_at_the_stop_line_counts_what_its_lane_does(dataset):
     there = lines(line=[(60 - 1e-6, -2), (60 - 1e-6, 2)])
-    found = gr.count_sections(dataset, there, "5min").set_index("begin")
+    found = dataset.count_sections(there, "5min").set_index("begin")
     lane = dataset.traffic("5min").query(f"lane == {APPROACH}").set_index("begin")
     for name in ("visible_share", "counted", "volume", "volume_se"):
         assert found[name].astype(float).tolist() == pytest.approx(
@@ -65,7 +65,7 @@ def test_a_direction_that_nobody_sees_has_rows_without_figures(tmp_path):
     left = fork().query(f"lanelet_id == {LEFT}")["tile_id"]
     unseen = fork_dataset(tmp_path / "dataset", tracks, unseen=left)
     places = lines(early=[(20, -5), (20, 5)], left=[(81, 7), (79, 11)], exits=[(80, 20), (80, -5)])
-    found = gr.count_sections(unseen, places, "5min").set_index("section")
+    found = unseen.count_sections(places, "5min").set_index("section")
     assert found.loc["early", "counted"].sum() == 3
     for name in ("left", "exits"):
         rows = found.loc[[name]]
@@ -78,7 +78,7 @@ def test_a_direction_that_nobody_sees_has_rows_without_figures(tmp_path):
 def test_directions_are_told_apart_by_the_side_they_come_from(dataset):
     """A line that is drawn the other way round names the same direction."""
     turned = lines(late=[(40, 5), (40, -5)])
-    one, other = (gr.count_sections(dataset, each, "15min") for each in (ACROSS, turned))
+    one, other = (dataset.count_sections(each, "15min") for each in (ACROSS, turned))
     columns = ["direction", "begin", "counted", "volume"]
     one = one[one["section"] == "late"].reset_index(drop=True)
     pd.testing.assert_frame_equal(pd.DataFrame(one[columns]), pd.DataFrame(other[columns]))
@@ -94,29 +94,29 @@ def test_directions_are_told_apart_by_the_side_they_come_from(dataset):
 )
 def test_a_section_off_the_road_or_along_it_is_refused(dataset, places, said):
     with pytest.raises(gr.InputError, match=said):
-        gr.count_sections(dataset, lines(**places))
+        dataset.count_sections(lines(**places))
 
 
 def test_a_section_is_of_one_part(dataset):
     """QGIS writes a line as a collection of one; parts that meet are one line."""
     halves = [MultiLineString([each.coords[:]]) for each in ACROSS.geometry]
-    counted = gr.count_sections(dataset, ACROSS.set_geometry(halves), "15min")
+    counted = dataset.count_sections(ACROSS.set_geometry(halves), "15min")
     assert counted["counted"].sum() == 26
     apart = MultiLineString([[(EAST + 20, NORTH + y), (EAST + 20, NORTH + y + 1)] for y in (-1, 1)])
     with pytest.raises(gr.InputError, match="sections are lines across a road"):
-        gr.count_sections(dataset, gpd.GeoDataFrame(geometry=[apart], crs=UTM))
+        dataset.count_sections(gpd.GeoDataFrame(geometry=[apart], crs=UTM))
 
 
 def test_sections_of_other_systems_are_moved_or_refused(dataset):
-    moved = gr.count_sections(dataset, ACROSS.to_crs("EPSG:25833"), "15min")
+    moved = dataset.count_sections(ACROSS.to_crs("EPSG:25833"), "15min")
     assert moved["counted"].sum() == 26
     with pytest.raises(gr.CrsError, match="is geographic"):
-        gr.count_sections(dataset, ACROSS.to_crs("EPSG:4326"))
+        dataset.count_sections(ACROSS.to_crs("EPSG:4326"))
     with pytest.raises(gr.CrsError, match="has no coordinate system"):
-        gr.count_sections(dataset, ACROSS.set_crs(None, allow_override=True))
+        dataset.count_sections(ACROSS.set_crs(None, allow_override=True))
     twice = pd.concat([ACROSS, ACROSS])
     with pytest.raises(gr.InputError, match="two sections have one name"):
-        gr.count_sections(dataset, twice)
+        dataset.count_sections(twice)
 
 
 @pytest.fixture
@@ -184,7 +184,7 @@ def test_sections_without_a_name_get_their_number(dataset):
     first, *_ = ACROSS.geometry
     for column, names in (("name", ["A", None, ""]), ("id", [7.0, np.nan, np.nan])):
         layer = gpd.GeoDataFrame({column: names}, geometry=[first] * 3, crs=UTM)
-        found = gr.count_sections(dataset, layer)["section"].unique().tolist()
+        found = dataset.count_sections(layer)["section"].unique().tolist()
         assert found == [f"{names[0]:.0f}" if column == "id" else "A", "2", "3"]
 
 
@@ -192,16 +192,16 @@ def test_the_layer_of_lines_is_taken_and_of_several_none(dataset, tmp_path):
     path = tmp_path / "project.gpkg"
     ACROSS.set_geometry(ACROSS.buffer(1.0)).to_file(path, layer="areas")
     ACROSS.to_file(path, layer="mine")
-    assert set(gr.count_sections(dataset, path)["section"]) == set(ACROSS["name"])
+    assert set(dataset.count_sections(path)["section"]) == set(ACROSS["name"])
     ACROSS.to_file(path, layer="others")
     with pytest.raises(gr.GisRadarError, match=r"project\.gpkg: has 2 layers of lines: mine, othe"):
-        gr.count_sections(dataset, path)
+        dataset.count_sections(path)
 
 
 def test_a_section_without_a_line_is_refused(dataset):
     layer = gpd.GeoDataFrame(geometry=[*ACROSS.geometry, None], crs=UTM)
     with pytest.raises(gr.InputError, match="a section has no line"):
-        gr.count_sections(dataset, layer)
+        dataset.count_sections(layer)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -26,7 +27,7 @@ def sampled(apart=10):
 
 @pytest.mark.parametrize(("every", "apart"), [("500ms", 10), ("50ms", 1), ("1s", 20)])
 def test_points_are_the_states(dataset, every, apart):
-    points, wanted = gr.track_points(dataset, every=every), sampled(apart)
+    points, wanted = dataset.track_points(every=every), sampled(apart)
     assert points["vehicle"].tolist() == wanted["vehicle"].tolist()
     np.testing.assert_allclose(points.geometry.x, wanted["easting"], atol=1e-9)
     times = points.index.tz_convert(None).to_numpy().astype("datetime64[ms]").astype(np.int64)
@@ -36,13 +37,12 @@ def test_points_are_the_states(dataset, every, apart):
 
 
 def test_a_span_by_the_clocks_of_the_site(dataset):
-    points = gr.track_points(dataset, every="50ms")
+    points = dataset.track_points(every="50ms")
     low, high = points.index[4], points.index[-6]
     assert low < high
     local = [str(each.tz_convert("Asia/Kolkata").tz_localize(None)) for each in (low, high)]
-    part = gr.track_points(
-        dataset, every="50ms", begin=local[0], end=local[1], timezone="Asia/Kolkata"
-    )
+    there = replace(dataset, manifest=replace(dataset.manifest, timezone="Asia/Kolkata"))
+    part = there.track_points(every="50ms", begin=local[0], end=local[1])
     pd.testing.assert_frame_equal(part, points[(points.index >= low) & (points.index < high)])
 
 
@@ -56,7 +56,7 @@ def test_a_vehicle_that_goes_on_over_an_hours_begin_is_one(tmp_path):
         tmp_path / "dataset", straight_tiles(), pd.concat([halves, other]),
         continued={edge // STEPS_PER_HOUR: [(3, 4)]},
     )  # fmt: skip
-    points = gr.track_points(dataset, every="50ms")
+    points = dataset.track_points(every="50ms")
     mine = points[points["vehicle"] == 3]
     np.testing.assert_allclose(mine.geometry.x, whole["easting"], atol=1e-9)
     assert points["vehicle"].value_counts().to_dict() == {3: 100, 9: 9}
@@ -66,7 +66,7 @@ def test_a_vehicle_that_goes_on_over_an_hours_begin_is_one(tmp_path):
 @pytest.mark.filterwarnings("ignore:The inplace keyword")
 def test_moving_pandas_measures_the_ways(dataset):
     pytest.importorskip("movingpandas", reason="movingpandas is not installed")
-    found = gr.to_trajectories(dataset)
+    found = dataset.to_trajectories()
     assert sorted(each.id for each in found) == [3, 8]
     for each in found:
         mine = sampled()[lambda t, vehicle=each.id: t["vehicle"] == vehicle]
@@ -80,21 +80,21 @@ def test_moving_pandas_is_silent_about_extras_of_its_own(dataset, monkeypatch):
     monkeypatch.delitem(sys.modules, "movingpandas")
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        gr.to_trajectories(dataset)
+        dataset.to_trajectories()
     assert not [each for each in said if each.category is UserWarning]
 
 
 def test_a_time_without_vehicles(dataset):
     pytest.importorskip("movingpandas", reason="movingpandas is not installed")
-    assert gr.track_points(dataset, begin="2101-01-01").empty
+    assert dataset.track_points(begin="2101-01-01").empty
     with pytest.raises(gr.InputError, match="there is no vehicle in that time"):
-        gr.to_trajectories(dataset, begin="2101-01-01")
+        dataset.to_trajectories(begin="2101-01-01")
 
 
 def test_what_is_refused(dataset, monkeypatch):
-    with pytest.raises(gr.UsageError, match="expected ascending times"):
-        gr.track_points(dataset, begin="2101-01-02", end="2101-01-01")
+    with pytest.raises(gr.UsageError, match="is not after begin"):
+        dataset.track_points(begin="2101-01-02", end="2101-01-01")
     monkeypatch.setitem(sys.modules, "movingpandas", None)
     with pytest.raises(gr.InputError, match="movingpandas, which is missing") as error:
-        gr.to_trajectories(dataset)
+        dataset.to_trajectories()
     assert error.value.hint == "pip install gis_radar[trajectories]"

@@ -15,7 +15,7 @@ from driven import FIRST, drive, driven, straight_tiles
 from shapely.affinity import rotate, translate
 
 import gis_radar as gr
-from gis_radar.products.footprints import footprint_style
+from gis_radar.dataset import footprint_style
 
 CARS = pd.concat(
     [
@@ -29,7 +29,7 @@ def layer_of(folder, tracks, **options):
     """Write tracks as a dataset and as a layer; give the layer and the file."""
     dataset = driven(folder / "dataset", straight_tiles(), tracks, **options)
     path = folder / "footprints.gpkg"
-    rows = gr.write_footprints(dataset, path)
+    rows = dataset.write_footprints(path)
     layer = gpd.read_file(path, layer="footprints")
     assert len(layer) == rows
     return layer, path
@@ -104,7 +104,7 @@ def test_an_hour_without_vehicles_is_an_empty_layer(tmp_path):
         occupied={}, visible={(0, True): {FIRST}},
     )  # fmt: skip
     path = tmp_path / "none.gpkg"
-    assert gr.write_footprints(hits, path) == 0
+    assert hits.write_footprints(path) == 0
     layer = gpd.read_file(path, layer="footprints")
     assert layer.empty
     assert layer.crs == "EPSG:25832"
@@ -114,12 +114,12 @@ def test_layers_that_are_refused(tmp_path):
     layer_of(tmp_path, CARS)
     dataset = gr.open_dataset(tmp_path / "dataset")
     with pytest.raises(gr.UsageError, match=r"footprints are written as GeoPackage"):
-        gr.write_footprints(dataset, tmp_path / "footprints.shp")
+        dataset.write_footprints(tmp_path / "footprints.shp")
     hits = stepwise_dataset(
         tmp_path / "hits", straight_tiles(), {("R1", "a"): {FIRST}}, {("R1", "a"): {0}}, set()
     )
     with pytest.raises(gr.InputError, match="holds no vehicles"):
-        gr.write_footprints(hits, tmp_path / "footprints.gpkg")
+        hits.write_footprints(tmp_path / "footprints.gpkg")
 
 
 def test_the_project_of_a_site_plays_vehicles_only_where_asked(tmp_path):

@@ -182,12 +182,11 @@ def dataset(
     reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Say what a dataset holds: recordings, hours, rows by table."""
-    moved = {}
+    found, moved = gr.open_dataset(folder, reporter=reporter), {}
     if relink is not None:
-        moved = {"recordings_found": gr.relink(folder, relink, reporter=reporter)}
+        moved = {"recordings_found": found.relink(relink, reporter=reporter)}
     if withdraw:
-        gr.withdraw(folder, withdraw, reporter=reporter)
-    found = gr.open_dataset(folder, reporter=reporter)
+        found.withdraw(withdraw, reporter=reporter)
     if check:
         found.check(reporter)
     return Result(outputs=[], summary=moved | found.figures(), timezone=found.manifest.timezone)

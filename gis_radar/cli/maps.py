@@ -121,7 +121,7 @@ def footprints(*, folder: Path, output: Path, reporter: Reporter) -> Result:
 
     A row a vehicle and half second: a working file, not to be published.
     """
-    count = gr.write_footprints(gr.open_dataset(folder), output, reporter=reporter)
+    count = gr.open_dataset(folder).write_footprints(output, reporter=reporter)
     return Result(outputs=[output], summary={"rows": count})
 
 

@@ -1,7 +1,7 @@
 from .csv_rows import csv_rows, stated_moment, text_in
 from .dataset import Dataset, open_dataset
 from .day_tables import STEPS_PER_QUARTER
-from .exact_traffic import signal_cycles, with_headways
+from .footprints import FOOTPRINTS, SHOWN_S, footprint_style
 from .hour_job import MeasureSettings
 from .lane_measures import LaneTraffic
 from .manifest import Manifest, create_dataset, require_same_settings, require_same_site
@@ -19,18 +19,18 @@ from .parts import (
 )
 from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
-from .sections import count_sections
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
 from .states import no_states, states_of
 from .table_schema import TableSchema
 from .tables import FRAMES, PASSAGES, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
-from .upkeep import relink, withdraw
 
 __all__ = [
+    "FOOTPRINTS",
     "FRAMES",
     "PASSAGES",
+    "SHOWN_S",
     "STEPS_PER_QUARTER",
     "TILE_COUNTS",
     "Dataset",
@@ -45,10 +45,10 @@ __all__ = [
     "TableSchema",
     "chance_of_others",
     "clear_unfinished",
-    "count_sections",
     "count_spans",
     "create_dataset",
     "csv_rows",
+    "footprint_style",
     "hour_of_step",
     "hour_text",
     "lanes_beside",
@@ -60,13 +60,11 @@ __all__ = [
     "read_hour",
     "read_hours",
     "record_path",
-    "relink",
     "rename_whole",
     "require_same_settings",
     "require_same_site",
     "run_variance",
     "shifts_of",
-    "signal_cycles",
     "stated_lanes",
     "stated_moment",
     "states_of",
@@ -74,8 +72,6 @@ __all__ = [
     "text_in",
     "unfinished",
     "update_counts",
-    "with_headways",
-    "withdraw",
     "write_record",
     "write_whole",
 ]

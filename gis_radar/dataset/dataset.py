@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,8 @@ from gis_radar.dataset.manifest import TILES, Manifest
 from gis_radar.dataset.parts import MEASURE_AGAIN, hour_begin, hour_of_step, hour_text, whole_table
 from gis_radar.dataset.reading import Span, read_rows
 from gis_radar.dataset.records import HourRecord, read_hours
+from gis_radar.dataset.source import Moment
+from gis_radar.dataset.sql import SqlQueries
 from gis_radar.dataset.stated_lanes import stated_lanes
 from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
@@ -54,17 +55,17 @@ from gis_radar.dataset.tables import (
     VISIBLE,
 )
 from gis_radar.dataset.tile_counts import check_counts, read_counts
-from gis_radar.dataset.traffic import Moment, TrafficTables
+from gis_radar.dataset.traffic_tables import TrafficTables
 from gis_radar.dataset.units import for_people
+from gis_radar.dataset.vehicle_tables import VehicleTables
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, TILES_LAYER, fingerprint, read_tiles
 from gis_radar.measures import LONGEST_VALID_STEPS, Runs, union_of_runs
 
 _LAST_STEP = 1 << 62
-TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of an SQL query
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset(TrafficTables):
+class Dataset(TrafficTables, VehicleTables, SqlQueries):
     """Dataset of a site: tables by hour, read when they are asked for.
 
     Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
@@ -302,61 +303,6 @@ class Dataset(TrafficTables):
         """Read the volumes of turns by quarter of an hour as they are stored."""
         return self._read(TURNS, begin, end)
 
-    def query(
-        self, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
-    ) -> pd.DataFrame:
-        """Run an SQL query (DuckDB): one SELECT over the tables of all complete hours.
-
-        Columns are those of the files, and those that the other methods return. In the query, times
-        are by the clocks of the site (`hour(begin)`); times of the result are UTC.
-
-        Parameters
-        ----------
-        sql : str
-            The query.
-        timeout_s : float
-            Time limit, seconds.
-        memory : str
-            Memory limit, such as `2GB`.
-
-        Raises
-        ------
-        UsageError
-            If it is no such query, takes too long, or needs too much memory.
-        """
-        from gis_radar.dataset.answers import plain  # noqa: PLC0415 - as below
-
-        with self._run(sql, timeout_s, memory) as (schema, batches):
-            rows: pd.DataFrame = plain(pa.Table.from_batches(batches, schema)).to_pandas()
-        return rows
-
-    def write_answer(
-        self, sql: str, path: str | Path, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
-    ) -> int:
-        """Write the answer of :meth:`query` as `.csv` or `.parquet`, and return its row count.
-
-        Raises
-        ------
-        OutputError
-            If it cannot be written.
-        """
-        from gis_radar.dataset.answers import write_answer  # noqa: PLC0415 - as below
-
-        with self._run(sql, timeout_s, memory) as answer:
-            return write_answer(*answer, Path(path))
-
-    def first_rows(
-        self, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
-    ) -> tuple[list[dict[str, Any]], int]:
-        """Return the first rows of the answer of :meth:`query`, and the number of all its rows.
-
-        Values are types of JSON, times are text.
-        """
-        from gis_radar.dataset.answers import first_rows  # noqa: PLC0415 - as below
-
-        with self._run(sql, timeout_s, memory) as (_, batches):
-            return first_rows(batches, most)
-
     def check(self, reporter: Reporter = QUIET) -> None:
         """Compare the bytes of all parts with the records of their hours; read all tile counts.
 
@@ -371,6 +317,53 @@ class Dataset(TrafficTables):
                 record.check_bytes(self.folder, TABLES[name])
             reporter.progress("checking parts", done + 1, len(records))
         check_counts(self.folder, self.manifest.fingerprint, records)
+
+    def withdraw(
+        self, recordings: Sequence[str | Path], *, processes: int = 1, reporter: Reporter = QUIET
+    ) -> None:
+        """Withdraw recordings; the hours that they reach into are made again.
+
+        Parameters
+        ----------
+        recordings : sequence of paths
+            Paths, or file names where these are unique. The files may be gone; those of all other
+            recordings of the same hours must be there.
+        processes : int
+            Number of hours, or of blocks of an hour, made in parallel.
+        reporter : Reporter
+            Receives progress.
+
+        Raises
+        ------
+        InputError
+            If there is no such recording, or another needed one is missing or changed.
+        """
+        from gis_radar.dataset.upkeep import withdraw  # noqa: PLC0415 - the tracker, 0.6 s
+
+        tiles, fingerprint = self.tiles(), self.manifest.fingerprint
+        withdraw(
+            self.folder, recordings, tiles, fingerprint, processes=processes, reporter=reporter
+        )
+
+    def relink(self, search: str | Path, *, reporter: Reporter = QUIET) -> int:
+        """Find recordings whose files were moved, by their contents, and return how many.
+
+        Parameters
+        ----------
+        search : str or Path
+            A folder; in it and in the folders below, all files with the suffix of a missing
+            recording are compared.
+        reporter : Reporter
+            Receives progress, and a warning for each recording that is not found.
+
+        Raises
+        ------
+        InputError
+            If there is no such folder.
+        """
+        from gis_radar.dataset.upkeep import relink  # noqa: PLC0415 - the tracker, 0.6 s
+
+        return relink(self.folder, search, self.manifest.fingerprint, reporter)
 
     def figures(self) -> dict[str, Any]:
         """Return sensors, recordings, time span, hours and numbers of rows of the tables."""
@@ -447,13 +440,6 @@ class Dataset(TrafficTables):
     def _other_layer(self, name: str) -> gpd.GeoDataFrame:
         with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
             return pyogrio.read_dataframe(place, layer=name, use_arrow=True)
-
-    def _run(
-        self, sql: str, timeout_s: float, memory: str
-    ) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:
-        from gis_radar.dataset.queries import run_query  # noqa: PLC0415 - DuckDB, 0.2 s
-
-        return run_query(self, sql, timeout_s=timeout_s, memory=memory)
 
     def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:
         parts = list(self.batches(table, self.span(begin, end)))

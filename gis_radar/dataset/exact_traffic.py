@@ -20,13 +20,13 @@ from gis_radar.base import (
     tr,
     zone_of,
 )
-from gis_radar.dataset.dataset import Dataset
 from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.signals import read_signals
+from gis_radar.dataset.source import Source
 from gis_radar.dataset.tables import TRACKS
-from gis_radar.dataset.traffic import Moment, interval_edges
+from gis_radar.dataset.traffic import interval_edges
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import (
     Cycle,
@@ -46,35 +46,11 @@ _LENGTHS = ("cycle_s", "cycle_se_s", "queue_max_m", "queue_mean_m", "queue_end_m
 _HEADWAYS = ("headway_mean_s", "headway_se_s", "headway_median_s", "gap_mean_s", "gap_se_s")
 
 
-def with_headways(
-    dataset: Dataset, lanes: gpd.GeoDataFrame, interval: str = "15min", *, begin: Moment = None,
-    end: Moment = None,
-) -> gpd.GeoDataFrame:  # fmt: skip
-    """Add headways and gaps to the traffic of lanes.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        With its exact tables.
-    lanes : GeoDataFrame
-        From :meth:`gis_radar.Dataset.traffic`, for the same interval and time.
-    interval, begin, end
-        As for :meth:`gis_radar.Dataset.traffic`.
-
-    Returns
-    -------
-    GeoDataFrame
-        With the columns `headways` (number of pairs of consecutive vehicles at the counting line,
-        between which it was visible throughout), `headway_mean_s` (front to front),
-        `headway_se_s`, `headway_median_s`, `gap_mean_s` (rear to front), `gap_se_s`. Null where
-        the line was not visible, means without a pair, errors with less than two.
-
-    Raises
-    ------
-    InputError
-        If exact tables of that time were deleted.
-    """
-    span, steps = dataset.span(begin, end), interval_steps(interval)
+def add_headways(
+    dataset: Source, lanes: gpd.GeoDataFrame, interval: str, span: Span | None
+) -> gpd.GeoDataFrame:
+    """Add headways and gaps to the traffic of lanes; see :meth:`gis_radar.Dataset.traffic`."""
+    steps = interval_steps(interval)
     network, hours = _exact(dataset, span)
     found = [headways(network, *each) for each in hours]
     pairs = Headways._make(map(np.concatenate, zip(*found, strict=True))) if found else None
@@ -116,38 +92,11 @@ def _by_interval(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"headways": number, **named})
 
 
-def signal_cycles(
-    dataset: Dataset, *, signals: str | Path | None = None, begin: Moment = None,
-    end: Moment = None, language: str | None = None,
-) -> pd.DataFrame:  # fmt: skip
-    """Return the cycles of signals at stop lines, as the traffic shows them.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        With its exact tables.
-    signals : str or Path, optional
-        CSV of green times, which count in place of those that the traffic shows: `lane` (its number
-        or name), `green_begin`, and where known `green_end`; without a zone by the clocks of the
-        site.
-    begin, end, language
-        As for :meth:`gis_radar.Dataset.traffic`; hours are taken as a whole.
-
-    Returns
-    -------
-    DataFrame
-        A row a stop line and cycle, from a begin of green to the next: `lane`, `name`, `begin`,
-        `end`, `cycle_s` and `cycle_se_s` (of the hour), `counted`, `queue_max_m`, `queue_mean_m`,
-        `queue_end_m` (at the end of green), `reason` (why figures are missing). Where no cycle can
-        be told in an hour, one row that says why.
-
-    Raises
-    ------
-    InputError
-        If exact tables of that time were deleted, or the signals are not what they should be or of
-        a lane without a stop line.
-    """
-    network, hours = _exact(dataset, dataset.span(begin, end))
+def cycles_of(
+    dataset: Source, signals: str | Path | None, span: Span | None, language: str | None
+) -> pd.DataFrame:
+    """Return the cycles of signals; see :meth:`gis_radar.Dataset.signal_cycles`."""
+    network, hours = _exact(dataset, span)
     with speaking(language or current_language()):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)
     at = {str(each): k for name in (names, network.lane) for k, each in enumerate(name.tolist())}
@@ -174,7 +123,7 @@ def _times(steps: pd.Series) -> pd.Series:
     return pd.to_datetime(steps.astype(np.int64) * STEP_US, unit="us", utc=True)
 
 
-def _exact(dataset: Dataset, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
+def _exact(dataset: Source, span: Span | None) -> tuple[LaneNetwork, Iterator[_Hour]]:
     """Return the network, and of each hour its grid, states, vehicles and visible runs."""
     traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
     records = [each for each in dataset.records(span).values() if TRACKS.name in each.parts]

@@ -16,8 +16,8 @@ import pyarrow as pa
 from gis_radar.base import InputError, UsageError, first_line
 from gis_radar.dataset.parts import MEASURE_AGAIN
 from gis_radar.dataset.records import HOURS
+from gis_radar.dataset.source import Source
 from gis_radar.dataset.statement import ASK_ONE, tables_of
-from gis_radar.dataset.traffic import Source
 from gis_radar.dataset.views import make_views, quoted
 
 Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]

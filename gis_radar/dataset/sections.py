@@ -15,9 +15,10 @@ import shapely
 import shapely.ops
 
 from gis_radar.base import Floats, InputError, current_language, metric_crs, read_vector, speaking
-from gis_radar.dataset.dataset import Dataset
 from gis_radar.dataset.lane_measures import LaneTraffic
-from gis_radar.dataset.traffic import Moment, TrafficReader
+from gis_radar.dataset.reading import Span
+from gis_radar.dataset.source import Source
+from gis_radar.dataset.traffic import TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork, bound_name, place_on
 
@@ -52,38 +53,11 @@ class _Crossing:
     at_m: float
 
 
-def count_sections(
-    dataset: Dataset, sections: gpd.GeoDataFrame | str | Path, interval: str = "15min", *,
-    begin: Moment = None, end: Moment = None, language: str | None = None,
+def section_counts(
+    dataset: Source, sections: gpd.GeoDataFrame | str | Path, interval: str, span: Span | None,
+    language: str | None,
 ) -> gpd.GeoDataFrame:  # fmt: skip
-    """Count vehicles by direction at sections: lines across a road.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        With vehicles and its exact tables.
-    sections : GeoDataFrame, str or Path
-        Lines in a projected coordinate system, with their names in a column `name`, `section` or
-        `id`; without one they are numbered from 1.
-    interval, begin, end, language
-        As for :meth:`gis_radar.Dataset.traffic`.
-
-    Returns
-    -------
-    GeoDataFrame
-        A row for each section, direction and interval: `section`, `direction` (`northbound`),
-        `begin`, `end`, `visible_share` (of the least visible lane), `counted`, `volume`,
-        `volume_se`, `volume_veh_h`, `heavy`, `speed_time_mean_kmh`; the part of the section's line
-        on the lanes of the direction. Null where one of the lanes is not visible.
-
-    Raises
-    ------
-    InputError
-        If a section crosses no lane, one lane twice, or runs along one; if two have one name; if
-        the dataset has no vehicles, or no exact tables of that time any more.
-    CrsError
-        If the sections state no projected coordinate system.
-    """
+    """Count vehicles by direction at sections; see :meth:`gis_radar.Dataset.count_sections`."""
     lines, what = _lines(sections, dataset.crs)
     if not dataset.has_vehicles:
         raise InputError("{}: holds no vehicles, of which traffic is counted", dataset.folder)
@@ -98,7 +72,7 @@ def count_sections(
         along = {each.lane: each.along_m for name in counted for each in crossed[name]}
         traffic = LaneTraffic(folder=dataset.folder, fingerprint=tiles, line_m=along)
         rows = TrafficReader(
-            dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),
+            dataset=dataset, traffic=traffic, interval=interval, span=span,
             language=language, exact=True,
         ).lanes()  # fmt: skip
         with speaking(language or current_language()):

@@ -9,8 +9,8 @@ import pandas as pd
 import pyarrow as pa
 
 from gis_radar.base import TRACK_EVERY_STEPS, Floats, Integers, ranges
-from gis_radar.dataset.dataset import Dataset
 from gis_radar.dataset.reading import Span
+from gis_radar.dataset.source import Source
 from gis_radar.dataset.tables import TRACKS, VEHICLES
 
 CM = 0.01  # metres
@@ -19,7 +19,7 @@ VehicleStates = tuple[pd.DataFrame, pd.DataFrame]
 
 
 def states_of(
-    dataset: Dataset, *, every: int = 1, span: Span | None = None
+    dataset: Source, *, every: int = 1, span: Span | None = None
 ) -> Iterator[VehicleStates]:
     """Yield the vehicles of each hour with their states at regular steps.
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from datetime import datetime
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import geopandas as gpd
@@ -30,11 +28,11 @@ from gis_radar.base import (
 )
 from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import LaneTraffic
-from gis_radar.dataset.manifest import Manifest
 from gis_radar.dataset.parts import hour_text
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.records import HourRecord
 from gis_radar.dataset.shifts import OtherLanes, shifts_of
+from gis_radar.dataset.source import Source
 from gis_radar.dataset.stated_lanes import delays
 from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import LANE_MEASURES, TRACKS, TURNS
@@ -44,139 +42,6 @@ from gis_radar.measures import LEAST_SHARE, SPEED_CLASS_KMH, LaneNetwork, lane_n
 LEAST_STEPS = 60 * STEPS_PER_SECOND  # least length of an interval: shorter ones have no volume
 _DAY_STEPS = 24 * STEPS_PER_HOUR
 _WITH_LANE, _WITH_TURN = ["lane"], ["from_lane", "to_lane"]
-
-Moment: TypeAlias = str | datetime | int | None
-"""A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
-
-
-class Source(Protocol):
-    """Source of traffic and views: a dataset."""
-
-    @property
-    def folder(self) -> Path:
-        """The dataset's folder."""
-
-    @property
-    def has_vehicles(self) -> bool:
-        """Whether vehicles were looked for."""
-
-    def span(self, begin: Moment = None, end: Moment = None) -> Span | None:
-        """Return the first and the last step between two times."""
-
-    @property
-    def manifest(self) -> Manifest:
-        """The manifest, with time zone and coordinate system."""
-
-    def records(self, span: Span | None = None) -> dict[int, HourRecord]:
-        """Return the records of its complete hours."""
-
-    def whole(self, table: TableSchema) -> pa.Table:
-        """Read a table that is one file."""
-
-    def layer(self, name: str) -> gpd.GeoDataFrame:
-        """Read a layer of its tiles."""
-
-    def poses(self) -> gpd.GeoDataFrame:
-        """Read the poses of the sensors."""
-
-    def sights(self) -> pd.DataFrame:
-        """Read the tiles in sight of each pose."""
-
-
-class TrafficTables:
-    """Methods of a dataset that return its traffic."""
-
-    def traffic(
-        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None, whole: bool = False,
-    ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the traffic of lanes, a row for each lane and interval.
-
-        Parameters
-        ----------
-        interval : str
-            Length of the intervals, such as `15min` or `1h`: a multiple of 15 min that divides a
-            day, or a divisor of 15 min from 1 min on. Intervals follow the clocks of the site.
-        begin, end : str, datetime or step, optional
-            Times between which the intervals begin.
-        language : str, optional
-            Language of the lanes' names, `en` or `de`; by default the current one, else English.
-        whole : bool
-            One row a lane, of all intervals together that were measured: from the begin of the
-            first to the end of the last, `volume` without the time between. Intervals count by the
-            share of them that was visible, so that those in which a recording begins or ends count
-            less. They are of 15 min, or of `interval` where that is less.
-
-        Returns
-        -------
-        GeoDataFrame
-            By lane and time: `lane` (its number), `name`; `begin`, `end` in the site's zone;
-            `visible_share`, `counted`, `volume` (vehicles in the interval), `volume_se`,
-            `volume_veh_h`, `heavy`; `speed_kmh` (space mean), `speed_time_mean_kmh`,
-            `speed_85_kmh`; `occupancy`, `occupancy_se`, `density_veh_km`, `flow_veh_h`,
-            `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `stops`; the lane's line.
-            Null where nothing is visible. Lanes that no sensor observes have no rows.
-
-        Raises
-        ------
-        UsageError
-            If there is no such interval.
-        InputError
-            If vehicles were not looked for, or the interval is under 15 min and exact tables were
-            deleted.
-        """
-        return _reader(self, interval, begin, end, language, whole=whole).lanes()
-
-    def turns(
-        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None, whole: bool = False,
-    ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the volumes of turns, a row for each turn and interval; as :meth:`traffic`.
-
-        Returns
-        -------
-        GeoDataFrame
-            `from_lane`, `to_lane`, `from_name`, `to_name`, `turn` (`left`, `straight`, `right` or
-            `back`), `begin`, `end`, `visible_share`, `volume`, `volume_se`, `volume_veh_h`; the way
-            from the stop line to the exit.
-        """
-        return _reader(self, interval, begin, end, language, whole=whole).turns()
-
-    def queues(
-        self: Source, interval: str = "15min", *, begin: Moment = None, end: Moment = None,
-        language: str | None = None,
-    ) -> gpd.GeoDataFrame:  # fmt: skip
-        """Return the queues at stop lines: rows of :meth:`traffic`, of lanes with a stop line.
-
-        Returns
-        -------
-        GeoDataFrame
-            `lane`, `name`, `begin`, `end`, `visible_share`, `queue_max_m`, `queue_mean_m`, `stops`,
-            `delay_s`; the lane's line.
-        """
-        found = _reader(self, interval, begin, end, language).lanes()
-        found = found[found["queue_max_m"].notna()].reset_index(drop=True)
-        return found[
-            ["lane", "name", "begin", "end", "visible_share", "queue_max_m", "queue_mean_m",
-             "stops", "delay_s", "geometry"]
-        ]  # fmt: skip
-
-
-def _reader(
-    dataset: Source, interval: str, begin: Moment, end: Moment, language: str | None, *,
-    whole: bool = False,
-) -> TrafficReader:  # fmt: skip
-    if not dataset.has_vehicles:
-        raise InputError(
-            "{}: holds no vehicles, of which traffic is counted",
-            dataset.folder,
-            hint="measure it again, with vehicles",
-        )
-    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
-    return TrafficReader(
-        dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),
-        language=language, whole=whole,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from gis_radar.base import QUIET, InputError, Reporter, Text
-from gis_radar.dataset.dataset import open_dataset
+import geopandas as gpd
+
+from gis_radar.base import InputError, Reporter, Text
 from gis_radar.dataset.hour_job import HourSite, MeasureSettings
 from gis_radar.dataset.making import change, writing
-from gis_radar.dataset.manifest import MANIFEST, MAP
+from gis_radar.dataset.manifest import MANIFEST, MAP, Manifest
 from gis_radar.dataset.registry import (
     RecordingEntry,
     Registry,
@@ -23,89 +24,48 @@ from gis_radar.tracking import map_of_tiles
 
 
 def withdraw(
-    folder: str | Path,
-    recordings: Sequence[str | Path],
-    *,
-    processes: int = 1,
-    reporter: Reporter = QUIET,
-) -> None:
-    """Withdraw recordings from a dataset; the hours that they reach into are made again.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The dataset.
-    recordings : sequence of paths
-        Paths, or file names where these are unique. The files may be gone; those of all other
-        recordings of the same hours must be there.
-    processes : int
-        Number of hours, or of blocks of an hour, made in parallel.
-    reporter : Reporter
-        Receives progress.
-
-    Raises
-    ------
-    InputError
-        If the dataset has no such recording, or another needed one is missing or changed.
-    """
-    folder = Path(folder)
-    dataset = open_dataset(folder, reporter=reporter)
-    try:
-        settings = MeasureSettings.from_dict(dataset.manifest.settings)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError("{}: damaged: {}", folder / MANIFEST, f"{error!r:.200}") from error
+    folder: Path, recordings: Sequence[str | Path], tiles: gpd.GeoDataFrame, fingerprint: str, *,
+    processes: int, reporter: Reporter,
+) -> None:  # fmt: skip
+    """Withdraw recordings from a dataset; see :meth:`gis_radar.Dataset.withdraw`."""
     with writing(folder, reporter):
-        before = Registry.read(folder, dataset.manifest.fingerprint)
+        manifest = Manifest.read(folder)  # others may have written since it was opened
+        settings = _settings(manifest, folder)
+        before = Registry.read(folder, fingerprint)
         gone = [_named(before, each) for each in recordings]
         kept = tuple(each for each in before.entries if each not in gone)
         hours = touched_hours(before.hours, gone, settings.margin)
         poses = before.poses.of(each.pose for each in kept)
         after = replace(before, entries=kept, poses=poses).without_hours(hours)
-        tiles = dataset.tiles().sort_values("tile_id", ignore_index=True)
+        tiles = tiles.sort_values("tile_id", ignore_index=True)
         graph = None
         if settings.vehicles:
             graph = lane_graph(map_of_tiles(folder / MAP, tiles, reporter)[0].lanelets)
         site = HourSite(
-            folder=folder, tiles=tiles, graph=graph, origin=dataset.manifest.origin,
+            folder=folder, tiles=tiles, graph=graph, origin=manifest.origin,
             settings=settings,
             validity_s=validity_by_sensor(after.entries),
         )  # fmt: skip
         change(site, before, after, processes=processes, reporter=reporter)
         sensors = {each.sensor for each in kept}
-        checks = {name: of for name, of in dataset.manifest.checks.items() if name in sensors}
-        if checks != dataset.manifest.checks:
-            replace(dataset.manifest, checks=checks).write(folder)
+        checks = {name: of for name, of in manifest.checks.items() if name in sensors}
+        if checks != manifest.checks:
+            replace(manifest, checks=checks).write(folder)
 
 
-def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET) -> int:
-    """Find recordings of a dataset whose files were moved, by their contents.
+def _settings(manifest: Manifest, folder: Path) -> MeasureSettings:
+    try:
+        return MeasureSettings.from_dict(manifest.settings)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError("{}: damaged: {}", folder / MANIFEST, f"{error!r:.200}") from error
 
-    Parameters
-    ----------
-    folder : str or Path
-        The dataset.
-    search : str or Path
-        A folder; in it and in the folders below, all files with the suffix of a missing recording
-        are compared.
-    reporter : Reporter
-        Receives progress, and a warning for each recording that is not found.
 
-    Returns
-    -------
-    int
-        Number of recordings found.
-
-    Raises
-    ------
-    InputError
-        If there is no such folder.
-    """
-    folder = Path(folder)
+def relink(folder: Path, search: str | Path, fingerprint: str, reporter: Reporter) -> int:
+    """Find recordings that were moved; see :meth:`gis_radar.Dataset.relink`."""
     if not Path(search).is_dir():
         raise InputError("{}: is no folder", search, hint="name one to look for recordings in")
-    dataset = open_dataset(folder, reporter=reporter)
     with writing(folder, reporter):
-        registry = Registry.read(folder, dataset.manifest.fingerprint)
+        registry = Registry.read(folder, fingerprint)
         lost = {each.digest: each for each in registry.entries if not _is_there(each)}
         found: dict[str, Path] = {}
         endings = {Path(each.path).suffix.lower() for each in lost.values()}

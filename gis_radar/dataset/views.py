@@ -13,6 +13,7 @@ from gis_radar.dataset.day_tables import STEPS_PER_QUARTER, days_with
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.parts import part_path
 from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.source import Source
 from gis_radar.dataset.statement import LAYERS
 from gis_radar.dataset.table_schema import TableSchema
 from gis_radar.dataset.tables import (
@@ -24,7 +25,6 @@ from gis_radar.dataset.tables import (
     TILE_COUNTS,
 )
 from gis_radar.dataset.tile_counts import count_keys, read_counts
-from gis_radar.dataset.traffic import Source
 from gis_radar.dataset.units import UNITS
 
 _BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"

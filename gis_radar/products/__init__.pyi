@@ -1,6 +1,5 @@
 from .comparison.comparison import Comparison, compare
 from .comparison.writing import write_comparison
-from .footprints import write_footprints
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
 from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
 from .heatmap.intervals import MapLabels
@@ -13,7 +12,6 @@ from .quality.quality import Quality, measure_quality, require_table_name
 from .report.names import REPORT_FILES
 from .report.report import Report, write_report
 from .traffic import Traffic, make_traffic
-from .trajectories import to_trajectories, track_points
 
 __all__ = [
     "BREAKS",
@@ -39,11 +37,8 @@ __all__ = [
     "publish",
     "read_heatmap",
     "require_table_name",
-    "to_trajectories",
-    "track_points",
     "was_edited",
     "write_comparison",
-    "write_footprints",
     "write_projection",
     "write_qgis_project",
     "write_report",

@@ -34,7 +34,7 @@ def beside_hand_counts(
         writes it in Germany, too: semicolons, Windows-1252, times such as 12.06.2025 07:30.
     lanes, sections : DataFrame
         Our volumes by interval, from :meth:`gis_radar.Dataset.traffic` and
-        :func:`gis_radar.count_sections`.
+        :meth:`gis_radar.Dataset.count_sections`.
     zone : ZoneInfo
         Time zone of the site.
 

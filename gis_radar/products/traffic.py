@@ -30,7 +30,7 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset, count_sections, signal_cycles, with_headways
+from gis_radar.dataset import Dataset
 from gis_radar.measures import TURN_WORDS
 from gis_radar.products.hand_counts import beside_hand_counts
 from gis_radar.products.results_folder import write_results
@@ -83,13 +83,13 @@ class Traffic:
     lanes, turns : GeoDataFrame
         From :meth:`gis_radar.Dataset.traffic` and :meth:`gis_radar.Dataset.turns`.
     sections : GeoDataFrame, optional
-        From :func:`gis_radar.count_sections`.
+        From :meth:`gis_radar.Dataset.count_sections`.
     hand_counts : DataFrame, optional
         Counts by hand beside ours: `place`, `direction`, `begin`, `end`, `volume_by_hand`,
         `volume`, `volume_se`, `difference`, `geh`, `agrees` (within two standard errors of the
         difference; null where ours is missing).
     cycles : DataFrame, optional
-        From :func:`gis_radar.signal_cycles`.
+        From :meth:`gis_radar.Dataset.signal_cycles`.
     """
 
     lanes: gpd.GeoDataFrame
@@ -244,17 +244,18 @@ def make_traffic(
     interval, begin, end, language
         As for :meth:`gis_radar.Dataset.traffic`.
     sections : GeoDataFrame, str or Path, optional
-        Lines across roads, as for :func:`gis_radar.count_sections`.
+        Lines across roads, as for :meth:`gis_radar.Dataset.count_sections`.
     hand_counts : str or Path, optional
         CSV of counts by hand, which are put beside ours: `section` and `direction`, or `lane` (its
         number or name); `begin`, `end`, without a zone by the clocks of the site; `volume`; where
         known `volume_se`, its standard error.
     headways : bool
-        Add headways and gaps to the lanes, as :func:`gis_radar.with_headways` does.
+        Add headways and gaps to the lanes.
     cycles : bool
-        Tell the cycles of signals, as :func:`gis_radar.signal_cycles` does.
+        Tell the cycles of signals, as :meth:`gis_radar.Dataset.signal_cycles` does.
     signals : str or Path, optional
-        CSV of green times, as for :func:`gis_radar.signal_cycles`, whose cycles are then returned.
+        CSV of green times, as for :meth:`gis_radar.Dataset.signal_cycles`, whose cycles are then
+        returned.
     service : {"hcm"}, optional
         Add the column `los` to the lanes: the level of service by this handbook.
 
@@ -267,24 +268,22 @@ def make_traffic(
         If there is no such interval.
     """
     options = {"begin": begin, "end": end, "language": language or current_language()}
-    lanes = dataset.traffic(interval, **options)
+    lanes = dataset.traffic(interval, headways=headways, **options)
     if lanes.empty:
         raise InputError(
             "{}: no lane is observed in that time",
             dataset.folder,
             hint="gis-radar dataset shows from when to when it was measured",
         )
-    there = None if sections is None else count_sections(dataset, sections, interval, **options)
+    there = None if sections is None else dataset.count_sections(sections, interval, **options)
     beside = None
     if hand_counts is not None:
         beside = beside_hand_counts(hand_counts, lanes, there, zone_of(dataset.timezone))
-    if headways:
-        lanes = with_headways(dataset, lanes, interval, begin=begin, end=end)
     if service is not None:
         lanes.insert(lanes.columns.get_loc("stops") + 1, "los", service_levels(lanes, service))
     return Traffic(
         lanes=lanes, turns=dataset.turns(interval, **options), sections=there, hand_counts=beside,
-        cycles=signal_cycles(dataset, signals=signals, **options) if cycles or signals else None,
+        cycles=dataset.signal_cycles(signals=signals, **options) if cycles or signals else None,
     )  # fmt: skip
 
 

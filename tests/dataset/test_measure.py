@@ -125,7 +125,7 @@ def test_the_order_in_which_recordings_come_changes_no_byte(halves, both, tmp_pa
     alone = contents(tmp_path / "site")
     measured(tmp_path / "site", ("R1", halves["R1"]))
     assert contents(tmp_path / "site") == both
-    gr.withdraw(tmp_path / "site", ["R1.parquet"])
+    gr.open_dataset(tmp_path / "site").withdraw(["R1.parquet"])
     assert contents(tmp_path / "site") == alone
 
 

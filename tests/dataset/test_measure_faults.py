@@ -219,7 +219,7 @@ def test_a_dataset_of_a_version_that_listed_its_constants(files, tmp_path):
         error = refused(site, ("R2", files["R2"]), match=line, hits_only=hits_only)
     assert "another version's constants" in error.hint
     assert len(gr.open_dataset(site).hits())
-    gr.withdraw(site, ["R1.parquet"])
+    gr.open_dataset(site).withdraw(["R1.parquet"])
     assert len(gr.open_dataset(site).recordings()) == 0
 
 
@@ -247,7 +247,7 @@ def test_a_recording_that_an_hour_needs_has_gone_or_changed(files, tmp_path):
     assert "--relink" in error.hint
     shutil.copy(files["R2"], moved)
     refused(tmp_path / "site", ("R2", files["R2"]), match="has changed since it was measured")
-    assert gr.relink(tmp_path / "site", tmp_path / "archive") == 1
+    assert gr.open_dataset(tmp_path / "site").relink(tmp_path / "archive") == 1
     assert hits_of(tmp_path / "site", ("R2", files["R2"])).sensors == ["R1", "R2"]
 
 
@@ -257,11 +257,11 @@ def test_a_recording_that_is_not_found_again_is_named(files, tmp_path):
     hits_of(tmp_path / "site", ("R1", moved))
     moved.unlink()
     notes = Listener()
-    assert gr.relink(tmp_path / "site", tmp_path, reporter=notes) == 0
+    assert gr.open_dataset(tmp_path / "site").relink(tmp_path, reporter=notes) == 0
     assert "R1.parquet" in notes.messages[-1][1]
     with pytest.raises(gr.InputError, match="has no recording R7"):
-        gr.withdraw(tmp_path / "site", ["R7.parquet"])
-    gr.withdraw(tmp_path / "site", ["R1.parquet"])  # need not be there
+        gr.open_dataset(tmp_path / "site").withdraw(["R7.parquet"])
+    gr.open_dataset(tmp_path / "site").withdraw(["R1.parquet"])  # need not be there
     assert len(gr.open_dataset(tmp_path / "site").hours()) == 0
 
 
@@ -294,7 +294,7 @@ def test_a_withdrawn_recording_is_gone_from_the_hour_after_it(files, tmp_path):
     hits_of(site, ("R1", early))
     after = "observed/date=2025-06-12/08.parquet"
     assert contents(site)[after] != alone[after]
-    gr.withdraw(site, ["early.parquet"])
+    gr.open_dataset(site).withdraw(["early.parquet"])
     assert contents(site) == alone
 
 
@@ -303,9 +303,9 @@ def test_a_name_that_two_recordings_have_withdraws_neither(files, tmp_path):
     hits_of(tmp_path / "site", ("R1", files["R1"]), ("R1", twin))
     before = contents(tmp_path / "site")
     with pytest.raises(gr.InputError, match=r"has several recordings R1\.parquet"):
-        gr.withdraw(tmp_path / "site", ["R1.parquet"])
+        gr.open_dataset(tmp_path / "site").withdraw(["R1.parquet"])
     assert contents(tmp_path / "site") == before
-    gr.withdraw(tmp_path / "site", [twin])
+    gr.open_dataset(tmp_path / "site").withdraw([twin])
     left = gr.open_dataset(tmp_path / "site").recordings()["path"]
     assert left.tolist() == [files["R1"].as_posix()]
 

@@ -31,7 +31,7 @@ from gis_radar.base import (
     whole_span,
     zone_of,
 )
-from gis_radar.dataset import Dataset, open_dataset
+from gis_radar.dataset import FOOTPRINTS, SHOWN_S, Dataset, footprint_style, open_dataset
 from gis_radar.hdmap import LANES_LAYER, STOP_LINES_LAYER, lane_style
 from gis_radar.measures import sight_of_tiles
 from gis_radar.poses import (
@@ -42,12 +42,6 @@ from gis_radar.poses import (
     read_style,
     read_track,
     write_sensors,
-)
-from gis_radar.products.footprints import (
-    FOOTPRINTS,
-    SHOWN_S,
-    footprint_style,
-    write_footprints,
 )
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.layers import read_own_styles
@@ -93,8 +87,8 @@ def write_qgis_project(
     lanes : str or Path, optional
         GeoPackage with the layers `lanes` and `stop_lines`, as of :func:`gis_radar.write_tiles`.
     footprints : str or Path, optional
-        GeoPackage of :func:`gis_radar.write_footprints`: the project then plays single vehicles,
-        half second by half second.
+        GeoPackage of :meth:`gis_radar.Dataset.write_footprints`: the project then plays single
+        vehicles, half second by half second.
     title : str
         Of the project and the layout; by default the file's name.
     timezone : str
@@ -240,7 +234,7 @@ def _write_footprints(folder: Path, dataset: Dataset | None, reporter: Reporter)
     if dataset is None or not dataset.has_vehicles:
         path.unlink(missing_ok=True)
         return None
-    write_footprints(dataset, path, reporter=reporter)
+    dataset.write_footprints(path, reporter=reporter)
     return path
 
 

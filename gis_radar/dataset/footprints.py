@@ -14,12 +14,10 @@ import pyarrow as pa
 import shapely
 
 from gis_radar.base import (
-    QUIET,
     STEP_S,
     STEP_US,
     TRACK_EVERY_STEPS,
     Floats,
-    InputError,
     Integers,
     Reporter,
     UsageError,
@@ -28,7 +26,8 @@ from gis_radar.base import (
     keep_styles,
     write_stream,
 )
-from gis_radar.dataset import Dataset, states_of
+from gis_radar.dataset.source import Source, require_vehicles
+from gis_radar.dataset.states import states_of
 from gis_radar.tracking import HEAVY, Footprints, PathBook, footprints_of
 
 FOOTPRINTS = "footprints"
@@ -55,37 +54,8 @@ SHOWN_S = EVERY_STEPS * STEP_S  # how long a row is shown
 STANDING_KMH = 5.0  # a slower vehicle is standing: as traffic engineering counts stops
 
 
-def write_footprints(dataset: Dataset, path: str | Path, *, reporter: Reporter = QUIET) -> int:
-    """Write the footprints of single vehicles as a layer, a row for each vehicle and half second.
-
-    It holds tracks of single vehicles, as the dataset does: a working file, not to be published.
-    Memory holds one hour.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        With vehicles, from :func:`gis_radar.open_dataset`.
-    path : str or Path
-        The GeoPackage, layer `footprints`; it appears whole or not at all. QGIS loads its style by
-        itself, in which its temporal controller moves the vehicles.
-    reporter : Reporter
-        Receives progress.
-
-    Returns
-    -------
-    int
-        Number of rows written.
-
-    Raises
-    ------
-    UsageError
-        If the name does not end in `.gpkg`.
-    InputError
-        If vehicles were not looked for.
-    OutputError
-        If the file cannot be written.
-    """
-    path = Path(path)
+def write_footprints(dataset: Source, path: Path, reporter: Reporter) -> int:
+    """Write the footprints of vehicles; see :meth:`gis_radar.Dataset.write_footprints`."""
     if path.suffix.lower() != ".gpkg":
         raise UsageError("{}: footprints are written as GeoPackage", path, hint="end it in .gpkg")
     require_vehicles(dataset)
@@ -101,14 +71,6 @@ def write_footprints(dataset: Dataset, path: str | Path, *, reporter: Reporter =
     return rows.count
 
 
-def require_vehicles(dataset: Dataset) -> None:
-    """Refuse a dataset in which vehicles were not looked for."""
-    if not dataset.has_vehicles:
-        raise InputError(
-            "{}: holds no vehicles", dataset.folder, hint="measure it again, with vehicles"
-        )
-
-
 def footprint_style() -> str:
     """Return the QGIS style of the layer as QML."""
     return (files(__package__) / "footprints.qml").read_text(encoding="utf-8")
@@ -117,7 +79,7 @@ def footprint_style() -> str:
 class _Rows:
     """Rows of the layer in batches, made while the tracks are read; iterable once."""
 
-    def __init__(self, dataset: Dataset, reporter: Reporter) -> None:
+    def __init__(self, dataset: Source, reporter: Reporter) -> None:
         self._dataset, self._reporter = dataset, reporter
         self.count = 0
 

@@ -1,0 +1,87 @@
+"""SQL queries of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.dataset.source import Source
+
+TIMEOUT_S, MEMORY = 60.0, "2GB"  # default limits of a query
+
+
+class SqlQueries:
+    """Methods of a dataset that answer SQL queries."""
+
+    def query(
+        self: Source, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
+    ) -> pd.DataFrame:
+        """Run an SQL query (DuckDB): one SELECT over the tables of all complete hours.
+
+        Columns are those of the files, and those that the other methods return. In the query, times
+        are by the clocks of the site (`hour(begin)`); times of the result are UTC.
+
+        Parameters
+        ----------
+        sql : str
+            The query.
+        timeout_s : float
+            Time limit, seconds.
+        memory : str
+            Memory limit, such as `2GB`.
+
+        Raises
+        ------
+        UsageError
+            If it is no such query, takes too long, or needs too much memory.
+        """
+        from gis_radar.dataset.answers import plain  # noqa: PLC0415 - as below
+
+        with _answer(self, sql, timeout_s, memory) as (schema, batches):
+            rows: pd.DataFrame = plain(pa.Table.from_batches(batches, schema)).to_pandas()
+        return rows
+
+    def write_answer(
+        self: Source,
+        sql: str,
+        path: str | Path,
+        *,
+        timeout_s: float = TIMEOUT_S,
+        memory: str = MEMORY,
+    ) -> int:
+        """Write the answer of :meth:`query` as `.csv` or `.parquet`, and return its row count.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        from gis_radar.dataset.answers import write_answer  # noqa: PLC0415 - as below
+
+        with _answer(self, sql, timeout_s, memory) as answer:
+            return write_answer(*answer, Path(path))
+
+    def first_rows(
+        self: Source, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
+    ) -> tuple[list[dict[str, Any]], int]:
+        """Return the first rows of the answer of :meth:`query`, and the number of all its rows.
+
+        Values are types of JSON, times are text.
+        """
+        from gis_radar.dataset.answers import first_rows  # noqa: PLC0415 - as below
+
+        with _answer(self, sql, timeout_s, memory) as (_, batches):
+            return first_rows(batches, most)
+
+
+def _answer(
+    dataset: Source, sql: str, timeout_s: float, memory: str
+) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:
+    from gis_radar.dataset.queries import run_query  # noqa: PLC0415 - DuckDB, 0.2 s
+
+    return run_query(dataset, sql, timeout_s=timeout_s, memory=memory)
