@@ -225,9 +225,7 @@ class Sensor:
         """Return a radar where it truly stands."""
         folder = gr.sample_folder()
         pose = make_samples.MASTS[mast].pose()
-        mask = gr.mask_road(
-            [folder / "scan.laz"], gr.read_roads(folder / "junction.osm"), engine="laspy"
-        )
+        mask = gr.mask_road([folder / "scan.laz"], folder / "junction.osm", engine="laspy")
         lanes = sample_lanes(
             gr.read_map(folder / "junction.osm").lanelets, mask.points, place=pose.position[:2],
             reach_m=200.0,

@@ -37,6 +37,7 @@ from simulated import sites, true_pose
 import gis_radar as gr
 from gis_radar.base import QUIET
 from gis_radar.dataset.tables import HITS, TRACKS
+from gis_radar.products import write_projection
 from gis_radar.products.heatmap.layers import write_package
 from gis_radar.recordings.recording_file import parquet_options
 
@@ -212,7 +213,7 @@ class Parts:
             pose, recording = true_pose(site, "R1"), site / "R1.parquet"
             path = self.folder / f"{site.name}.parquet"
             roads = gr.read_map(next(site.glob("*.osm")), crs=pose.crs)
-            gr.write_projection(recording, pose, path, roads=roads)
+            write_projection(recording, pose, path, roads=roads)
             times = path.stat().st_size / recording.stat().st_size
             what = f"`project` in GeoParquet with lanes, {site.name}"
             yield aimed(what, times, 2.0, unit="x the recording", chance=SAME)

@@ -34,7 +34,7 @@ CHILD = """
 import sys
 import gis_radar as gr
 layer, *tiles = sys.argv[1:]
-gr.mask_road(tiles, gr.read_roads(layer), engine="laspy").write(layer + ".laz")
+gr.mask_road(tiles, layer, engine="laspy").write(layer + ".laz")
 """
 
 

@@ -21,7 +21,7 @@ from figures import ROOT, SAME, SHARES, TARGET, TIMES, Figure, report
 
 import gis_radar as gr
 from gis_radar.base import Booleans
-from gis_radar.scans import IN_SIGHT, OUT_OF_VIEW
+from gis_radar.scans import IN_SIGHT, OUT_OF_VIEW, SightScan, SightTiles
 from simulation.lanelet_writer import write_lanelets
 from simulation.network import build_network, read_network
 from simulation.roadside import Roadside, furnish
@@ -99,7 +99,7 @@ def town(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[st
     )
     scene = furnish(network, TERRAIN, rng=rng, roadside=roadside)
     write_lanelets(network, folder / "map.osm", terrain=TERRAIN, crs=UTM)
-    tiles = gr.SightTiles.of(gr.make_tiles(gr.read_map(folder / "map.osm")))
+    tiles = SightTiles.of(gr.make_tiles(gr.read_map(folder / "map.osm")))
     poses = [pose for k in (False, True) for pose in masts_of(scene, free=k)]
     targets, walls = tiles.centres + UP, building_walls(scene)
     hidden = [walls.hide(pose.position, targets) for pose in poses]
@@ -118,7 +118,7 @@ def town(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[st
 def levels(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[str, Verdict]]:
     """Yield verdicts of a place with two levels."""
     place = two_levels.draw(number)
-    tiles = gr.SightTiles.of(two_levels.tiles(place))
+    tiles = SightTiles.of(two_levels.tiles(place))
     poses = two_levels.poses(place, number)
     hidden = two_levels.truth(place, poses, tiles.centres)
     for name in scans:
@@ -130,12 +130,10 @@ def levels(number: int, scans: tuple[str, ...], folder: Path) -> Iterator[tuple[
         yield f"two levels, {name}", judge(poses, tiles, path, hidden)
 
 
-def judge(
-    poses: list[gr.Pose], tiles: gr.SightTiles, path: Path, hidden: list[Booleans]
-) -> Verdict:
+def judge(poses: list[gr.Pose], tiles: SightTiles, path: Path, hidden: list[Booleans]) -> Verdict:
     """Return the verdict of one place with one scan, over all its sensors."""
     begin = time.perf_counter()
-    scan = gr.SightScan([path], tiles)
+    scan = SightScan([path], tiles)
     scan.read(poses)
     sights = [gr.find_sight(pose, tiles, scan) for pose in poses]
     seconds = time.perf_counter() - begin

@@ -27,7 +27,7 @@ from .hdmap import (
     read_tiles,
     write_tiles,
 )
-from .live import Edge, Fusion, run_edge, run_fusion
+from .live import run_edge, run_fusion
 from .measures import Filters
 from .poses import (
     Pose,
@@ -35,16 +35,9 @@ from .poses import (
     View,
     read_pose,
     read_track,
-    write_sensors,
 )
 from .products import (
-    Comparison,
-    HeatMap,
     MapLabels,
-    Publication,
-    Quality,
-    Report,
-    Traffic,
     compare,
     make_heatmap,
     make_traffic,
@@ -52,38 +45,23 @@ from .products import (
     project,
     publish,
     read_heatmap,
-    write_comparison,
-    write_projection,
     write_qgis_project,
     write_report,
-    write_site_project,
 )
-from .recordings import Conversion, convert, open_recording
+from .recordings import convert, open_recording
 from .sample import sample_folder
 from .scans import (
-    RoadMask,
-    Roads,
-    Sight,
-    SightScan,
-    SightTiles,
     find_sight,
     mask_road,
     read_road,
-    read_roads,
-    write_sights,
 )
-from .site import Site, SiteCheck, SiteRun, check_site, read_site, run_site, site_template
+from .site import Site, check_site, read_site, run_site
 
 __all__ = [
-    "Comparison",
-    "Conversion",
     "CrsError",
     "Dataset",
-    "Edge",
     "Filters",
-    "Fusion",
     "GisRadarError",
-    "HeatMap",
     "InputError",
     "LaneletMap",
     "MapLabels",
@@ -91,18 +69,7 @@ __all__ = [
     "OutputError",
     "Pose",
     "PoseTrack",
-    "Publication",
-    "Quality",
-    "Report",
-    "RoadMask",
-    "Roads",
-    "Sight",
-    "SightScan",
-    "SightTiles",
     "Site",
-    "SiteCheck",
-    "SiteRun",
-    "Traffic",
     "UsageError",
     "View",
     "check_against_scan",
@@ -127,7 +94,6 @@ __all__ = [
     "read_map",
     "read_pose",
     "read_road",
-    "read_roads",
     "read_site",
     "read_tiles",
     "read_track",
@@ -136,15 +102,9 @@ __all__ = [
     "run_fusion",
     "run_site",
     "sample_folder",
-    "site_template",
     "track",
-    "write_comparison",
-    "write_projection",
     "write_qgis_project",
     "write_report",
-    "write_sensors",
-    "write_sights",
-    "write_site_project",
     "write_tiles",
     "yaw_from_compass",
 ]

@@ -12,7 +12,7 @@ from sites import EAST, NORTH, lane_quads, pose, recording, tiles_of
 import gis_radar as gr
 from gis_radar.dataset import measure
 from gis_radar.poses import View
-from gis_radar.products import make_heatmap
+from gis_radar.products import Report, make_heatmap
 
 FILES = [
     "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",
@@ -83,7 +83,7 @@ def write_whole_run(folder: Path) -> Path:
     return folder
 
 
-def reports_of_whole_run(once) -> dict[str, gr.Report]:
+def reports_of_whole_run(once) -> dict[str, Report]:
     """Return the reports of a whole run in both languages, made once: with the fixture `once`."""
     results = once("whole run", write_whole_run)
 

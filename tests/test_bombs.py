@@ -20,7 +20,7 @@ import gis_radar as gr
 from gis_radar.base import InputError
 from gis_radar.recordings import open_recording, settings, unpacking
 from gis_radar.recordings.readers.pcd import decompress, read_pcd
-from gis_radar.scans import point_store
+from gis_radar.scans import point_store, read_roads
 from gis_radar.scans.cells import squares_with_cells
 
 
@@ -262,12 +262,12 @@ def test_roads_that_fill_a_country(tmp_path, monkeypatch):
     roads = shapely.box(EAST - 300.0, NORTH - 100.0, EAST + 300.0, NORTH + 100.0)
     layer = gpd.GeoDataFrame(geometry=[roads], crs="EPSG:25832")
     layer.to_file(tmp_path / "r.gpkg")
-    mask = gr.mask_road([scan], gr.read_roads(tmp_path / "r.gpkg"), engine="laspy")
+    mask = gr.mask_road([scan], tmp_path / "r.gpkg", engine="laspy")
     cells = mask.cells
     assert cells.missing[:, 2].sum() == cells.area_cells - len(cells.points)
     assert len(cells.missing) < 1.1 * 40 * 15
     monkeypatch.setattr(point_store, "MOST_BLOCKS", 2)
-    few = gr.read_roads(tmp_path / "r.gpkg")
+    few = read_roads(tmp_path / "r.gpkg")
     with pytest.raises(InputError, match=r"r\.gpkg: its roads fill over 2 squares of 256 m"):
         gr.mask_road([scan], few, engine="laspy")
 

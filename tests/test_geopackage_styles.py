@@ -16,6 +16,7 @@ from test_qgis_project import a_pose
 
 import gis_radar as gr
 from gis_radar.base import content_digest
+from gis_radar.poses import write_sensors
 from gis_radar.site import RunState
 
 MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.40\"/>"
@@ -23,7 +24,7 @@ MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis versio
 
 @pytest.fixture
 def path(tmp_path):
-    gr.write_sensors([a_pose()], tmp_path / "sensors.gpkg")
+    write_sensors([a_pose()], tmp_path / "sensors.gpkg")
     return tmp_path / "sensors.gpkg"
 
 
@@ -80,20 +81,20 @@ def test_a_run_takes_it_for_unchanged(path, tmp_path):
 def test_a_style_that_was_saved_survives(path):
     ours = read_styles(path)
     saved(path)
-    gr.write_sensors([a_pose(), a_pose("R2", easting=690400.0)], path)
+    write_sensors([a_pose(), a_pose("R2", easting=690400.0)], path)
     assert read_styles(path) == ours | {"sensors": MINE}
     assert len(gpd.read_file(path, layer="sensors")) == 2
     with closing(sqlite3.connect(path)) as database:
         names = "SELECT styleName FROM layer_styles WHERE f_table_name = 'sensors' ORDER BY id"
         assert [name for (name,) in database.execute(names)] == ["sensor", "mine"]
-    gr.write_sensors([a_pose()], path)  # and again
+    write_sensors([a_pose()], path)  # and again
     assert read_styles(path) == ours | {"sensors": MINE}
 
 
 def test_our_style_that_was_changed_survives(path):
     ours = read_styles(path)
     change(path, ("UPDATE layer_styles SET styleQML = ? WHERE f_table_name = 'views'", (MINE,)))
-    gr.write_sensors([a_pose()], path)
+    write_sensors([a_pose()], path)
     assert read_styles(path) == ours | {"views": MINE}
 
 
@@ -110,7 +111,7 @@ def test_styles_of_heat_maps_survive(tmp_path, without_picture):
 def test_a_file_that_is_no_geopackage_is_replaced(path):
     shutil.copy(gr.sample_folder() / "junction.osm", path)
     assert content_digest(path) is None
-    gr.write_sensors([a_pose()], path)
+    write_sensors([a_pose()], path)
     assert shapely.get_x(gpd.read_file(path, layer="sensors").geometry[0]) == 690360.0
 
 
@@ -134,14 +135,14 @@ def test_a_file_that_another_program_writes_is_not_replaced(path, monkeypatch, k
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdout.readline() == b"begun\n"
         with pytest.raises(gr.OutputError, match=r"sensors\.gpkg: another program has") as caught:
-            gr.write_sensors([a_pose()], path)
+            write_sensors([a_pose()], path)
         writer.stdin.close()
     assert "\n" not in str(caught.value)
     assert [each.name for each in path.parent.iterdir()] == ["sensors.gpkg"]
     with closing(sqlite3.connect(path)) as database:
         names = {row[0] for row in database.execute("SELECT styleName FROM layer_styles")}
     assert names == {"of a moment"}
-    gr.write_sensors([a_pose()], path)  # now it goes
+    write_sensors([a_pose()], path)  # now it goes
     assert read_styles(path)["sensors"] == MINE
 
 
@@ -151,6 +152,6 @@ def test_a_file_that_another_program_only_reads_is_replaced(path):
         reader.execute("PRAGMA journal_mode = wal")
         rows = reader.execute("SELECT * FROM sensors")
         assert rows.fetchone()
-        gr.write_sensors([a_pose(sensor="R7")], path)
+        write_sensors([a_pose(sensor="R7")], path)
         rows.close()
     assert gpd.read_file(path, layer="sensors")["sensor"].tolist() == ["R7"]

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from test_mask_engines import agree
 
 import gis_radar as gr
+from gis_radar.scans import read_roads
 
 ALS = SHARED / "als"
 IGN = tuple(sorted(ALS.glob("test_data_*.laz")))
@@ -43,7 +44,7 @@ def ign_roads(tmp_path_factory):
     parts = [part for part in shapely.get_parts(area) if part.area > 200.0]
     path = tmp_path_factory.mktemp("ign") / "roads.gpkg"
     gpd.GeoDataFrame(geometry=parts, crs="EPSG:2154").to_file(path)
-    return gr.read_roads(path)
+    return read_roads(path)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +113,7 @@ def test_engines_agree_on_a_city(ign_roads, ign_mask, pdal):
 
 @needs_amsterdam
 def test_amsterdam_with_the_city_s_polygons(tmp_path):
-    roads = gr.read_roads(CITY, map_crs="EPSG:28992")
+    roads = read_roads(CITY, map_crs="EPSG:28992")
     mask = gr.mask_road(AMSTERDAM, roads, engine="laspy", scan_crs="EPSG:28992")
     assert mask.roads.crs.to_string() == "EPSG:28992"
     assert 0.55 < mask.figures()["outside_share"] < 0.65
@@ -129,7 +130,7 @@ def test_amsterdam_with_the_city_s_polygons(tmp_path):
 @cache
 def masked(town):
     """The road mask of a town, by the built-in engine; only to be read."""
-    roads = gr.read_roads(SHARED / town / "map.osm")
+    roads = read_roads(SHARED / town / "map.osm")
     return gr.mask_road([SHARED / town / "als.laz"], roads, engine="laspy")
 
 
@@ -148,7 +149,7 @@ def test_towns(town):
 
 @needs_town("town02")
 def test_engines_agree_on_a_town(pdal):
-    roads = gr.read_roads(SHARED / "town02" / "map.osm")
+    roads = read_roads(SHARED / "town02" / "map.osm")
     scan = SHARED / "town02" / "als.laz"
     agree(masked("town02"), gr.mask_road([scan], roads, engine="pdal"))
 

@@ -20,7 +20,7 @@ import gis_radar as gr
 from gis_radar import cli
 from gis_radar.base import OFFLINE, CrsError, InputError, go_offline, opened_package, read_vector
 from gis_radar.products.heatmap.layers import read_package
-from gis_radar.scans import SightFile
+from gis_radar.scans import SightFile, read_roads
 
 BOX = shapely.box(EAST, NORTH, EAST + 60, NORTH + 8)
 
@@ -76,7 +76,7 @@ NAMES = ("roads.gpkg", "roads.geojson", "roads.json", "roads.shp", "roads.fgb", 
 def test_no_map_calls_the_network(server, tmp_path, kind, name):
     (tmp_path / name).write_text(HOSTILE[kind](server.url))
     with pytest.raises(InputError) as caught:
-        gr.read_roads(tmp_path / name)
+        read_roads(tmp_path / name)
     with pytest.raises(InputError, match=name):
         read_vector(tmp_path / name, what="layer of streets", columns=None)
     assert server.seen == []
@@ -104,7 +104,7 @@ def test_a_virtual_layer_opens_no_other_file(tmp_path):
     gpd.GeoDataFrame(geometry=[BOX], crs=UTM).to_file(tmp_path / "other.gpkg", layer="tiles")
     (tmp_path / "roads.gpkg").write_text(virtual(tmp_path / "other.gpkg"))
     with pytest.raises(InputError, match=r"roads\.gpkg"):
-        gr.read_roads(tmp_path / "roads.gpkg")
+        read_roads(tmp_path / "roads.gpkg")
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_a_geopackage_whose_crs_is_an_address(server, tmp_path):
             (f"{server.url}/crs",),
         )
     with pytest.raises(CrsError, match="no coordinate system"):
-        gr.read_roads(path)
+        read_roads(path)
     assert server.seen == []
 
 
@@ -177,7 +177,7 @@ def test_polygons_of_each_format_are_read(tmp_path, suffix):
     degrees = suffix.endswith("json")
     driver = "GeoJSON" if degrees else None
     (table.to_crs(4326) if degrees else table).to_file(path, driver=driver)
-    roads = gr.read_roads(path)
+    roads = read_roads(path)
     assert roads.crs.to_string() == "EPSG:25832"
     assert roads.area.area == pytest.approx(BOX.buffer(1).area, rel=1e-4)
 
@@ -186,7 +186,7 @@ def test_polygons_of_each_format_are_read(tmp_path, suffix):
 def test_geojson_of_a_named_crs(tmp_path, crs):
     path = tmp_path / "roads.geojson"
     path.write_text(geojson({"type": "name", "properties": {"name": crs}}))
-    roads = gr.read_roads(path)
+    roads = read_roads(path)
     assert roads.crs.to_string() == "EPSG:25832"
     assert roads.area.area == pytest.approx(480.0)
 
@@ -195,7 +195,7 @@ def test_gml_is_named_as_no_format_and_nothing_is_put_beside_it(tmp_path):
     path = tmp_path / "roads.gml"
     path.write_text('<gml:FeatureCollection xmlns:gml="http://www.opengis.net/gml"/>')
     with pytest.raises(InputError, match=r"roads\.gml: .* format is not known") as caught:
-        gr.read_roads(path)
+        read_roads(path)
     assert "GeoPackage" in caught.value.hint
     assert [each.name for each in tmp_path.iterdir()] == ["roads.gml"]
 
@@ -249,4 +249,4 @@ def test_commands_and_their_workers_are_offline(monkeypatch):
 
 
 def test_a_map_with_a_lanelet_is_still_read(tmp_path):
-    assert gr.read_roads(write_road(tmp_path / "map.osm")).area.area > 0.0
+    assert read_roads(write_road(tmp_path / "map.osm")).area.area > 0.0

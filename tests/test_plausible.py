@@ -12,6 +12,7 @@ from pyproj import CRS
 
 import gis_radar as gr
 from gis_radar.base import CrsError, InputError
+from gis_radar.products import write_projection
 
 POSE = gr.Pose(
     sensor="R1", crs=gr.read_pose(gr.sample_folder() / "R1.json").crs, easting=EAST - 5.0,
@@ -47,7 +48,7 @@ def test_a_recording_in_millimetres_is_refused(tmp_path, tiles, unit):
     path = recording(tmp_path / "R1.parquet", scale=unit)
     for use in (
         lambda: measured([path], [POSE], tiles, tmp_path / "o"),
-        lambda: gr.write_projection(path, POSE, tmp_path / "h.gpkg"),
+        lambda: write_projection(path, POSE, tmp_path / "h.gpkg"),
     ):
         with pytest.raises(InputError, match=r"R1\.parquet: half of the .* beyond any radar"):
             use()
@@ -89,7 +90,7 @@ def test_detections_are_placed_by_poses_on_earth_only(tmp_path, easting, northin
     pose = replace(POSE, easting=easting, northing=northing)
     path = recording(tmp_path / "R1.parquet")
     with pytest.raises(CrsError, match=r"pose of R1: .*far outside the area"):
-        gr.write_projection(path, pose, tmp_path / "h.gpkg")
+        write_projection(path, pose, tmp_path / "h.gpkg")
 
 
 @pytest.fixture

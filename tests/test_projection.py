@@ -317,7 +317,7 @@ def test_a_file_is_hardly_larger_than_the_recording(tmp_path, noise_m):
         noise = np.random.default_rng(4).normal(0.0, noise_m, (len(recorded), len(names)))
         recorded[names] = (recorded[names] + noise).astype(np.float32)
         recorded.to_parquet(recording, compression="zstd")
-    gr.write_projection(recording, known, path := tmp_path / "hits.parquet", roads=roads)
+    write_projection(recording, known, path := tmp_path / "hits.parquet", roads=roads)
     assert path.stat().st_size < 2.0 * recording.stat().st_size
     read = gpd.read_parquet(path)
     exact = gr.project(recording, known)

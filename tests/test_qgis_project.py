@@ -18,7 +18,8 @@ from maps import Listener
 import gis_radar as gr
 from gis_radar.base import LANGUAGES, metric_crs, moved_position, translated
 from gis_radar.dataset import measure
-from gis_radar.poses import ellipse
+from gis_radar.poses import ellipse, write_sensors
+from gis_radar.products import write_site_project
 from gis_radar.products.heatmap import style
 from gis_radar.products.qgis.project_xml import TimeRange, fit_box, map_clock
 
@@ -71,7 +72,7 @@ def test_the_ellipse_holds_95_percent():
 def test_layers_of_sensors(tmp_path):
     path = tmp_path / "sensors.gpkg"
     known = a_pose("R1", evidence={"sigma": SIGMA, "fitness": 0.9, "method": "lane"})
-    gr.write_sensors([known, a_pose("R2", easting=690400.0)], path)
+    write_sensors([known, a_pose("R2", easting=690400.0)], path)
     points = gpd.read_file(path, layer="sensors")
     assert list(points["sensor"]) == ["R1", "R2"]
     assert points.geometry[1].x == 690400.0
@@ -85,7 +86,7 @@ def test_layers_of_sensors(tmp_path):
 
 
 def test_no_sensor_is_known_exactly(tmp_path):
-    gr.write_sensors([a_pose()], tmp_path / "s.gpkg")
+    write_sensors([a_pose()], tmp_path / "s.gpkg")
     assert gpd.read_file(tmp_path / "s.gpkg", layer="uncertainty").empty
 
 
@@ -100,7 +101,7 @@ def test_no_sensor_is_known_exactly(tmp_path):
 )
 def test_sensors_that_are_refused(tmp_path, poses, name, error):
     with pytest.raises(error):
-        gr.write_sensors(poses, tmp_path / name)
+        write_sensors(poses, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -118,7 +119,7 @@ def results(tmp_path_factory):
         [sample / "R1.parquet"], [known], tiles, None, folder / "dataset", hits_only=True
     )
     gr.make_heatmap(dataset, interval="20s").write(folder / "heatmap")
-    gr.write_site_project(folder)
+    write_site_project(folder)
     return folder
 
 
@@ -129,7 +130,7 @@ def read_project(path):
 
 
 def test_a_project_of_a_site(results):
-    assert gr.write_site_project(results, title="Knoten 7") == [
+    assert write_site_project(results, title="Knoten 7") == [
         results / "sensors.gpkg",
         results / "sight.gpkg",
         results / "site.qgz",
@@ -237,7 +238,7 @@ def test_a_sheet_ends_with_what_was_recorded_and_not_with_its_last_interval(resu
 
 
 def test_layers_without_features_are_in_no_legend(results, tmp_path):
-    gr.write_sensors([a_pose()], tmp_path / "sensors.gpkg")  # no sigma: no ellipse
+    write_sensors([a_pose()], tmp_path / "sensors.gpkg")  # no sigma: no ellipse
     gr.write_qgis_project(
         tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=tmp_path / "sensors.gpkg"
     )
@@ -271,21 +272,21 @@ def test_the_map_on_the_sheet_holds_all_in_its_shape(west, south, wide, high):
 def test_a_project_that_somebody_edited_stays(results, tmp_path):
     folder = shutil.copytree(results, tmp_path / "site")
     project, second = folder / "site.qgz", folder / "site_2.qgz"
-    gr.write_site_project(folder, title="Mine")  # nobody has touched it: written anew
+    write_site_project(folder, title="Mine")  # nobody has touched it: written anew
     with zipfile.ZipFile(project) as archive:
         text = archive.read("site.qgs").replace(b"Mine", b"Edited")
     with zipfile.ZipFile(project, "w") as archive:  # as QGIS saves it
         archive.writestr("site.qgs", text)
     edited, heard = project.read_bytes(), Listener()
     for title in ("New", "Newer"):
-        assert gr.write_site_project(folder, title=title, reporter=heard)[-1] == second
+        assert write_site_project(folder, title=title, reporter=heard)[-1] == second
         assert read_project(second).findtext("title") == title
     assert project.read_bytes() == edited
     assert "site.qgz was edited" in str(heard.messages)
     with pytest.raises(gr.OutputError, match="edited"):
         gr.write_qgis_project(project, heatmap=folder / "heatmap")
     second.write_bytes(b"no archive")
-    assert gr.write_site_project(folder)[-1].name == "site_3.qgz"
+    assert write_site_project(folder)[-1].name == "site_3.qgz"
     assert second.read_bytes() == b"no archive"
     assert project.read_bytes() == edited
 

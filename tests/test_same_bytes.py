@@ -10,6 +10,7 @@ import pytest
 
 import gis_radar as gr
 from gis_radar.base import FILE_DATE
+from gis_radar.products import write_projection
 
 COMMANDS = [
     "tiles map.osm --road road.laz --streets streets.gpkg -o {}.gpkg",
@@ -71,7 +72,7 @@ def test_footprints_are_the_same_bytes_twice(places):
 def test_scans_are_of_one_day(places, tmp_path):
     """Two runs of one day would be the same all the same."""
     pose = gr.read_pose(places[0] / "R1.json")
-    gr.write_projection(places[0] / "R1.parquet", pose, tmp_path / "points.laz")
+    write_projection(places[0] / "R1.parquet", pose, tmp_path / "points.laz")
     for path in (tmp_path / "points.laz", places[0] / "road.laz"):
         with laspy.open(path) as reader:
             assert reader.header.creation_date == FILE_DATE, path

@@ -15,7 +15,7 @@ from scans import EAST, NORTH, UTM, box_roads, ground, level, write_points
 
 import gis_radar as gr
 from gis_radar.base import CrsError, GisRadarError, InputError, UsageError, transformer
-from gis_radar.scans import open_scan
+from gis_radar.scans import open_scan, read_roads
 from gis_radar.scans.scan import days_flown
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
@@ -105,9 +105,9 @@ def test_national_systems(tmp_path, epsg):
     zone = CRS.from_epsg(25831 if epsg != 31468 else 25832)
     layer = gpd.GeoDataFrame(geometry=[shapely.segmentize(shape, 5.0)], crs=national)
     layer.to_file(tmp_path / "roads.gpkg")
-    own = gr.mask_road([tmp_path / "s.laz"], gr.read_roads(tmp_path / "roads.gpkg"), engine="laspy")
+    own = gr.mask_road([tmp_path / "s.laz"], read_roads(tmp_path / "roads.gpkg"), engine="laspy")
     moved = gr.mask_road(
-        [tmp_path / "s.laz"], gr.read_roads(tmp_path / "roads.gpkg", crs=zone), engine="laspy"
+        [tmp_path / "s.laz"], read_roads(tmp_path / "roads.gpkg", crs=zone), engine="laspy"
     )
     assert own.figures()["crs"] == f"EPSG:{epsg}"
     assert moved.points_on_road == pytest.approx(own.points_on_road, rel=0.002)
@@ -121,13 +121,13 @@ def test_degrees_become_utm(tmp_path, scan):
         geometry=[shapely.box(EAST, NORTH, EAST + 60, NORTH + 8)], crs=UTM
     ).to_crs(4326)
     layer.to_file(tmp_path / "roads.geojson")
-    roads = gr.read_roads(tmp_path / "roads.geojson")
+    roads = read_roads(tmp_path / "roads.geojson")
     assert roads.crs.to_string() == "EPSG:25832"
     assert mask(scan, roads).covered > 0.9
 
 
 def test_a_lanelet_map(tmp_path, scan):
-    roads = gr.read_roads(write_road(tmp_path / "map.osm"))
+    roads = read_roads(write_road(tmp_path / "map.osm"))
     assert roads.area.area == pytest.approx(60.0, rel=0.01)
     assert mask(scan, roads).covered > 0.9
 
@@ -137,10 +137,10 @@ def test_a_table_of_polygons(tmp_path):
     for name, text in (("wkt", shapely.Polygon(ring).wkt), ("rings", str(ring))):
         path = tmp_path / f"{name}.csv"
         path.write_text(f'kind,shape\nroad,"{text}"\n')
-        assert gr.read_roads(path, map_crs=28992).area.area == pytest.approx(81.0)
-        refused(lambda p=path: gr.read_roads(p), "no coordinate system", error=CrsError)
+        assert read_roads(path, map_crs=28992).area.area == pytest.approx(81.0)
+        refused(lambda p=path: read_roads(p), "no coordinate system", error=CrsError)
     (tmp_path / "none.csv").write_text("a,b\n1,2\n")
-    refused(lambda: gr.read_roads(tmp_path / "none.csv"), "no column of polygons")
+    refused(lambda: read_roads(tmp_path / "none.csv"), "no column of polygons")
 
 
 def write_layer(path, *shapes, crs=UTM, **options):
@@ -151,7 +151,7 @@ def write_layer(path, *shapes, crs=UTM, **options):
 def test_polygons_that_can_be_mended_are(tmp_path):
     touching = shapely.Polygon([(0, 0), (4, 0), (4, 4), (2, 0), (0, 4)])
     listener = Listener()
-    roads = gr.read_roads(write_layer(tmp_path / "r.gpkg", touching), reporter=listener)
+    roads = read_roads(write_layer(tmp_path / "r.gpkg", touching), reporter=listener)
     assert roads.area.area == pytest.approx(touching.area)
     assert any("1 polygons mended" in text for _, text in listener.messages)
 
@@ -159,28 +159,28 @@ def test_polygons_that_can_be_mended_are(tmp_path):
 def test_polygons_that_cannot_are_refused(tmp_path):
     bow_tie = shapely.Polygon([(0, 0), (4, 4), (4, 0), (0, 4)])
     path = write_layer(tmp_path / "bow.gpkg", shapely.box(9, 9, 10, 10), bow_tie)
-    refused(lambda: gr.read_roads(path), "bow.gpkg", "polygon 1", "Self-intersection")
+    refused(lambda: read_roads(path), "bow.gpkg", "polygon 1", "Self-intersection")
     flat = write_layer(tmp_path / "flat.gpkg", shapely.Polygon([(0, 0), (1, 0), (2, 0)]))
-    refused(lambda: gr.read_roads(flat), "flat.gpkg", "invalid")
+    refused(lambda: read_roads(flat), "flat.gpkg", "invalid")
     line = write_layer(tmp_path / "line.gpkg", shapely.LineString([(0, 0), (1, 0)]))
-    refused(lambda: gr.read_roads(line), "LineString", "polygons")
+    refused(lambda: read_roads(line), "LineString", "polygons")
     empty = write_layer(tmp_path / "empty.gpkg", shapely.Polygon(), shapely.Polygon())
-    refused(lambda: gr.read_roads(empty), "nothing", "polygons")
+    refused(lambda: read_roads(empty), "nothing", "polygons")
     with pytest.warns(UserWarning, match="'crs' was not provided"):
         bare = write_layer(tmp_path / "bare.gpkg", shapely.box(0, 0, 1, 1), crs=None)
-    refused(lambda: gr.read_roads(bare), "bare.gpkg", "--map-crs", error=CrsError)
+    refused(lambda: read_roads(bare), "bare.gpkg", "--map-crs", error=CrsError)
     (tmp_path / "text.gpkg").write_text("no")
-    refused(lambda: gr.read_roads(tmp_path / "text.gpkg"), "text.gpkg")
-    refused(lambda: gr.read_roads(tmp_path / "gone.gpkg"), "gone.gpkg: no such file")
+    refused(lambda: read_roads(tmp_path / "text.gpkg"), "text.gpkg")
+    refused(lambda: read_roads(tmp_path / "gone.gpkg"), "gone.gpkg: no such file")
     wide = write_layer(tmp_path / "wide.gpkg", shapely.box(0, 0, 1e6, 1e6))
-    refused(lambda: gr.read_roads(wide), "1000 km")
+    refused(lambda: read_roads(wide), "1000 km")
 
 
 def test_of_several_layers_one_is_chosen(tmp_path):
     for name, side in (("streets", 5.0), ("parks", 7.0)):
         write_layer(tmp_path / "city.gpkg", shapely.box(0, 0, side, side), layer=name)
-    refused(lambda: gr.read_roads(tmp_path / "city.gpkg"), "streets, parks", "--layer")
-    assert gr.read_roads(tmp_path / "city.gpkg", layer="streets").area.area == 25.0
+    refused(lambda: read_roads(tmp_path / "city.gpkg"), "streets, parks", "--layer")
+    assert read_roads(tmp_path / "city.gpkg", layer="streets").area.area == 25.0
 
 
 def damaged(path, target, at, value, form="<Q"):
@@ -257,7 +257,7 @@ def test_the_shared_scans_with_faults(tmp_path):
     path = write_layer(
         tmp_path / "r.gpkg", shapely.box(east, north, east + 50, north + 50), crs=2154
     )
-    found = mask(bare, gr.read_roads(path), scan_crs="EPSG:2154")
+    found = mask(bare, read_roads(path), scan_crs="EPSG:2154")
     assert found.points_on_road == found.points_in
 
 

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 import gis_radar as gr
 from gis_radar.base import InputError
-from gis_radar.site import Site
+from gis_radar.site import Site, site_template
 from gis_radar.site.settings import site_reference
 from gis_radar.site.values import Name, lines_of, table_of
 
@@ -198,7 +198,7 @@ def found(raw, path=()):
 
 
 def test_the_template_holds_every_key_and_its_values_fit(read, tmp_path):
-    template = gr.site_template()
+    template = site_template()
     assert {("map", "file"), ("sensor", "guess")} <= set(found(tomllib.loads(template)))
     # Without the # before keys and tables, all that a site file may say.
     whole = re.sub(r"^# (?=\[|[a-z_]+ = )", "", template, flags=re.MULTILINE)

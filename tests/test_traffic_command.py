@@ -16,6 +16,7 @@ from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
+from gis_radar.products import Traffic
 from gis_radar.products.traffic_picture import mean_turns
 from simulation.sumo import run as run_sumo
 
@@ -238,7 +239,7 @@ def test_a_dataset_of_hits_alone_is_refused(run, tmp_path):
 
 def test_the_same_in_python(dataset, tmp_path):
     made = gr.make_traffic(dataset, interval="1h")
-    assert isinstance(made, gr.Traffic)
+    assert isinstance(made, Traffic)
     assert made.lanes["name"].iloc[0].startswith("=Ring eastbound")
     made.write(tmp_path / "one", language="de")
     made.write(tmp_path / "two", language="de")

@@ -9,6 +9,7 @@ from maps import Listener
 from pyproj import CRS
 
 import gis_radar as gr
+from gis_radar.scans import SightScan, SightTiles, write_sights
 from gis_radar.tracking import hour_blocks
 from gis_radar.tracking.batches import joined_rows
 from gis_radar.tracking.map_check import describe_map
@@ -198,10 +199,10 @@ def test_another_map_is_refused(site, tmp_path):
 
 def test_a_file_of_sight_stands_for_the_scan(site, tmp_path):
     tiles, folder = site
-    road = gr.SightTiles.of(tiles)
-    scan = gr.SightScan([SAMPLE / "scan.laz"], road)
+    road = SightTiles.of(tiles)
+    scan = SightScan([SAMPLE / "scan.laz"], road)
     pose = gr.read_pose(SAMPLE / "R1.json")
-    gr.write_sights([gr.find_sight(pose, road, scan)], tiles, folder / "sight.gpkg")
+    write_sights([gr.find_sight(pose, road, scan)], tiles, folder / "sight.gpkg")
     given = [tmp_path / "R1.parquet"]
     begin_of(SAMPLE / "R1.parquet", 3.0).to_parquet(given[0], index=False)
     by_file = found(site, "by-file", given, sight=folder / "sight.gpkg")

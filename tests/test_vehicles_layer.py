@@ -16,6 +16,7 @@ from shapely.affinity import rotate, translate
 
 import gis_radar as gr
 from gis_radar.dataset import footprint_style
+from gis_radar.products import write_site_project
 
 CARS = pd.concat(
     [
@@ -127,7 +128,7 @@ def test_the_project_of_a_site_plays_vehicles_only_where_asked(tmp_path):
     dataset = driven(tmp_path / "dataset", straight_tiles(), CARS)
     gr.make_heatmap(dataset, interval="1s").write(tmp_path / "heatmap")
     for asked in (True, False):
-        made = [path.name for path in gr.write_site_project(tmp_path, footprints=asked)]
+        made = [path.name for path in write_site_project(tmp_path, footprints=asked)]
         assert ("footprints.gpkg" in made) == asked
         assert (tmp_path / "footprints.gpkg").exists() == asked
         with zipfile.ZipFile(tmp_path / "site.qgz") as archive:

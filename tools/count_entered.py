@@ -20,6 +20,7 @@ from types import FrameType
 from typing import Any
 
 import gis_radar as gr
+from gis_radar.scans import read_roads
 
 PACKAGE = str(Path(gr.__file__).parent)
 
@@ -57,7 +58,7 @@ def main(folder: Path) -> None:
     recording, pose = sample / "R1.parquet", gr.read_pose(sample / "R1.json")
     roads = gr.read_map(sample / "junction.osm")
     tiles = gr.make_tiles(roads)
-    area = gr.read_roads(sample / "junction.osm")
+    area = read_roads(sample / "junction.osm")
     gr.mask_road([sample / "scan.laz"], area, engine="laspy").write(folder / "road.laz")
     road = gr.read_road(folder / "road.laz", roads.crs)
     place = (pose.easting, pose.northing)

@@ -97,7 +97,7 @@ def _at_site(site: Path, options: argparse.Namespace) -> list[Trial]:
     osm, scan = next(site.glob("*.osm")), next(site.glob("*.laz"))
     link(osm, folder / "map.osm")
     if not (folder / "road.npy").exists():
-        mask = gr.mask_road([scan], gr.read_roads(osm), engine="laspy")
+        mask = gr.mask_road([scan], osm, engine="laspy")
         np.save(folder / "road.npy", mask.points)
     names = sorted(path.stem for path in site.glob("R*.parquet"))
     for name in names:

@@ -17,6 +17,7 @@ from street_plans import NO_TURNS, StreetPlan
 
 import gis_radar as gr
 from gis_radar.base import Floats
+from gis_radar.scans import read_roads
 from simulation.demand import KINDS, VehicleKind, random_flows
 from simulation.driving import LaneKeeping
 from simulation.lanelet_writer import write_lanelets
@@ -101,7 +102,7 @@ class Place:
         scan = fly(self.scene, rng=np.random.default_rng([seed, 3]))
         with tempfile.TemporaryDirectory() as scratch:
             write_scan(scan, Path(scratch) / "scan.laz", crs=UTM, flown=date(2026, 3, 14))
-            roads = gr.read_roads(folder / "map.osm")
+            roads = read_roads(folder / "map.osm")
             mask = gr.mask_road([Path(scratch) / "scan.laz"], roads, engine="laspy")
         np.save(folder / "road.npy", mask.points)
 

@@ -164,7 +164,8 @@ def localize(
     view : View, optional
         The view of the sensor, which goes into the pose.
     figure : str or Path, optional
-        Draw the traces over lanes and scan into this PNG, as :meth:`Localization.draw`.
+        Draw the traces over lanes and scan into this PNG, as
+        :meth:`gis_radar.calibration.Localization.draw` does.
     reporter : Reporter
         Receives progress and remarks.
 

@@ -117,7 +117,7 @@ def compare(
         language=language,
     )  # fmt: skip
     with csv_for(csv_locale):
-        outputs = gr.write_comparison(found, output, language=language, reporter=reporter)
+        outputs = found.write(output, language=language, reporter=reporter)
     return Result(outputs=outputs, summary=found.figures(), timezone=first.timezone)
 
 

@@ -147,5 +147,7 @@ def project(
     if map_path is not None:
         crs = track.poses[0].crs
         roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
-    count = gr.write_projection(recording, track, output, roads=roads, reporter=reporter)
+    from gis_radar.products import write_projection  # noqa: PLC0415 - --help needs no NumPy
+
+    count = write_projection(recording, track, output, roads=roads, reporter=reporter)
     return Result(outputs=[output], summary={"points": count})

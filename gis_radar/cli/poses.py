@@ -165,7 +165,9 @@ def track(
 def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Result:
     """Write sensors as layers of a map: points, views, uncertainty (GeoPackage)."""
     found = [gr.read_track(path).poses[-1] for path in poses]
-    gr.write_sensors(found, output)
+    from gis_radar.poses import write_sensors  # noqa: PLC0415 - --help needs no NumPy
+
+    write_sensors(found, output)
     reporter.progress("writing sensors", len(found), len(found))
     return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
 

@@ -16,13 +16,19 @@ from gis_radar.cli.options import FILE, csv_locale, language, output, template
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
 
 
+def _site_template() -> str:
+    from gis_radar.site import site_template  # noqa: PLC0415 - --help needs no NumPy
+
+    return site_template()
+
+
 @command(example="gis-radar run SITE.toml -o results")
 @click.argument("site", metavar="SITE.toml", type=FILE)
 @output
 @click.option("--jobs", type=int, help="Stages at once; by default as cores and memory allow.")
 @click.option("--fresh", is_flag=True, help="Do all again, also what an earlier run has done.")
 @template(
-    lambda: gr.site_template(),  # noqa: PLW0108 - --help needs no NumPy
+    _site_template,
     "Print a site file to fill in, and do nothing else.",
 )
 def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Result:

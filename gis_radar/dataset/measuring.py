@@ -136,7 +136,7 @@ def measure(
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
     sight : str or Path, optional
-        A file of :func:`gis_radar.write_sights`, in place of scans.
+        A file of :func:`gis_radar.scans.write_sights`, in place of scans.
     sight_cache : str or Path, optional
         A folder in which the sights of the poses by the scans are kept for other calls.
     filters : Filters, optional

@@ -10,7 +10,7 @@ import geopandas as gpd
 from pyproj import CRS
 
 from gis_radar.base import QUIET, Reporter, card, name_of
-from gis_radar.hdmap.lanes import lane_table, stop_line_table
+from gis_radar.hdmap.lanes import find_stop_lines, make_lanes
 
 REPAIRED, LEFT_OUT, DOUBTFUL = "repaired", "left out", "doubtful"  # actions of problems
 
@@ -105,7 +105,7 @@ class LaneletMap:
         >>> lanes = gr.read_map(gr.sample_folder() / "junction.osm").lanes()
         >>> lanes[["lane", "direction", "turn"]].head(2)  # doctest: +SKIP
         """
-        return lane_table(
+        return make_lanes(
             self.lanelets, self.regulatory, streets=streets, street_field=street_field,
             reporter=reporter,
         )  # fmt: skip
@@ -123,7 +123,7 @@ class LaneletMap:
             and `lane_m` along the lane, metres; `sign` (such as `de294`; empty where none); the
             line.
         """
-        return stop_line_table(self.lanelets, self.regulatory)
+        return find_stop_lines(self.lanelets, self.regulatory)
 
     def __repr__(self) -> str:
         shown = self.figures()

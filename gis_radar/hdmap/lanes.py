@@ -142,7 +142,7 @@ def lane_numbers(lanelets: gpd.GeoDataFrame) -> dict[int, int]:
     return {ref: min(chain) for chain in lane_chains(lanelets) for ref in chain}
 
 
-def lane_table(
+def make_lanes(
     lanelets: gpd.GeoDataFrame,
     regulatory: gpd.GeoDataFrame,
     *,
@@ -161,7 +161,7 @@ def lane_table(
         )
     lines = [_centre_line([table.at[ref, "centre"] for ref in chain]) for chain in chains]
     turns = _lane_turns(chains, table, after)
-    stops = stop_line_table(lanelets, regulatory)
+    stops = find_stop_lines(lanelets, regulatory)
     stop_m = dict(zip(stops["lane"], stops["lane_m"], strict=True))
     result = gpd.GeoDataFrame(
         {
@@ -265,7 +265,7 @@ def turn_word(turned: float) -> str:
 # Stop lines.
 
 
-def stop_line_table(lanelets: gpd.GeoDataFrame, regulatory: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+def find_stop_lines(lanelets: gpd.GeoDataFrame, regulatory: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     """Return the stop lines of a map; see :meth:`gis_radar.LaneletMap.stop_lines`."""
     table = _by_id(lanelets)
     before: dict[int, tuple[int, float]] = {}

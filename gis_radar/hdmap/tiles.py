@@ -87,8 +87,8 @@ def make_tiles(
     -------
     GeoDataFrame
         A row a tile in the order of (lanelet_id, index), with the columns `TILE_COLUMNS`, `lane`
-        (the number of its lane, as :meth:`LaneletMap.lanes` has it) and the CRS. `height_m` is NaN
-        where neither map nor road has heights.
+        (the number of its lane, as :meth:`gis_radar.LaneletMap.lanes` has it) and the CRS.
+        `height_m` is NaN where neither map nor road has heights.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def write_tiles(
     problems : GeoDataFrame, optional
         As :attr:`LaneletMap.problems`; none without it.
     lanes, stop_lines : GeoDataFrame, optional
-        As from :meth:`LaneletMap.lanes` and :meth:`LaneletMap.stop_lines`.
+        As from :meth:`gis_radar.LaneletMap.lanes` and :meth:`gis_radar.LaneletMap.stop_lines`.
     path : str or Path
         The GeoPackage; it appears whole or not at all.
     """

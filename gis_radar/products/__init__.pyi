@@ -1,5 +1,5 @@
-from .comparison.comparison import Comparison, compare
-from .comparison.writing import write_comparison
+from .comparison.comparison import compare
+from .comparison.result import Comparison
 from .heatmap.by_lane import lane_totals, lanes_with_tiles
 from .heatmap.heatmap import HeatMap, make_heatmap, read_heatmap
 from .heatmap.intervals import MapLabels
@@ -38,7 +38,6 @@ __all__ = [
     "read_heatmap",
     "require_table_name",
     "was_edited",
-    "write_comparison",
     "write_projection",
     "write_qgis_project",
     "write_report",

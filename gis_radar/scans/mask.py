@@ -31,7 +31,7 @@ from gis_radar.hdmap import LaneletMap
 from gis_radar.scans.cells import SQUARE_M, RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, write_layer
 from gis_radar.scans.point_store import PointStore, cut_into_blocks
-from gis_radar.scans.roads import Roads, roads_of_map
+from gis_radar.scans.roads import Roads, read_roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
@@ -199,7 +199,7 @@ def require_road_name(path: str | Path) -> None:
 
 def mask_road(
     scans: Sequence[str | Path],
-    roads: Roads | LaneletMap,
+    roads: Roads | LaneletMap | str | Path,
     *,
     engine: str = "auto",
     scan_crs: Any = None,
@@ -212,8 +212,10 @@ def mask_road(
     ----------
     scans : sequence of paths
         LAS, LAZ or COPC files; those that do not touch the site are skipped by their extent.
-    roads : Roads or LaneletMap
-        From :func:`read_roads`, or the map itself: its lanelets for vehicles.
+    roads : LaneletMap, Roads, str or Path
+        A map, of which the lanelets for vehicles count, or polygons of roads, or a file of either.
+        :func:`gis_radar.scans.read_roads` reads files that do not say in what coordinate system
+        they are, or have several layers.
     engine : str
         `pdal`, `laspy` (built-in), or `auto` for PDAL where there is one.
     scan_crs : CRS, str or int, optional
@@ -229,7 +231,9 @@ def mask_road(
         If a scan is damaged, or map and scans do not overlap; CrsError if a scan has no
         coordinate system; NoAnswerError if nothing on the roads is a road's surface.
     """
-    if isinstance(roads, LaneletMap):
+    if isinstance(roads, str | Path):
+        roads = read_roads(roads, reporter=reporter)
+    elif isinstance(roads, LaneletMap):
         roads = roads_of_map(roads)
     name, fill = engine_of(engine, reporter=reporter)
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]

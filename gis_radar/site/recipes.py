@@ -76,7 +76,7 @@ def mask_scans(
 ) -> tuple[list[Path], dict[str, Any]]:  # fmt: skip
     """Mask the road out of the scans and write it; return the files written, and figures.
 
-    Options are those of :func:`gis_radar.read_roads`.
+    Options are those of :func:`gis_radar.scans.read_roads`.
     """
     from gis_radar.scans import mask_road, read_roads, require_road_name
 

@@ -324,8 +324,8 @@ def test_a_project_that_was_saved_in_qgis_stays(qgis_new_project, site, tmp_path
     opened.clear()
     mine = (folder / "site.qgz").read_bytes()
     again = (
-        "import sys, gis_radar as gr\n"
-        "for _ in range(2):\n    print(gr.write_site_project(sys.argv[1])[-1].name)"
+        "import sys\nfrom gis_radar.products import write_site_project\n"
+        "for _ in range(2):\n    print(write_site_project(sys.argv[1])[-1].name)"
     )
     around = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
     done = subprocess.run([WORKER, "-c", again, str(folder)], check=True, capture_output=True,

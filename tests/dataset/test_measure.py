@@ -12,6 +12,7 @@ from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
 import gis_radar as gr
 from gis_radar.base import step_of
 from gis_radar.hdmap import TileTree, quads
+from gis_radar.scans import SightTiles
 
 
 def random_frames(rng, cycle_s, late_s, seconds=2.0):
@@ -43,7 +44,7 @@ def plainly(frames_of, validity_steps):
     hits, observed = set(), {}
     for sensor, table in frames_of.items():
         pose = sample_pose(sensor)
-        seen = gr.find_sight(pose, gr.SightTiles.of(tiles())).seen.tolist()
+        seen = gr.find_sight(pose, SightTiles.of(tiles())).seen.tolist()
         steps = sorted(set(step_of(table["time"].to_numpy()).tolist()))
         until = {
             step: min(step + validity_steps[sensor], after - 1)

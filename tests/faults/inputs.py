@@ -110,7 +110,7 @@ def build(folder: Path) -> None:
     _recordings(folder)
     _radars(folder)
     (folder / "SITE.toml").write_text(SITE)
-    mask = gr.mask_road([folder / "scan.laz"], gr.read_roads(folder / "roads.gpkg"), engine="laspy")
+    mask = gr.mask_road([folder / "scan.laz"], folder / "roads.gpkg", engine="laspy")
     mask.write(folder / "road.laz")
     tiles = gr.make_tiles(gr.read_map(folder / "map.osm"))
     gr.write_tiles(tiles, folder / "tiles.gpkg", problems=gr.read_map(folder / "map.osm").problems)

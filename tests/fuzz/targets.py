@@ -21,7 +21,7 @@ from fuzz import edits, live
 from gis_radar.dataset.tables import HOUR_TABLES
 from gis_radar.recordings import open_recording
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
-from gis_radar.scans import open_scan
+from gis_radar.scans import open_scan, read_roads
 
 SECONDS = 10.0  # of the processor; who reads a file of some kilobytes for longer hangs
 OURS = "gis_radar"
@@ -269,7 +269,7 @@ def _file(read: Callable[[Path], object], name: str) -> Callable[[Path], object]
 
 
 def _wkt_roads(folder: Path) -> object:
-    return gr.read_roads(folder / "roads.csv", map_crs="EPSG:4326")
+    return read_roads(folder / "roads.csv", map_crs="EPSG:4326")
 
 
 def _road(path: Path) -> object:
@@ -315,7 +315,7 @@ ROWS = {
     "tiles": ("tiles.gpkg", _file(gr.read_tiles, "tiles.gpkg"), edits.database),
     "heat map": ("heatmap/heatmap.gpkg", _file(gr.read_heatmap, "heatmap"), edits.database),
     "roads csv": ("roads.csv", _wkt_roads, edits.text),
-    "roads": ("roads.gpkg", _file(gr.read_roads, "roads.gpkg"), edits.database),
+    "roads": ("roads.gpkg", _file(read_roads, "roads.gpkg"), edits.database),
     "live detections": ("live/detections", live.detections, edits.replaced),
     "live messages": (OF_LIVE, live.messages, edits.replaced),
     "live records": ("live/status live/pose", live.messages, edits.record),

@@ -28,8 +28,9 @@ import gis_radar as gr
 from gis_radar.base import only_writer, refuse_foreign
 from gis_radar.cli import group
 from gis_radar.demo import pose_errors
+from gis_radar.scans import SightScan, SightTiles
 from gis_radar.site import run as product
-from gis_radar.site import stages_of
+from gis_radar.site import site_template, stages_of
 from gis_radar.site.plan import OWNED
 
 
@@ -310,7 +311,7 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
     assert heard["places"] == (Path("S.toml"), tmp_path)
     assert (heard["jobs"], heard["fresh"]) == (3, True)
     printed = CliRunner().invoke(group, ["run", "--template"])
-    assert (printed.exit_code, printed.stdout) == (0, gr.site_template())
+    assert (printed.exit_code, printed.stdout) == (0, site_template())
 
 
 @pytest.fixture
@@ -351,8 +352,8 @@ def test_the_demo_finds_its_sensors(demo):
 def test_the_scan_of_a_site_gives_sight(demo):
     folder, _ = demo
     tiles = gr.read_tiles(folder / "tiles.gpkg")
-    road = gr.SightTiles.of(tiles)
-    scan = gr.SightScan([gr.sample_folder() / "scan.laz"], road)
+    road = SightTiles.of(tiles)
+    scan = SightScan([gr.sample_folder() / "scan.laz"], road)
     measured = gr.open_dataset(folder / "dataset")
     recordings, sights = measured.recordings(), measured.sights()
     for sensor in ("R1", "R2"):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -17,105 +16,22 @@ from gis_radar.base import (
     Text,
     UsageError,
     current_language,
-    iso_from_time,
 )
 from gis_radar.dataset import Dataset
 from gis_radar.measures import LEVEL, compare_values, holm_corrected
+from gis_radar.products.comparison.result import (
+    COMPARED,
+    LESS,
+    MORE,
+    NOT_TOLD,
+    Comparison,
+    Period,
+)
 from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike, shown_names
 
 DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
 INTERVAL, FINER = "15min", "5min"
 FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `FINER` is used
-MORE, LESS, NOT_TOLD = "more", "less", "not told"
-Period = tuple[Any, Any]
-
-
-class Compared(NamedTuple):
-    """A measure that is compared.
-
-    Parameters
-    ----------
-    title : Text
-        Name with unit.
-    less, more : Text
-        Words for a decrease and an increase.
-    better : int
-        1 where more is better, -1 where less is, 0 where neither.
-    resolution : float
-        Resolution of the measurement: smaller differences are not told, however significant.
-    digits : int
-        Digits after the point that are shown.
-    """
-
-    title: Text
-    less: Text
-    more: Text
-    better: int
-    resolution: float
-    digits: int
-
-
-COMPARED = {
-    "volume_veh_h": Compared(
-        Text("Volume [veh/h]"), Text("fewer vehicles"), Text("more vehicles"), 0, 1.0, 0
-    ),
-    "speed_kmh": Compared(
-        Text("Mean speed on the lane [km/h]"), Text("slower"), Text("faster"), 0, 0.1, 1
-    ),
-    "occupancy": Compared(
-        Text("Occupancy [0-1]"), Text("less occupied"), Text("more occupied"), -1, 0.001, 3
-    ),
-    "delay_s": Compared(Text("Delay [s]"), Text("less delay"), Text("more delay"), -1, 0.1, 1),
-    "queue_max_m": Compared(
-        Text("Longest queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
-    ),
-}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
-    """Comparison of the traffic of two periods by lane.
-
-    Parameters
-    ----------
-    table : GeoDataFrame
-        A row for each lane and measure: `lane`, `name`, `measure`, `before`, `after`, `difference`,
-        `percent`, `se`, `low` and `high` (95 % interval of the difference), `p`, `p_corrected` (for
-        the number of lanes and measures), `verdict` (`more`, `less` or `not told`), `units` (the
-        compared units: days, times of day or intervals) and `count` (their number), `watchers` (the
-        sensors); the lane's line.
-    left_out : DataFrame
-        Lanes that cannot be compared: `lane`, `name`, `seen` (sensors before / after; where they
-        are the same, the number of tiles in their sight).
-    used : tuple of float
-        Share of the rows of each period that were compared.
-    before, after : tuple
-        Begin and end of the data of each period, in the site's zone.
-    doubts : sequence of str
-        Doubts of poses and recordings.
-    """
-
-    table: gpd.GeoDataFrame
-    left_out: pd.DataFrame
-    used: tuple[float, float]
-    before: Period
-    after: Period
-    doubts: Sequence[str] = ()
-
-    def figures(self) -> dict[str, Any]:
-        """Return the compared periods, and the number of lanes with a significant difference."""
-        told = self.table[self.table["verdict"] != NOT_TOLD]
-        changed = told.groupby(["measure", "verdict"]).size()
-        periods = {"before": self.before, "after": self.after}
-        return {
-            **{name: "/".join(map(iso_from_time, ends)) for name, ends in periods.items()},
-            "lanes_compared": int(self.table["lane"].nunique()),
-            "lanes_not_seen_alike": len(self.left_out),
-            "share_of_before_used": round(self.used[0], 3),
-            "share_of_after_used": round(self.used[1], 3),
-            "compared_by": sorted(set(self.table["units"])),
-            "lanes_with_a_change": {f"{name}, {way}": int(n) for (name, way), n in changed.items()},
-        }
 
 
 def compare(

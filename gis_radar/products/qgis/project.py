@@ -81,9 +81,9 @@ def write_qgis_project(
     heatmap : str or Path
         Folder of a heat map.
     sensors : str or Path, optional
-        GeoPackage of :func:`gis_radar.write_sensors`.
+        GeoPackage of :func:`gis_radar.poses.write_sensors`.
     sight : str or Path, optional
-        GeoPackage of :func:`gis_radar.write_sights`: what the sensors see, off at first.
+        GeoPackage of :func:`gis_radar.scans.write_sights`: what the sensors see, off at first.
     lanes : str or Path, optional
         GeoPackage with the layers `lanes` and `stop_lines`, as of :func:`gis_radar.write_tiles`.
     footprints : str or Path, optional

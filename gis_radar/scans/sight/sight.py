@@ -344,7 +344,13 @@ class SightScan:
         )
 
 
-def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None) -> Sight:
+def find_sight(
+    pose: Pose,
+    tiles: gpd.GeoDataFrame | SightTiles,
+    source: SightSource | Sequence[str | Path] | None = None,
+    *,
+    scan_crs: Any = None,
+) -> Sight:
     """Find which tiles a sensor sees from one pose.
 
     A tile is in sight where its centre, `TARGET_M` over the road, lies within range, azimuth and
@@ -354,11 +360,14 @@ def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None)
     ----------
     pose : Pose
         Pose of the sensor; without a view, the default one counts.
-    tiles : SightTiles
+    tiles : GeoDataFrame or SightTiles
         The tiles, in the pose's CRS. Where the road's height is unknown, that of the scan's ground
         counts; without a scan, any elevation is in view.
-    source : SightScan, KeptSight or SightFile, optional
-        Scans, or a file that holds sight; without it, sight is the view alone.
+    source : sequence of paths, SightScan, KeptSight or SightFile, optional
+        Airborne scans, whole and not masked, or what keeps them for several poses, or a file that
+        holds sight; without it, sight is the view alone.
+    scan_crs : CRS, str or int, optional
+        Coordinate system of scans that do not state it.
 
     Returns
     -------
@@ -368,9 +377,21 @@ def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None)
     ------
     InputError
         If no scan has a point near the sensor, or the file is of another pose.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> sight = gr.find_sight(gr.read_pose(sample / "R1.json"), tiles)
+    >>> sight.figures()["in_sight"] > 1000
+    True
     """
+    road = tiles if isinstance(tiles, SightTiles) else SightTiles.of(tiles)
     if source is None:
-        return _find(pose, tiles, None, VIEW_ONLY)
+        return _find(pose, road, None, VIEW_ONLY)
+    if isinstance(source, Sequence):
+        source = SightScan(source, road, scan_crs=scan_crs)
     return source.find(pose)
 
 

@@ -1,14 +1,15 @@
-"""Write a comparison as files: a page to read, a table, a layer for QGIS, a map as a picture."""
+"""A comparison, and its files: a page to read, a table, a layer for QGIS, a map as a picture."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import geopandas as gpd
 import numpy as np
@@ -26,6 +27,7 @@ from gis_radar.base import (
     current_language,
     dress_layers,
     figure_text,
+    iso_from_time,
     percent,
     picture_file,
     tr,
@@ -33,10 +35,11 @@ from gis_radar.base import (
     write_csv,
 )
 from gis_radar.measures import INTERVALS
-from gis_radar.products.comparison.comparison import COMPARED, LESS, MORE, NOT_TOLD, Comparison
 from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_style import LineClass, class_style
 
+MORE, LESS, NOT_TOLD = "more", "less", "not told"
+Period = tuple[Any, Any]
 LAYER = "comparison"
 # Classes of the difference in percent: colours without red and green, grey for no told difference.
 MOST = 999.0  # largest percentage shown, also for what was 0 before
@@ -48,46 +51,131 @@ SECTIONS = {
 }  # fmt: skip
 
 
-def write_comparison(
-    comparison: Comparison, folder: str | Path, *, language: str | None = None,
-    reporter: Reporter = QUIET,
-) -> list[Path]:  # fmt: skip
-    """Write a comparison into a folder, which appears whole or not at all.
-
-    `compare.html` (one page, all inside), `compare.csv` (a row a lane and measure), `compare.gpkg`
-    (a layer of lanes, coloured by the change of the volume), `compare.png` (maps of what changed).
+class Compared(NamedTuple):
+    """A measure that is compared.
 
     Parameters
     ----------
-    comparison : Comparison
-        From :func:`gis_radar.compare`.
-    folder : str or Path
-        The folder; an earlier result there is replaced.
-    language : str, optional
-        Language of page and titles, `en` or `de`; by default the current one.
-    reporter : Reporter
-        Receives progress.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, or holds other files.
+    title : Text
+        Name with unit.
+    less, more : Text
+        Words for a decrease and an increase.
+    better : int
+        1 where more is better, -1 where less is, 0 where neither.
+    resolution : float
+        Resolution of the measurement: smaller differences are not told, however significant.
+    digits : int
+        Digits after the point that are shown.
     """
-    writers: dict[str, Callable[[Path], object]] = {
-        "compare.csv": partial(_write_table, comparison.table),
-        "compare.gpkg": partial(_write_layer, comparison.table),
-        "compare.png": partial(draw_changes, comparison),
-        "compare.html": partial(_write_page, comparison),
-    }
-    return write_results(
-        folder, writers, name="compare", stage="writing the comparison", language=language,
-        reporter=reporter,
-    )  # fmt: skip
+
+    title: Text
+    less: Text
+    more: Text
+    better: int
+    resolution: float
+    digits: int
+
+
+COMPARED = {
+    "volume_veh_h": Compared(
+        Text("Volume [veh/h]"), Text("fewer vehicles"), Text("more vehicles"), 0, 1.0, 0
+    ),
+    "speed_kmh": Compared(
+        Text("Mean speed on the lane [km/h]"), Text("slower"), Text("faster"), 0, 0.1, 1
+    ),
+    "occupancy": Compared(
+        Text("Occupancy [0-1]"), Text("less occupied"), Text("more occupied"), -1, 0.001, 3
+    ),
+    "delay_s": Compared(Text("Delay [s]"), Text("less delay"), Text("more delay"), -1, 0.1, 1),
+    "queue_max_m": Compared(
+        Text("Longest queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """Comparison of the traffic of two periods by lane.
+
+    Parameters
+    ----------
+    table : GeoDataFrame
+        A row for each lane and measure: `lane`, `name`, `measure`, `before`, `after`, `difference`,
+        `percent`, `se`, `low` and `high` (95 % interval of the difference), `p`, `p_corrected` (for
+        the number of lanes and measures), `verdict` (`more`, `less` or `not told`), `units` (the
+        compared units: days, times of day or intervals) and `count` (their number), `watchers` (the
+        sensors); the lane's line.
+    left_out : DataFrame
+        Lanes that cannot be compared: `lane`, `name`, `seen` (sensors before / after; where they
+        are the same, the number of tiles in their sight).
+    used : tuple of float
+        Share of the rows of each period that were compared.
+    before, after : tuple
+        Begin and end of the data of each period, in the site's zone.
+    doubts : sequence of str
+        Doubts of poses and recordings.
+    """
+
+    table: gpd.GeoDataFrame
+    left_out: pd.DataFrame
+    used: tuple[float, float]
+    before: Period
+    after: Period
+    doubts: Sequence[str] = ()
+
+    def figures(self) -> dict[str, Any]:
+        """Return the compared periods, and the number of lanes with a significant difference."""
+        told = self.table[self.table["verdict"] != NOT_TOLD]
+        changed = told.groupby(["measure", "verdict"]).size()
+        periods = {"before": self.before, "after": self.after}
+        return {
+            **{name: "/".join(map(iso_from_time, ends)) for name, ends in periods.items()},
+            "lanes_compared": int(self.table["lane"].nunique()),
+            "lanes_not_seen_alike": len(self.left_out),
+            "share_of_before_used": round(self.used[0], 3),
+            "share_of_after_used": round(self.used[1], 3),
+            "compared_by": sorted(set(self.table["units"])),
+            "lanes_with_a_change": {f"{name}, {way}": int(n) for (name, way), n in changed.items()},
+        }
+
+    def write(
+        self, folder: str | Path, *, language: str | None = None, reporter: Reporter = QUIET
+    ) -> list[Path]:
+        """Write all files into a folder, which appears whole or not at all.
+
+        `compare.html` (one page, all inside), `compare.csv` (a row a lane and measure),
+        `compare.gpkg` (a layer of lanes, coloured by the change of the volume), `compare.png` (maps
+        of what changed).
+
+        Parameters
+        ----------
+        folder : str or Path
+            The folder; an earlier result there is replaced.
+        language : str, optional
+            Language of page and titles, `en` or `de`; by default the current one.
+        reporter : Reporter
+            Receives progress.
+
+        Returns
+        -------
+        list of Path
+            The files.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written, or holds other files.
+        """
+        writers: dict[str, Callable[[Path], object]] = {
+            "compare.csv": partial(_write_table, self.table),
+            "compare.gpkg": partial(_write_layer, self.table),
+            "compare.png": partial(draw_changes, self),
+            "compare.html": partial(_write_page, self),
+        }
+        return write_results(
+            folder, writers, name="compare", stage="writing the comparison", language=language,
+            reporter=reporter,
+        )  # fmt: skip
 
 
 def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
