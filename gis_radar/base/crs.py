@@ -330,6 +330,13 @@ def yaw_from_compass(bearing_deg: float, crs: CRS, easting: float, northing: flo
         The projected system whose grid the yaw counts from.
     easting, northing : float
         The place; grid north and true north differ from place to place.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> pose = gr.read_pose(gr.sample_folder() / "R1.json")
+    >>> round(gr.yaw_from_compass(45.0, pose.crs, pose.easting, pose.northing), 2)
+    46.91
     """
     projection = Proj(crs)
     longitude, latitude = projection(easting, northing, inverse=True)

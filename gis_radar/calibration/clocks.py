@@ -171,6 +171,14 @@ def read_clocks(path: str | Path) -> dict[str, SensorClock]:
     ------
     InputError
         If it cannot be read, or a clock in it has impossible values.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> from pathlib import Path
+    >>> _ = Path("clocks.json").write_text('{"clocks": {"R2": {"offset_s": 0.12}}}')
+    >>> gr.read_clocks("clocks.json")["R2"].offset_s
+    0.12
     """
     hint = Text("make one with: gis-radar clocks")
     record = read_json(path, what="a file of clocks", hint=hint)

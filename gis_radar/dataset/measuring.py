@@ -190,6 +190,10 @@ def measure(
     >>> ds = gr.measure([sample / "R1.parquet"], [pose], tiles, sample / "junction.osm", "site")
     >>> ds.sensors
     ['R1']
+    >>> gr.open_dataset("site").has_vehicles
+    True
+    >>> gr.make_traffic(ds, interval="1min").figures()["lanes"] > 10
+    True
     """
     if len(recordings) != len(poses) or not recordings:
         raise UsageError("{} recordings, but {} poses", len(recordings), len(poses))

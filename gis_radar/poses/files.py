@@ -178,6 +178,12 @@ def read_track(path: str | Path) -> PoseTrack:
     ------
     InputError
         If the file is neither, holds several sensors, or its times do not ascend.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> gr.read_track(gr.sample_folder() / "R1.json")
+    PoseTrack(R1: one pose, always)
     """
     if Path(path).suffix.lower() != ".csv":
         return as_track(read_pose(path))

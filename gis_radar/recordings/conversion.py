@@ -308,6 +308,16 @@ def convert(
         If an input is of no known format, damaged or without radar, or time goes back too far.
     OutputError
         If the recording cannot be written, or would replace an input.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> import pandas as pd
+    >>> place = {"x": [20.0, 19.2], "y": [1.0, 1.0], "z": [-3.0, -3.0]}
+    >>> frames = {"time": [1749713400.0, 1749713400.1], **place, "range_rate": -8.0, "rcs": 5.0}
+    >>> pd.DataFrame(frames).to_csv("radar.csv", index=False)
+    >>> gr.convert("radar.csv", "R1.parquet")
+    Conversion(R1.parquet: 2 frames, 2 detections, 2025-06-12T07:30:00.000Z to ...)
     """
     sources = [inputs] if isinstance(inputs, str | Path) else list(inputs)
     names, place = [str(source) for source in sources], Path(output)

@@ -155,6 +155,13 @@ def check_site(path: str | Path, *, reporter: Reporter = QUIET) -> SiteCheck:
     InputError
         If the site file, the map, its streets, a scan, a pose or a recording is bad, or a guess is
         far from all lanes.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> found = gr.check_site(gr.sample_folder() / "SITE.toml")
+    >>> found.lanelets, found.findings
+    (48, ())
     """
     site = read_site(path)
     roads = read_map(site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=reporter)

@@ -68,6 +68,14 @@ def project(
         A row a detection: Point Z in the pose's CRS, the recording's columns, `sensor`, and
         `utc`, the time as a time stamp. A further column of the recording whose name is taken
         ends in `_recorded`.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> points = gr.project(sample / "R1.parquet", gr.read_pose(sample / "R1.json"))
+    >>> len(points), points.crs.to_string()
+    (167616, 'EPSG:25832')
     """
     batches = _PointStream(as_recording(recording), as_track(pose), reporter, roads)
     table = pa.Table.from_batches(batches, schema=batches.schema)
