@@ -24,11 +24,11 @@ from .sight.sight import (
     Sight,
     SightScan,
     SightSource,
-    SightTiles,
     describe_sight,
     find_sight,
     report_uncovered,
 )
+from .sight.tiles import SightTiles
 
 __all__ = [
     "HIDDEN",

@@ -19,14 +19,8 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import Dataset
 from gis_radar.measures import LEVEL, compare_values, holm_corrected
-from gis_radar.products.comparison.result import (
-    COMPARED,
-    LESS,
-    MORE,
-    NOT_TOLD,
-    Comparison,
-    Period,
-)
+from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
+from gis_radar.products.comparison.result import Comparison, Period
 from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike, shown_names
 
 DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap

@@ -9,7 +9,7 @@ from functools import partial
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -35,10 +35,10 @@ from gis_radar.base import (
     write_csv,
 )
 from gis_radar.measures import INTERVALS
+from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
 from gis_radar.products.results_folder import write_results
 from gis_radar.products.traffic_style import LineClass, class_style
 
-MORE, LESS, NOT_TOLD = "more", "less", "not told"
 Period = tuple[Any, Any]
 LAYER = "comparison"
 # Classes of the difference in percent: colours without red and green, grey for no told difference.
@@ -49,48 +49,6 @@ SECTIONS = {
     1: Text("Better"), -1: Text("Worse"), 0: Text("Volumes and speeds"),
     None: Text("Cannot be told"),
 }  # fmt: skip
-
-
-class Compared(NamedTuple):
-    """A measure that is compared.
-
-    Parameters
-    ----------
-    title : Text
-        Name with unit.
-    less, more : Text
-        Words for a decrease and an increase.
-    better : int
-        1 where more is better, -1 where less is, 0 where neither.
-    resolution : float
-        Resolution of the measurement: smaller differences are not told, however significant.
-    digits : int
-        Digits after the point that are shown.
-    """
-
-    title: Text
-    less: Text
-    more: Text
-    better: int
-    resolution: float
-    digits: int
-
-
-COMPARED = {
-    "volume_veh_h": Compared(
-        Text("Volume [veh/h]"), Text("fewer vehicles"), Text("more vehicles"), 0, 1.0, 0
-    ),
-    "speed_kmh": Compared(
-        Text("Mean speed on the lane [km/h]"), Text("slower"), Text("faster"), 0, 0.1, 1
-    ),
-    "occupancy": Compared(
-        Text("Occupancy [0-1]"), Text("less occupied"), Text("more occupied"), -1, 0.001, 3
-    ),
-    "delay_s": Compared(Text("Delay [s]"), Text("less delay"), Text("more delay"), -1, 0.1, 1),
-    "queue_max_m": Compared(
-        Text("Longest queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
-    ),
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

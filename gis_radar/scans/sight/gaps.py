@@ -15,7 +15,8 @@ import shapely
 
 from gis_radar.base import Booleans, Floats, Integers, Text
 from gis_radar.scans.sight.recorded import MovingHits
-from gis_radar.scans.sight.sight import IN_SIGHT, SightTiles
+from gis_radar.scans.sight.sight import IN_SIGHT
+from gis_radar.scans.sight.tiles import SightTiles
 
 # Lanelets are divided into pieces of this length, a car's: a vehicle is detected several times on
 # each.

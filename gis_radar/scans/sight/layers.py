@@ -41,8 +41,8 @@ from gis_radar.scans.sight.sight import (
     Sight,
     SightScan,
     SightSource,
-    SightTiles,
 )
+from gis_radar.scans.sight.tiles import SightTiles
 
 SIGHT_LAYER, CONTRADICTED_LAYER = "sight", "contradicted"
 COLUMNS = ("sensor", "pose", "tile_id", "state", "hidden_by", "hidden_at_m", "covered")

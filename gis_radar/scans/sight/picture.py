@@ -8,7 +8,8 @@ import numpy as np
 
 from gis_radar.base import Floats, tr
 from gis_radar.poses import draw_sensor
-from gis_radar.scans.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight, SightTiles
+from gis_radar.scans.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight
+from gis_radar.scans.sight.tiles import SightTiles
 
 # From the palette of Okabe and Ito; the style of the layer `sight` has the same.
 SIGHT_COLOURS = {OUT_OF_VIEW: "#d8dade", HIDDEN: "#753d28", IN_SIGHT: "#56b4e9"}

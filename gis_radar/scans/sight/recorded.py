@@ -25,8 +25,8 @@ from gis_radar.scans.sight.sight import (
     NOTHING,
     OUT_OF_VIEW,
     Sight,
-    SightTiles,
 )
+from gis_radar.scans.sight.tiles import SightTiles
 
 NO_MOVEMENT, MOVEMENT = "nothing moves in sight", "moves where hidden"
 Table: TypeAlias = Floats  # sums by direction and distance from a sensor

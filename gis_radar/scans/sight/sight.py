@@ -17,9 +17,7 @@ from typing import Any, Protocol
 
 import geopandas as gpd
 import numpy as np
-import shapely
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from gis_radar.base import (
     QUIET,
@@ -32,9 +30,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     compiled,
-    metric_crs,
 )
-from gis_radar.hdmap import fingerprint, quads
 from gis_radar.poses import Pose, View
 from gis_radar.scans.columns import ScanColumns, read_columns
 from gis_radar.scans.scan import Scan, box_with_margin, open_scan
@@ -47,6 +43,7 @@ from gis_radar.scans.sight.obstacles import (
     find_obstacles,
     road_heights,
 )
+from gis_radar.scans.sight.tiles import SightTiles
 
 OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
 STATES = ("out of view", "in sight", "hidden")
@@ -73,50 +70,6 @@ UNKNOWN_M = 10.0
 LEAST_COVERED = 0.9
 # Median difference of road heights, scan against tiles, above which their vertical systems differ.
 OFFSET_M = 2.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class SightTiles:
-    """Tiles as arrays, for sight.
-
-    Parameters
-    ----------
-    tile_id, lanelet_id : (n,) int64 array
-        Ids of the tiles and of their lanelets.
-    quads : (n, 4, 2) array
-        Their vertices in the map, metres.
-    height : (n,) array
-        Height of the road, metres; NaN where unknown.
-    crs : CRS
-        Coordinate system of the map.
-    fingerprint : str
-        Fingerprint of the tile layer.
-    """
-
-    tile_id: Integers = field(repr=False)
-    lanelet_id: Integers = field(repr=False)
-    quads: Floats = field(repr=False)
-    height: Floats = field(repr=False)
-    crs: CRS
-    fingerprint: str
-
-    @classmethod
-    def of(cls, tiles: gpd.GeoDataFrame) -> SightTiles:
-        """Return the tiles of a table from :func:`gis_radar.read_tiles`."""
-        return cls(
-            tile_id=tiles["tile_id"].to_numpy(np.int64),
-            lanelet_id=tiles["lanelet_id"].to_numpy(np.int64),
-            quads=quads(tiles),
-            height=tiles["height_m"].to_numpy(np.float64),
-            crs=metric_crs(tiles.crs, what="tiles"),
-            fingerprint=fingerprint(tiles),
-        )
-
-    @cached_property
-    def centres(self) -> Floats:
-        """Centres in the map at the height of the road, (n, 3) metres."""
-        middle = shapely.get_coordinates(shapely.centroid(shapely.polygons(self.quads)))
-        return np.column_stack([middle, self.height])
 
 
 @dataclass(frozen=True, kw_only=True)
