@@ -17,11 +17,10 @@ from .parts import (
     unfinished,
     write_whole,
 )
-from .reading import Span
 from .records import HourWriter, read_hour, read_hours, record_path, write_record
 from .shifts import Shifts, chance_of_others, lanes_beside, shifts_of
 from .stated_lanes import stated_lanes
-from .states import no_states, states_of
+from .states import states_of
 from .table_schema import TableSchema
 from .tables import FRAMES, PASSAGES, TILE_COUNTS
 from .tile_counts import HourSpans, count_spans, run_variance, update_counts
@@ -41,7 +40,6 @@ __all__ = [
     "MeasureSettings",
     "Origin",
     "Shifts",
-    "Span",
     "TableSchema",
     "chance_of_others",
     "clear_unfinished",
@@ -54,7 +52,6 @@ __all__ = [
     "lanes_beside",
     "manifest_of",
     "measure",
-    "no_states",
     "open_dataset",
     "part_path",
     "read_hour",
