@@ -28,8 +28,10 @@ class LaneletMap:
         `predecessors` (tuples); `left`, `right`, `centre` (lines in driving direction, with
         heights where these are known); the outline as geometry.
     regulatory : GeoDataFrame
-        A row for each member of a regulatory element, see
-        :func:`~gis_radar.hdmap.tagging.regulatory_table`.
+        A row for each member of a regulatory element: `element_id`, `subtype` of the element,
+        `role` of the member, `lanelet_ids` (tuple: lanelets that name the element), `member_id`,
+        `member_type` (`stop_line`, `traffic_light`, ...), `member_sign` (such as `de205`), and the
+        member's geometry, if it has one. Stop lines that no element names are rows of their own.
     problems : GeoDataFrame
         `lanelet_id`, `action` (`repaired`, `left out`, or `doubtful` for one that is kept),
         `reason`, geometry (or None).
