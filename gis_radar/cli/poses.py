@@ -88,7 +88,7 @@ def localize(
         if figure or options.pop("method") != "lane":
             raise UsageError("--figure and {} icp are for one sensor", "--method")
         _check_folder(output, recordings, map_path, road, *scans)
-        from gis_radar.calibration import localize_together  # noqa: PLC0415 - as below
+        from gis_radar.calibration import localize_together  # noqa: PLC0415 - --help needs no NumPy
 
         several = localize_together(
             recordings, map_path, road, guesses=guesses, headings=headings or None,
