@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,9 +31,8 @@ STANDS_MPS = 0.5
 LEAST_S = 30.0  # for which a tile is visible, in truth and by the estimate
 
 
-def measured(site: SceneFiles, found: bool) -> dict[str, str]:
+def measured(site: SceneFiles, poses: Sequence[gr.Pose]) -> dict[str, str]:
     """Measure a scene and return its figures."""
-    poses = [gr.read_pose(path) for path in found_poses(site)] if found else site.poses
     with tempfile.TemporaryDirectory() as folder:
         gr.measure(
             site.recordings, poses, site.tiles(), site.map, Path(folder) / "dataset",
@@ -75,8 +75,9 @@ def occupancy(site: SceneFiles, given: pd.DataFrame) -> dict[str, str]:
     by_lane = both.groupby(lane)[["occupancy", "occupancy_given"]].sum()
     off = (by_lane["occupancy_given"] - by_lane["occupancy"]).abs().sum()
     within = error.abs() <= 2.0 * both["occupancy_se"]
+    points, mean = 100.0 * error.abs().mean(), 100.0 * both["occupancy"].mean()
     return {
-        "tile_points": f"{100.0 * error.abs().mean():.2f} of {100.0 * both['occupancy'].mean():.1f}",
+        "tile_points": f"{points:.2f} of {mean:.1f}",
         "lane_occupancy_off": f"{off / both['occupancy'].sum():.1%} "
         f"(bias {error.sum() / both['occupancy'].sum():+.1%})",
         "tiles_within_2_se": f"{within.mean():.0%}",
@@ -108,7 +109,10 @@ def main() -> None:
     parser.add_argument("--poses", choices=("true", "found"), default="true")
     options = parser.parse_args()
     for name in options.scene.split(","):
-        figures = measured(scene(name), options.poses == "found")
+        site, poses = scene(name), scene(name).poses
+        if options.poses == "found":
+            poses = [gr.read_pose(path) for path in found_poses(site)]
+        figures = measured(site, poses)
         print(name, *(f"{key} {value}" for key, value in figures.items()), sep="\n  ", flush=True)
 
 
