@@ -265,6 +265,20 @@ def test_a_queue_reaches_back_to_the_first_large_gap():
     assert 0.0 < row["queue_mean_m"] < row["queue_max_m"]
 
 
+@pytest.mark.parametrize(("hidden", "back_m"), [((21.0, 33.0), 44.5), ((30.0, 33.0), 26.5)])
+def test_a_queue_goes_on_over_road_that_is_not_visible(hidden, back_m):
+    """Of a gap of 13.5 m, from 20 to 33.5 m along the lane, 1.5 m are visible, or 10.5 m."""
+    runs, counts = seen_all(GRID)
+    middle = TILES.set_index("tile_id").geometry.centroid.x.loc[runs.tile_id].to_numpy() - EAST
+    lane = TILES.set_index("tile_id")["lanelet_id"].loc[runs.tile_id].to_numpy()
+    shown = (lane != APPROACH) | (middle < hidden[0]) | (middle > hidden[1])
+    part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
+    cars = queue([59.0, 51.0, 38.0, 20.0])
+    found = measure_lanes(NETWORK, GRID, states_of(cars), vehicles_of(cars), part, counts)
+    at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((APPROACH, 0))
+    assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
+
+
 def test_a_lorry_beside_a_car_does_not_cut_the_queue():
     """Lanes merge before the line: a lorry beside a car, and a car 9 m behind the lorry."""
     cars = queue([59.0, 58.0, 34.0])

@@ -54,6 +54,11 @@ def _same(posterior: Any, *_: Any) -> Any:
     return list(posterior.motions)
 
 
+def _placed(posterior: Any, motions: Any, _: Any) -> Any:
+    posterior.place(motions)
+    return list(motions)
+
+
 def _once(motions: Any, detections: Any, graph: Any) -> Any:
     if not motions:
         return []
@@ -121,7 +126,7 @@ PARTS: dict[str, Part] = {
     "no-lengthen": _off((moves, "lengthen", _same)),
     "no-reassign": _off((moves, "reassign", _same)),
     "no-refit": _off((moves, "refit", _same)),
-    "no-undetected-ends": _off((moves, "with_undetected_ends", lambda _, m, __: list(m))),
+    "no-undetected-ends": _off((moves, "with_undetected_ends", _placed)),
     "no-stood-on": _off((ends, "_stood_on", lambda motion, _: motion)),
     "no-driven-as-one": _off((neighbours, "_driven_as_one", lambda *_: -np.inf)),
     "no-alone": _off((neighbours, "_alone", lambda *_: [])),

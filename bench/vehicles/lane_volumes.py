@@ -93,11 +93,21 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         "off": f"{off / max(by_lane['true'].sum(), 1.0):.1%}",
         "within_2_se": f"{(error.abs() <= 2.0 * spread + 1e-9).mean():.0%} of {len(error)}",
         "speed_off_kmh": f"{faster.abs().mean():.1f} (bias {faster.mean():+.1f})",
-        "queues": f"{len(short)}, {np.mean(np.abs(short) <= QUEUE_M):.0%} within {QUEUE_M} m "
-        f"(mean {np.abs(short).mean():.1f}, bias {short.mean():+.1f})",
+        "queues": _queues(short),
         "turns": f"{len(sums)}",
         "turns_off": f"{(sums['volume'] - sums['true']).abs().sum() / sums['true'].sum():.1%}",
     }
+
+
+def _queues(short: Floats) -> str:
+    """Return how far the backs of queues are off, from their errors in metres."""
+    if len(short) == 0:
+        return "none"
+    within = np.mean(np.abs(short) <= QUEUE_M)
+    return (
+        f"{len(short)}, {within:.0%} within {QUEUE_M} m "
+        f"(mean {np.abs(short).mean():.1f}, bias {short.mean():+.1f})"
+    )
 
 
 def by_minute(true: pd.DataFrame, keys: list[str]) -> pd.DataFrame:

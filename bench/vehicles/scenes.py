@@ -198,6 +198,23 @@ MORE: Mapping[str, Recipe] = {
     "gridlock-956": Recipe(
         plan="junction", seed=956, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
     ),
+    "town-981": Recipe(
+        plan="town", seed=981, per_hour=2500, radars=("R2", "R4", "R6"), warm_up_s=420.0
+    ),
+    "tee-982": Recipe(plan="tee", seed=982, per_hour=1600, radars=1, minutes=3.0),
+    "gridlock-983": Recipe(plan="junction", seed=983, per_hour=4200, radars=2, warm_up_s=600.0),
+    "arterial-984": Recipe(plan="arterial", seed=984, per_hour=2400, radars=2, warm_up_s=300.0),
+    "town-991": Recipe(
+        plan="town", seed=991, per_hour=2500, radars=("R2", "R4"), minutes=10.0, warm_up_s=420.0
+    ),
+    "town-992": Recipe(
+        plan="town", seed=992, per_hour=2600, radars=("R1", "R3", "R5"), minutes=20.0,
+        warm_up_s=420.0,
+    ),
+    "junction-993": Recipe(
+        plan="junction", seed=993, per_hour=2600, radars=2, minutes=20.0, warm_up_s=300.0
+    ),
+    "roundabout-985": Recipe(plan="roundabout", seed=985, per_hour=1100, radars=1),
 }  # fmt: skip
 """Scenes that `make bench-vehicles` leaves out: for what a change or a part earns."""
 

@@ -13,7 +13,7 @@ from gis_radar.measures.lane_network import LaneNetwork
 
 SLOW_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
 SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
-JOINED_M = 10.0  # largest gap to the vehicle ahead, or to the stop line: the length of two cars
+JOINED_M = 10.0  # most visible free road before one, to the next or the line: two cars
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
 LOOK_STEPS = 4
@@ -68,7 +68,7 @@ def queues(
     states: FrontStates, stands: Booleans, length_m: Floats, network: LaneNetwork,
     visible: VisibleRuns, grid: StepGrid,
 ) -> QueueBacks:  # fmt: skip
-    """Find the queues at stop lines: standing vehicles, from the line back, up to a large gap.
+    """Find the queues at stop lines: standing vehicles, from the line back, up to a visible gap.
 
     Parameters
     ----------
@@ -98,7 +98,10 @@ def queues(
     new[1:] = (np.diff(stop) != 0) | (np.diff(step) != 0)
     reach = _farthest(rear, new)  # a lorry may reach farther back than a car whose front is behind
     ahead = np.where(new, 0.0, np.concatenate([[0.0], reach])[: len(reach)])
-    joined = _unbroken(front - ahead <= JOINED_M, new)
+    gap = front - ahead
+    wide = np.flatnonzero(gap > JOINED_M)
+    gap[wide] = _visible_m(stop[wide], step[wide], ahead[wide], front[wide], network, visible)
+    joined = _unbroken(gap <= JOINED_M, new)
     line = network.tile_id[network.tile_at(stop, network.line_m[stop])]
     joined &= visible.at(line, step)
     stop, step, rear = stop[joined], step[joined], rear[joined]
@@ -108,6 +111,26 @@ def queues(
     most = np.zeros(size)
     np.maximum.at(most, cell, back)
     return QueueBacks(most, np.bincount(cell, back, size).astype(np.float64))
+
+
+def _visible_m(
+    stop: Integers, step: Integers, near_m: Floats, far_m: Floats, network: LaneNetwork,
+    visible: VisibleRuns,
+) -> Floats:  # fmt: skip
+    """Return the visible metres before stop lines, between two distances in a step."""
+    strips = network.queue_strips()
+    order = np.lexsort((strips.to_line_m, strips.stop_lane))
+    lane, line, to_line = strips.lane[order], strips.stop_lane[order], strips.to_line_m[order]
+    count = np.ceil(far_m - near_m).astype(np.int64)
+    row = np.repeat(np.arange(len(stop)), count)
+    metre = near_m[row] + ranges(np.zeros(len(stop), np.int64), count) + 0.5
+    span = float(to_line.max(initial=0.0)) + 1.0
+    # the lane that begins nearest upstream of the place
+    at = np.searchsorted(line * span + to_line, stop[row] * span + metre)
+    at = np.minimum(at, len(lane) - 1)
+    tile = network.tile_id[network.tile_at(lane[at], to_line[at] - metre)]
+    seen = visible.at(tile, step[row])
+    return np.bincount(row, seen, len(stop)).astype(np.float64)
 
 
 class QueueCourse(NamedTuple):

@@ -1,0 +1,120 @@
+"""Vehicles, lanes and tiles within 100 m of a radar, by the measures that traffic engineers state.
+
+    python bench/vehicles/targets.py --scene town-991,gridlock-983 [--poses found]
+
+A row a scene: volumes, speeds, turns and queues of lanes (`lane_volumes.py`), occupancy of lanes
+and of tiles, and vehicles: found, real, standing, heavy. With `--poses found`, poses are those that
+`gis-radar localize` finds; else the true ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import lane_volumes
+import numpy as np
+import pandas as pd
+from found import found_in
+from own import found_poses
+from scenes import SceneFiles, scene
+from tracks import Scored, compared, score_tracks
+
+import gis_radar as gr
+from gis_radar.base import Booleans
+
+WITHIN_M = 100.0  # of a radar, for which accuracy is stated
+STANDS_MPS = 0.5
+LEAST_S = 30.0  # for which a tile is visible, in truth and by the estimate
+
+
+def measured(site: SceneFiles, poses: Sequence[gr.Pose]) -> dict[str, str]:
+    """Measure a scene and return its figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        gr.measure(
+            site.recordings, poses, site.tiles(), site.map, Path(folder) / "dataset",
+            scans=[site.scan], check=False,
+        )  # fmt: skip
+        dataset = gr.open_dataset(Path(folder) / "dataset")
+        given = found_in(dataset)
+        figures = lane_volumes.score(site, dataset)
+    scored = compared(site.tiles(), site.truth(), site.traffic(), given.states)
+    return figures | occupancy(site, given.occupancy) | vehicles(near_only(site, scored))
+
+
+def is_near(site: SceneFiles, easting: pd.Series, northing: pd.Series) -> Booleans:
+    """Return which places are within `WITHIN_M` of a radar."""
+    apart = [
+        np.hypot(easting - pose.easting, northing - pose.northing) for pose in site.poses
+    ]  # fmt: skip
+    return np.asarray(np.min(apart, axis=0) < WITHIN_M)
+
+
+def near_only(site: SceneFiles, scored: Scored) -> Scored:
+    """Return both sides with what is due restricted to places near a radar."""
+    true, given = (
+        side.assign(due=side["due"] & is_near(site, side["easting"], side["northing"]))
+        for side in (scored.true, scored.given)
+    )
+    return replace(scored, true=true, given=given)
+
+
+def occupancy(site: SceneFiles, given: pd.DataFrame) -> dict[str, str]:
+    """Return how far the occupancy of near tiles and lanelets is off."""
+    tiles, true = site.tiles().set_index("tile_id"), site.truth().table()
+    both = true.merge(given, on="tile_id", suffixes=("", "_given"))
+    both = both[(both["visible_s"] > LEAST_S) & (both["visible_s_given"] > LEAST_S)]
+    middle = tiles.centroid.loc[both["tile_id"]]
+    near = is_near(site, middle.x.reset_index(drop=True), middle.y.reset_index(drop=True))
+    both = both[near].dropna(subset="occupancy_given")
+    error = both["occupancy_given"] - both["occupancy"]
+    lane = tiles["lanelet_id"].loc[both["tile_id"]].to_numpy()
+    by_lane = both.groupby(lane)[["occupancy", "occupancy_given"]].sum()
+    off = (by_lane["occupancy_given"] - by_lane["occupancy"]).abs().sum()
+    within = error.abs() <= 2.0 * both["occupancy_se"]
+    points, mean = 100.0 * error.abs().mean(), 100.0 * both["occupancy"].mean()
+    return {
+        "tile_points": f"{points:.2f} of {mean:.1f}",
+        "lane_occupancy_off": f"{off / both['occupancy'].sum():.1%} "
+        f"(bias {error.sum() / both['occupancy'].sum():+.1%})",
+        "tiles_within_2_se": f"{within.mean():.0%}",
+    }
+
+
+def vehicles(scored: Scored) -> dict[str, str]:
+    """Return which vehicles are found and real, all and standing, and how often heavy is right."""
+    every = score_tracks(scored)
+    still = score_tracks(
+        replace(scored, true=_standing(scored.true), given=_standing(scored.given))
+    )
+    return {
+        "recall": f"{every['recall']:.3f}", "precision": f"{every['precision']:.3f}",
+        "standing": f"{still['recall']:.3f} found, {1.0 - still['precision']:.3f} false",
+        "heavy_right": f"{every['two_groups']:.1%}",
+    }  # fmt: skip
+
+
+def _standing(side: pd.DataFrame) -> pd.DataFrame:
+    """Return a side on which only who stands is due; a mover may be matched with it."""
+    return side.assign(due=side["due"] & (side["speed"] < STANDS_MPS))
+
+
+def main() -> None:
+    """Print the figures of each scene."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", required=True)
+    parser.add_argument("--poses", choices=("true", "found"), default="true")
+    options = parser.parse_args()
+    for name in options.scene.split(","):
+        site, poses = scene(name), scene(name).poses
+        if options.poses == "found":
+            poses = [gr.read_pose(path) for path in found_poses(site)]
+        figures = measured(site, poses)
+        print(name, *(f"{key} {value}" for key, value in figures.items()), sep="\n  ", flush=True)
+
+
+if __name__ == "__main__":
+    main()
