@@ -279,6 +279,15 @@ def test_a_queue_goes_on_over_road_that_is_not_visible(hidden, back_m):
     assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
 
 
+def test_sight_ends_at_the_farthest_tile_in_sight():
+    tiles = TILES[(TILES["lanelet_id"] == APPROACH) & TILES["index"].between(40, 60)]
+    sight_m = NETWORK.sight_m(tiles["tile_id"].to_numpy())
+    at = np.searchsorted(NETWORK.lane, [APPROACH, STRAIGHT])
+    assert sight_m[at[0]] == pytest.approx(60.0 - 20.0)
+    assert np.isnan(sight_m[at[1]])  # without a stop line
+    assert NETWORK.sight_m(np.zeros(0, np.int64))[at[0]] == 0.0
+
+
 def test_a_lorry_beside_a_car_does_not_cut_the_queue():
     """Lanes merge before the line: a lorry beside a car, and a car 9 m behind the lorry."""
     cars = queue([59.0, 58.0, 34.0])

@@ -82,8 +82,11 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
     backs = true_backs(site, network)
     keys = zip(queues["lane"], queues["begin"].dt.tz_convert("UTC"), strict=True)
     true_m = np.array([backs.get(key, 0.0) for key in keys])
+    # who queues out of sight is of no queue that can be seen
+    true_m = np.minimum(true_m, queues["sight_m"].to_numpy())
     waits = (true_m > 0.0) | (queues["queue_max_m"] > 0.0).to_numpy()
-    short = (queues["queue_max_m"].to_numpy() - true_m)[waits]
+    backs_m = np.minimum(queues["queue_max_m"], queues["sight_m"]).to_numpy()
+    short = (backs_m - true_m)[waits]
     pairs = turns.assign(true=turns["true"].fillna(0.0)).groupby(["from_lane", "to_lane"])
     sums = pairs[["volume", "true"]].sum()
     return {

@@ -98,10 +98,10 @@ class TrafficReader:
         shown["speed_85_kmh"] = [_percentile(each, 0.85) for each in table["speed_counts"]]
         shown = shown.join(table[["occupancy", "occupancy_se"]])
         shown["density_veh_km"], shown["flow_veh_h"] = table["density"], table["flow"]
-        rest = ["travel_time_s", "delay_s", "queue_max_m", "queue_mean_m", "stops"]
-        return gpd.GeoDataFrame(
-            shown.join(table[rest]), geometry=lines, crs=self.dataset.manifest.crs
-        )
+        shown = shown.join(table[["travel_time_s", "delay_s", "queue_max_m", "queue_mean_m"]])
+        shown["sight_m"] = network.sight_m(self.dataset.sights()["tile_id"].unique())[at]
+        shown["stops"] = table["stops"]
+        return gpd.GeoDataFrame(shown, geometry=lines, crs=self.dataset.manifest.crs)
 
     def turns(self) -> gpd.GeoDataFrame:
         """Return a row for each turn and interval, as :meth:`gis_radar.Dataset.turns` does."""

@@ -48,12 +48,12 @@ class TrafficTables:
             `visible_share`, `counted`, `volume` (vehicles in the interval), `volume_se`,
             `volume_veh_h`, `heavy`; `speed_kmh` (space mean), `speed_time_mean_kmh`,
             `speed_85_kmh`; `occupancy`, `occupancy_se`, `density_veh_km`, `flow_veh_h`,
-            `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `stops`; the lane's line.
-            Null where nothing is visible. Lanes that no sensor observes have no rows. With headways
-            `headways` (number of pairs of consecutive vehicles at the counting line, between which
-            it was visible throughout), `headway_mean_s` (front to front), `headway_se_s`,
-            `headway_median_s`, `gap_mean_s` (rear to front), `gap_se_s`. Null where the line was
-            not visible, means without a pair, errors with less than two.
+            `travel_time_s`, `delay_s`, `queue_max_m`, `queue_mean_m`, `sight_m`, `stops`; the
+            lane's line. Null where nothing is visible. Lanes that no sensor observes have no rows.
+            With headways `headways` (number of pairs of consecutive vehicles at the counting line,
+            between which it was visible throughout), `headway_mean_s` (front to front),
+            `headway_se_s`, `headway_median_s`, `gap_mean_s` (rear to front), `gap_se_s`. Null where
+            the line was not visible, means without a pair, errors with less than two.
 
         Raises
         ------
@@ -92,14 +92,15 @@ class TrafficTables:
         Returns
         -------
         GeoDataFrame
-            `lane`, `name`, `begin`, `end`, `visible_share`, `queue_max_m`, `queue_mean_m`, `stops`,
-            `delay_s`; the lane's line.
+            `lane`, `name`, `begin`, `end`, `visible_share`, `queue_max_m`, `queue_mean_m`,
+            `sight_m` (how far before the stop line the lane is in sight: a queue that reaches as
+            far may be longer), `stops`, `delay_s`; the lane's line.
         """
         found = _reader(self, interval, begin, end, language).lanes()
         found = found[found["queue_max_m"].notna()].reset_index(drop=True)
         return found[
             ["lane", "name", "begin", "end", "visible_share", "queue_max_m", "queue_mean_m",
-             "stops", "delay_s", "geometry"]
+             "sight_m", "stops", "delay_s", "geometry"]
         ]  # fmt: skip
 
     def count_sections(

@@ -29,12 +29,13 @@ from .pose_sights import (
     sight_of_tiles,
     standing_for,
 )
-from .queues import QueueCourse, queue_course
+from .queues import JOINED_M, QueueCourse, queue_course
 from .sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
 from .validity import FrameTimes, Runs, union_of_runs, valid_steps, validity_of
 
 __all__ = [
     "INTERVALS",
+    "JOINED_M",
     "LEAST_SHARE",
     "LEVEL",
     "LONGEST_VALID_STEPS",

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from gis_radar.base import Booleans, Floats, Integers
+from gis_radar.base import Booleans, Floats, Integers, ranges
 from gis_radar.hdmap import lanes_of, quads
 
 JOIN_M = 0.5  # between the middles of ends that follow each other: a tenth of a lane's width
@@ -219,6 +219,30 @@ class LaneNetwork:
         return QueueStrips(
             np.array(lane, np.int64), np.array(stop_lane, np.int64), np.array(metres, np.float64)
         )
+
+    def sight_m(self, tile_id: Integers) -> Floats:
+        """Return how far before its stop line each lane is in sight.
+
+        Parameters
+        ----------
+        tile_id : (k,) int64 array
+            Tiles in sight.
+
+        Returns
+        -------
+        (n,) array
+            Metres from the stop line to the farthest tile in sight on which a queue may stand; NaN
+            for lanes without a stop line.
+        """
+        strips = self.queue_strips()
+        first = np.searchsorted(self.tile_lane, strips.lane)
+        count = np.searchsorted(self.tile_lane, strips.lane, side="right") - first
+        tile, row = ranges(first, count), np.repeat(np.arange(len(count)), count)
+        away = strips.to_line_m[row] - self.tile_m[tile]
+        away[~np.isin(self.tile_id[tile], tile_id)] = 0.0
+        far = np.where(self.has_stop_line, 0.0, np.nan)
+        np.maximum.at(far, strips.stop_lane[row], away)
+        return far
 
 
 def _offsets(chains: Sequence[Sequence[int]], ends: pd.Series) -> dict[int, float]:

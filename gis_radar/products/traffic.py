@@ -56,6 +56,7 @@ TITLES = {
     "density_veh_km": Text("Density [veh/km]"), "flow_veh_h": Text("Flow on the lane [veh/h]"),
     "travel_time_s": Text("Travel time [s]"), "delay_s": Text("Delay [s]"),
     "queue_max_m": Text("Longest queue [m]"), "queue_mean_m": Text("Mean queue [m]"),
+    "sight_m": Text("In sight before the line [m]"),
     "stops": Text("Stops [veh]"), "los": Text("Level of service"),
     "headways": Text("Headways [pairs]"), "headway_mean_s": Text("Mean headway [s]"),
     "headway_se_s": Text("Standard error of the mean headway [s]"),

@@ -384,6 +384,7 @@ def test_hours_without_vehicles_have_no_traffic(tmp_path):
 def test_queues_are_those_of_stop_lines(measured):
     table = measured.queues()
     assert table["queue_max_m"].eq(0.0).all()
+    assert table["sight_m"].eq(50.0).all()  # all of the lane before the line
     assert len(table) == len(measured.traffic())
     assert read_hours(measured.folder).keys() == {HOUR, HOUR + 1}
 

@@ -32,7 +32,7 @@ from gis_radar.base import (
 )
 from gis_radar.dataset import Dataset, LaneTraffic
 from gis_radar.hdmap import LANES_LAYER
-from gis_radar.measures import LEAST_SHARE, TURN_WORDS, LaneNetwork, lane_names
+from gis_radar.measures import JOINED_M, LEAST_SHARE, TURN_WORDS, LaneNetwork, lane_names
 from gis_radar.products.heatmap.heatmap import HeatMap
 from gis_radar.products.heatmap.picture import NARROW_IN, for_a_phone, image_of_figure, png
 from gis_radar.products.report import names
@@ -239,7 +239,7 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
     def queue(row: pd.Series) -> str:
         if row["lane"] not in before_lines:
             return NO_FIGURE
-        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else figure_text(row["queue_max_m"])
+        return tr(NOT_SEEN) if pd.isna(row["queue_max_m"]) else _longest(row)
 
     return [
         Column(tr("Lane"), "", lambda row: str(row["name"]), False),
@@ -253,6 +253,13 @@ def _volume_columns(before_lines: set[int]) -> list[Column]:
                lambda row: percent(row["occupancy"], off=row["occupancy_se"])),
         Column(tr("Longest queue"), "m", queue),
     ]  # fmt: skip
+
+
+def _longest(row: pd.Series) -> str:
+    """Return the longest queue of a lane in metres: at least so many where sight ends there."""
+    text = figure_text(float(row["queue_max_m"]))
+    ends_in_sight = row["queue_max_m"] < row["sight_m"] - JOINED_M
+    return text if ends_in_sight or row["queue_max_m"] == 0.0 else tr("at least {m}", m=text)
 
 
 def _volume_notes(traffic: ReportedTraffic, known: pd.DataFrame, shown: int) -> list[str]:
@@ -450,7 +457,10 @@ def _queue_table(
 
     def figure(name: str) -> Column:
         title, unit = _OF_QUEUES[name]
-        return Column(tr(title), tr(unit), lambda row: figure_text(float(row[name])))
+        longest = name == "queue_max_m"
+        return Column(
+            tr(title), tr(unit), _longest if longest else lambda row: figure_text(float(row[name]))
+        )
 
     several = len(set(traffic.lanes["begin"])) > 1
     columns = [
@@ -472,9 +482,9 @@ def _queue_table(
         name="queues", caption=tr("The longest queues"), columns=columns,
         rows=text_rows(rows, columns),
         note=tr(
-            "A queue is who stands, from the stop line back, with no gap over 10 m: a vehicle that "
-            "was missed cuts it there, so it may be longer, and one that reaches out of sight is. "
-            "Nothing follows about why vehicles wait."
+            "A queue is who stands, from the stop line back, with no more than 10 m of visible "
+            "road free: a vehicle that was missed cuts it there, so it may be longer. 'At least' "
+            "is where it reaches as far as the radars see. Nothing follows about why vehicles wait."
         ) + told,
     )  # fmt: skip
 
