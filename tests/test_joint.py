@@ -180,7 +180,7 @@ def test_two_sensors_that_contradict_each_other_end_with_one_line(recordings, tr
     def single(recording, *_, **__):
         return Localization(pose=poses[recording.stem], fitness=0.9, observable=True)
 
-    monkeypatch.setattr("gis_radar.calibration.joint.localize", single)
+    monkeypatch.setattr("gis_radar.calibration.joint.localize_one", single)
     with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict[^;]*$") as refusal:
         locate_all(
             list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
@@ -388,7 +388,7 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
             raise found
         return found
 
-    monkeypatch.setattr("gis_radar.calibration.joint.localize", single)
+    monkeypatch.setattr("gis_radar.calibration.joint.localize_one", single)
     done = locate_all(
         [recordings["R1"], alone], LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
     )

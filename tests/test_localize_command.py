@@ -80,7 +80,7 @@ def test_options_reach_their_arguments(files, monkeypatch, option, name, value):
         raise gr.NoAnswerError("heard")
 
     monkeypatch.setattr(localizing, "read_map", lambda *_, **__: street.roads())
-    monkeypatch.setattr(localizing, "localize", listen)
+    monkeypatch.setattr(localizing, "localize_one", listen)
     guess = () if option[0] == "--guess" else ("--guess", "690000,5336000")
     with pytest.raises(gr.NoAnswerError, match="heard"):
         CliRunner().invoke(
@@ -98,7 +98,7 @@ def test_a_compass_becomes_a_heading(files, monkeypatch):
         raise gr.NoAnswerError("heard")
 
     monkeypatch.setattr(localizing, "read_map", lambda *_, **__: street.roads())
-    monkeypatch.setattr(localizing, "localize", listen)
+    monkeypatch.setattr(localizing, "localize_one", listen)
     call = words(folder, "--guess", "690000,5336000", "--compass", "north-east")
     with pytest.raises(gr.NoAnswerError, match="heard"):
         CliRunner().invoke(group, call, catch_exceptions=False, standalone_mode=False)
@@ -114,7 +114,7 @@ def test_a_guess_in_another_system_is_moved(files, monkeypatch):
         raise gr.NoAnswerError("heard")
 
     monkeypatch.setattr(localizing, "read_map", lambda *_, **__: street.roads())
-    monkeypatch.setattr(localizing, "localize", listen)
+    monkeypatch.setattr(localizing, "localize_one", listen)
     there = Transformer.from_crs(UTM, 3857, always_xy=True).transform(690_000.0, 5_336_000.0)
     guess = ",".join(f"{value:.3f}" for value in there)
     call = words(folder, "--guess", guess, "--guess-crs", "EPSG:3857")

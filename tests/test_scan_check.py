@@ -362,7 +362,7 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
         pose=moved(POSE, 0.0, left), fitness=1.0, observable=True,
         traces=np.array([[20.0, 0.0, -5.0], [40.0, 9.0, -5.0]]), range_rate=np.array([1.0, -1.0]),
     )  # fmt: skip
-    monkeypatch.setattr(localizing, "localize", lambda *_, **__: answer)
+    monkeypatch.setattr(localizing, "localize_one", lambda *_, **__: answer)
     picture = tmp_path / "figure.png"
     call = command(tmp_path, "--scan", str(SCAN), "--figure", str(picture), "--json")
     done = CliRunner().invoke(group, call, catch_exceptions=False)
@@ -389,7 +389,7 @@ def reached_m(path):
 def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
     known = gr.View(azimuth_deg=90.0, max_range_m=150.0)
     answer = Localization(pose=POSE, fitness=1.0, observable=True)
-    monkeypatch.setattr(localizing, "localize", lambda *_, **__: answer)
+    monkeypatch.setattr(localizing, "localize_one", lambda *_, **__: answer)
     found = gr.localize(
         R2, SAMPLE / "junction.osm", SCAN, guess=(690379, 5336233), scans=[SCAN], view=known
     )
@@ -404,7 +404,7 @@ def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypat
     def ambiguous(*_, **__):
         raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=both)
 
-    monkeypatch.setattr(localizing, "localize", ambiguous)
+    monkeypatch.setattr(localizing, "localize_one", ambiguous)
     files = (R2, SAMPLE / "junction.osm", SCAN)
     with pytest.raises(AmbiguousError):
         gr.localize(*files, guess=POSE.position[:2])
@@ -427,7 +427,7 @@ def test_what_stands_decides_though_it_fits_elsewhere_too(monkeypatch):
         answers = tuple(Localization(pose=p, fitness=0.95, observable=True) for p in several)
         raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=answers)
 
-    monkeypatch.setattr(localizing, "localize", ambiguous)
+    monkeypatch.setattr(localizing, "localize_one", ambiguous)
     monkeypatch.setattr(localizing, "check_against_scan", unclear)
     heard = Listener()
     files = (R2, SAMPLE / "junction.osm", SCAN)
@@ -485,7 +485,7 @@ def test_the_adjusted_pose_is_checked_and_no_other(tmp_path, monkeypatch):
     }  # fmt: skip
     right = {name: gr.read_pose(SAMPLE / f"{name}.json") for name in wrong}
     solved = Solved(poses=right, chosen={"R1": 0, "R2": 0}, refused={}, pairs={})
-    monkeypatch.setattr(joint, "localize", lambda recording, **_: wrong[recording.stem])
+    monkeypatch.setattr(joint, "localize_one", lambda recording, **_: wrong[recording.stem])
     monkeypatch.setattr(joint, "adjust_poses", lambda *_, **__: solved)
     found = together(scans=[SCAN]).found
     assert [each.pose.evidence["scan_check"]["verdict"] for each in found.values()] == 2 * [
@@ -500,7 +500,7 @@ def test_of_poses_that_contradict_each_other_the_confirmed_one_stays(monkeypatch
     alone = {n: Localization(pose=p, fitness=1.0, observable=True) for n, p in poses.items()}
     why = "R1 and R2: their poses contradict each other"
     solved = Solved(poses={}, chosen={}, refused=dict.fromkeys(alone, why), pairs={})
-    monkeypatch.setattr(joint, "localize", lambda recording, **_: alone[recording.stem])
+    monkeypatch.setattr(joint, "localize_one", lambda recording, **_: alone[recording.stem])
     monkeypatch.setattr(joint, "adjust_poses", lambda *_, **__: solved)
     with pytest.raises(gr.NoAnswerError, match="contradict each other"):
         together()
@@ -538,7 +538,7 @@ def test_the_scan_decides_for_a_sensor_before_its_neighbours_do(monkeypatch):
         chosen = {name: len(several) - 1 for name, several in poses.items()}
         return Solved(poses=right, chosen=chosen, refused={}, pairs={})
 
-    monkeypatch.setattr(joint, "localize", single)
+    monkeypatch.setattr(joint, "localize_one", single)
     monkeypatch.setattr(joint, "adjust_poses", unmoved)
     together()
     together(scans=[SCAN])
@@ -549,7 +549,7 @@ def test_a_scan_that_reaches_one_of_two_sensors_is_refused_before_the_search(tmp
     def never(*_, **__):
         raise AssertionError
 
-    monkeypatch.setattr(joint, "localize", never)
+    monkeypatch.setattr(joint, "localize_one", never)
     north = gr.read_pose(SAMPLE / "R1.json").northing + 310.0  # R2 is 55 m nearer to it
 
     def change(xyz, category):
@@ -564,7 +564,7 @@ def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch
     def never(*_, **__):
         raise AssertionError
 
-    monkeypatch.setattr(localizing, "localize", never)
+    monkeypatch.setattr(localizing, "localize_one", never)
     monkeypatch.setattr(scan_files.Scan, "batches", never)  # nor is a scan read
     far = rewritten(tmp_path / "far.laz", lambda xyz, c: (xyz[::50] + [900.0, 0.0, 0.0], c[::50]))
     words = command(tmp_path, "--scan", str(far), "--json")
