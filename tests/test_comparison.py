@@ -200,6 +200,13 @@ def test_a_third_fewer_cars_are_told(dataset):
     assert found.used == (1.0, 1.0)
 
 
+def test_periods_are_written_as_on_the_command_line_too(dataset):
+    found = gr.compare(dataset, before="/".join(BEFORE), after="/".join(AFTER))
+    assert found.figures() == gr.compare(dataset, before=BEFORE, after=AFTER).figures()
+    with pytest.raises(UsageError, match="'2023-11-14' is no period"):
+        gr.compare(dataset, before="2023-11-14", after=AFTER)
+
+
 def test_a_difference_below_what_is_resolved_is_not_told(tmp_path):
     """All drive at one speed, but for 8 mm/s."""
     tracks = [*cars(HOUR, 10.0, 1), *cars(HOUR + 1, 10.0, 2, by=0.5004)]

@@ -84,6 +84,25 @@ def test_rings_and_gaps():
     assert chain_lanelets(np.array([1, 2]), corners[:2], corners[2:]) == [(1,), (2,)]
 
 
+def test_lanes_end_at_branches_and_merges_whose_ends_are_turned_against_each_other():
+    """As converters of OpenDRIVE draw them: no shared nodes, bounds 0.28 m apart, middles equal."""
+    ids = np.array([1, 2, 3, 4])  # 1 branches into 2 and 3, which merge into 4
+    begin, end, cross = np.array([0.0, 10.0, 10.0, 30.0]), [10.0, 30.0, 30.0, 40.0], (0.28, 2.0)
+    starts = np.column_stack([begin, np.full(4, 2.0), begin, np.full(4, -2.0)])
+    ends = np.column_stack([end, np.full(4, 2.0), end, np.full(4, -2.0)])
+    assert chain_lanelets(ids[[0, 1, 3]], starts[[0, 1, 3]], ends[[0, 1, 3]]) == [(1, 2, 4)]
+    for corners in (starts, ends):
+        corners[2] += [cross[0], 0.0, -cross[0], 0.0]
+    assert chain_lanelets(ids, starts, ends) == [(1,), (2,), (3,), (4,)]
+
+
+@needs_shared_maps
+def test_a_converted_town_has_turns_at_its_junctions():
+    """No lane runs on through junctions, past branches and merges."""
+    roads = gr.read_map(SHARED / "town01" / "map.osm")
+    assert gr.lanes(roads)["length_m"].max() < 500.0  # along the ring; through junctions 1442
+
+
 @needs_shared_maps
 @pytest.mark.parametrize("name", ["carla_Town01", "carla_Town03", "kashiwanoha"])
 def test_turns_by_geometry_are_those_that_mappers_tagged(name):

@@ -13,8 +13,6 @@ from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
     DURATION,
     FILE,
-    PERIOD,
-    Period,
     begin_end,
     csv_locale,
     language,
@@ -93,14 +91,14 @@ def traffic(
 @dataset_argument
 @click.argument("other", metavar="[DATASET2]", type=FILE, required=False)
 @output
-@click.option("--before", type=PERIOD, help="The first period, such as 2026-09-07/2026-09-21.")
-@click.option("--after", type=PERIOD, help="The second period; of DATASET2, where it is given.")
+@click.option("--before", metavar="T/T", help="The first period, such as 2026-09-07/2026-09-21.")
+@click.option("--after", metavar="T/T", help="The second period; of DATASET2, where it is given.")
 @click.option("--days", help="Only these days of the week, such as Mo-Fr or Sa,Su.")
 @names_of_lanes
 @language("Of the page, the lanes' names and the titles.")
 @csv_locale
 def compare(
-    *, folder: Path, other: Path | None, output: Path, before: Period | None, after: Period | None,
+    *, folder: Path, other: Path | None, output: Path, before: str | None, after: str | None,
     site: Path | None, csv_locale: str, language: str, days: str | None, reporter: Reporter,
 ) -> Result:  # fmt: skip
     """Compare the traffic of two periods by lane: what changed, and how sure that is."""

@@ -17,7 +17,6 @@ from gis_radar.base import Text, UsageError
 
 FILE = click.Path(path_type=Path)
 Verb = TypeVar("Verb", bound=Callable[..., Any])
-Period = tuple[str, str]
 
 
 class Parsed(click.ParamType):  # type: ignore[type-arg]
@@ -116,19 +115,11 @@ def _cycles(text: str) -> dict[str, float]:
     return cycles
 
 
-def _period(text: str) -> Period:
-    begin, slash, end = (part.strip() for part in text.partition("/"))
-    if not (begin and slash and end):
-        raise ValueError(Text("{} is no period, expected as 2026-09-07/2026-09-21", repr(text)))
-    return begin, end
-
-
 POSITION = Parsed("E,N[,H]", _position)  # easting and northing, with or without a height, m
 BEARING = Parsed("BEARING", _bearing)  # degrees clockwise from true north, or a word for them
 WORDS = Parsed("a,b,...", _words)
 PAIRS = Parsed("a=A,b=B,...", _pairs)  # values by name
 DURATION = Parsed("DURATION", _duration)  # seconds; a bare number is seconds, too
-PERIOD = Parsed("T/T", _period)  # begin and end
 CLOCKS = Parsed("auto|FILE", lambda text: text if text == "auto" else Path(text))
 CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # seconds from frame to frame, by sensor
 

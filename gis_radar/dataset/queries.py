@@ -22,6 +22,7 @@ from gis_radar.dataset.views import make_views, quoted
 
 Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
 """The columns of an answer, and its rows in batches."""
+PROPOSAL = ("Candidate bindings:", "Did you mean")
 _ROWS_AT_ONCE = 1 << 17
 _CONFIG = {
     "autoinstall_known_extensions": "false",
@@ -162,4 +163,10 @@ def _errors_of(folder: Path) -> Iterator[None]:
             ) from error
         if isinstance(error, duckdb.IOException) or ".parquet" in str(error):
             raise InputError("{}: {}", folder, first_line(error), hint=MEASURE_AGAIN) from error
-        raise UsageError("the query fails: {}", first_line(error), hint=ASK_ONE) from error
+        raise UsageError("the query fails: {}", _named(error), hint=ASK_ONE) from error
+
+
+def _named(error: Exception) -> str:
+    """Return the first line of an error of DuckDB, and the names that it proposes."""
+    proposed = [line for line in str(error).splitlines()[1:] if line.startswith(PROPOSAL)]
+    return "; ".join([first_line(error), *proposed])

@@ -6,6 +6,7 @@ from .lanes import (
     LANES_LAYER,
     STOP_LINES_LAYER,
     chain_lanelets,
+    joining,
     lane_style,
     turn_word,
 )
@@ -64,6 +65,7 @@ __all__ = [
     "fingerprint",
     "is_driven",
     "is_inside",
+    "joining",
     "lane_graph",
     "lane_style",
     "lanes_at",

@@ -24,6 +24,8 @@ from gis_radar.hdmap.tagging import STREET, TURN_TAG
 
 LANES_LAYER, STOP_LINES_LAYER = "lanes", "stop_lines"
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other: nodes may be drawn twice
+JOIN_M = 0.5  # between the middles of ends that are turned against each other
+JOIN_RAD = math.radians(30.0)  # between their cross-lines: excludes the opposite direction
 SHAPE_M = 0.01  # to which centre lines are simplified: far below a pixel, a tenth of the points
 LANE_EXIT_M = 5.0  # last part of a lane, which gives its direction: it may turn before
 STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
@@ -79,15 +81,45 @@ def chain_lanelets(
 def _following(
     ids: list[int], at: _Ends, stated: Sequence[Collection[int]] | None
 ) -> list[list[int]]:
-    """Return, for each lanelet, the positions of the lanelets that follow it."""
+    """Return, for each lanelet, the positions of the lanelets that follow it.
+
+    Which only :func:`joining` joins follow where one of them would have nothing there otherwise.
+    """
     low = at.starts.min(axis=0) if len(ids) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))
     touching = next(trees).query_ball_tree(next(trees), TOUCH_M)
     position = {ref: index for index, ref in enumerate(ids)}
     named = stated if stated is not None else [()] * len(ids)
-    return [
-        sorted({k for k in near if k != i} | {position[ref] for ref in refs if ref in position})
+    found = [
+        {k for k in near if k != i} | {position[ref] for ref in refs if ref in position}
         for i, (near, refs) in enumerate(zip(touching, named, strict=True))
+    ]
+    led_to = {k for each in found for k in each}
+    return [
+        sorted(each | {k for k in near if not each or k not in led_to})
+        for each, near in zip(found, joining(at.starts, at.ends), strict=True)
+    ]
+
+
+def joining(starts: Floats, ends: Floats) -> list[list[int]]:
+    """Return, for each end, the starts that join it: near, and in the same direction.
+
+    Parameters
+    ----------
+    starts, ends : (n, 4) arrays
+        Easting and northing of the left and of the right bound, metres.
+    """
+    (begin, opening), (end, closing) = (
+        ((each[:, :2] + each[:, 2:]) / 2.0, np.arctan2(*(each[:, :2] - each[:, 2:]).T))
+        for each in (starts, ends)
+    )
+    low = begin.min(axis=0) if len(begin) else 0.0
+    trees = (scipy.spatial.cKDTree(each - low) for each in (end, begin))
+    near = next(trees).query_ball_tree(next(trees), JOIN_M)
+    least = math.cos(JOIN_RAD)
+    return [
+        sorted(k for k in found if k != i and math.cos(opening[k] - closing[i]) > least)
+        for i, found in enumerate(near)
     ]
 
 

@@ -17,13 +17,10 @@ from typing import NamedTuple
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import scipy
 
 from gis_radar.base import Booleans, Floats, Integers, ranges
-from gis_radar.hdmap import lanes_of, quads
+from gis_radar.hdmap import joining, lanes_of, quads
 
-JOIN_M = 0.5  # between the middles of ends that follow each other: a tenth of a lane's width
-JOIN_RAD = math.radians(30.0)  # between their directions: excludes the opposite direction
 QUEUE_REACH_M = 500.0  # from the stop line, up to which queues are followed into earlier lanes
 
 
@@ -264,20 +261,6 @@ def _known(lane: Integers, values: Mapping[int, float] | None) -> Floats:
 def _after(tiles: gpd.GeoDataFrame, rows: Sequence[Integers]) -> list[tuple[int, ...]]:
     """Return, for each lane, the positions of the lanes that begin at its end in its direction."""
     corners = quads(tiles)
-    first, last = (np.array([each[k] for each in rows]) for k in (0, -1))
-    begin, end = corners[first][:, [0, 3]], corners[last][:, [1, 2]]
-    heading = [
-        np.arctan2(*(away[:, 1] + away[:, 0])[:, ::-1].T)
-        for away in (corners[each][:, [1, 2]] - corners[each][:, [0, 3]] for each in (first, last))
-    ]
-    near = scipy.spatial.cKDTree(begin.mean(axis=1)).query_ball_point(end.mean(axis=1), JOIN_M)
-    return [
-        tuple(
-            sorted(
-                other
-                for other in found
-                if other != k and math.cos(heading[0][other] - heading[1][k]) > math.cos(JOIN_RAD)
-            )
-        )
-        for k, found in enumerate(near)
-    ]
+    starts = np.array([corners[each[0]][[3, 0]].ravel() for each in rows])
+    ends = np.array([corners[each[-1]][[2, 1]].ravel() for each in rows])
+    return [tuple(found) for found in joining(starts, ends)]

@@ -73,6 +73,7 @@ def test_times_come_back_in_utc(measured):
     ("sql", "message"),
     [
         ("SELECT x FROM hits", "the query fails: .*x"),
+        ("SELECT til_id FROM hits", 'the query fails: .*; Candidate bindings: "tile_id"'),
         ("SELEC 1", "the query cannot be read: syntax error"),
         ("", "the query has 0 statements, one is needed"),
         ("SELECT 1; SELECT 2", "the query has 2 statements, one is needed"),

@@ -32,8 +32,8 @@ def compare(
     dataset: Dataset,
     other: Dataset | None = None,
     *,
-    before: Period,
-    after: Period,
+    before: Period | str,
+    after: Period | str,
     days: str | None = None,
     language: str | None = None,
 ) -> Comparison:
@@ -47,8 +47,9 @@ def compare(
     ----------
     dataset, other : Dataset
         Datasets with vehicles. The second period is of `other`, where it is given.
-    before, after : (begin, end)
-        The periods, as for :meth:`gis_radar.Dataset.traffic`; None for a whole dataset.
+    before, after : (begin, end) or str
+        The periods, as for :meth:`gis_radar.Dataset.traffic`, or as `2026-09-07/2026-09-21`;
+        `(None, None)` for a whole dataset.
     days : str, optional
         Days of the week to compare, such as `Mo-Fr` or `Sa,Su`; by default all.
     language : str, optional
@@ -63,6 +64,7 @@ def compare(
     NoAnswerError
         If no lane was seen alike in both periods.
     """
+    before, after = (period_of(each) if isinstance(each, str) else each for each in (before, after))
     other = other or dataset
     _require_alike(dataset, other)
     if other.folder.resolve() == dataset.folder.resolve():
@@ -72,6 +74,20 @@ def compare(
     rows = _rows(sources, _day_numbers(days), options)
     sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
     return _compared(rows, sights, dataset.doubts, other.doubts)
+
+
+def period_of(text: str) -> Period:
+    """Return begin and end of a period such as `2026-09-07/2026-09-21`.
+
+    Raises
+    ------
+    UsageError
+        If the text is none.
+    """
+    begin, slash, end = (part.strip() for part in text.partition("/"))
+    if not (begin and slash and end):
+        raise UsageError("{} is no period, expected as 2026-09-07/2026-09-21", repr(text))
+    return begin, end
 
 
 def _require_alike(dataset: Dataset, other: Dataset) -> None:
