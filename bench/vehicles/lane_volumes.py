@@ -89,6 +89,7 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
     short = (backs_m - true_m)[waits]
     pairs = turns.assign(true=turns["true"].fillna(0.0)).groupby(["from_lane", "to_lane"])
     sums = pairs[["volume", "true"]].sum()
+    turns_off = (sums["volume"] - sums["true"]).abs().sum()
     return {
         "lanes": f"{len(by_lane)}",
         "true": f"{int(by_lane['true'].sum())}",
@@ -98,7 +99,7 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         "speed_off_kmh": f"{faster.abs().mean():.1f} (bias {faster.mean():+.1f})",
         "queues": _queues(short),
         "turns": f"{len(sums)}",
-        "turns_off": f"{(sums['volume'] - sums['true']).abs().sum() / sums['true'].sum():.1%}",
+        "turns_off": f"{turns_off / sums['true'].sum():.1%}" if len(sums) else "none",
     }
 
 
