@@ -276,6 +276,15 @@ def test_a_scan_of_a_corner_says_too_little(tmp_path):
     assert "covers" in found.reason
 
 
+def test_the_mirrored_place_in_a_symmetric_junction_is_not_confirmed():
+    """Traffic fits there as well; what stands fits worse than a few metres aside."""
+    place = {"easting": 690419.14, "northing": 5336166.35, "height": 521.72}
+    mirrored = replace(POSE, **place, yaw=113.67, pitch=4.09, roll=-0.62)
+    found = gr.check_against_scan(R2, mirrored, [SCAN])
+    assert found.verdict == "undecided"
+    assert "both may be right" in found.reason
+
+
 def test_a_plain_has_nothing_to_compare(tmp_path):
     def change(xyz, category):
         return xyz[category == 2], category[category == 2]

@@ -22,6 +22,7 @@ from gis_radar.calibration.scan_check_result import (
     DOUBTS,
     SHIFT_M,
     UNCLEAR,
+    UNDECIDED,
     PoseOffset,
     ScanCheck,
 )
@@ -298,7 +299,7 @@ def check_against_scan(
         pose=pose, standing=found, structure=structure, range_m=slow.range_m, **compared
     )
     text = Text("scan check: {}: {}", look.verdict, look.reason)
-    reporter.log(text, "warning" if look.verdict == DOUBTS else "info")
+    reporter.log(text, "warning" if look.verdict in {DOUBTS, UNDECIDED} else "info")
     return look
 
 
@@ -347,7 +348,7 @@ def _verdict(
     if alignment.over(chance) < BETTER_SIGMAS:
         return DOUBTS, Text("{}, hardly more than by chance ({:.0%})", fits, chance)
     if other is not None and (elsewhere or alignment.z_score(best, other) < CLEAR_SIGMAS):
-        return UNCLEAR, Text(
+        return UNDECIDED, Text(
             "{}, and {:.0%} {}: both may be right", fits, other.score, other.words()
         )
     return CONFIRMS, Text("{}, by chance {:.0%}; most of all {}", fits, chance, best.words())

@@ -25,7 +25,7 @@ from gis_radar.calibration.surroundings import TALL_M, LevelFrame, Standing, Str
 from gis_radar.poses import Pose
 
 CONFIRMS, DOUBTS = Text("confirms"), Text("doubts")
-UNCLEAR = Text("nothing to compare")
+UNCLEAR, UNDECIDED = Text("nothing to compare"), Text("undecided")
 SHIFT_M = 10.0  # reach, ahead and aside, of the search for better poses
 
 DPI = 216
@@ -91,7 +91,7 @@ class ScanCheck:
     pose : Pose
         The pose that was checked.
     verdict : str
-        `confirms`, `doubts` or `nothing to compare`.
+        `confirms`, `doubts`, `undecided` (two places fit alike) or `nothing to compare`.
     reason : str
         The reason for the verdict, in one line.
     score : float
