@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -325,6 +326,25 @@ def test_the_command_writes_page_table_layer_and_maps(run, dataset, tmp_path):
     code, out, said = run(*words, "-o", tmp_path / "own", "--site", tmp_path / "SITE.toml")
     assert code == 0, said
     assert "To the harbour" in (tmp_path / "own" / "compare.csv").read_text(encoding="utf-8")
+
+
+def test_the_page_warns_of_times_of_day_only_where_they_differ(dataset, tmp_path):
+    found = gr.compare(dataset, before=BEFORE, after=AFTER)
+    few = found.table["measure"] == "delay_s"
+    for name, units in (
+        ("none", "times of day"),
+        ("some", few.map({True: "intervals", False: "times of day"})),
+        ("all", "intervals"),
+    ):
+        made = replace(found, table=found.table.assign(units=units))
+        gr.write_comparison(made, tmp_path / name)
+    pages = {
+        name: (tmp_path / name / "compare.html").read_text(encoding="utf-8")
+        for name in ("none", "some", "all")
+    }
+    shares, rests = "share no times of day", "What rests on intervals may differ by the time"
+    assert [shares in page for page in pages.values()] == [False, False, True]
+    assert [rests in page for page in pages.values()] == [False, few.any(), False]
 
 
 def test_a_period_that_is_missing_or_none(run, dataset, tmp_path):

@@ -304,6 +304,20 @@ def colours_of(element):
     )
 
 
+def test_a_page_without_its_library_says_so(live, address, chromium):
+    live.at = live.first + 1200
+    chromium.execute_cdp_cmd("Network.enable", {})
+    chromium.execute_cdp_cmd("Network.setBlockedURLs", {"urls": ["*maplibre-gl.mjs"]})
+    try:
+        chromium.get(f"{address}/?lang=en")
+        trouble = chromium.find_element(By.ID, "trouble")
+        wait_for(lambda: "installed without MapLibre" in trouble.text)
+        assert not chromium.find_element(By.ID, "map").is_displayed()
+    finally:
+        chromium.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})
+        chromium.get_log("browser")
+
+
 @pytest.mark.parametrize(("width", "language"), [(1280, "en"), (390, "de")])
 def test_the_page_in_a_browser(live, address, chromium, width, language):
     live.at, live.silent = live.first + 1200, {"R2"}

@@ -144,6 +144,15 @@ def test_layers_have_times_in_utc_and_a_style(written, dataset):
     assert 'fixedDuration="899990"' in styles["lanes"]
 
 
+def test_legends_and_tips_of_layers_speak_german(written):
+    folder, _ = written("--language", "de")
+    with closing(sqlite3.connect(folder / "traffic.gpkg")) as database:
+        styles = [qml for (qml,) in database.execute("SELECT styleQML FROM layer_styles")]
+    for qml in styles:
+        assert " 100 Kfz/h" in qml
+        assert "veh/h" not in qml
+
+
 def test_sumo_reads_back_the_same_turns(written, tmp_path, sumo_installed):
     folder, _ = written("--end", "2023-11-14 23:15")
     nodes = [("a", 0, 0), ("b", 60, 0), ("c", 100, 0), ("d", 96, 17)]

@@ -63,10 +63,11 @@ def write_turning_diagram(
     path : Path
         The picture (PNG).
     """
-    with picture_file(path, (WIDTH_IN, WIDTH_IN), DPI) as figure:
+    with picture_file(path, (WIDTH_IN, WIDTH_IN), DPI, tight=True) as figure:
         axes = draw_turning_diagram(figure, lanes, mean_turns(turns))
         axes.set_title(_title(turns), loc="left", color=INK, fontsize=13, fontweight="bold")
-        axes.text(0.0, 0.0, tr(_BELOW), transform=axes.transAxes, color=SOFT, fontsize=9)
+        below = f"{tr(_BELOW)}\n{tr(_UNSEEN)}"
+        axes.text(0.0, 0.0, below, transform=axes.transAxes, color=SOFT, fontsize=9)
 
 
 def draw_turning_diagram(
@@ -104,6 +105,7 @@ _BELOW = (
     "Vehicles an hour with their standard errors, means of the intervals that are known. "
     "A line is as wide as its volume; north is up."
 )
+_UNSEEN = "Turns without a line were not seen."
 
 
 def _title(turns: pd.DataFrame) -> str:

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
+from gis_radar.base import tr
 from gis_radar.products.heatmap.style import RAMP, qgis_document
 
 VOLUMES = "volume_veh_h"
@@ -53,7 +54,7 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], layer: str) -> s
         LineClass(low, high, colour, f"{low:g} - {high:g}" if high < BREAKS[-1] else f"> {low:g}")
         for (low, high), colour in zip(pairwise(BREAKS), RAMP, strict=True)
     )
-    _add_classes(root, VOLUMES, classes, unit=" veh/h", wide=layer == "turns")
+    _add_classes(root, VOLUMES, classes, unit=f" {tr('veh/h')}", wide=layer == "turns")
     aliases = SubElement(root, "aliases")
     for number, (name, title) in enumerate(titles.items(), start=1):
         SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
@@ -148,7 +149,7 @@ def _tip(layer: str) -> str:
         return f"[% replace(replace(\"{column}\", '&', '&amp;'), '<', '&lt;') %]"
 
     name = " &rarr; ".join(map(text, NAMED[layer]))
-    number = f"""[% coalesce(format_number("{VOLUMES}", 0), '\u2013') %] veh/h"""
+    number = f"""[% coalesce(format_number("{VOLUMES}", 0), '\u2013') %] {tr("veh/h")}"""
     speed = """, [% coalesce(format_number("speed_kmh", 0), '\u2013') %] km/h"""
     speed = speed if layer == "lanes" else ""
     return f"<b>{name}</b><br>{number}{speed}"

@@ -179,7 +179,7 @@ const paints = {
 };
 
 async function draw() {
-  const maplibre = await import("/web/vendor/maplibre-gl.mjs");
+  const maplibre = await import("/web/vendor/maplibre-gl.mjs").catch(() => { throw words.no_library; });
   const shown = new maplibre.Map({
     container: "map", bounds: site.bounds, fitBoundsOptions: { padding: 30 }, attributionControl: false,
     style: { version: 8, sources: {}, layers: [] }, dragRotate: false, pitchWithRotate: false,
@@ -236,15 +236,19 @@ async function begin() {
   show();
   site = await (await fetch(`/site.json?lang=${language}`)).json();
   let stream = listen();
-  let drawn = true;
+  let undrawn = "";
   setInterval(() => {
     const silent = Date.now() - last > SILENT_MS;
     // after an answer that is no stream, as of a proxy, a browser does not try again by itself
     if (stream.readyState === EventSource.CLOSED && Date.now() - opened > RETRY_MS) stream = listen();
-    trouble(silent ? words.late : drawn ? "" : words.no_map);
+    trouble(silent ? words.late : undrawn);
     document.body.classList.toggle("silent", silent);
   }, 1000);
-  try { await draw(); } catch { drawn = false; trouble(words.no_map); }
+  try { await draw(); } catch (why) {
+    undrawn = why === words.no_library ? why : words.no_map;
+    byId("map").hidden = true;
+    trouble(undrawn);
+  }
 }
 
 begin();

@@ -64,7 +64,9 @@ def compare(
     NoAnswerError
         If no lane was seen alike in both periods.
     """
-    before, after = (period_of(each) if isinstance(each, str) else each for each in (before, after))
+    before, after = (
+        _read_period(each) if isinstance(each, str) else each for each in (before, after)
+    )
     other = other or dataset
     _require_alike(dataset, other)
     if other.folder.resolve() == dataset.folder.resolve():
@@ -76,7 +78,7 @@ def compare(
     return _compared(rows, sights, dataset.doubts, other.doubts)
 
 
-def period_of(text: str) -> Period:
+def _read_period(text: str) -> Period:
     """Return begin and end of a period such as `2026-09-07/2026-09-21`.
 
     Raises

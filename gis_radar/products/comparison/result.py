@@ -251,9 +251,10 @@ def page_of(comparison: Comparison, picture: bytes) -> str:
 
 def _cautions(table: gpd.GeoDataFrame) -> list[str]:
     """Return cautions for the reader about the compared data."""
-    if INTERVALS not in set(table["units"]):
-        return []
-    return [tr("The periods share no times of day: what differs may be the time of day.")]
+    apart = table["units"] == INTERVALS
+    if apart.all():
+        return [tr("The periods share no times of day: what differs may be the time of day.")]
+    return [tr("What rests on intervals may differ by the time of day.")] if apart.any() else []
 
 
 def _signed(change: float) -> str:

@@ -35,7 +35,7 @@ class CountTraffic(WorkerAlgorithm):
         shared.DATASET,
         Text(
             "INTERVAL", "Interval", "Length of the intervals: 1min, 5min, 15min, 1h, 24h.",
-            default="15min",
+            advanced=False, default="15min",
         ),
         Text("BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30."),
         Text("END", "End", "Only before this time."),
