@@ -71,9 +71,9 @@ def frozen(table):
 
 YAW, PITCH = POSES["R1"].yaw, POSES["R1"].pitch
 MISTAKES = {
-    "turned": (turned("yaw", YAW + 180.0), None, "yaw is off by 180 deg", "set yaw to 21.7"),
+    "turned": (turned("yaw", YAW + 180.0), None, "yaw is off by 180 deg", "set yaw to 21.7 deg"),
     "a bearing": (turned("yaw", 90.0 - YAW), None, "its yaw is a bearing", "21.7"),
-    "two degrees": (turned("yaw", YAW + 2.0), None, "its pose is off", "set yaw 21.67"),
+    "two degrees": (turned("yaw", YAW + 2.0), None, "its pose is off", "set yaw 21.6"),
     "pitch": (turned("pitch", -PITCH), None, "pitch has the wrong sign", "set pitch to 3.2"),
     "height": (turned("height", POSES["R1"].height + 3.0), None, "height is 3", "height to 520"),
     "mirrored": (POSES["R1"], times("y", -1.0), "left and right are swapped", "the sign of y"),
@@ -109,7 +109,9 @@ def test_a_pose_a_metre_off_is_doubted_not_refused(tmp_path, tiles, rows):
         [tmp_path / "R1.parquet"], [pose], tiles, MAP, tmp_path / "d", hits_only=True,
         reporter=heard,
     )  # fmt: skip
-    assert made.manifest.doubts["R1"].startswith("R1: fits, but its pose may be off (9")
+    assert made.manifest.doubts["R1"].startswith(
+        "R1: fits, but its pose may be off (with this pose 9"
+    )
     assert made.manifest.doubts["R1"] in str(heard.messages)
 
 
@@ -152,21 +154,21 @@ def test_recordings_that_are_mixed_up_are_named_in_a_table(run, mixed_up):
     assert head == ["sensor", "verdict", "evidence", "what to do"]
     for line, (name, other) in zip(lines, (("R1", "R2"), ("R2", "R1")), strict=True):
         assert line[:2] == [name, "does not fit"]
-        assert f"it fits the pose of {other}" in line[2]
-        assert line[3] == f"give the recording with the pose of {other}"
+        assert f"the recording fits the pose of {other}" in line[2]
+        assert line[3] == f"give this recording with the pose of {other}"
     assert "accept = true in [[sensor]] R1" in events["error"]["hint"]
     parts = events["error"]["parts"]
     assert [part["hint"].partition(";")[0] for part in parts] == [line[3] for line in lines]
     told = [
-        f"gis-radar: {name}: does not fit: recording and pose are of two sensors: it fits the pose "
-        f"of {other} (" for name, other in (("R1", "R2"), ("R2", "R1"))
+        f"gis-radar: {name}: does not fit: recording and pose are mixed up: the recording fits the "
+        f"pose of {other} (" for name, other in (("R1", "R2"), ("R2", "R1"))
     ]  # fmt: skip
     lines = [
         line for line in run("check", mixed_up / "SITE.toml")[2].splitlines() if line[:1] == "g"
     ]
     assert [line[: len(begin)] for line, begin in zip(lines, told, strict=True)] == told
     assert lines[1].endswith(
-        "(give the recording with the pose of R1; or go on anyway: accept = true in [[sensor]] R2)"
+        "(give this recording with the pose of R1; or go on anyway: accept = true in [[sensor]] R2)"
     )
 
 
@@ -183,7 +185,7 @@ def test_a_run_leaves_out_what_does_not_fit_and_a_product_says_what_was_accepted
     assert code == 4
     assert "no result for R2" in err
     assert "yaw is off by 180 deg" in err
-    hint = "(set yaw to -66.4; or go on anyway: accept = true in [[sensor]] R2)"
+    hint = "(set yaw to -66.4 deg; or go on anyway: accept = true in [[sensor]] R2)"
     assert err.rstrip().endswith(hint)
     assert "R2 is left out: does not fit: yaw is off" in err
     assert "| does not fit: yaw is off" in (mixed_up / "out" / "summary.md").read_text()
@@ -296,10 +298,11 @@ def test_a_clock_that_is_off_is_named_between_sensors_with_a_common_view(tmp_pat
     late.to_parquet(tmp_path / "B.parquet", index=False)
     files = [tmp_path / "A.parquet", tmp_path / "B.parquet"]
     with pytest.raises(
-        ImplausibleError, match=r"R2: .* clock and that of R1 are apart \(\+1\.0"
+        ImplausibleError,
+        match=r"R2: .* clock and that of R1 are apart \(.* this one is 1\.0\d ± 0\.\d+ s ahead",
     ) as e:
         gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True)
-    assert "R1: does not fit: its clock and that of R2 are apart (-1.0" in e.value.message
+    assert re.search(r"R1: .* that of R2 are apart \(.* 1\.0\d ± 0\.\d+ s behind", e.value.message)
     assert [each.sensor for each in e.value.findings] == ["R1", "R2"]
     clocks = {"R2": SensorClock(offset_s=1.0)}
     gr.measure(files, [*POSES.values()], tiles, MAP, tmp_path / "d", hits_only=True, clocks=clocks)
@@ -349,7 +352,7 @@ def test_how_surely_a_pitch_is_off_does_not_depend_on_where_north_is(tmp_path, m
         )
         lanes = LaneMap(lanelets=there, road=np.empty((0, 3)))
         (found,) = check_plausibility({"R2": recorded}, lanes)
-        stated = re.search(r"pitch -2\.\d+ ± ([\d.]+) deg", found.evidence)
+        stated = re.search(r"tilted 2\.\d+ ± ([\d.]+) deg up", found.evidence)
         sigmas.append(float(stated[1]))
     assert sigmas[1] == pytest.approx(sigmas[0], abs=0.03)
 
@@ -363,5 +366,5 @@ def test_a_pitch_that_the_traffic_does_not_show_is_not_said_to_fit(tmp_path, min
     )
     lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
     (found,) = check_plausibility({"R1": recorded}, lanes)
-    hidden = re.search(r"up to [\d.]+ m or ([\d.]+) deg off would hardly show", found.evidence)
+    hidden = re.search(r"off by up to .*?([\d.]+) deg of pitch", found.evidence)
     assert float(hidden[1]) > 3.0

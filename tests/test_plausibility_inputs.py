@@ -18,14 +18,22 @@ from scans import write_points
 from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
-from gis_radar.calibration import Finding, LaneMap, RangeScale, nearly_right
+from gis_radar.calibration import (
+    Finding,
+    LaneMap,
+    RangeScale,
+    explanations,
+    fitted_pose,
+    nearly_right,
+    offsets,
+)
 from gis_radar.calibration.excerpt import read_excerpts
 from gis_radar.calibration.explanations import by_lanes
 from gis_radar.calibration.findings import UNKNOWN_CAUSE
 from gis_radar.calibration.kalman_filter import Measurement
 from gis_radar.calibration.plausibility import judge
 from gis_radar.calibration.range_scale import FEET, YARDS
-from gis_radar.calibration.rivals import GIVEN, MIRRORED
+from gis_radar.calibration.rivals import GIVEN, MIRRORED, Rival, score
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE
 from gis_radar.poses import PoseTrack, as_track
@@ -133,9 +141,7 @@ def test_a_right_pose_is_not_refused(checked, rows, change, verdicts):
     assert re.search(r"\d+%? ?(of|vehicles)", evidence)
     assert (NO_HEIGHTS in evidence) is (change is flat)
     if change in (one_lane, short):  # ten vehicles and more, but a metre would pass
-        assert re.search(
-            r"but a pose up to \d+\.\d m or \d+\.\d deg off would hardly show", evidence
-        )
+        assert re.search(r"with the sensor off by up to \d+\.\d m to the \S+ or \S+", evidence)
         assert advice == "record more traffic, on crossing lanes, too"
     else:
         assert advice == ("" if verdict == FITS else "record more traffic")
@@ -170,7 +176,7 @@ def test_without_heights_a_pose_that_is_off_shows(checked, rows, tmp_path, north
     verdict, evidence, _ = found["R1"]
     assert NO_HEIGHTS in evidence
     if north_m:
-        assert re.search(r"its pose (is|may be) off .* off by 1\.\d\d ± 0\.\d+ m", evidence)
+        assert re.search(r"its pose (is|may be) off .* sensor 1\.\d\d ± 0\.\d+ m away: ", evidence)
     else:
         assert verdict == FITS
         assert " off" not in evidence
@@ -180,7 +186,8 @@ def test_a_metre_off_shows_in_half_a_minute(checked, rows):
     """From there a single fit comes to rest beside the right place, and shows nothing."""
     table = rows["R2"][rows["R2"]["time"] < rows["R2"]["time"].iloc[0] + 30.0]
     _, found, _ = checked({"R2": (table, moved(POSES["R2"], 1.0))})
-    assert re.search(r"its pose may be off .* off by 0\.[89]\d ± 0\.\d+ m", found["R2"][1])
+    told = r"its pose may be off .* sensor 0\.[89]\d ± 0\.\d+ m away: .* m to the south\)"
+    assert re.search(told, found["R2"][1])
     assert found["R2"][2].startswith("set easting 690379")
 
 
@@ -190,13 +197,13 @@ def test_what_is_measured_to_be_off_counts_in_what_would_show(checked, rows, nor
     table = rows["R1"][rows["R1"]["time"] < rows["R1"]["time"].iloc[0] + 22.0]
     _, found, _ = checked({"R1": (table, moved(POSES["R1"], north_m))})
     assert found["R1"][0] == verdict
-    assert ("a pose up to 1.2 m or" in found["R1"][1]) is (verdict == LITTLE)
+    assert ("off by up to 1." in found["R1"][1]) is (verdict == LITTLE)
 
 
 @pytest.mark.parametrize(
     ("preferred", "north_m", "verdict", "cause"),
     [
-        (nearly_right.PREFERRED, 2.5, WRONG, nearly_right.POSE_OFF),
+        (fitted_pose.PREFERRED, 2.5, WRONG, nearly_right.POSE_OFF),
         (np.inf, 2.5, WRONG, UNKNOWN_CAUSE),
         (np.inf, 1.0, LITTLE, ""),
     ],
@@ -208,14 +215,14 @@ def test_another_pose_that_vehicles_do_not_prefer_is_no_cause(
 
     So it is where a fit rests at the given pose, too.
     """
-    monkeypatch.setattr(nearly_right, "PREFERRED", preferred)
-    monkeypatch.setattr(nearly_right, "rests_at", lambda *_: True)
+    monkeypatch.setattr(fitted_pose, "PREFERRED", preferred)
+    monkeypatch.setattr(fitted_pose, "rests_at", lambda *_: True)
     rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
     track = as_track(moved(POSES["R1"], north_m))
     excerpts = read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track])
     found, _ = judge("R1", excerpts, LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD), {})
     assert (found.verdict, found.cause) == (verdict, cause)
-    assert (north_m > 1.5) is (" off by " in found.evidence)
+    assert (north_m > 1.5) is (" m away: " in found.evidence)
 
 
 def test_a_turn_that_a_shift_would_hide_shows_where_the_place_is_surveyed():
@@ -227,12 +234,52 @@ def test_a_turn_that_a_shift_would_hide_shows_where_the_place_is_surveyed():
     turned = Rotation.from_euler("z", 1.2, degrees=True).as_quat()
     seen = Measurement(position=np.zeros(3), quaternion=turned, covariance=spread, noise=spread)
     ways = [
-        nearly_right.offs_of(pose, each, centre)
-        for each in nearly_right.single_mistakes(seen, centre)
+        offsets.offs_of(pose, each, centre) for each in fitted_pose.single_mistakes(seen, centre)
     ]
     assert any(yaw.far and abs(yaw.amount - 1.2) < 2.0 * yaw.sigma for _, yaw, *_ in ways)
     assert any(abs(place.amount - 1.2 / 0.7) < 2.0 * place.sigma for place, *_ in ways)
-    assert not any(each.far for each in nearly_right.offs_of(pose, seen, centre))
+    assert not any(each.far for each in offsets.offs_of(pose, seen, centre))
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"yaw": 1.5}, "turned 1.50 ± 0.10 deg clockwise, seen from above"),
+        ({"yaw": -1.5}, "turned 1.50 ± 0.10 deg anticlockwise, seen from above"),
+        ({"pitch": -2.0}, "tilted 2.00 ± 0.10 deg down"),
+        ({"roll": -3.0}, "rolled 3.00 ± 0.10 deg clockwise, seen from behind"),
+        ({"easting": 1.0, "northing": -2.0},
+         "2.24 ± 0.20 m away: 1.00 m to the west and 2.00 m to the north"),
+    ],
+)  # fmt: skip
+def test_it_is_said_how_a_sensor_would_have_to_be_moved(given, told):
+    """As somebody sees it who stands there: its x axis looks to the east."""
+    right = replace(POSES["R1"], yaw=0.0, pitch=0.0, roll=0.0)
+    pose = replace(right, **{name: getattr(right, name) + by for name, by in given.items()})
+    away = np.array([right.easting - pose.easting, right.northing - pose.northing, 0.0])
+    spread = np.diag([0.2] * 3 + [np.radians(0.1)] * 3) ** 2
+    seen = Measurement(
+        position=away, quaternion=np.array([0.0, 0.0, 0.0, 1.0]), covariance=spread, noise=spread
+    )
+    centre = State(position=np.zeros(3), R_map_sensor=pose.R_map_sensor, reflection=0.7)
+    assert [each.text for each in offsets.offs_of(pose, seen, centre) if each.far] == [told]
+
+
+@pytest.mark.parametrize(("turn", "named"), [(180.0, True), (178.0, False)])
+def test_a_cause_is_named_only_if_all_fits_once_it_is_corrected(
+    rows, tmp_path, monkeypatch, turn, named
+):
+    """Two degrees beside the right yaw most vehicles still drive along lanes."""
+    mistake = Rival(cause="of a test", turned=lambda pose: replace(pose, yaw=pose.yaw + turn))
+    monkeypatch.setattr(explanations, "ways_to_be_wrong", lambda *_: [mistake])
+    rows["R1"].to_parquet(tmp_path / "R1.parquet", index=False)
+    track = as_track(replace(POSES["R1"], yaw=POSES["R1"].yaw + 180.0))
+    excerpt = next(read_excerpts([gr.open_recording(tmp_path / "R1.parquet")], [track]))
+    lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=NO_ROAD)
+    assert score(excerpt, lanes, mistake).share > explanations.LEAST_SHARE
+    found = by_lanes(excerpt, lanes, {})
+    assert found.verdict == WRONG
+    assert ("of a test" in found.cause) is named
 
 
 @pytest.mark.parametrize("lost", [True, False])
@@ -273,7 +320,8 @@ def test_lanes_driven_against_are_no_likelier_than_a_pose_across_the_street(rows
     lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
     found = by_lanes(excerpt, lanes, {})
     assert found.verdict == WRONG
-    assert re.match(r"its pose is off by 6\.\d m or traffic runs ag", found.cause)
+    told = r"its pose is off: the sensor is 6\.\d m to the east or traffic runs ag"
+    assert re.match(told, found.cause)
     assert found.advice.count("; ") == 1
 
 

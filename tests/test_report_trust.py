@@ -10,11 +10,13 @@ from gis_radar.base import NO_FIGURE, Text, with_texts
 from gis_radar.calibration import FITS, UNKNOWN, WRONG, Finding
 from gis_radar.calibration.findings import RECORD_MORE
 
-DRIVE = Text("{:.0%} of {} vehicles drive along lanes", 0.96, 48)
+DRIVE = Text(
+    "with this pose {:.0%} of {} recorded vehicles drive along lanes of the map", 0.96, 48
+)  # fmt: skip
 TURNED = Finding(
-    sensor="R2", verdict=WRONG, evidence=Text("{}, {:.0%} if that is corrected", DRIVE, 1.0),
+    sensor="R2", verdict=WRONG, evidence=Text("{}, {:.0%} after this correction", DRIVE, 1.0),
     cause=Text("from {} on: {}", "2025-06-15T15:06:50Z", Text("yaw is off by 180 deg")),
-    advice=Text("set yaw to {:.1f}", 21.7),
+    advice=Text("set yaw to {:.1f} deg", 21.7),
 )  # fmt: skip
 FOUND = [
     Finding(sensor="R1", verdict=FITS, evidence=DRIVE),
@@ -51,10 +53,12 @@ def test_a_row_a_sensor(folder, tmp_path, blank_paper):
     (heads, *rows), text = trust(folder, "en", tmp_path)
     assert heads == ["Sensor", "Verdict", "Evidence", "What to do"]
     assert "Can this be trusted?" in text
-    assert rows[0] == ["R1", "fits", "96% of 48 vehicles drive along lanes", NO_FIGURE]
+    assert rows[0] == ["R1", "fits", str(DRIVE), NO_FIGURE]
     assert rows[1][:2] == ["R2", "does not fit, accepted anyway"]
-    assert rows[1][2].startswith("from 2025-06-15 17:06:50 UTC+02:00 on: yaw is off by 180 deg (96")
-    assert rows[1][3] == "set yaw to 21.7"
+    assert rows[1][2].startswith(
+        "from 2025-06-15 17:06:50 UTC+02:00 on: yaw is off by 180 deg (with this pose 96%"
+    )
+    assert rows[1][3] == "set yaw to 21.7 deg"
     assert rows[2][:2] == ["R3", "too little traffic to tell"]
     assert rows[2][3] == "record more traffic"
     assert rows[3] == ["R4", "not checked", NO_FIGURE, NO_FIGURE]
@@ -64,7 +68,8 @@ def test_a_row_a_sensor(folder, tmp_path, blank_paper):
 def test_in_german(folder, tmp_path, blank_paper):
     (_, *rows), text = trust(folder, "de", tmp_path)
     assert "Kann man dem trauen?" in text
-    assert rows[0][1:3] == ["passt", "96 % von 48 Fahrzeugen fahren auf Fahrstreifen"]
+    drive = "mit diesem Standort fahren 96 % von 48 aufgezeichneten Fahrzeugen auf Fahrstreifen"
+    assert rows[0][1:3] == ["passt", f"{drive} der Karte"]
     assert rows[1][1] == "passt nicht, trotzdem übernommen"
     assert "15.06.2025 17:06:50" in rows[1][2]
     assert rows[3][1] == "nicht geprüft"

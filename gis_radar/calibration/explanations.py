@@ -7,12 +7,19 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from gis_radar.base import Text
+from gis_radar.calibration.corrections import fits_if
 from gis_radar.calibration.excerpt import Excerpt
-from gis_radar.calibration.findings import FITS, UNKNOWN_CAUSE, Finding, either, wrong
+from gis_radar.calibration.findings import (
+    FITS,
+    ONE_PLACE,
+    UNKNOWN_CAUSE,
+    Finding,
+    either,
+    wrong,
+)
 from gis_radar.calibration.range_scale import UnitMistake
 from gis_radar.calibration.rivals import (
     AGAINST,
-    NEAR_DEG,
     REFLECTION_M,
     LaneMap,
     Rival,
@@ -29,11 +36,10 @@ from gis_radar.poses import Pose
 FITTING = 0.75  # share of vehicles on lanes from which a pose fits; right ones show 0.85 and more
 # A rival must explain MORE of the vehicles than the given pose (a fifth of them is off the lanes at
 # right poses too), LEAST_SHARE of all, and be CLEAR standard errors better. Rivals within BESIDE
-# standard errors of it are as likely; a searched pose must beat a named mistake by as much.
+# standard errors of it are as likely. A mistake is named if all fits once it is corrected, so that
+# a pose is only searched where none is.
 MORE, LEAST_SHARE, CLEAR, BESIDE = 0.2, 0.65, 4.0, 3.0
-# A searched pose explains a part of any traffic: it must explain FOUND_SHARE of the vehicles, and
-# FITTED_MORE of them more than a named mistake.
-FOUND_SHARE, FITTED_MORE = 0.8, 0.05
+FOUND_SHARE = 0.8  # least share for a searched pose, as such a one explains a part of any traffic
 # Where no rival fits, a pose is wrong if it explains hardly more (OVER_CHANCE) than random yaws do,
 # or less than LEAST_SHARE; up to FITTING it is doubted, as maps lack lanes.
 OVER_CHANCE = 0.1
@@ -47,9 +53,6 @@ HIGH_M = 1.5  # error of the median height over the road from which a height or 
 BACKWARDS, BACKWARDS_SHARE = 5, 0.1
 
 BESIDE_LANES = Text("many vehicles drive beside the lanes")
-ONE_PLACE = Text(
-    "check that map, pose and recording are of one place, and find the pose with gis-radar localize"
-)
 
 
 def by_lanes(
@@ -72,7 +75,10 @@ def by_lanes(
     given, flat = score(excerpt, lanes), score(excerpt, lanes, Rival(heights=False))
     known = flat.over[np.isfinite(flat.over)]
     high = len(known) > 0 and abs(float(np.median(known)) - REFLECTION_M) > HIGH_M
-    evidence = Text("{:.0%} of {} vehicles drive along lanes", given.share, len(given.on))
+    evidence = Text(
+        "with this pose {:.0%} of {} recorded vehicles drive along lanes of the map",
+        given.share, len(given.on),
+    )  # fmt: skip
     if given.share >= FITTING and not high:
         lost = signs_lost(excerpt)
         if lost and _backwards(excerpt, lanes, given):
@@ -81,25 +87,26 @@ def by_lanes(
     rivals = ways_to_be_wrong(excerpt, others, units)
     rivals += lower_or_tilted(excerpt, flat) if high else []
     least = given.share + (0.0 if high else MORE)
-    best = likeliest(excerpt, given, scored(excerpt, lanes, rivals), least)
-    yaws: Tried = []
-    if given.share < FITTING:
+    likely = likeliest(excerpt, given, scored(excerpt, lanes, rivals), least)
+    best = [each for each in likely if fits_if(excerpt, lanes, each[0])]
+    if given.share < FITTING and (not best or best[0][0] is AGAINST):
         searched = scored(excerpt, lanes, found_poses(excerpt, lanes))
         found = likeliest(excerpt, given, searched, max(least, FOUND_SHARE))
-        if found and (not best or _clearly_better(found[0][1], best[0][1])):
-            best = found
-        elif found and best[0][0] is AGAINST and best[0][1].ahead_of(found[0][1]) < BESIDE:
-            best = [found[0], best[0]]  # a map with swapped bounds is no likelier than a pose
-        yaws = scored(excerpt, lanes, other_yaws(excerpt.usual))
+        found = [each for each in found[:1] if fits_if(excerpt, lanes, each[0])]
+        if not best or (found and best[0][1].ahead_of(found[0][1]) < BESIDE):
+            best = found + best  # a map with swapped bounds is no likelier than a pose
     if best:
-        if_so = Text("{}, {:.0%} if that is corrected", evidence, best[0][1].share)
-        twofold = best[0][0].twofold(excerpt.usual)
-        if twofold or len(best) > MOST_CAUSES or _by_chance(excerpt, best[0], yaws):
-            return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
+        if best[0][0].twofold(excerpt.usual) or len(best) > MOST_CAUSES:
+            others_too = Text("{}, {:.0%} with another pose", evidence, best[0][1].share)
+            return wrong(others_too, UNKNOWN_CAUSE, ONE_PLACE)
+        if_so = Text("{}, {:.0%} after this correction", evidence, best[0][1].share)
         return wrong(if_so, *either((rival.cause, rival.advice) for rival, _ in best))
-    chance = max((each.share for _, each in yaws), default=0.0)
+    chance = 0.0
+    if given.share < FITTING:
+        yaws = scored(excerpt, lanes, other_yaws(excerpt.usual))
+        chance = max(each.share for _, each in yaws)
     if given.share < least_share(len(given.on), chance + OVER_CHANCE):
-        by_chance = Text("{}, {:.0%} if turned at random", evidence, chance)
+        by_chance = Text("{}, {:.0%} with the sensor turned at random", evidence, chance)
         return wrong(by_chance, UNKNOWN_CAUSE, ONE_PLACE)
     beside = {} if given.share >= FITTING else {
         "cause": BESIDE_LANES,
@@ -137,11 +144,6 @@ def scored(excerpt: Excerpt, lanes: LaneMap, rivals: Iterable[Rival]) -> Tried:
     return [(rival, score(excerpt, lanes, rival)) for rival in rivals]
 
 
-def _clearly_better(fitted: Score, named: Score) -> bool:
-    """Return whether a searched pose explains clearly more than a named mistake."""
-    return fitted.share >= named.share + FITTED_MORE and fitted.ahead_of(named) > BESIDE
-
-
 def likeliest(excerpt: Excerpt, given: Score, tried: Tried, least: float) -> Tried:
     """Return the rivals that explain the traffic best and clearly better than what is given.
 
@@ -171,14 +173,3 @@ def likeliest(excerpt: Excerpt, given: Score, tried: Tried, least: float) -> Tri
         if not any(one[0].same_as(other, excerpt.usual) for other, _ in kept):
             kept.append(one)
     return kept
-
-
-def _by_chance(excerpt: Excerpt, best: tuple[Rival, Score], yaws: Tried) -> bool:
-    """Return whether a random yaw explains as much as the best rival, so that it is chance."""
-    rival, explains = best
-    yaw = rival.turned(excerpt.usual).yaw
-    return any(
-        explains.ahead_of(each) < BESIDE
-        and abs((other.turned(excerpt.usual).yaw - yaw + 180.0) % 360.0 - 180.0) > NEAR_DEG
-        for other, each in yaws
-    )

@@ -12,6 +12,9 @@ FITS, WRONG = Text("fits"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
 UNKNOWN_CAUSE = Text("cause unknown")
 RECORD_MORE = Text("record more traffic")
+ONE_PLACE = Text(
+    "check that map, pose and recording are of one place, and find the pose with gis-radar localize"
+)
 CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
 RECORD = ("verdict", "evidence", "cause", "advice")

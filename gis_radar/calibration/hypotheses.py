@@ -331,6 +331,11 @@ def rough(scene: Scene) -> Scene:
     return _part(scene, ROUGH_SAMPLES)
 
 
+def few_samples(scene: Scene) -> Scene:
+    """Return the scene with as few samples as a grid of starts is compared by."""
+    return _part(scene, LOOK_SAMPLES)
+
+
 def _part(scene: Scene, most: int) -> Scene:
     samples = scene.samples
     chosen = np.random.default_rng(1).permutation(len(samples))[:most]
@@ -371,7 +376,7 @@ def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
     where drivers keep off the middle of their lanes.
     """
     aside, turned = (np.arange(-n, n + 1) * LOOK_M for n in LOOK_STEPS)
-    few = _part(scene, LOOK_SAMPLES)
+    few = few_samples(scene)
     grid = np.stack(np.meshgrid(aside, aside, turned / LEVER_M, indexing="ij"), axis=-1)
     steps = np.zeros((grid.size // 3, SIZE))
     steps[:, PLANE] = grid.reshape(-1, 3)

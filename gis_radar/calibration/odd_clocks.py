@@ -81,7 +81,13 @@ def clock_offsets_between(seen: Mapping[str, LaneDetections]) -> dict[tuple[str,
 
 
 def _apart(name: str, other: str, ahead_s: float, sigma_s: float) -> Finding:
-    evidence = Text("{:+.2f} ± {:.2f} s by vehicles that both see", ahead_s, sigma_s)
+    ahead = Text(
+        "by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s ahead", ahead_s, sigma_s
+    )
+    behind = Text(
+        "by vehicles that both see, this one is {:.2f} \u00b1 {:.2f} s behind", -ahead_s, sigma_s
+    )
+    evidence = ahead if ahead_s > 0.0 else behind
     cause = Text(CLOCKS_APART, other)
     found = wrong(evidence, cause, Text("find the offset with gis-radar clocks"))
     return replace(found, sensor=name)

@@ -48,7 +48,7 @@ def is_sure(pace: RangeScale | None) -> bool:
 
 def _stated(pace: RangeScale) -> Text:
     return Text(
-        "ranges change {:.3f} ± {:.3f} times as fast as the range rates state",
+        "recorded ranges change {:.3f} ± {:.3f} times as fast as the recorded range rates state",
         pace.factor,
         pace.sigma,
     )

@@ -12,6 +12,7 @@ import scipy
 
 from gis_radar.base import Booleans, Floats, NoAnswerError, Text, yaw_from_compass
 from gis_radar.calibration.certainty import z_score
+from gis_radar.calibration.directions import sense, side
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.hypotheses import find_hypotheses, mirrored
 from gis_radar.calibration.lane_detections import LaneDetections, placed_on_lanes
@@ -94,6 +95,11 @@ class Rival:
     def searched(self) -> bool:
         """Whether its pose was found by a search."""
         return self.fitted > 1
+
+    def points(self, recorded: Floats) -> Floats:
+        """Return recorded points as this explanation has them, x forward, y left, metres."""
+        order, signs = self.axes.value
+        return np.asarray(recorded[:, order] * np.array(signs) / self.scale)
 
     def off(self, pose: Pose) -> tuple[float, float]:
         """Return by how many metres and degrees a pose is off, if this explanation is right."""
@@ -231,8 +237,7 @@ def score(excerpt: Excerpt, lanes: LaneMap, rival: Rival = GIVEN) -> Score:
     rival : Rival
         The explanation.
     """
-    order, signs = rival.axes.value
-    points = excerpt.points[:, order] * np.array(signs) / rival.scale
+    points = rival.points(excerpt.points)
     rate = -excerpt.range_rate if rival.against else excerpt.range_rate
     reach_m = lanes.reach_m(excerpt)
     fit = np.full(len(points), np.log(OTHERS / AREA_M**2))
@@ -299,15 +304,16 @@ def ways_to_be_wrong(
     back, over = ((angle + 360.0) % 360.0 - 180.0 for angle in (pose.yaw, pose.roll))
     measured = bool(np.isfinite(excerpt.points[:, 2]).any())
     found = [
-        Rival(cause=Text("yaw is off by 180 deg"), advice=Text("set yaw to {:.1f}", back),
+        Rival(cause=Text("yaw is off by 180 deg"), advice=Text("set yaw to {:.1f} deg", back),
               turned=lambda p: replace(p, yaw=p.yaw + 180.0)),
         Rival(cause=Text("its yaw is a bearing from true north"),
-              advice=Text("set yaw to {:.1f}", compass),
+              advice=Text("set yaw to {:.1f} deg", compass),
               turned=lambda p: replace(p, yaw=p.yaw + compass - pose.yaw)),
         Rival(cause=Text("its yaw is a bearing from grid north"),
-              advice=Text("set yaw to {:.1f}", 90.0 - pose.yaw),
+              advice=Text("set yaw to {:.1f} deg", 90.0 - pose.yaw),
               turned=lambda p: replace(p, yaw=90.0 - p.yaw)),
-        Rival(cause=Text("its yaw counts clockwise"), advice=Text("set yaw to {:.1f}", -pose.yaw),
+        Rival(cause=Text("its yaw counts clockwise"),
+              advice=Text("set yaw to {:.1f} deg", -pose.yaw),
               turned=lambda p: replace(p, yaw=-p.yaw)),
         Rival(cause=Text("x and y are swapped"), advice=Text("swap x and y"), axes=Axes.SWAPPED),
         Rival(cause=Text("x points to the right and y forward"),
@@ -318,12 +324,12 @@ def ways_to_be_wrong(
     if measured:
         found += [
             Rival(cause=Text("pitch has the wrong sign"),
-                  advice=Text("set pitch to {:.1f}", -pose.pitch),
+                  advice=Text("set pitch to {:.1f} deg", -pose.pitch),
                   turned=lambda p: replace(p, pitch=-p.pitch)),
             Rival(cause=Text("roll has the wrong sign"),
-                  advice=Text("set roll to {:.1f}", -pose.roll),
+                  advice=Text("set roll to {:.1f} deg", -pose.roll),
                   turned=lambda p: replace(p, roll=-p.roll)),
-            Rival(cause=Text("roll is off by 180 deg"), advice=Text("set roll to {:.1f}", over),
+            Rival(cause=Text("roll is off by 180 deg"), advice=Text("set roll to {:.1f} deg", over),
                   turned=lambda p: replace(p, roll=p.roll + 180.0)),
         ]  # fmt: skip
     lost = signs_lost(excerpt)
@@ -344,8 +350,8 @@ def signs_lost(excerpt: Excerpt) -> Rival | None:
 
 def _of_another(name: str, other: Pose) -> Rival:
     return Rival(
-        cause=Text("recording and pose are of two sensors: it fits the pose of {}", name),
-        advice=Text("give the recording with the pose of {}", name),
+        cause=Text("recording and pose are mixed up: the recording fits the pose of {}", name),
+        advice=Text("give this recording with the pose of {}", name),
         turned=lambda _: other,
     )
 
@@ -395,15 +401,17 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
 def moved(pose: Pose, there: Pose) -> Rival:
     """Return the explanation that a sensor has the pose `there` instead."""
     off_m, turn = GIVEN.by(pose, there).off(pose)
-    cause = Text("its pose is off by {:.1f} m and {:.1f} deg", off_m, abs(turn))
-    if off_m <= ONE_MISTAKE_M and abs(turn) > ONE_MISTAKE_DEG:
-        cause = Text("its pose is off by {:.1f} deg of yaw", abs(turn))
-    if abs(turn) <= ONE_MISTAKE_DEG and off_m > ONE_MISTAKE_M:
-        cause = Text("its pose is off by {:.1f} m", off_m)
+    to = side(*(there.position - pose.position)[:2])
+    away = Text("{:.1f} m to the {}", off_m, to)
+    turned = Text("turned {:.1f} deg {}, seen from above", abs(turn), sense(turn))
+    parts = [away, turned]
+    if off_m <= ONE_MISTAKE_M or abs(turn) <= ONE_MISTAKE_DEG:
+        parts = [away] if off_m > ONE_MISTAKE_M else [turned]
+    cause = Text("its pose is off: the sensor is {}", Text(", ").join(parts))
     return Rival(
         cause=cause,
         advice=Text(
-            "find it with gis-radar localize, near {:.1f}, {:.1f} with yaw {:.1f}",
+            "find it with gis-radar localize, near easting {:.1f}, northing {:.1f}, yaw {:.1f} deg",
             there.easting, there.northing, there.yaw,
         ),
     ).by(pose, there)  # fmt: skip
@@ -429,15 +437,15 @@ def lower_or_tilted(excerpt: Excerpt, given: Score) -> list[Rival]:
     height = Text("height is {:.1f} m too high", high_m)
     if high_m < 0.0:
         height = Text("height is {:.1f} m too low", -high_m)
-    pitch = Text("pitch is {:.1f} deg too low", tilt)
+    pitch = Text("pitch is {:.1f} deg too low: the sensor looks farther down", tilt)
     if tilt < 0.0:
-        pitch = Text("pitch is {:.1f} deg too high", -tilt)
+        pitch = Text("pitch is {:.1f} deg too high: the sensor looks farther up", -tilt)
     return [
         Rival(cause=height,
-              advice=Text("set height to {:.1f}", pose.height - high_m), fitted=1,
+              advice=Text("set height to {:.1f} m", pose.height - high_m), fitted=1,
               turned=lambda p: replace(p, height=p.height - high_m)),
         Rival(cause=pitch,
-              advice=Text("set pitch to {:.1f}", pose.pitch + tilt), fitted=1,
+              advice=Text("set pitch to {:.1f} deg", pose.pitch + tilt), fitted=1,
               turned=lambda p: replace(p, pitch=p.pitch + tilt)),
     ]  # fmt: skip
 
