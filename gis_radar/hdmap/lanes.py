@@ -24,7 +24,6 @@ from gis_radar.hdmap.tagging import STREET, TURN_TAG
 
 LANES_LAYER, STOP_LINES_LAYER = "lanes", "stop_lines"
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other: nodes may be drawn twice
-JOIN_M = 0.5  # between the middles of ends that are turned against each other
 JOIN_RAD = math.radians(30.0)  # between their cross-lines: excludes the opposite direction
 SHAPE_M = 0.01  # to which centre lines are simplified: far below a pixel, a tenth of the points
 LANE_EXIT_M = 5.0  # last part of a lane, which gives its direction: it may turn before
@@ -97,17 +96,19 @@ def _following(
     led_to = {k for each in found for k in each}
     return [
         sorted(each | {k for k in near if not each or k not in led_to})
-        for each, near in zip(found, joining(at.starts, at.ends), strict=True)
+        for each, near in zip(found, joining(at.starts, at.ends, TOUCH_M), strict=True)
     ]
 
 
-def joining(starts: Floats, ends: Floats) -> list[list[int]]:
+def joining(starts: Floats, ends: Floats, within_m: float) -> list[list[int]]:
     """Return, for each end, the starts that join it: near, and in the same direction.
 
     Parameters
     ----------
     starts, ends : (n, 4) arrays
         Easting and northing of the left and of the right bound, metres.
+    within_m : float
+        Distance between their middles.
     """
     (begin, opening), (end, closing) = (
         ((each[:, :2] + each[:, 2:]) / 2.0, np.arctan2(*(each[:, :2] - each[:, 2:]).T))
@@ -115,7 +116,7 @@ def joining(starts: Floats, ends: Floats) -> list[list[int]]:
     )
     low = begin.min(axis=0) if len(begin) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (end, begin))
-    near = next(trees).query_ball_tree(next(trees), JOIN_M)
+    near = next(trees).query_ball_tree(next(trees), within_m)
     least = math.cos(JOIN_RAD)
     return [
         sorted(k for k in found if k != i and math.cos(opening[k] - closing[i]) > least)

@@ -21,6 +21,7 @@ import pandas as pd
 from gis_radar.base import Booleans, Floats, Integers, ranges
 from gis_radar.hdmap import joining, lanes_of, quads
 
+JOIN_M = 0.5  # between the middles of ends that follow each other: a tenth of a lane's width
 QUEUE_REACH_M = 500.0  # from the stop line, up to which queues are followed into earlier lanes
 
 
@@ -263,4 +264,4 @@ def _after(tiles: gpd.GeoDataFrame, rows: Sequence[Integers]) -> list[tuple[int,
     corners = quads(tiles)
     starts = np.array([corners[each[0]][[3, 0]].ravel() for each in rows])
     ends = np.array([corners[each[-1]][[2, 1]].ravel() for each in rows])
-    return [tuple(found) for found in joining(starts, ends)]
+    return [tuple(found) for found in joining(starts, ends, JOIN_M)]
