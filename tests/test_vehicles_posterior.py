@@ -282,6 +282,7 @@ def test_nobody_drives_three_metres_behind_another(graph):
     ("apart", "faster", "left"),
     [
         (8.0, 0.02, 1),  # ends of a lorry, 3.5 m between them at 36 km/h
+        (9.5, 0.02, 1),  # of one of 14 m
         (8.0, 0.4, 2),  # the second falls behind by 5 m
         (14.0, 0.02, 2),  # cars a second apart
     ],

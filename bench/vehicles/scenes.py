@@ -215,6 +215,15 @@ MORE: Mapping[str, Recipe] = {
         plan="junction", seed=993, per_hour=2600, radars=2, minutes=20.0, warm_up_s=300.0
     ),
     "roundabout-985": Recipe(plan="roundabout", seed=985, per_hour=1100, radars=1),
+    "town-971": Recipe(
+        plan="town", seed=971, per_hour=2500, radars=("R2", "R4", "R6"), minutes=2.5,
+        warm_up_s=420.0,
+    ),
+    "tee-972": Recipe(plan="tee", seed=972, per_hour=1600, radars=1, minutes=3.0),
+    "gridlock-973": Recipe(
+        plan="junction", seed=973, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
+    ),
+    "arterial-974": Recipe(plan="arterial", seed=974, per_hour=2400, radars=2),
 }  # fmt: skip
 """Scenes that `make bench-vehicles` leaves out: for what a change or a part earns."""
 

@@ -30,8 +30,8 @@ KEPT_S = 5.0  # after which a gap counts as chosen anew
 LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
 LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # by which the length of two as one is sought, ever finer
 # Parts of one body keep their distance by so much, m; drivers who flow, faster than that, m/s,
-# differ by so much, m/s; after a second it can be told. Odds against a join: it loses a vehicle.
-RIGID_M, FLOWS_MPS, DIFFER_MPS, LEAST_S, LEAST_ODDS = 0.4, 5.0, 1.0, 1.0, 12.0
+# differ by so much, m/s; after a second it can be told.
+RIGID_M, FLOWS_MPS, DIFFER_MPS, LEAST_S = 0.4, 5.0, 1.0, 1.0
 
 
 def join_neighbours(posterior: Posterior) -> list[Motion]:
@@ -152,7 +152,7 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
 
 
 def _driven_as_one(one: Motion, other: Motion) -> float:
-    """Return the log odds, less those against a join, that two who drive are one long vehicle.
+    """Return the log odds that two who drive are one long vehicle, less what a lost one costs.
 
     Parts of one keep their distance as drivers do not, and are nearer than drivers follow. Where
     detections lie on them tells nothing: a body returns from a few places.
@@ -171,7 +171,7 @@ def _driven_as_one(one: Motion, other: Motion) -> float:
     odds = 2.0 * (math.log(differ / RIGID_M) - off * (RIGID_M**-2 - differ**-2))
     odds -= _gap_prior(away - 0.5 * bodies, np.maximum(one.speed[a], other.speed[b])[flows])
     odds += prior(min(away + 0.5 * bodies, LONGEST_M)) - prior(one.length_m) - prior(other.length_m)
-    return odds - LEAST_ODDS
+    return odds - EXISTS
 
 
 def split_long(posterior: Posterior) -> list[Motion]:
