@@ -100,7 +100,7 @@ def test_lanes_end_at_branches_and_merges_whose_ends_are_turned_against_each_oth
 def test_a_converted_town_has_turns_at_its_junctions():
     """No lane runs on through junctions, past branches and merges."""
     roads = gr.read_map(SHARED / "town01" / "map.osm")
-    assert gr.lanes(roads)["length_m"].max() < 500.0  # along the ring; through junctions 1442
+    assert roads.lanes()["length_m"].max() < 500.0  # along the ring; through junctions 1442
 
 
 @needs_shared_maps
