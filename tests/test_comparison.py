@@ -337,7 +337,7 @@ def test_the_page_warns_of_times_of_day_only_where_they_differ(dataset, tmp_path
         ("all", "intervals"),
     ):
         made = replace(found, table=found.table.assign(units=units))
-        gr.write_comparison(made, tmp_path / name)
+        made.write(tmp_path / name)
     pages = {
         name: (tmp_path / name / "compare.html").read_text(encoding="utf-8")
         for name in ("none", "some", "all")
