@@ -229,6 +229,8 @@ def test_tables_have_headways_and_their_errors(dataset):
     )
     assert whole.loc[LEFT, "headways"] == 0
     assert np.isnan(whole.loc[LEFT, "headway_mean_s"])
+    never = {"begin": "2100-01-01"}
+    assert list(dataset.traffic("1min", headways=True, **never)) == list(lanes)
     late = {"begin": "2023-11-14 23:01"}
     assert (
         dataset.traffic("1min", headways=True, **late)["headways"].sum()

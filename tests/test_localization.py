@@ -221,6 +221,13 @@ def test_a_scan_of_another_place_is_refused(scene):
         localize(path, street.roads(), elsewhere, guess=near(pose))
 
 
+@pytest.mark.parametrize("frame", [{"crs": 25832}, {"origin": (690000.0, 5336000.0)}])
+def test_a_frame_beside_a_map_that_is_read_already_is_refused(scene, frame):
+    street, pose, path = scene
+    with pytest.raises(UsageError, match="the map has its own"):
+        find(street, path, near(pose), **frame)
+
+
 def test_an_unknown_method_is_refused(scene):
     street, pose, path = scene
     with pytest.raises(UsageError, match="lane, icp"):

@@ -148,7 +148,7 @@ def localize(
     compass : float, optional
         The same as a bearing: degrees clockwise from true north.
     crs : CRS, str or int, optional
-        The map frame of a map that is read; that of the road's file where it is not given.
+        The map frame, where the map is a file; that of the road's file where it is not given.
     origin : (easting, northing), optional
         Map-frame position of its local (0, 0), for maps without latitudes and longitudes.
     method : str
@@ -172,8 +172,8 @@ def localize(
     Raises
     ------
     UsageError
-        If both heading and compass are given, there is no such method, or the guess is no position
-        in metres.
+        If both heading and compass are given, or `crs` or `origin` beside a map that is read
+        already; if there is no such method, or the guess is no position in metres.
     InputError
         If a file cannot be read, or scans, map and guess do not overlap.
     NoAnswerError
@@ -221,7 +221,10 @@ def read_ground(
     reporter: Reporter,
 ) -> tuple[LaneletMap, Floats]:
     """Read what is a file: a map, and the scanned road in its CRS; see :func:`localize`."""
-    if not isinstance(roads, LaneletMap):
+    if isinstance(roads, LaneletMap):
+        if crs is not None or origin is not None:
+            raise UsageError("crs and origin are for files of maps: the map has its own")
+    else:
         frame = road_crs(road) if crs is None and isinstance(road, str | Path) else crs
         roads = read_map(roads, crs=frame, origin=origin, reporter=reporter)
     return roads, read_road(road, roads.crs) if isinstance(road, str | Path) else road

@@ -110,9 +110,10 @@ def compare(
         )
     first = _opened(folder, site, reporter)
     second = None if other is None else _opened(other, site, reporter)
+    whole = (None, None)
     found = gr.compare(
-        first, second, before=before or (None, None), after=after or (None, None), days=days,
-        language=language,
+        first, second, before=whole if before is None else before,
+        after=whole if after is None else after, days=days, language=language,
     )  # fmt: skip
     with csv_for(csv_locale):
         outputs = found.write(output, language=language, reporter=reporter)

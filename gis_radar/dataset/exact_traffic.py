@@ -24,7 +24,7 @@ from gis_radar.dataset.day_tables import STEPS_PER_QUARTER
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.signals import read_signals
-from gis_radar.dataset.source import Source
+from gis_radar.dataset.source import Source, require_vehicles
 from gis_radar.dataset.tables import TRACKS
 from gis_radar.dataset.traffic import interval_edges
 from gis_radar.hdmap import LANES_LAYER
@@ -96,6 +96,7 @@ def cycles_of(
     dataset: Source, signals: str | Path | None, span: Span | None, language: str | None
 ) -> pd.DataFrame:
     """Return the cycles of signals; see :meth:`gis_radar.Dataset.signal_cycles`."""
+    require_vehicles(dataset)
     network, hours = _exact(dataset, span)
     with speaking(language or current_language()):
         names = np.array(lane_names(dataset.layer(LANES_LAYER), network), object)

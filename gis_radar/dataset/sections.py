@@ -17,7 +17,7 @@ import shapely.ops
 from gis_radar.base import Floats, InputError, current_language, metric_crs, read_vector, speaking
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.reading import Span
-from gis_radar.dataset.source import Source
+from gis_radar.dataset.source import Source, require_vehicles
 from gis_radar.dataset.traffic import TrafficReader
 from gis_radar.hdmap import LANES_LAYER
 from gis_radar.measures import LaneNetwork, bound_name, place_on
@@ -59,8 +59,7 @@ def section_counts(
 ) -> gpd.GeoDataFrame:  # fmt: skip
     """Count vehicles by direction at sections; see :meth:`gis_radar.Dataset.count_sections`."""
     lines, what = _lines(sections, dataset.crs)
-    if not dataset.has_vehicles:
-        raise InputError("{}: holds no vehicles, of which traffic is counted", dataset.folder)
+    require_vehicles(dataset)
     layer, tiles = dataset.layer(LANES_LAYER), dataset.manifest.fingerprint
     network = LaneTraffic(folder=dataset.folder, fingerprint=tiles).network
     crossed = {

@@ -7,11 +7,11 @@ from pathlib import Path
 import geopandas as gpd
 import pandas as pd
 
-from gis_radar.base import InputError, UsageError
+from gis_radar.base import UsageError
 from gis_radar.dataset.exact_traffic import add_headways, cycles_of
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.sections import section_counts
-from gis_radar.dataset.source import Moment, Source
+from gis_radar.dataset.source import Moment, Source, require_vehicles
 from gis_radar.dataset.traffic import TrafficReader
 
 
@@ -161,8 +161,8 @@ class TrafficTables:
         Raises
         ------
         InputError
-            If exact tables of that time were deleted, or the signals are not what they should be or
-            of a lane without a stop line.
+            If vehicles were not looked for, exact tables of that time were deleted, or the signals
+            are not what they should be or of a lane without a stop line.
         """
         return cycles_of(self, signals, self.span(begin, end), language)
 
@@ -171,12 +171,7 @@ def _reader(
     dataset: Source, interval: str, begin: Moment, end: Moment, language: str | None, *,
     whole: bool = False,
 ) -> TrafficReader:  # fmt: skip
-    if not dataset.has_vehicles:
-        raise InputError(
-            "{}: holds no vehicles, of which traffic is counted",
-            dataset.folder,
-            hint="measure it again, with vehicles",
-        )
+    require_vehicles(dataset)
     traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
     return TrafficReader(
         dataset=dataset, traffic=traffic, interval=interval, span=dataset.span(begin, end),

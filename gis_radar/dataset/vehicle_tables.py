@@ -57,6 +57,8 @@ class VehicleTables:
         ------
         UsageError
             If a time or `every` is invalid, or the times do not ascend.
+        InputError
+            If vehicles were not looked for.
         """
         return _track_points(self, every, begin, end)
 
@@ -76,7 +78,8 @@ class VehicleTables:
         Raises
         ------
         InputError
-            If MovingPandas is not installed, or there is no state in that time.
+            If MovingPandas is not installed, vehicles were not looked for, or there is no state in
+            that time.
         """
         try:
             with warnings.catch_warnings():  # of extras of its own, which nobody needs here

@@ -82,7 +82,8 @@ def _following(
 ) -> list[list[int]]:
     """Return, for each lanelet, the positions of the lanelets that follow it.
 
-    Which only :func:`joining` joins follow where one of them would have nothing there otherwise.
+    Ends that touch count, and what the map states; those that only lie near each other, as
+    :func:`joining` tells, count where an end or a start has nothing else.
     """
     low = at.starts.min(axis=0) if len(ids) else 0.0
     trees = (scipy.spatial.cKDTree(each - low) for each in (at.ends, at.starts))

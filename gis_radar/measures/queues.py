@@ -13,7 +13,7 @@ from gis_radar.measures.lane_network import LaneNetwork
 
 SLOW_MPS = 5.0 / 3.6  # a vehicle stands when it is slower (HCM, ch. 31, for stops) ...
 SLOW_STEPS = STEPS_PER_SECOND  # ... for this time
-JOINED_M = 10.0  # most visible free road before one, to the next or the line: two cars
+JOINED_M = 10.0  # most visible road to the vehicle ahead, or to the line: two cars
 OVER_LINE_M = 2.0  # how far the front of a waiting vehicle may be over the line
 # Queues are measured at steps divisible by this: all tracks have a state there.
 LOOK_STEPS = 4
@@ -124,6 +124,7 @@ def _visible_m(
     count = np.ceil(far_m - near_m).astype(np.int64)
     row = np.repeat(np.arange(len(stop)), count)
     metre = near_m[row] + ranges(np.zeros(len(stop), np.int64), count) + 0.5
+    metre = np.minimum(metre, far_m[row])  # beyond it the lanes may end
     span = float(to_line.max(initial=0.0)) + 1.0
     # the lane that begins nearest upstream of the place
     at = np.searchsorted(line * span + to_line, stop[row] * span + metre)

@@ -377,8 +377,9 @@ def test_hours_without_vehicles_have_no_traffic(tmp_path):
     assert dataset.lane_measures().empty
     assert not days(dataset)[0].exists()
     assert part_path(dataset.folder, TILE_COUNTS, HOUR).exists()
-    with pytest.raises(InputError, match="holds no vehicles"):
-        dataset.traffic()
+    for read in (dataset.traffic, dataset.turns, dataset.queues, dataset.signal_cycles):
+        with pytest.raises(InputError, match="holds no vehicles"):
+            read()
 
 
 def test_queues_are_those_of_stop_lines(measured):
