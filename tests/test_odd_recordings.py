@@ -84,7 +84,12 @@ def test_other_units_are_named(tmp_path, named, time, points, rate):
 @pytest.mark.parametrize(
     ("longer", "faster", "line", "advice"),
     [
-        (3.28084, 1.0, r"3\.28\d .* positions look like feet", "multiply x, y and z by 0.3048"),
+        (
+            3.28084,
+            1.0,
+            r"3\.28\d .* positions look like feet",
+            "multiply x, y and z of all detections by 0.3048",
+        ),
         (1.0 / 0.9144, 1.0, r"1\.09\d .* positions look like yards", "by 0.9144"),
         (1.05, 1.0, r"1\.05\d \xb1 0\.0[01]\d times as fast as .* \(\d+ vehicles\)", "metres"),
         (1.0, 3.6, r"0\.27\d .* range rates look like km/h", "divide range_rate by 3.6"),

@@ -320,7 +320,9 @@ def test_lanes_driven_against_are_no_likelier_than_a_pose_across_the_street(rows
     lanes = LaneMap(lanelets=gr.read_map(MAP).lanelets, road=np.empty((0, 3)))
     found = by_lanes(excerpt, lanes, {})
     assert found.verdict == WRONG
-    told = r"its pose is off: the sensor is 6\.\d m to the east or traffic runs ag"
+    told = (
+        r"its pose is off: compared with it, the sensor is 6\.\d m to the east or traffic runs ag"
+    )
     assert re.match(told, found.cause)
     assert found.advice.count("; ") == 1
 
@@ -453,7 +455,7 @@ def test_another_sensor_from_half_way_on_is_told_by_what_stands(checked, rows):
     assert found["R1"][0] == WRONG
     assert re.search(r"from .*07:30:\S+ on it is another sensor's recording", found["R1"][1])
     assert re.search(
-        r"\(\d+% of what stands around it stays where it was over that moment", found["R1"][1]
+        r"\(across that moment \d+% of what stands around it stays where it was", found["R1"][1]
     )
 
 

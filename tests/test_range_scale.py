@@ -127,8 +127,8 @@ def test_one_vehicle_that_carries_the_scale_makes_it_uncertain():
         (1.0 / 3.6, "km/h", "divide range_rate by 3.6"),
         (1.609344 / 3.6, "mph", "multiply range_rate by 0.44704"),
         (1.852 / 3.6, "knots", "multiply range_rate by 0.514444"),
-        (1.0 / 0.3048, "feet", "multiply x, y and z by 0.3048"),
-        (1.0 / 0.9144, "yards", "multiply x, y and z by 0.9144"),
+        (1.0 / 0.3048, "feet", "multiply x, y and z of all detections by 0.3048"),
+        (1.0 / 0.9144, "yards", "multiply x, y and z of all detections by 0.9144"),
     ],
 )
 def test_a_unit_is_told_with_its_exact_factor(factor, looks, advice):

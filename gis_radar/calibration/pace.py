@@ -68,5 +68,7 @@ def lengthened(pace: RangeScale) -> Finding:
     # from a few percent up to yards, a scale is no certain sign of one unit
     if pace.mistakes and not 1.0 + PACE < pace.factor < LEAST_YARDS:
         return wrong(_stated(pace), pace.likely, pace.advice)
-    advice = Text("divide x, y and z by {0:.3f}, or multiply range_rate by it", pace.factor)
+    advice = Text(
+        "divide x, y and z of all detections by {0:.3f}, or multiply range_rate by it", pace.factor
+    )
     return wrong(_stated(pace), cause, advice)

@@ -76,11 +76,11 @@ class UnitMistake:
 
 FEET = UnitMistake(
     looks=Text("positions look like feet"), of_positions=True, factor=1.0 / FOOT_M,
-    advice=Text("multiply x, y and z by {:g}", FOOT_M),
+    advice=Text("multiply x, y and z of all detections by {:g}", FOOT_M),
 )  # fmt: skip
 YARDS = UnitMistake(
     looks=Text("positions look like yards"), of_positions=True, factor=1.0 / YARD_M,
-    advice=Text("multiply x, y and z by {:g}", YARD_M),
+    advice=Text("multiply x, y and z of all detections by {:g}", YARD_M),
 )  # fmt: skip
 ABSOLUTE = UnitMistake(
     looks=Text("range rates look like absolute values"), factor=1.0,

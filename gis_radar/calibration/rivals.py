@@ -145,7 +145,7 @@ AGAINST = Rival(
 )
 MIRRORED = Rival(
     cause=Text("left and right are swapped, in the recording or in the map"),
-    advice=Text("change the sign of y, or mirror the map"),
+    advice=Text("change the sign of y of all detections, or mirror the map"),
     axes=Axes.MIRRORED,
 )
 
@@ -407,7 +407,7 @@ def moved(pose: Pose, there: Pose) -> Rival:
     parts = [away, turned]
     if off_m <= ONE_MISTAKE_M or abs(turn) <= ONE_MISTAKE_DEG:
         parts = [away] if off_m > ONE_MISTAKE_M else [turned]
-    cause = Text("its pose is off: the sensor is {}", Text(", ").join(parts))
+    cause = Text("its pose is off: compared with it, the sensor is {}", Text(", ").join(parts))
     return Rival(
         cause=cause,
         advice=Text(
