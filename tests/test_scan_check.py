@@ -590,3 +590,13 @@ def test_the_figure_never_replaces_the_scan(tmp_path):
     done = CliRunner().invoke(group, command(tmp_path, "--scan", str(scan), "--figure", str(scan)))
     assert isinstance(done.exception, gr.UsageError)
     assert scan.read_bytes().startswith(b"LASF")
+
+
+def test_a_single_scan_may_be_given_as_it_is():
+    """To what takes several scans, as text or as a path."""
+    found = [gr.check_against_scan(R2, POSE, each) for each in (SCAN, str(SCAN), [SCAN])]
+    assert len({each.score for each in found}) == 1
+    tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
+    assert gr.find_sight(POSE, tiles, str(SCAN)).seen.any()
+    with pytest.raises(gr.InputError, match=r"nowhere\.laz: no such file"):
+        gr.mask_road("nowhere.laz", SAMPLE / "junction.osm")

@@ -10,7 +10,7 @@ import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import date
 from pathlib import Path
@@ -68,6 +68,17 @@ def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
             raise OutputError(
                 "{}: would replace the input {}", output, source, hint="name another output"
             )
+
+
+def paths_of(given: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return paths: what is given may be a single one.
+
+    Examples
+    --------
+    >>> [path.name for path in paths_of("scans/north.laz")]
+    ['north.laz']
+    """
+    return [Path(path) for path in ([given] if isinstance(given, str | Path) else given)]
 
 
 def require_folder(output: str | Path) -> None:

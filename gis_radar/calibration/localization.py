@@ -22,6 +22,7 @@ from gis_radar.base import (
     UsageError,
     looks_like_degrees,
     moved_position,
+    paths_of,
     yaw_from_compass,
 )
 from gis_radar.calibration.icp import by_icp
@@ -338,8 +339,7 @@ def _preferred(look: ScanCheck, looks: Sequence[ScanCheck]) -> bool:
 
 def _tried(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
     """Return the recordings to try for a pose, in order."""
-    several = [recordings] if isinstance(recordings, str | Path) else recordings
-    paths = [Path(path) for path in several]
+    paths = paths_of(recordings)
     if not paths:
         raise UsageError("no recording is given")
     return paths if len(paths) <= MOST_TRIES else [*paths[: MOST_TRIES - 1], paths[-1]]

@@ -200,7 +200,8 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
         if bad.verdict == WRONG and bad.cause != UNKNOWN_CAUSE:
             return replace(bad, cause=Text(template, when, bad.cause))
     evidence = Text(
-        "across that moment {:.0%} of what stands around it stays where it was, across others {:.0%}",
+        "across that moment {:.0%} of what stands around it stays where it was, "
+        "across others {:.0%}",
         seen.share, seen.usual,
     )  # fmt: skip
     return wrong(

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from pyproj import CRS
 
-from gis_radar.base import CELL_M, QUIET, Floats, InputError, Reporter, Text
+from gis_radar.base import CELL_M, QUIET, Floats, InputError, Reporter, Text, paths_of
 from gis_radar.calibration.scan_check_result import (
     CONFIRMS,
     DOUBTS,
@@ -250,7 +250,7 @@ def _elsewhere(
 def check_against_scan(
     recording: str | Path | Recording,
     pose: Pose,
-    scans: Sequence[str | Path],
+    scans: str | Path | Sequence[str | Path],
     *,
     scan_crs: Any = None,
     reporter: Reporter = QUIET,
@@ -267,7 +267,7 @@ def check_against_scan(
         The sensor's recording; its last 2000 frames count.
     pose : Pose
         The pose to check.
-    scans : sequence of paths
+    scans : path or sequence of paths
         Airborne scans (LAS, LAZ, COPC), whole and not masked; classified or not.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
@@ -284,7 +284,7 @@ def check_against_scan(
         If a file cannot be read, or no scan has a point near the pose; CrsError if a scan has no
         projected, metric coordinate system.
     """
-    slow = read_slow(recording, reporter=reporter)
+    scans, slow = paths_of(scans), read_slow(recording, reporter=reporter)
     level = LevelFrame(pose=pose)
     reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
     structure = read_structure(

@@ -25,6 +25,7 @@ from gis_radar.base import (
     card,
     moved_box,
     name_of,
+    paths_of,
     scratch_folder,
 )
 from gis_radar.hdmap import LaneletMap
@@ -198,7 +199,7 @@ def require_road_name(path: str | Path) -> None:
 
 
 def mask_road(
-    scans: Sequence[str | Path],
+    scans: str | Path | Sequence[str | Path],
     roads: Roads | LaneletMap | str | Path,
     *,
     engine: str = "auto",
@@ -210,7 +211,7 @@ def mask_road(
 
     Parameters
     ----------
-    scans : sequence of paths
+    scans : path or sequence of paths
         LAS, LAZ or COPC files; those that do not touch the site are skipped by their extent.
     roads : LaneletMap, Roads, str or Path
         A map, of which the lanelets for vehicles count, or polygons of roads, or a file of either.
@@ -236,7 +237,7 @@ def mask_road(
     elif isinstance(roads, LaneletMap):
         roads = roads_of_map(roads)
     name, fill = engine_of(engine, reporter=reporter)
-    opened = [open_scan(scan, crs=scan_crs) for scan in scans]
+    opened = [open_scan(scan, crs=scan_crs) for scan in paths_of(scans)]
     touching = [scan for scan in opened if scan.touches(roads.area.bounds, roads.crs)]
     if not touching:
         raise _no_overlap(opened, roads)

@@ -30,6 +30,7 @@ from gis_radar.base import (
     Reporter,
     Text,
     compiled,
+    paths_of,
 )
 from gis_radar.poses import Pose, View
 from gis_radar.scans.columns import ScanColumns, read_columns
@@ -300,7 +301,7 @@ class SightScan:
 def find_sight(
     pose: Pose,
     tiles: gpd.GeoDataFrame | SightTiles,
-    source: SightSource | Sequence[str | Path] | None = None,
+    source: SightSource | str | Path | Sequence[str | Path] | None = None,
     *,
     scan_crs: Any = None,
 ) -> Sight:
@@ -316,7 +317,7 @@ def find_sight(
     tiles : GeoDataFrame or SightTiles
         The tiles, in the pose's CRS. Where the road's height is unknown, that of the scan's ground
         counts; without a scan, any elevation is in view.
-    source : sequence of paths, SightScan, KeptSight or SightFile, optional
+    source : path or sequence of paths, SightScan, KeptSight or SightFile, optional
         Airborne scans, whole and not masked, or what keeps them for several poses, or a file that
         holds sight; without it, sight is the view alone.
     scan_crs : CRS, str or int, optional
@@ -343,8 +344,8 @@ def find_sight(
     road = tiles if isinstance(tiles, SightTiles) else SightTiles.of(tiles)
     if source is None:
         return _find(pose, road, None, VIEW_ONLY)
-    if isinstance(source, Sequence):
-        source = SightScan(source, road, scan_crs=scan_crs)
+    if isinstance(source, str | Path | Sequence):
+        source = SightScan(paths_of(source), road, scan_crs=scan_crs)
     return source.find(pose)
 
 
