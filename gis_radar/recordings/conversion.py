@@ -21,7 +21,6 @@ from gis_radar.base import (
     UsageError,
     atomic_writes,
     first_line,
-    paths_of,
     placed,
     refuse_inputs,
 )
@@ -320,7 +319,8 @@ def convert(
     >>> gr.convert("radar.csv", "R1.parquet")
     Conversion(R1.parquet: 2 frames, 2 detections, 2025-06-12T07:30:00.000Z to ...)
     """
-    names, place = [str(source) for source in paths_of(inputs)], Path(output)
+    sources = [inputs] if isinstance(inputs, str | Path) else list(inputs)  # addresses, too
+    names, place = [str(source) for source in sources], Path(output)
     formats = [format_of(name) for name in names]
     _refuse_options(formats, place, clock=clock, duration_s=duration_s)
     refuse_inputs(place, *names)
