@@ -311,7 +311,7 @@ def test_a_page_without_its_library_says_so(live, address, chromium):
     try:
         chromium.get(f"{address}/?lang=en")
         trouble = chromium.find_element(By.ID, "trouble")
-        wait_for(lambda: "installed without MapLibre" in trouble.text)
+        wait_for(lambda: "MapLibre, could not be loaded" in trouble.text)
         assert not chromium.find_element(By.ID, "map").is_displayed()
     finally:
         chromium.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})

@@ -600,3 +600,13 @@ def test_a_single_scan_may_be_given_as_it_is():
     assert gr.find_sight(POSE, tiles, str(SCAN)).seen.any()
     with pytest.raises(gr.InputError, match=r"nowhere\.laz: no such file"):
         gr.mask_road("nowhere.laz", SAMPLE / "junction.osm")
+    with pytest.raises(gr.InputError, match=r"nowhere\.laz: no such file"):
+        gr.localize(R2, SAMPLE / "junction.osm", SCAN, guess=POSE.position[:2], scans="nowhere.laz")
+
+
+def test_a_single_scan_may_be_measured_with(tmp_path):
+    tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
+    with pytest.raises(gr.InputError, match=r"nowhere\.laz: no such file"):
+        gr.measure(
+            [R2], [POSE], tiles, SAMPLE / "junction.osm", tmp_path / "data", scans="nowhere.laz"
+        )

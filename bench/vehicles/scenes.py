@@ -207,10 +207,6 @@ MORE: Mapping[str, Recipe] = {
     "town-991": Recipe(
         plan="town", seed=991, per_hour=2500, radars=("R2", "R4"), minutes=10.0, warm_up_s=420.0
     ),
-    "town-992": Recipe(
-        plan="town", seed=992, per_hour=2600, radars=("R1", "R3", "R5"), minutes=20.0,
-        warm_up_s=420.0,
-    ),
     "junction-993": Recipe(
         plan="junction", seed=993, per_hour=2600, radars=2, minutes=20.0, warm_up_s=300.0
     ),

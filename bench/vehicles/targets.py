@@ -26,7 +26,6 @@ from tracks import Scored, compared, score_tracks
 import gis_radar as gr
 from gis_radar.base import Booleans
 
-WITHIN_M = 100.0  # of a radar, for which accuracy is stated
 STANDS_MPS = 0.5
 LEAST_S = 30.0  # for which a tile is visible, in truth and by the estimate
 
@@ -46,11 +45,11 @@ def measured(site: SceneFiles, poses: Sequence[gr.Pose]) -> dict[str, str]:
 
 
 def is_near(site: SceneFiles, easting: pd.Series, northing: pd.Series) -> Booleans:
-    """Return which places are within `WITHIN_M` of a radar."""
+    """Return which places are within 100 m of a radar."""
     apart = [
         np.hypot(easting - pose.easting, northing - pose.northing) for pose in site.poses
     ]  # fmt: skip
-    return np.asarray(np.min(apart, axis=0) < WITHIN_M)
+    return np.asarray(np.min(apart, axis=0) < lane_volumes.WITHIN_M)
 
 
 def near_only(site: SceneFiles, scored: Scored) -> Scored:

@@ -116,7 +116,7 @@ def localize(
     crs: Any = None,
     origin: tuple[float, float] | None = None,
     method: str = "lane",
-    scans: Sequence[str | Path] = (),
+    scans: str | Path | Sequence[str | Path] = (),
     scan_crs: Any = None,
     sensor: str | None = None,
     view: View | None = None,
@@ -154,7 +154,7 @@ def localize(
         Map-frame position of its local (0, 0), for maps without latitudes and longitudes.
     method : str
         `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
-    scans : sequence of paths
+    scans : path or sequence of paths
         Airborne scans for a :func:`gis_radar.check_against_scan`; with them the range that the
         recording reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is
         given.
@@ -185,6 +185,7 @@ def localize(
     refuse_both(heading, compass)
     roads, points = read_ground(roads, road, crs=crs, origin=origin, reporter=reporter)
     place, heading = start_in_map(roads, guess, guess_crs, heading, compass)
+    scans = paths_of(scans)
     if scans:
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
     ask = partial(

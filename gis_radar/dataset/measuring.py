@@ -95,7 +95,7 @@ def measure(
     map: str | Path | None,  # noqa: A002 - the word of the contract
     folder: str | Path,
     *,
-    scans: Sequence[str | Path] = (),
+    scans: str | Path | Sequence[str | Path] = (),
     scan_crs: Any = None,
     sight: str | Path | None = None,
     sight_cache: str | Path | None = None,
@@ -130,7 +130,7 @@ def measure(
         Hits alone need none.
     folder : str or Path
         The dataset: a new one, or one of the same tiles to add to.
-    scans : sequence of paths
+    scans : path or sequence of paths
         Airborne scans, whole and not masked: what stands in them hides tiles. Without them, all
         tiles in the view count as seen.
     scan_crs : CRS, str or int, optional

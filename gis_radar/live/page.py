@@ -347,7 +347,7 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
                      "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
                  "no_library": tr(
-                     "The map is not drawn: fusion was installed without MapLibre. "
+                     "The map is not drawn: its program, MapLibre, could not be loaded. "
                      "The tables below go on."),
                  "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
         colours = {"classes": [each.colour for each in colour_classes()],

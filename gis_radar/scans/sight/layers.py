@@ -29,6 +29,7 @@ from gis_radar.base import (
     dress_layers,
     keep_styles,
     opened_package,
+    paths_of,
 )
 from gis_radar.hdmap import fingerprint
 from gis_radar.poses import Pose, View, pose_from_dict
@@ -286,7 +287,7 @@ def _sight_of(pose: Pose, scan: str, rows: pd.DataFrame, tiles: SightTiles) -> S
 def open_sight(
     tiles: SightTiles,
     *,
-    scans: Sequence[str | Path] = (),
+    scans: str | Path | Sequence[str | Path] = (),
     scan_crs: Any = None,
     sight: str | Path | None = None,
     cache: str | Path | None = None,
@@ -298,7 +299,7 @@ def open_sight(
     ----------
     tiles : SightTiles
         The tiles.
-    scans : sequence of paths
+    scans : path or sequence of paths
         Airborne scans, whole and not masked.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
@@ -325,5 +326,5 @@ def open_sight(
         return SightFile(sight, tiles)
     if not scans:
         return None
-    scan = SightScan(scans, tiles, scan_crs=scan_crs, reporter=reporter)
+    scan = SightScan(paths_of(scans), tiles, scan_crs=scan_crs, reporter=reporter)
     return scan if cache is None else KeptSight(scan, Path(cache))
