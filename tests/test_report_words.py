@@ -14,12 +14,15 @@ from test_heatmap_occupancy import BEGIN
 from gis_radar.base import (
     WINDS,
     Clock,
+    Text,
     bearing_of,
     direction,
     figure_text,
     listed,
     localised,
     percent,
+    speaking,
+    tr,
     utc_offsets,
     wind_of,
 )
@@ -104,6 +107,9 @@ def test_times_in_messages_are_those_of_the_site():
     told = "no data from 2025-06-12T07:30Z to 2025-06-12T07:31:40.5Z, 3 times"
     local = "no data from 2025-06-12 09:30 UTC+02:00 to 2025-06-12 09:31:40.500 UTC+02:00, 3 times"
     assert localised(told, ZoneInfo("Europe/Berlin")) == local
+    away = localised(Text("{:.1f} m to the {}", 1.2, Text("south")), ZoneInfo("Europe/Berlin"))
+    with speaking("de"):  # a word among the values is still translated
+        assert tr(away) == "1,2 m weiter Richtung Süd"
 
 
 def test_offsets_hold_from_the_second_on_which_clocks_change():

@@ -155,6 +155,33 @@ def test_sensors_that_never_recorded_together_are_named(place, tmp_path):
     assert warning.startswith("R1 and R2 have no time in common: 3,500 s lie between them")
 
 
+@pytest.mark.parametrize(
+    ("factor", "cause"),
+    [
+        (3.6, "range rates look like km/h"),
+        (-1.0, "range rates look positive where targets approach"),
+    ],
+)
+def test_units_are_judged_before_a_pose_is_found(place, tmp_path, monkeypatch, factor, cause):
+    site = place()
+    table = pq.read_table(SAMPLE / "R2.parquet")
+    at, field = table.column_names.index("range_rate"), table.schema.field("range_rate")
+    rates = pc.multiply(table["range_rate"], factor).cast(field.type)
+    (tmp_path / "R2.parquet").unlink()
+    pq.write_table(table.set_column(at, field, rates), tmp_path / "R2.parquet")
+    found = gr.check_site(site)
+    (finding,) = found.findings
+    assert (finding.sensor, finding.verdict) == ("R2", "does not fit")
+    assert cause in finding.cause
+    assert found.failure.exit_code == 4
+    monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")  # as QGIS asks for the table that it shows
+    done = CliRunner().invoke(group, ["check", str(site), "--json"])
+    (answer,) = (line for line in done.stdout.splitlines() if '"result"' in line)
+    rows = json.loads(answer)["summary"]["plausibility"]
+    assert rows[1][:2] == ["R2", "passt nicht"]
+    assert "Radialgeschwindigkeiten" in rows[1][2]
+
+
 def test_short_and_foreign_recordings(place, tmp_path):
     site = place(('recordings = ["R2.parquet"]', 'recordings = ["R2.pcap"]'))
     shutil.copyfile(SAMPLE / "R2.parquet", tmp_path / "R2.pcap")  # opened by the run only

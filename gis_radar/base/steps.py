@@ -394,7 +394,8 @@ def localised(text: str, zone: ZoneInfo) -> str:
     if isinstance(text, Text) and text.values:
         values = (localised(v, zone) if isinstance(v, str) else v for v in text.values)
         return Text(text.template, *values)
-    return _UTC_TEXT.sub(lambda found: _stamp(found[0], zone), text)
+    local = _UTC_TEXT.sub(lambda found: _stamp(found[0], zone), text)
+    return text if local == text else local  # a word without values keeps its template
 
 
 def _stamp(text: str, zone: ZoneInfo) -> str:

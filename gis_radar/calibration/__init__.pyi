@@ -15,7 +15,7 @@ from .lane_detections import lanelets_of
 from .localization import localize
 from .monitor import LOST_S, Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
-from .plausibility import RecordedSensor, check_plausibility
+from .plausibility import RecordedSensor, check_plausibility, check_recordings
 from .pose_track import MOVED, Track, track_of
 from .range_scale import RangeScale, measure_range_scale
 from .result import AmbiguousError, Localization, Problem
@@ -56,6 +56,7 @@ __all__ = [
     "adjust_poses",
     "check_against_scan",
     "check_plausibility",
+    "check_recordings",
     "gain_line",
     "is_record",
     "lanelets_of",

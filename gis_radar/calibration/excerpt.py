@@ -144,7 +144,9 @@ class _Rows:
 
 
 def read_excerpts(
-    recordings: Sequence[Recording], tracks: Sequence[PoseTrack], clock: SensorClock | None = None
+    recordings: Sequence[Recording],
+    tracks: Sequence[PoseTrack] = (),
+    clock: SensorClock | None = None,
 ) -> Iterator[Excerpt]:
     """Yield excerpts of a sensor's recordings, with more and more pieces, as far as there are any.
 
@@ -157,7 +159,7 @@ def read_excerpts(
     recordings : sequence of Recording
         The recordings of one sensor.
     tracks : sequence of PoseTrack
-        As many, in order.
+        As many, in order; none where the pose is not known.
     clock : SensorClock, optional
         How far the sensor's clock is ahead.
 
@@ -173,7 +175,7 @@ def read_excerpts(
         found = _excerpt(rows, tracks)
         last = PIECE_S * count >= length_s or count >= MOST_PIECES
         if last or found.vehicles >= ENOUGH or found.wild:
-            found = replace(found, stays=_stays(rows, tracks))
+            found = replace(found, stays=_stays(rows, tracks) if tracks else None)
             del rows  # the caller may keep this generator for long before asking for more
             yield found
         if last:

@@ -8,7 +8,7 @@ from typing import Any
 
 from gis_radar.base import NoAnswerError, Reporter, Text
 
-FITS, WRONG = Text("fits"), Text("does not fit")
+FITS, FITS_BUT, WRONG = Text("fits"), Text("fits, but"), Text("does not fit")
 UNKNOWN = Text("too little traffic to tell")
 UNKNOWN_CAUSE = Text("cause unknown")
 RECORD_MORE = Text("record more traffic")
@@ -50,7 +50,12 @@ class Finding:
     @property
     def row(self) -> list[str]:
         """The finding as a row of a table under `HEADS`."""
-        return [self.sensor, self.verdict, self.reason, self.advice]
+        return [self.sensor, self.verdict_told, self.reason, self.advice]
+
+    @property
+    def verdict_told(self) -> Text:
+        """The verdict in a table: that of a sensor that fits, but may be off, says so."""
+        return FITS_BUT if self.verdict == FITS and self.cause else Text(self.verdict)
 
     @property
     def refused(self) -> bool:
@@ -84,9 +89,8 @@ class Finding:
     @property
     def text(self) -> Text:
         """The finding, without the sensor's name."""
-        if self.verdict == FITS and self.cause:
-            return Text("{}, but {}", self.verdict, self.reason)
-        return Text("{}: {}", self.verdict, self.reason)
+        between = "{} {}" if self.verdict_told == FITS_BUT else "{}: {}"
+        return Text(between, self.verdict_told, self.reason)
 
     @property
     def text_with_advice(self) -> Text:

@@ -110,6 +110,38 @@ def check_plausibility(
     return tuple(found.values())
 
 
+def check_recordings(
+    sensors: Mapping[str, Sequence[Recording]], *, reporter: Reporter = QUIET
+) -> tuple[Finding, ...]:
+    """Check recordings alone, where poses are not yet known: frozen frames, units, signs.
+
+    Parameters
+    ----------
+    sensors : mapping of str to sequence of Recording
+        The recordings of each sensor, by name.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    tuple of Finding
+        What does not fit, in the order of names; nothing on sensors whose recordings have no fault.
+
+    Raises
+    ------
+    InputError
+        If a recording is damaged.
+    """
+    found = []
+    for done, (name, recordings) in enumerate(sorted(sensors.items())):
+        reporter.progress(STAGE, done, len(sensors))
+        excerpt = next(read_excerpts(recordings))
+        odd = _odd_recording(excerpt) or odd_pace(measure_range_scale(excerpt.moving))
+        found += [replace(odd, sensor=name)] if odd is not None else []
+    reporter.progress(STAGE, len(sensors), len(sensors))
+    return tuple(found)
+
+
 def judge(
     sensor: str, excerpts: Iterable[Excerpt], lanes: LaneMap, others: Mapping[str, Pose]
 ) -> tuple[Finding, Excerpt]:

@@ -130,7 +130,9 @@ class JsonConsole(Console):
         """Write what was done."""
         outputs = [str(path) for path in result.outputs]
         rows = {} if result.rows is None else {"rows": result.rows}
-        self._write(event="result", outputs=outputs, summary={**result.summary, **rows})
+        with speaking(self.language):
+            summary = _translated(result.summary)
+        self._write(event="result", outputs=outputs, summary={**summary, **rows})
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
@@ -149,6 +151,15 @@ class JsonConsole(Console):
         text = json_text(record).encode("utf-8", "backslashreplace").decode("utf-8")
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
+
+
+def _translated(value: Any) -> Any:
+    """Return a value with its finished texts translated; names, keys and plain words stay."""
+    if isinstance(value, Text):
+        return tr(value)
+    if isinstance(value, Mapping):
+        return {name: _translated(each) for name, each in value.items()}
+    return [_translated(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 class TerminalConsole(Console):

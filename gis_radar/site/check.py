@@ -33,6 +33,7 @@ from gis_radar.calibration import (
     LaneMap,
     RecordedSensor,
     check_plausibility,
+    check_recordings,
     read_clocks,
     refuse_implausible,
 )
@@ -97,7 +98,8 @@ class SiteCheck:
     sensors : dict
         Check of each sensor's recordings, by name.
     findings : tuple of Finding
-        Whether the given poses fit recordings and map, by sensor.
+        Whether the given poses fit recordings and map, and what is wrong with recordings whose
+        poses the run finds, by sensor.
     warnings : tuple of str
         Warnings to read before the run.
     """
@@ -241,21 +243,28 @@ def _check_place(sensor: Sensor, roads: LaneletMap) -> None:
 
 
 def _check_poses(site: Site, roads: LaneletMap, reporter: Reporter) -> tuple[Finding, ...]:
-    """Check given poses against recordings and map; a run checks those it converts or finds."""
-    given, clocks = {}, read_clocks(site.measure.clocks) if site.measure.clocks else {}
+    """Check given poses against recordings and map, and recordings alone where the run finds poses.
+
+    What the run converts, it checks itself.
+    """
+    given, alone = {}, dict[str, list[Recording]]()
+    clocks = read_clocks(site.measure.clocks) if site.measure.clocks else {}
     for each in site.sensor:
-        ours = [path for path in each.recordings if path not in each.foreign]
+        ours = [open_recording(path) for path in each.recordings if path not in each.foreign]
         if each.pose is not None and ours:
-            track = read_track(each.pose)
             given[each.name] = RecordedSensor(
-                recordings=[open_recording(path) for path in ours],
-                tracks=[track] * len(ours),
+                recordings=ours,
+                tracks=[read_track(each.pose)] * len(ours),
                 clock=clocks.get(each.name),
             )
+        elif ours:
+            alone[each.name] = ours
     masked = site.scan and site.scan.road
     road = read_road(masked, roads.crs) if masked else np.empty((0, 3))
     lanes = LaneMap(lanelets=roads.lanelets, road=road)
-    return check_plausibility(given, lanes, reporter=reporter)
+    found = check_plausibility(given, lanes, reporter=reporter)
+    odd = check_recordings(alone, reporter=reporter)
+    return tuple(sorted((*found, *odd), key=lambda each: each.sensor))
 
 
 def _zone_warning(site: Site, roads: LaneletMap) -> Iterator[str]:

@@ -174,7 +174,7 @@ def test_the_check_says_of_each_sensor_whether_it_fits(wizard, place, fake_worke
         ["R1", "fits", "96% of 48 vehicles drive along lanes", ""],
         ["R2", "does not fit", "yaw is off by 180 deg (0% of 41 vehicles)", "set yaw to 2.0"],
         ["R3", "too little traffic to tell", "4 vehicles move", "record more traffic"],
-        ["R4", "fits", "its pose may be off (9 vehicles)", "set easting 6"],
+        ["R4", "fits, but", "its pose may be off (9 vehicles)", "set easting 6"],
     ]
     rows = rows if wrong else [each for each in rows if each[0] != "R2"]
     line = "R3: too little traffic to tell: 4 vehicles move"

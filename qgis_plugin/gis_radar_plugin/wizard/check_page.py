@@ -186,10 +186,9 @@ class CheckPage(Page):
         for sensor, verdict, evidence, advice in rows[1:]:
             colour = BAD if verdict == tr("does not fit") else ODD if advice else GOOD
             told = f'<b style="color: {colour}">{html.escape(verdict)}</b>'
-            doubted = verdict == tr("fits") and advice
-            told = (tr("{}, but {}") if doubted else "{}: {}").format(told, html.escape(evidence))
+            told += " " if verdict == tr("fits, but") else ": "
             advised = f"<br>→ {html.escape(advice)}" if advice else ""
-            self.say(f"<b>{html.escape(sensor)}</b>: {told}{advised}", "")
+            self.say(f"<b>{html.escape(sensor)}</b>: {told}{html.escape(evidence)}{advised}", "")
 
     def _recorded(self, found: dict[str, Any]) -> str:
         """Return what a sensor recorded in words, in the time of the site."""
