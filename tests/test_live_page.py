@@ -248,6 +248,18 @@ def test_questions_that_are_not_understood_are_refused(address, query, code):
     assert refusal(f"{address}/ogc/collections/{query}") == code
 
 
+@pytest.mark.parametrize("path", ["tiles/items?limit=0", "else", "tiles/items/x"])
+def test_refusals_of_the_service_are_json(address, path):
+    """An exception of OGC 17-069r4, 7.5.2: `code` and `description`."""
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(f"{address}/ogc/collections/{path}")  # noqa: S310
+    assert caught.value.headers["content-type"] == "application/json"
+    said = json.load(caught.value)
+    assert said["code"] == str(caught.value.code)
+    assert said["description"]
+    caught.value.close()
+
+
 def test_only_who_has_the_token_reads(live):
     with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
         for path in ("/", "/events", "/state.json", "/ogc", "/metrics", "/web/page.js"):

@@ -120,6 +120,17 @@ def test_the_workbook_has_a_sheet_each_with_ids_and_names_as_text(written):
     assert [row["A"] for row in turns[1:]] == ["10"] * 4
 
 
+def test_heads_of_the_workbook_stay_in_view(written):
+    folder, _ = written()
+    with zipfile.ZipFile(folder / "traffic.xlsx") as file:
+        sheets = [file.read(name) for name in file.namelist() if "/worksheets/" in name]
+    assert sheets
+    for sheet in map(ET.fromstring, sheets):
+        assert [each.tag for each in sheet][:2] == [f"{SHEET}sheetViews", f"{SHEET}cols"]
+        pane = sheet.find(f"{SHEET}sheetViews/{SHEET}sheetView/{SHEET}pane")
+        assert (pane.get("state"), pane.get("ySplit")) == ("frozen", "1")
+
+
 def test_the_workbook_speaks_german(written):
     folder, _ = written("--language", "de")
     names, lanes = sheet_of(folder / "traffic.xlsx", 1)

@@ -18,6 +18,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
@@ -41,7 +42,7 @@ from gis_radar.base import (
     step_begin,
     tr,
 )
-from gis_radar.live.features import feature_routes
+from gis_radar.live.features import feature_routes, refusal
 from gis_radar.live.health import ALARMS, METRICS_TYPE
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import (
@@ -120,7 +121,12 @@ def make_app(live: ShownMap, token: str = "") -> Starlette:
         *feature_routes(live),
         Mount("/web", StaticFiles(directory=WEB)),
     ]
-    return Starlette(routes=routes, middleware=middleware, lifespan=running)
+    return Starlette(
+        routes=routes,
+        middleware=middleware,
+        exception_handlers={HTTPException: refusal},
+        lifespan=running,
+    )
 
 
 class _Answers:
