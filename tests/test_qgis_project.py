@@ -11,10 +11,10 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from datasets import HOUR
 from forks import LEFT, fork_dataset, through
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr

@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import UsageError, atomic_write
 
-
 # Ids of the map reach 9e18, exact numbers of JSON's readers 9e15: text, however few digits one has.
 MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
 
