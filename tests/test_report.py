@@ -206,7 +206,7 @@ def test_the_paper(made):
     assert paper.root_object["/Lang"] == "en"
     titles = [each["/Title"] for each in paper.outline]
     assert titles == [
-        "In short", "What this rests on", "Map", "Can this be trusted?", "Lanes",
+        "In short", "Map", "What this rests on", "Can this be trusted?", "Lanes",
         "The lanes over time",
         "Sensors", "What sensors delivered", "Settings and sources", "What the words mean",
     ]  # fmt: skip
