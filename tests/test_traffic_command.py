@@ -81,6 +81,19 @@ def test_all_files_are_named_and_there(written):
     assert summary["begin"] == "2023-11-14T22:00:00Z"
 
 
+def test_verbs_take_a_dataset_or_its_folder(dataset):
+    folder = str(dataset.folder)
+    pd.testing.assert_frame_equal(gr.make_traffic(folder).turns, gr.make_traffic(dataset).turns)
+    assert repr(gr.make_heatmap(folder)) == repr(gr.make_heatmap(dataset))
+    assert repr(gr.measure_quality(folder)) == repr(gr.measure_quality(dataset))
+    assert gr.open_dataset(dataset) is dataset
+
+
+def test_an_interval_that_is_a_number_is_named(dataset):
+    with pytest.raises(gr.UsageError, match="interval 15 is no duration"):
+        dataset.traffic(15)
+
+
 def test_tables_are_those_of_the_dataset(written, dataset):
     folder, _ = written()
     rows = list(csv.DictReader((folder / "traffic.csv").open(encoding="utf-8")))

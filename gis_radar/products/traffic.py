@@ -30,7 +30,7 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.measures import TURN_WORDS
 from gis_radar.products.hand_counts import beside_hand_counts
 from gis_radar.products.results_folder import write_results
@@ -227,7 +227,7 @@ class Traffic:
 
 
 def make_traffic(
-    dataset: Dataset,
+    dataset: Dataset | str | Path,
     *,
     interval: str = "15min",
     begin: Any = None,
@@ -244,8 +244,8 @@ def make_traffic(
 
     Parameters
     ----------
-    dataset : Dataset
-        A dataset with vehicles, from :func:`gis_radar.open_dataset`.
+    dataset : Dataset, str or Path
+        A dataset with vehicles, from :func:`gis_radar.open_dataset`, or its folder.
     interval, begin, end, language
         As for :meth:`gis_radar.Dataset.traffic`.
     sections : GeoDataFrame, str or Path, optional
@@ -272,6 +272,7 @@ def make_traffic(
     UsageError
         If there is no such interval.
     """
+    dataset = open_dataset(dataset)
     options = {"begin": begin, "end": end, "language": language or current_language()}
     lanes = dataset.traffic(interval, headways=headways, **options)
     if lanes.empty:

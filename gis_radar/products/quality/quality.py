@@ -32,7 +32,7 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.products.quality.counting import HIGH, HOUR_S, Count, count_frames, frame_times
 
 GOOD = "good"
@@ -207,7 +207,7 @@ def require_table_name(path: str | Path) -> None:
 
 
 def measure_quality(
-    dataset: Dataset,
+    dataset: Dataset | str | Path,
     *,
     timezone: str = "UTC",
     reporter: Reporter = QUIET,
@@ -216,8 +216,8 @@ def measure_quality(
 
     Parameters
     ----------
-    dataset : Dataset
-        As from :func:`gis_radar.open_dataset`.
+    dataset : Dataset, str or Path
+        As from :func:`gis_radar.open_dataset`, or its folder.
     timezone : str
         Time zone of hours, days and weekdays, such as Europe/Berlin.
     reporter : Reporter
@@ -241,6 +241,7 @@ def measure_quality(
     Quality(R1: 1 of 1 hours good)
     """
     zone = zone_of(timezone)
+    dataset = open_dataset(dataset, reporter=reporter)
     times = frame_times(dataset)
     if not times:
         raise InputError("{}: holds no frame", dataset.folder, hint="were the recordings empty?")
