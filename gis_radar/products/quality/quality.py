@@ -145,14 +145,15 @@ class Quality:
 
     def warnings(self) -> list[str]:
         """Return one line for each sensor that is not good throughout."""
-        bad = self.table[self.table["verdict"] != GOOD]
+        bad, hours = self.table[self.table["verdict"] != GOOD], self.table["sensor"].value_counts()
         return [
             Text(
-                "{}: {} (in {} of its hours, first in that from {})",
+                "{}: {} in the hour from {}; {} of its {} hours are not good",
                 sensor,
                 self.verdict(rows["verdict"].iloc[0]),
-                len(rows),
                 f"{rows['begin'].iloc[0]:%Y-%m-%dT%H:%MZ}",
+                len(rows),
+                hours[sensor],
             )
             for sensor, rows in bad.groupby("sensor")
         ]
@@ -248,11 +249,17 @@ def measure_quality(
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses(dataset.poses())
     hours = sorted({hour for _, hour in counts})
+    # A sensor that came later lacks nothing before it.
+    first = {
+        number: min(h for (n, h), each in counts.items() if n == number and each.frames)
+        for number in times
+    }
     rows = [
         _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone)
         for number, sensor in enumerate(dataset.sensors)
         if number in times
         for hour in hours
+        if hour >= first[number]
     ]
     recordings = dataset.recordings()
     level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
