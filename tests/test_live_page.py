@@ -324,7 +324,8 @@ def test_a_page_without_its_library_says_so(live, address, chromium):
         chromium.get(f"{address}/?lang=en")
         trouble = chromium.find_element(By.ID, "trouble")
         wait_for(lambda: "MapLibre, could not be loaded" in trouble.text)
-        assert not chromium.find_element(By.ID, "map").is_displayed()
+        for name in ("map", "side"):
+            assert not chromium.find_element(By.ID, name).is_displayed()
     finally:
         chromium.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})
         chromium.get_log("browser")
