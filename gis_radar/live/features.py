@@ -63,14 +63,13 @@ def feature_routes(live: ShownMap) -> list[Route]:
     return [Route(path, endpoint) for path, endpoint in at.items()]
 
 
-def refusal(request: Request, error: Exception) -> Response:
+def refusal(
+    request: Request, code: int, text: str, headers: Mapping[str, str] | None = None
+) -> Response:
     """Return an HTTP error: as JSON below `/ogc`, as the standard asks, else as plain text."""
-    code, text = (
-        (error.status_code, error.detail) if isinstance(error, HTTPException) else (500, "error")
-    )
     if request.url.path.split("/")[1] != "ogc":
-        return PlainTextResponse(text, code)
-    return JSONResponse({"code": str(code), "description": text}, code)
+        return PlainTextResponse(f"{text}\n", code, headers)
+    return JSONResponse({"code": str(code), "description": text}, code, headers)
 
 
 class _Service:

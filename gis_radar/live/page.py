@@ -124,9 +124,16 @@ def make_app(live: ShownMap, token: str = "") -> Starlette:
     return Starlette(
         routes=routes,
         middleware=middleware,
-        exception_handlers={HTTPException: refusal},
+        exception_handlers={HTTPException: _refused},
         lifespan=running,
     )
+
+
+def _refused(request: Request, error: Exception) -> Response:
+    """Return an HTTP error of a route, or of none."""
+    if not isinstance(error, HTTPException):
+        raise error
+    return refusal(request, error.status_code, error.detail, error.headers)
 
 
 class _Answers:
@@ -172,7 +179,7 @@ class _Guard:
 
     def _refusal(self, request: Request) -> Response | None:
         if request.method not in {"GET", "HEAD"}:
-            return PlainTextResponse("for reading only\n", 405)
+            return refusal(request, 405, "for reading only")
         if not self._token:
             return None
         given = request.query_params.get("token", "")
@@ -185,7 +192,7 @@ class _Guard:
         shown = (given, bearer, request.cookies.get(COOKIE, ""))
         if any(self._is_token(each) for each in shown):
             return None
-        return PlainTextResponse("a token is needed\n", 401, {"WWW-Authenticate": "Bearer"})
+        return refusal(request, 401, "a token is needed", {"WWW-Authenticate": "Bearer"})
 
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self._token.encode())
