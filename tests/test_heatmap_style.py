@@ -16,6 +16,7 @@ from gis_radar.dataset import footprint_style
 from gis_radar.products.heatmap import style
 from gis_radar.products.heatmap.layers import BEGIN, END
 from gis_radar.products.heatmap.picture import STRIPE
+from gis_radar.products.traffic_style import SHADES
 
 
 def lightness(colour: str) -> float:
@@ -38,6 +39,13 @@ def test_classes_cover_zero_to_one_without_gap():
 def test_darker_is_busier_in_even_steps():
     light = [lightness(level.colour) for level in style.colour_classes()]
     steps = -np.diff(light)
+    assert (steps > 7.0).all()
+    assert steps.max() < 2 * steps.min()
+
+
+def test_volumes_have_colours_of_their_own_in_even_steps():
+    assert not set(SHADES) & set(style.RAMP)
+    steps = -np.diff([lightness(colour) for colour in SHADES])
     assert (steps > 7.0).all()
     assert steps.max() < 2 * steps.min()
 

@@ -191,6 +191,12 @@ def test_the_name_in_the_map_comes_first(junction):
     assert set(lanes["street"]) == {"Am Markt"}
 
 
+def test_names_of_streets_are_one_line_that_xml_can_hold(junction):
+    streets = streets_of(junction, l83="West\nstraße\u202e", l568="\ufffe")
+    names = junction.lanes(streets=streets)["street"].dropna()
+    assert set(names) == {"West straße\\u202e", "\\ufffe"}
+
+
 def told(roads, **options):
     """Return the lanes and the warnings that they come with."""
     lanes = roads.lanes(reporter=(listener := Listener()), **options)

@@ -29,6 +29,7 @@ from gis_radar.base import (
 )
 from gis_radar.base.languages import catalogue
 from gis_radar.base.words import long_day
+from gis_radar.cli.result_tables import as_lines, as_title
 from gis_radar.products import MapLabels
 from tools import catalogue as tool
 
@@ -285,6 +286,19 @@ def test_one_german_word_for_each_word_of_the_data():
         or re.search(r"\b[Mm]essung", german)
     ]  # fmt: skip
     assert wrong == []
+
+
+def test_the_terminal_shows_figures_in_german():
+    """No comma sets thousands apart where it is the decimal sign."""
+    figures = {"points_in": 322924, "density_per_m2": 9.212, "easting": 690360.09,
+               "sigma_yaw": 0.089, "observable": False}  # fmt: skip
+    with speaking("de"):
+        shown = {as_title(name): as_lines(name, value) for name, value in figures.items()}
+    assert shown == {
+        "gelesene Punkte": "322\u202f924", "Punkte je m²": "9,212", "Ostwert": "690\u202f360,09",
+        "sigma Gierwinkel": "0,089", "eindeutig bestimmbar": "nein",
+    }  # fmt: skip
+    assert as_lines("points_in", 322924) == "322,924"
 
 
 def test_a_language_that_is_none(tmp_path):

@@ -248,6 +248,29 @@ def test_questions_that_are_not_understood_are_refused(address, query, code):
     assert refusal(f"{address}/ogc/collections/{query}") == code
 
 
+@pytest.mark.parametrize("path", ["tiles/items?limit=0", "else", "tiles/items/x"])
+def test_refusals_of_the_service_are_json(address, path):
+    """An exception of OGC 17-069r4, 7.5.2: `code` and `description`."""
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(f"{address}/ogc/collections/{path}")  # noqa: S310
+    assert caught.value.headers["content-type"] == "application/json"
+    said = json.load(caught.value)
+    assert said["code"] == str(caught.value.code)
+    assert said["description"]
+    caught.value.close()
+
+
+def test_whom_the_service_does_not_know_it_refuses_in_json(live):
+    with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
+        for method, code in (("GET", 401), ("POST", 405)):
+            asked = urllib.request.Request(f"{address}/ogc", method=method)  # noqa: S310
+            with pytest.raises(urllib.error.HTTPError) as caught:
+                urllib.request.urlopen(asked)  # noqa: S310
+            assert json.load(caught.value)["code"] == str(code)
+            assert caught.value.headers.get("www-authenticate") == {401: "Bearer"}.get(code)
+            caught.value.close()
+
+
 def test_only_who_has_the_token_reads(live):
     with served(live, token="s3cret") as address:  # noqa: S106 - of this test only
         for path in ("/", "/events", "/state.json", "/ogc", "/metrics", "/web/page.js"):
@@ -312,7 +335,8 @@ def test_a_page_without_its_library_says_so(live, address, chromium):
         chromium.get(f"{address}/?lang=en")
         trouble = chromium.find_element(By.ID, "trouble")
         wait_for(lambda: "MapLibre, could not be loaded" in trouble.text)
-        assert not chromium.find_element(By.ID, "map").is_displayed()
+        for name in ("map", "side"):
+            assert not chromium.find_element(By.ID, name).is_displayed()
     finally:
         chromium.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})
         chromium.get_log("browser")

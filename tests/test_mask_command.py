@@ -33,7 +33,7 @@ def test_scan_to_tiles(site, run, name):
     result = json.loads(out.splitlines()[-1])
     assert result["outputs"] == ["road.laz", "road.pipeline.json", "road.roads.gpkg"]
     summary = result["summary"]
-    assert summary["engine"].startswith("built-in")
+    assert summary["engine"].startswith("laspy")
     assert summary["points_in"] > summary["points_on_road"] > 0
     assert summary["covered"] > 0.9
     with laspy.open(site / "road.laz") as road:

@@ -11,12 +11,14 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from datasets import HOUR
+from forks import LEFT, fork_dataset, through
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr
-from gis_radar.base import LANGUAGES, metric_crs, moved_position, translated
+from gis_radar.base import LANGUAGES, STEPS_PER_HOUR, metric_crs, moved_position, translated
 from gis_radar.dataset import measure
 from gis_radar.poses import ellipse, write_sensors
 from gis_radar.products import write_site_project
@@ -350,6 +352,17 @@ def test_a_project_in_german(results, tmp_path):
     assert any("^2), 2, 'de')" in text for text in labels)  # 0,64 m, however QGIS is set
     with pytest.raises(gr.UsageError, match="'fr', expected one of en, de"):
         gr.write_qgis_project(path, heatmap=results / "heatmap", language="fr")
+
+
+def test_occupancy_and_hit_share_are_two_fields(tmp_path):
+    """Layers are renamed to the measure they show, fields keep their names."""
+    dataset = fork_dataset(tmp_path / "dataset", [through(0, HOUR * STEPS_PER_HOUR + 200, LEFT)])
+    gr.make_heatmap(dataset).write(tmp_path / "heatmap")
+    gr.write_qgis_project(tmp_path / "site.qgz", heatmap=tmp_path / "heatmap", language="de")
+    for layer in read_project(tmp_path / "site.qgz").iter("maplayer"):
+        fields = {each.get("field"): each.get("name") for each in layer.iter("alias")}
+        if "occupancy" in fields:
+            assert (fields["occupancy"], fields["hit_share"]) == ("Belegungsgrad", "Trefferanteil")
 
 
 def test_the_map_clock_is_the_sites_over_a_change_of_clocks():

@@ -85,6 +85,20 @@ def test_a_sensor_that_stops_is_at_fault_hour_by_hour(tmp_path):
     assert "no data (1 h)" in lines["R2"]
 
 
+def test_a_sensor_that_came_later_lacks_nothing_before(tmp_path):
+    begin = 1_700_002_800.0 + 60.0
+    measured(tmp_path, "a", *drive(begin + np.arange(0, 600, 1.0)))
+    time, points, rate = drive(begin + 7200.0 + np.arange(0, 600, 1.0), np.random.default_rng(1))
+    path = recording(tmp_path / "b.parquet", time, points, range_rate=np.float32(rate))
+    both = measure(
+        [path], [pose(sensor="R2")], crossing(), None, tmp_path / "a", hits_only=True, check=False
+    )
+    table = measure_quality(both).table
+    assert table["sensor"].tolist() == ["R1", "R1", "R2"]
+    (line,) = measure_quality(both).warnings()
+    assert line.startswith("R1: 17 % of the frames expected in the hour from 2023-11-14T23:00Z; 2")
+
+
 @pytest.mark.parametrize(
     ("change", "verdict"),
     [

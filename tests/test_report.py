@@ -78,11 +78,12 @@ def test_tables_for_german_spreadsheets_hold_the_same(results, made, tmp_path, b
 
 
 def test_numbers_of_numpy_are_numbers_of_a_spreadsheet(tmp_path):
-    cells = [1.5, np.float32(2.5), np.float64(3.5), np.int64(4), np.float32("nan"), math.nan, "a.b"]
+    cells = [1.5, np.float32(2.5), np.float64(3.5), np.int64(4), np.float32("nan"), math.nan, "a.b",
+             True, np.False_]  # fmt: skip
     with csv_for("de"):
         write_csv(tmp_path / "a.csv", ["n"] * len(cells), [cells])
     line = (tmp_path / "a.csv").read_text(encoding="utf-8-sig").splitlines()[1]
-    assert line == "1,5;2,5;3,5;4;;;a.b"
+    assert line == "1,5;2,5;3,5;4;;;a.b;WAHR;FALSCH"
 
 
 def test_intervals_of_lanes(results, made):
@@ -205,7 +206,7 @@ def test_the_paper(made):
     assert paper.root_object["/Lang"] == "en"
     titles = [each["/Title"] for each in paper.outline]
     assert titles == [
-        "In short", "What this rests on", "Map", "Can this be trusted?", "Lanes",
+        "In short", "Map", "What this rests on", "Can this be trusted?", "Lanes",
         "The lanes over time",
         "Sensors", "What sensors delivered", "Settings and sources", "What the words mean",
     ]  # fmt: skip

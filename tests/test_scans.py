@@ -277,7 +277,7 @@ def test_an_unknown_engine(scan):
 
 
 def test_without_pdal(scan, no_pdal):
-    assert gr.mask_road([scan], box_roads(ROAD)).engine.startswith("built-in")
+    assert gr.mask_road([scan], box_roads(ROAD)).engine.startswith("laspy")
     refused(lambda: gr.mask_road([scan], box_roads(ROAD), engine="pdal"), "conda", "apt",
             error=GisRadarError)  # fmt: skip
 

@@ -188,6 +188,15 @@ def test_sections_without_a_name_get_their_number(dataset):
         assert found == [f"{names[0]:.0f}" if column == "id" else "A", "2", "3"]
 
 
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [("a\nb", "a b"), ("\ufffe", "\\ufffe"), ("\x00a", "\\x00a"), ("  ", "1"), ("Süd ", "Süd")],
+)
+def test_names_of_sections_are_one_line_that_xml_can_hold(dataset, name, known):
+    places = lines(x=[(20, -5), (20, 5)]).assign(name=[name])
+    assert set(dataset.count_sections(places)["section"]) == {known}
+
+
 def test_the_layer_of_lines_is_taken_and_of_several_none(dataset, tmp_path):
     path = tmp_path / "project.gpkg"
     ACROSS.set_geometry(ACROSS.buffer(1.0)).to_file(path, layer="areas")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from scans import ground, hidden, strewn, write_points
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
-from gis_radar.base import InputError
+from gis_radar.base import InputError, UsageError
 from gis_radar.measures import sight_of_tiles
 from gis_radar.poses import View
 from gis_radar.scans import (
@@ -169,6 +169,14 @@ def test_what_is_looked_at_is_60_cm_over_the_road(drop_m):
     away_m = np.hypot(*(tiles.centres[:, :2] - sensor.position[:2]).T)
     in_sight = find_sight(sensor, tiles).state == IN_SIGHT
     np.testing.assert_array_equal(in_sight, 5.4 / away_m <= drop_m / 100.0)
+
+
+def test_a_frame_beside_a_scan_that_is_open_is_refused(tmp_path):
+    tiles = across()
+    scan = SightScan([write_points(tmp_path / "scan.laz", flat())], tiles)
+    for source in (scan, None):
+        with pytest.raises(UsageError, match="scan_crs is for files of scans"):
+            find_sight(SENSOR, tiles, source, scan_crs=25832)
 
 
 def test_what_the_scan_does_not_cover_counts_as_in_sight_and_is_named(tmp_path):

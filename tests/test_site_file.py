@@ -237,6 +237,7 @@ def test_the_examples_of_the_document_and_the_sample_can_be_read(read, tmp_path)
     (example,) = re.findall(r"```toml\n(.*?)```", document, flags=re.DOTALL)
     assert [sensor.name for sensor in read(example).sensor] == ["R1", "R2"]
     sample = gr.read_site(gr.sample_folder() / "SITE.toml")
+    assert str(sample) == repr(sample) == "Site(Sample junction (simulated): R1, R2)"
     for sensor in sample.sensor:
         assert sensor.heading is sensor.compass is sensor.pose is None
         true = gr.read_pose(gr.sample_folder() / f"{sensor.name}.json")

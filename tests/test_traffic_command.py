@@ -6,6 +6,7 @@ import re
 import sqlite3
 import zipfile
 from contextlib import closing
+from itertools import combinations
 from xml.etree import ElementTree as ET
 
 import geopandas as gpd
@@ -13,11 +14,13 @@ import pandas as pd
 import pytest
 from datasets import HOUR, write_dataset
 from forks import APPROACH, LEFT, STRAIGHT, fork_dataset, through
+from shapely import LineString, box
+from shapely.affinity import rotate
 
 import gis_radar as gr
 from gis_radar.base import STEPS_PER_HOUR
 from gis_radar.products import Traffic
-from gis_radar.products.traffic_picture import mean_turns
+from gis_radar.products.traffic_picture import draw_turning_diagram, mean_turns
 from simulation.sumo import run as run_sumo
 
 BEGIN = HOUR * STEPS_PER_HOUR
@@ -81,6 +84,19 @@ def test_all_files_are_named_and_there(written):
     assert summary["begin"] == "2023-11-14T22:00:00Z"
 
 
+def test_verbs_take_a_dataset_or_its_folder(dataset):
+    folder = str(dataset.folder)
+    pd.testing.assert_frame_equal(gr.make_traffic(folder).turns, gr.make_traffic(dataset).turns)
+    assert repr(gr.make_heatmap(folder)) == repr(gr.make_heatmap(dataset))
+    assert repr(gr.measure_quality(folder)) == repr(gr.measure_quality(dataset))
+    assert gr.open_dataset(dataset) is dataset
+
+
+def test_an_interval_that_is_a_number_is_named(dataset):
+    with pytest.raises(gr.UsageError, match="interval 15 is no duration"):
+        dataset.traffic(15)
+
+
 def test_tables_are_those_of_the_dataset(written, dataset):
     folder, _ = written()
     rows = list(csv.DictReader((folder / "traffic.csv").open(encoding="utf-8")))
@@ -118,6 +134,45 @@ def test_the_workbook_has_a_sheet_each_with_ids_and_names_as_text(written):
     assert day.round("s") == pd.Timestamp("2023-11-14 23:00")
     _, turns = sheet_of(folder / "traffic.xlsx", 2)
     assert [row["A"] for row in turns[1:]] == ["10"] * 4
+
+
+def test_numbers_of_approaches_that_meet_do_not_lie_on_each_other():
+    """Three lanes that end in one place, a few degrees apart."""
+    from matplotlib.figure import Figure
+
+    ends = [(-60.0, 0.0), (-60.0, 4.0), (-60.0, -4.0)]
+    lines = [LineString([end, (0.0, 0.0)]) for end in ends]
+    ways = [LineString([(0.0, 0.0), (-x / 6.0, -y / 6.0)]) for x, y in ends]
+    lanes = gpd.GeoDataFrame({"lane": [1, 2, 3]}, geometry=lines, crs=25832)
+    known = gpd.GeoDataFrame(
+        {"from_lane": [1, 2, 3], "to_lane": [4, 5, 6], "turn": ["straight"] * 3,
+         "volume_veh_h": [100.0] * 3, "error_veh_h": [10.0] * 3},
+        geometry=ways, crs=25832,
+    )  # fmt: skip
+    figure = Figure((10.0, 10.0), dpi=100)
+    axes = draw_turning_diagram(figure, lanes, known)
+    figure.canvas.draw()
+    areas = []
+    for text in axes.texts:
+        x, y = axes.transData.transform(text.get_position())
+        turned = text.get_rotation()
+        text.set_rotation(0.0)
+        extent = text.get_window_extent()
+        flat = box(x - extent.width, y - 0.4 * extent.height, x, y + 0.4 * extent.height)
+        areas.append(rotate(flat, turned, origin=(x, y)))
+    assert len(areas) == 3
+    assert not any(one.intersects(other) for one, other in combinations(areas, 2))
+
+
+def test_heads_of_the_workbook_stay_in_view(written):
+    folder, _ = written()
+    with zipfile.ZipFile(folder / "traffic.xlsx") as file:
+        sheets = [file.read(name) for name in file.namelist() if "/worksheets/" in name]
+    assert sheets
+    for sheet in map(ET.fromstring, sheets):
+        assert [each.tag for each in sheet][:2] == [f"{SHEET}sheetViews", f"{SHEET}cols"]
+        pane = sheet.find(f"{SHEET}sheetViews/{SHEET}sheetView/{SHEET}pane")
+        assert (pane.get("state"), pane.get("ySplit")) == ("frozen", "1")
 
 
 def test_the_workbook_speaks_german(written):

@@ -17,6 +17,9 @@ from babel.messages.catalog import Catalog
 from babel.messages.pofile import read_po, write_po
 
 from gis_radar.cli.usage import CLICK_TEXTS
+from gis_radar.dataset.tables import HOUR_TABLES
+from gis_radar.poses import COMPONENTS
+from gis_radar.products.report.basis import HIT_TOTALS, OCCUPIED_TOTALS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE, PLUGIN = ROOT / "gis_radar", ROOT / "qgis_plugin" / "gis_radar_plugin"
@@ -39,6 +42,7 @@ KEYWORDS = {"hint", "message", "expected"}
 _HOLE, _WORDS = re.compile(r"\{[^}]*\}"), re.compile("[A-Za-z]{2}")
 _WORDS_OF_SEVERAL = re.compile(r"[\w{].* .*[a-z]{2}.*\S")
 NO_TEXTS = {"DEFINITIONS", "KEYS", "_NO_MEMORY_TEXTS", "_OURS"}  # of files, keys, libraries
+FIGURES = {"figures", "split_map", "totals_of", "_summary", "range_scale_figures", "view"}
 SERVERS = PACKAGE / "live"  # whose log is English
 OTHERS = ("*.html", "*.jinja", "*.qgs", "*.qpt", "*.qml")
 
@@ -136,10 +140,28 @@ def carried() -> Iterator[tuple[str, str]]:
                 yield from ((str(path.relative_to(ROOT)), text) for text in texts)
 
 
+def figures() -> Iterator[tuple[str, str]]:
+    """Yield the names of figures as commands and the plugin show them, and the file of each."""
+    yield from (("gis_radar/dataset/tables.py", table.name) for table in HOUR_TABLES)
+    others = (*OCCUPIED_TOTALS, *HIT_TOTALS, *COMPONENTS)
+    yield from (("", name.replace("_", " ")) for name in others)
+    for path, nodes in trees(PACKAGE).items():
+        if SERVERS in path.parents:
+            continue
+        made = [n for n in nodes if isinstance(n, ast.FunctionDef) and n.name in FIGURES]
+        given = [n.value for n in nodes if isinstance(n, ast.keyword) and n.arg == "summary"]
+        for node in (each for top in (*made, *given) for each in ast.walk(top)):
+            keys = node.keys if isinstance(node, ast.Dict) else []
+            if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
+                keys = [node.slice]
+            names = (text for key in keys if key is not None for text in _texts(key))
+            yield from ((str(path.relative_to(ROOT)), name.replace("_", " ")) for name in names)
+
+
 @cache
 def asked() -> dict[str, str]:
     """Return the texts with words of their own that the source asks a translation of."""
-    texts = (*carried(), *told())
+    texts = (*carried(), *told(), *figures())
     found = {text: where for where, text in texts if _WORDS.search(_HOLE.sub("", text))}
     for place in (path for kind in ("*.html", "*.jinja") for path in PACKAGE.rglob(kind)):
         for text in re.findall(r'\btr\("([^"]+)"', place.read_text(encoding="utf-8")):

@@ -326,12 +326,16 @@ def writing_errors(path: Path) -> Iterator[None]:
         # Arrow, GDAL and SQLite set no errno, only the text; some not even that.
         says_full = any(text in str(error).lower() for text in _FULL_TEXTS)
         if number in FULL or says_full or (of_writer and _is_full(path)):
-            raise OutputError(
-                "{}: cannot be written: the disk is full", path, hint="nothing was left behind"
-            ) from error
+            raise _full(path) from error
         if of_writer:
             raise OutputError("{}: cannot be written: {}", path, reason) from error
         raise
+
+
+def _full(path: Path) -> OutputError:
+    return OutputError(
+        "{}: cannot be written: the disk is full", path, hint="nothing was left behind"
+    )
 
 
 def _is_full(path: Path) -> bool:
@@ -375,6 +379,8 @@ def output_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.errno in FULL:
+            raise _full(path) from error
         reason = os.strerror(error.errno) if error.errno else str(error)
         raise OutputError("{}: cannot be written: {}", path, reason) from error
 

@@ -23,7 +23,7 @@ def safe(cell: Any) -> Any:
     """Return a cell that is safe to write: numbers stay, text never begins a formula."""
     if cell is None or cell is pd.NaT:
         return ""
-    if isinstance(cell, Number):
+    if isinstance(cell, Number | np.bool_):
         return "" if isinstance(cell, float | np.floating) and np.isnan(cell) else cell
     text = str(cell)
     return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
@@ -55,8 +55,8 @@ def csv_for(locale: str) -> Iterator[None]:
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table as CSV in UTF-8, with commas and points.
 
-    Within `csv_for("de")` it has semicolons, decimal commas, and a byte order mark, by which Excel
-    recognises UTF-8.
+    Within `csv_for("de")` it has semicolons, decimal commas, WAHR and FALSCH, and a byte order
+    mark, by which Excel recognises UTF-8.
     """
     german = _csv_locale.get() == "de"
     with path.open("w", encoding="utf-8-sig" if german else "utf-8", newline="") as file:
@@ -66,5 +66,8 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 
 def _written(cell: Any, *, german: bool) -> Any:
-    number = german and isinstance(cell, float | np.floating)
-    return str(cell).replace(".", ",") if number else cell
+    if not german:
+        return cell
+    if isinstance(cell, bool | np.bool_):
+        return "WAHR" if cell else "FALSCH"
+    return str(cell).replace(".", ",") if isinstance(cell, float | np.floating) else cell

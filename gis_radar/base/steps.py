@@ -205,7 +205,7 @@ def duration_s(text: str, *, what: str = "time") -> float:
     UsageError
         If it is no duration.
     """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", text.lower())
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", str(text).lower())
     if match is None or match[2] not in _UNITS_S:
         raise UsageError("{} {} is no duration", what, repr(text), hint="e.g. 20s, 15min, 1h")
     return float(match[1]) * _UNITS_S[match[2]]

@@ -88,8 +88,9 @@ def plural(amount: int, one: str, many: str) -> str:
 
 
 def decimal(text: str) -> str:
-    """Return a number that has a point with the decimal sign of the current language."""
-    return text.replace(".", ",") if _CURRENT.get() == "de" else text
+    """Return a number with points and commas with the signs of the current language."""
+    german = _CURRENT.get() == "de"
+    return text.replace(",", THIN_SPACE).replace(".", ",") if german else text
 
 
 def figure_text(value: float, digits: int = 0) -> str:

@@ -99,7 +99,7 @@ def measure(
     )  # fmt: skip
     for line in gr.measure_quality(found).warnings():
         reporter.warn(line)
-    return Result(outputs=[output], summary=found.figures())
+    return Result(outputs=[output], summary=found.figures(), timezone=found.timezone)
 
 
 def _tracks(

@@ -31,7 +31,8 @@ def as_lines(name: str, value: Any) -> str:
 
 def as_title(name: str) -> str:
     """Return the name of a figure as people read it."""
-    return tr(name.replace("_", " "))
+    error, sigma, of = name.rpartition("sigma_")
+    return f"{sigma[:-1]} {as_title(of)}" if sigma and not error else tr(name.replace("_", " "))
 
 
 def table_of_rows(name: str, rows: list[list[Any]]) -> Table:
@@ -86,9 +87,11 @@ def _readable(value: Any) -> str:
     if value is None:
         return tr("not known")
     if isinstance(value, float):
-        return decimal(f"{value:.4g}") if abs(value) < 1000 else f"{value:,.2f}"
+        return decimal(f"{value:.4g}" if abs(value) < 1000 else f"{value:,.2f}")
     if isinstance(value, list | tuple):
         return ", ".join(_readable(item) for item in value)
-    if isinstance(value, int) and not isinstance(value, bool):
-        return f"{value:,}"
+    if isinstance(value, bool):
+        return tr("yes") if value else tr("no")
+    if isinstance(value, int):
+        return decimal(f"{value:,}")
     return tr(value) if isinstance(value, Text) or " " in str(value) else str(value)

@@ -15,6 +15,9 @@ import pyarrow.parquet as pq
 
 from gis_radar.base import UsageError, atomic_write
 
+# Ids of the map reach 9e18, exact numbers of JSON's readers 9e15: text, however few digits one has.
+MAP_IDS = frozenset({"lanelet_id", "lanelets", "lane", "from_lane", "to_lane", "stop_line"})
+
 
 def plain_schema(schema: pa.Schema) -> pa.Schema:
     """Return a schema with times in UTC and 64-bit numbers in place of DuckDB's wider ones."""
@@ -56,9 +59,20 @@ def texts(table: pa.Table) -> pa.Table:
 
 
 def stamped(table: pa.Table) -> pa.Table:
-    """Return an answer with times as ISO 8601 text, no finer than needed."""
-    columns = [_short(column) for column in table.columns]
+    """Return an answer with times as ISO 8601 text, no finer than needed, and the map's ids."""
+    columns = [
+        _named(column) if name in MAP_IDS else _short(column)
+        for name, column in zip(table.column_names, table.columns, strict=True)
+    ]
     return pa.table(columns, names=table.column_names)
+
+
+def _named(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return ids as text; what is no whole number under such a name stays as it is."""
+    kind = column.type
+    if pa.types.is_list(kind) and pa.types.is_integer(kind.value_type):
+        return column.cast(pa.list_(pa.string()))
+    return column.cast(pa.string()) if pa.types.is_integer(kind) else _short(column)
 
 
 def _iso(column: pa.ChunkedArray) -> pa.ChunkedArray:

@@ -459,13 +459,13 @@ class Dataset(TrafficTables, VehicleTables, SqlQueries):
         return step_at(value, zone_of(self.manifest.timezone), what=what)
 
 
-def open_dataset(path: str | Path, *, reporter: Reporter = QUIET) -> Dataset:
+def open_dataset(path: str | Path | Dataset, *, reporter: Reporter = QUIET) -> Dataset:
     """Open a dataset; its tables are read when they are asked for.
 
     Parameters
     ----------
-    path : str or Path
-        The folder that `measure`, `run` or `live` made.
+    path : str, Path or Dataset
+        The folder that `measure`, `run` or `live` made; an open dataset stays as it is.
     reporter : Reporter
         Receives a warning where hours were made by different methods.
 
@@ -474,6 +474,8 @@ def open_dataset(path: str | Path, *, reporter: Reporter = QUIET) -> Dataset:
     InputError
         If the folder is no dataset, or has a newer schema.
     """
+    if isinstance(path, Dataset):
+        return path
     dataset = Dataset(folder=Path(path), manifest=Manifest.read(path))
     if len(methods := dataset.methods) > 1:
         reporter.warn(

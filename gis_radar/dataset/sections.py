@@ -14,7 +14,15 @@ import pandas as pd
 import shapely
 import shapely.ops
 
-from gis_radar.base import Floats, InputError, current_language, metric_crs, read_vector, speaking
+from gis_radar.base import (
+    Floats,
+    InputError,
+    current_language,
+    metric_crs,
+    one_line,
+    read_vector,
+    speaking,
+)
 from gis_radar.dataset.lane_measures import LaneTraffic
 from gis_radar.dataset.reading import Span
 from gis_radar.dataset.source import Source, require_vehicles
@@ -108,7 +116,8 @@ def _lines(
     column = next((name for name in NAME_FIELDS if name in table), None)
     names = pd.Series(range(1, len(table) + 1)).astype("string")
     if column is not None:  # a column of ids with an empty value is read as float
-        names = table[column].convert_dtypes().astype("string").replace("", pd.NA).fillna(names)
+        given = table[column].convert_dtypes().astype("string").map(one_line, na_action="ignore")
+        names = given.replace("", pd.NA).fillna(names)
     found = dict(zip(names, lines, strict=True))
     if len(found) < len(table):
         raise InputError("{}: two sections have one name", what)

@@ -12,7 +12,16 @@ import numpy as np
 import scipy
 import shapely
 
-from gis_radar.base import CrsError, Floats, InputError, Reporter, Text, read_vector, wind_of
+from gis_radar.base import (
+    CrsError,
+    Floats,
+    InputError,
+    Reporter,
+    Text,
+    one_line,
+    read_vector,
+    wind_of,
+)
 from gis_radar.hdmap.tagging import STREET
 
 NAME_FIELDS = (
@@ -86,7 +95,7 @@ def _known_streets(
         return _no_streets(crs)
     named = {STREET: table[name].to_numpy()}
     known = gpd.GeoDataFrame(named, geometry=table.geometry.array).explode(ignore_index=True)
-    texts = known[STREET].map(lambda value: str(value).strip() if isinstance(value, str) else "")
+    texts = known[STREET].map(lambda value: one_line(value) if isinstance(value, str) else "")
     known = known.assign(**{STREET: texts})
     known = known[(known[STREET] != "") & (known.geometry.geom_type == "LineString")]
     return _moved(known, crs, what)

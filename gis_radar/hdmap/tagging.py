@@ -14,7 +14,7 @@ from pyproj import CRS
 from shapely import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
-from gis_radar.base import Floats
+from gis_radar.base import Floats, one_line
 from gis_radar.hdmap.osm import OsmMap, Relation
 
 VEHICLE, BICYCLE, PEDESTRIAN = "vehicle", "bicycle", "pedestrian"
@@ -83,7 +83,7 @@ def is_driven(participants: Iterable[str]) -> bool:
 
 def street_of(tags: dict[str, str]) -> str | None:
     """Return the street's name that a lanelet is tagged with, or None."""
-    return next((name for key in STREET_TAGS if (name := tags.get(key, "").strip())), None)
+    return next((name for key in STREET_TAGS if (name := one_line(tags.get(key, "")))), None)
 
 
 def one_way_of(tags: dict[str, str]) -> bool:

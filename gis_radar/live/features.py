@@ -17,7 +17,7 @@ import pandas as pd
 import shapely
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, InputError, iso_from_step, seconds_from_iso
@@ -61,6 +61,15 @@ def feature_routes(live: ShownMap) -> list[Route]:
         "/ogc/collections/{name}/items/{number:int}": service.item,
     }
     return [Route(path, endpoint) for path, endpoint in at.items()]
+
+
+def refusal(
+    request: Request, code: int, text: str, headers: Mapping[str, str] | None = None
+) -> Response:
+    """Return an HTTP error: as JSON below `/ogc`, as the standard asks, else as plain text."""
+    if request.url.path.split("/")[1] != "ogc":
+        return PlainTextResponse(f"{text}\n", code, headers)
+    return JSONResponse({"code": str(code), "description": text}, code, headers)
 
 
 class _Service:

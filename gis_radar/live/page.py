@@ -18,6 +18,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
@@ -41,7 +42,7 @@ from gis_radar.base import (
     step_begin,
     tr,
 )
-from gis_radar.live.features import feature_routes
+from gis_radar.live.features import feature_routes, refusal
 from gis_radar.live.health import ALARMS, METRICS_TYPE
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import (
@@ -120,7 +121,19 @@ def make_app(live: ShownMap, token: str = "") -> Starlette:
         *feature_routes(live),
         Mount("/web", StaticFiles(directory=WEB)),
     ]
-    return Starlette(routes=routes, middleware=middleware, lifespan=running)
+    return Starlette(
+        routes=routes,
+        middleware=middleware,
+        exception_handlers={HTTPException: _refused},
+        lifespan=running,
+    )
+
+
+def _refused(request: Request, error: Exception) -> Response:
+    """Return an HTTP error of a route, or of none."""
+    if not isinstance(error, HTTPException):
+        raise error
+    return refusal(request, error.status_code, error.detail, error.headers)
 
 
 class _Answers:
@@ -166,7 +179,7 @@ class _Guard:
 
     def _refusal(self, request: Request) -> Response | None:
         if request.method not in {"GET", "HEAD"}:
-            return PlainTextResponse("for reading only\n", 405)
+            return refusal(request, 405, "for reading only")
         if not self._token:
             return None
         given = request.query_params.get("token", "")
@@ -179,7 +192,7 @@ class _Guard:
         shown = (given, bearer, request.cookies.get(COOKIE, ""))
         if any(self._is_token(each) for each in shown):
             return None
-        return PlainTextResponse("a token is needed\n", 401, {"WWW-Authenticate": "Bearer"})
+        return refusal(request, 401, "a token is needed", {"WWW-Authenticate": "Bearer"})
 
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self._token.encode())

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import geopandas as gpd
@@ -33,7 +34,7 @@ from gis_radar.base import (
     Text,
     UsageError,
 )
-from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic
+from gis_radar.dataset import TILE_COUNTS, Dataset, LaneTraffic, open_dataset
 from gis_radar.hdmap import TILE_FIELDS
 from gis_radar.measures import lane_names
 from gis_radar.products.traffic import TITLES
@@ -117,8 +118,8 @@ class Publication:
 
 
 def publish(
-    dataset: Dataset, url: str, *, schema: str = "gis_radar", reader: str | None = None,
-    reporter: Reporter = QUIET,
+    dataset: Dataset | str | Path, url: str, *, schema: str = "gis_radar",
+    reader: str | None = None, reporter: Reporter = QUIET,
 ) -> Publication:  # fmt: skip
     """Make a schema of a PostGIS database equal to a dataset, in one transaction.
 
@@ -128,8 +129,8 @@ def publish(
 
     Parameters
     ----------
-    dataset : Dataset
-        A dataset whose coordinate system has an EPSG code.
+    dataset : Dataset, str or Path
+        A dataset, or its folder, whose coordinate system has an EPSG code.
     url : str
         The database, as libpq takes it: `postgresql://user@host/database`. The password may come
         from `PGPASSWORD` or `~/.pgpass`.
@@ -157,6 +158,7 @@ def publish(
     """
     if not _NAME.fullmatch(schema):
         raise UsageError("schema {} is no name of small letters, digits and _", schema)
+    dataset = open_dataset(dataset, reporter=reporter)
     code = CRS.from_user_input(dataset.crs).to_epsg()
     if code is None:
         raise CrsError("{}: {} has no EPSG code, which PostGIS needs", dataset.folder, dataset.crs)

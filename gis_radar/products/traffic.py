@@ -30,7 +30,7 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.measures import TURN_WORDS
 from gis_radar.products.hand_counts import beside_hand_counts
 from gis_radar.products.results_folder import write_results
@@ -70,6 +70,10 @@ TITLES = {
 }  # fmt: skip
 """Titles of all columns, with units."""
 _KEPT = {"shows": VOLUMES}  # GDAL then makes the tables of metadata, which titles need
+_FROZEN_HEAD = (  # what GDAL cannot write: the head of a sheet stays where rows are scrolled
+    b'<sheetViews><sheetView workbookViewId="0"><pane ySplit="1" topLeftCell="A2" '
+    b'activePane="bottomLeft" state="frozen"/></sheetView></sheetViews>\n'
+)
 _IDS = ("lane", "from_lane", "to_lane")  # up to 9e18: as numbers, xlsx and JSON would round them
 _TIMES = ("begin", "end")
 _DIGITS = 4  # of numbers in tables for people: far below their errors
@@ -192,7 +196,7 @@ class Traffic:
             pyogrio.write_dataframe(
                 shown.rename(columns=titles), path, layer=sheet, driver="XLSX", append=path.exists()
             )
-        _fix_dates(path)
+        _finish_workbook(path)
 
     def _write_package(self, path: Path) -> None:
         titles = {name: (tr(title), tr(title)) for name, title in TITLES.items()}
@@ -223,7 +227,7 @@ class Traffic:
 
 
 def make_traffic(
-    dataset: Dataset,
+    dataset: Dataset | str | Path,
     *,
     interval: str = "15min",
     begin: Any = None,
@@ -240,8 +244,8 @@ def make_traffic(
 
     Parameters
     ----------
-    dataset : Dataset
-        A dataset with vehicles, from :func:`gis_radar.open_dataset`.
+    dataset : Dataset, str or Path
+        A dataset with vehicles, from :func:`gis_radar.open_dataset`, or its folder.
     interval, begin, end, language
         As for :meth:`gis_radar.Dataset.traffic`.
     sections : GeoDataFrame, str or Path, optional
@@ -268,6 +272,7 @@ def make_traffic(
     UsageError
         If there is no such interval.
     """
+    dataset = open_dataset(dataset)
     options = {"begin": begin, "end": end, "language": language or current_language()}
     lanes = dataset.traffic(interval, headways=headways, **options)
     if lanes.empty:
@@ -299,12 +304,14 @@ def _for_people(table: pd.DataFrame) -> pd.DataFrame:
     return shown
 
 
-def _fix_dates(path: Path) -> None:
-    """Rewrite an archive with one date for all files: equal tables then give equal bytes."""
+def _finish_workbook(path: Path) -> None:
+    """Rewrite a workbook: heads stay in view; with one date, equal tables give equal bytes."""
     with zipfile.ZipFile(path) as file:
         parts = {name: file.read(name) for name in file.namelist()}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         for name, data in parts.items():
+            if name.startswith("xl/worksheets/"):
+                data = data.replace(b"<cols>", _FROZEN_HEAD + b"<cols>", 1)  # noqa: PLW2901
             entry = zipfile.ZipInfo(name, (FILE_DATE.year, FILE_DATE.month, FILE_DATE.day, 0, 0, 0))
             file.writestr(entry, data, zipfile.ZIP_DEFLATED)
 

@@ -18,7 +18,8 @@ WIDTH_IN, DPI = 10.0, 160
 AROUND_M = 45.0  # length of road shown around the turns, for the numbers
 VEH_H_PER_POINT = 40.0  # a line of 10 points is 400 veh/h
 HEAD = (4.0, 1.2)  # size of an arrow's head: points, and those of its line's width
-_BEFORE_M = 2.0  # distance of the numbers before the turn
+_BEFORE_M = 2.0  # distance of the numbers before the turn, and more where others stand there
+_LETTERS, _TRIES = 8.0, 30  # size of the numbers, points; how often they are moved by as much
 ROAD, FLOW = "#d5d8db", "#ba1c4d"  # differ in grey and for the colour-blind
 _ARROWS = {"left": "\u21b0", "straight": "\u2191", "right": "\u21b1", "back": "\u21b6"}
 
@@ -91,13 +92,16 @@ def draw_turning_diagram(
         axes.plot(*line.xy, color=ROAD, linewidth=7.0 * scale, solid_capstyle="butt", zorder=1)
     for row in known.itertuples():
         _draw_turn(axes, row.geometry, float(row.volume_veh_h) * scale)
-    for _, rows in known.groupby("from_lane") if labels else ():
-        _label(axes, rows)
     low_x, low_y, high_x, high_y = known.total_bounds
     half = max(high_x - low_x, high_y - low_y) / 2.0 + AROUND_M
     x, y = (low_x + high_x) / 2.0, (low_y + high_y) / 2.0
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
     axes.set_axis_off()
+    box = axes.get_window_extent()
+    point_m = 2.0 * half / min(box.width, box.height) * figure.dpi / 72.0
+    taken: list[shapely.Polygon] = []
+    for _, rows in known.groupby("from_lane") if labels else ():
+        taken.append(_label(axes, rows, point_m, taken))
     return axes
 
 
@@ -127,8 +131,15 @@ def _draw_turn(axes: Any, line: shapely.LineString, volume: float) -> None:
     )  # fmt: skip
 
 
-def _label(axes: Any, rows: pd.DataFrame) -> None:
-    """Write the volumes of an approach along its lane, before the stop line."""
+def _label(
+    axes: Any, rows: pd.DataFrame, point_m: float, taken: list[shapely.Polygon]
+) -> shapely.Polygon:
+    """Write the volumes of an approach along its lane, and return the area of the text.
+
+    It begins before the stop line, or so far from it that it lies on no other text.
+    """
+    from matplotlib.textpath import TextPath  # noqa: PLC0415 - reading fonts takes time
+
     order = {name: k for k, name in enumerate(_ARROWS)}
     rows = rows.sort_values(["turn", "to_lane"], key=lambda v: v.map(order).fillna(0))
     values = zip(rows["turn"], rows["volume_veh_h"], rows["error_veh_h"], strict=True)
@@ -140,9 +151,17 @@ def _label(axes: Any, rows: pd.DataFrame) -> None:
     turned = math.degrees(math.atan2(*(after - start)[::-1]))
     upside_down = not -90.0 < turned <= 90.0
     ahead = (after - start) / max(float(np.hypot(*(after - start))), 1e-9)
+    text = "   ".join(texts)
+    long_m = TextPath((0, 0), text, size=_LETTERS).get_extents().width * point_m
+    for try_ in range(_TRIES):
+        place = start - (_BEFORE_M + try_ * _LETTERS * point_m) * ahead
+        line = shapely.LineString([place, place - long_m * ahead])
+        area = line.buffer(0.4 * _LETTERS * point_m, cap_style="flat")
+        if not any(area.intersects(other) for other in taken):
+            break
     axes.text(
-        float(start[0] - _BEFORE_M * ahead[0]), float(start[1] - _BEFORE_M * ahead[1]),
-        "   ".join(texts), color=INK, fontsize=8, zorder=5, va="center",
+        *map(float, place), text, color=INK, fontsize=_LETTERS, zorder=5, va="center",
         ha="left" if upside_down else "right",
         rotation=turned - 180.0 if upside_down else turned, rotation_mode="anchor",
     )  # fmt: skip
+    return area

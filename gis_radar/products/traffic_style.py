@@ -8,10 +8,14 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 from gis_radar.base import tr
-from gis_radar.products.heatmap.style import RAMP, qgis_document
+from gis_radar.products.heatmap.style import qgis_document
 
 VOLUMES = "volume_veh_h"
 BREAKS = (0.0, 50.0, 100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1e6)  # of lanes, veh/h
+# Not those of heat maps, on which these layers lie: one colour would mean two things.
+SHADES = (
+    "#9eedcc", "#79d1bb", "#52b6aa", "#269a99", "#107e85", "#02636f", "#094956", "#00313f",
+)  # fmt: skip
 _SHORTER_MS = 10  # as in heat maps: QGIS takes an interval that ends at a moment for one with it
 _LANE_MM, _TURN_ALPHA = 1.2, 200  # turns cross: those below are seen through
 _WIDTH = f'max(0.4, min(6, "{VOLUMES}" / 100))'  # mm: 1 for 100 veh/h
@@ -52,7 +56,7 @@ def traffic_style(interval_s: float, titles: Mapping[str, str], layer: str) -> s
     })  # fmt: skip
     classes = (
         LineClass(low, high, colour, f"{low:g} - {high:g}" if high < BREAKS[-1] else f"> {low:g}")
-        for (low, high), colour in zip(pairwise(BREAKS), RAMP, strict=True)
+        for (low, high), colour in zip(pairwise(BREAKS), SHADES, strict=True)
     )
     _add_classes(root, VOLUMES, classes, unit=f" {tr('veh/h')}", wide=layer == "turns")
     aliases = SubElement(root, "aliases")

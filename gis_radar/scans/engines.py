@@ -247,7 +247,7 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
         return runner.name, partial(_fill_by_pdal, runner)
     if name == "pdal":
         raise GisRadarError("PDAL was not found on this machine", hint=INSTALL_HINT)
-    return f"built-in (laspy {laspy.__version__})", _fill_by_laspy
+    return f"laspy {laspy.__version__}", _fill_by_laspy
 
 
 def _fill_by_laspy(store: PointStore, scans: Sequence[Scan], reporter: Reporter) -> ReadStatistics:

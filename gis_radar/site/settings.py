@@ -300,6 +300,8 @@ class Site(TomlTable):
         names = ", ".join(each.name for each in self.sensor)
         return f"Site({self.title or self.path}: {names})"
 
+    __str__ = __repr__
+
     @property
     def path(self) -> Path:
         """The file it was read from."""

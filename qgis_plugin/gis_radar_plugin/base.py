@@ -267,7 +267,7 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     lines = []
     occupied = bool({"mean occupancy", "mean_occupancy", "passages"} & set(summary))
     for name, value in summary.items():
-        title = tr(name.replace("_", " "))
+        title = as_title(name)
         if occupied and name.replace("_", " ") in _OF_HITS:
             continue
         if occupied and name == "vehicles":
@@ -279,10 +279,18 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     return lines
 
 
+def as_title(name: str) -> str:
+    """Return the name of a figure as people read it, as the terminal does."""
+    error, sigma, of = name.rpartition("sigma_")
+    return f"{sigma[:-1]} {as_title(of)}" if sigma and not error else tr(name.replace("_", " "))
+
+
 def readable(value: Any) -> str:
     """Return a figure as a person would write it."""
     if isinstance(value, dict):
-        return ", ".join(f"{tr(k.replace('_', ' '))} {readable(v)}" for k, v in value.items())
+        return ", ".join(f"{as_title(k)} {readable(v)}" for k, v in value.items())
+    if isinstance(value, bool):
+        return tr("yes") if value else tr("no")
     if isinstance(value, float):
         text = f"{value:.4g}" if abs(value) < 1000 else f"{value:.2f}"
         return text.replace(".", ",") if speaks_german() else text

@@ -305,3 +305,6 @@ def test_the_log_of_a_run_shows_no_hits_beside_occupancy(provider):
         "Tracks of vehicles: 126", "mean occupancy: 0.1",
     ]  # fmt: skip
     assert len(summary_lines(figures)) == 3
+    assert summary_lines({"sigma_yaw": 0.5, "observable": False}) == [
+        "sigma yaw: 0.5", "observable: no",
+    ]  # fmt: skip

@@ -148,6 +148,9 @@ def test_from_the_map_to_a_run(wizard, place):
     )
     text = (place / "SITE.toml").read_text(encoding="utf-8")
     assert text == check.text.toPlainText().strip() + "\n"
+    check.check()
+    wait_until(check.isComplete)
+    assert check.found.toPlainText().count("The site can be run.") == 1  # of this check alone
     assert 'intervals = ["20s", "1min"]' in text
     assert "view = { azimuth_deg = 120.0, elevation_deg = 30.0, max_range_m = 190.0 }" in text
     assert (place / "SITE_1.toml").read_text() == "by hand"

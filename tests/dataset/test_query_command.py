@@ -43,9 +43,21 @@ def test_rows_are_objects_for_programs(run, folder):
     assert found["summary"] == {
         "total": 2,
         "rows": [
-            {"tile_id": 1, "time": "2023-11-14T22:00:00Z", "lanelets": [9_007_199_254_740_993, 7]}
+            {"tile_id": 1, "time": "2023-11-14T22:00:00Z", "lanelets": ["9007199254740993", "7"]}
         ],
     }
+
+
+def test_ids_of_the_map_are_text(run, folder):
+    """As in all JSON; what has such a name and is no whole number stays as it is."""
+    sql = (
+        "SELECT 9007199254740993 AS lane, NULL::BIGINT AS lanelet_id, {'a': 1} AS from_lane, "
+        "0.5::DOUBLE AS to_lane FROM hits LIMIT 1"
+    )
+    (row,) = last_line(run("query", folder, sql, "--json"))["summary"]["rows"]
+    assert row == {
+        "lane": "9007199254740993", "lanelet_id": None, "from_lane": '{"a": 1}', "to_lane": 0.5
+    }  # fmt: skip
 
 
 def test_numbers_are_such_as_json_holds(run, folder):

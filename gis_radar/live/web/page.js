@@ -246,7 +246,7 @@ async function begin() {
   }, 1000);
   try { await draw(); } catch (why) {
     undrawn = why === words.no_library ? why : words.no_map;
-    byId("map").hidden = true;
+    byId("map").parentElement.hidden = true;  // with its legend
     trouble(undrawn);
   }
 }

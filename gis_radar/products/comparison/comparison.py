@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
@@ -17,7 +18,7 @@ from gis_radar.base import (
     UsageError,
     current_language,
 )
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.measures import LEVEL, compare_values, holm_corrected
 from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
 from gis_radar.products.comparison.result import Comparison, Period
@@ -29,8 +30,8 @@ FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `FINER
 
 
 def compare(
-    dataset: Dataset,
-    other: Dataset | None = None,
+    dataset: Dataset | str | Path,
+    other: Dataset | str | Path | None = None,
     *,
     before: Period | str,
     after: Period | str,
@@ -45,8 +46,9 @@ def compare(
 
     Parameters
     ----------
-    dataset, other : Dataset
-        Datasets with vehicles. The second period is of `other`, where it is given.
+    dataset, other : Dataset, str or Path
+        Datasets with vehicles, or their folders. The second period is of `other`, where that is
+        given.
     before, after : (begin, end) or str
         The periods, as for :meth:`gis_radar.Dataset.traffic`, or as `2026-09-07/2026-09-21`;
         `(None, None)` for a whole dataset.
@@ -67,7 +69,8 @@ def compare(
     before, after = (
         _read_period(each) if isinstance(each, str) else each for each in (before, after)
     )
-    other = other or dataset
+    dataset = open_dataset(dataset)
+    other = dataset if other is None else open_dataset(other)
     _require_alike(dataset, other)
     if other.folder.resolve() == dataset.folder.resolve():
         _require_apart(dataset, before, after)

@@ -92,7 +92,7 @@ class Comparison:
             "lanes_not_seen_alike": len(self.left_out),
             "share_of_before_used": round(self.used[0], 3),
             "share_of_after_used": round(self.used[1], 3),
-            "compared_by": sorted(set(self.table["units"])),
+            "compared_by": [Text(each) for each in sorted(set(self.table["units"]))],
             "lanes_with_a_change": {f"{name}, {way}": int(n) for (name, way), n in changed.items()},
         }
 

@@ -27,7 +27,7 @@ from gis_radar.base import (
     writing_errors,
     zone_of,
 )
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.hdmap import fingerprint
 from gis_radar.measures import Runs
 from gis_radar.products.heatmap.by_lane import table_by_lane
@@ -136,7 +136,7 @@ class HeatMap(Tally):
 
 
 def make_heatmap(
-    dataset: Dataset,
+    dataset: Dataset | str | Path,
     *,
     interval: str | None = None,
     at: str | None = None,
@@ -155,8 +155,8 @@ def make_heatmap(
 
     Parameters
     ----------
-    dataset : Dataset
-        As from :func:`gis_radar.open_dataset`.
+    dataset : Dataset, str or Path
+        As from :func:`gis_radar.open_dataset`, or its folder.
     interval : str, optional
         Length of intervals such as `15min`; they begin at multiples of it since the UNIX epoch.
     at : str, optional
@@ -203,6 +203,7 @@ def make_heatmap(
     """
     if at is not None and (interval, begin, end) != (None, None, None):
         raise UsageError("at and interval, begin, end do not go together", hint="give one of them")
+    dataset = open_dataset(dataset, reporter=reporter)
     labels = labels or MapLabels(timezone=timezone or dataset.timezone)
     zone = None if timezone is None else zone_of(timezone)
     span = [

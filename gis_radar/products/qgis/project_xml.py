@@ -83,6 +83,8 @@ def project_xml(content: ProjectContent, home: Path) -> str:
 def _rename_layers(root: Element, measure: str) -> None:
     """Rename the layers of the template, which are of hit share, to another measure."""
     for element in root.iter():
+        if element.tag == "alias":
+            continue  # of the field `hit_share`, which stands beside occupancy
         if (name := element.get("name", "")).startswith("Hit share"):
             element.set("name", name.replace("Hit share", measure.capitalize()))
         if element.tag == "layername" and (element.text or "").startswith("Hit share"):

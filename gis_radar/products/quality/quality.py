@@ -32,7 +32,7 @@ from gis_radar.base import (
     write_csv,
     zone_of,
 )
-from gis_radar.dataset import Dataset
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.products.quality.counting import HIGH, HOUR_S, Count, count_frames, frame_times
 
 GOOD = "good"
@@ -145,14 +145,15 @@ class Quality:
 
     def warnings(self) -> list[str]:
         """Return one line for each sensor that is not good throughout."""
-        bad = self.table[self.table["verdict"] != GOOD]
+        bad, hours = self.table[self.table["verdict"] != GOOD], self.table["sensor"].value_counts()
         return [
             Text(
-                "{}: {} (in {} of its hours, first in that from {})",
+                "{}: {} in the hour from {}; {} of its {} hours are not good",
                 sensor,
                 self.verdict(rows["verdict"].iloc[0]),
-                len(rows),
                 f"{rows['begin'].iloc[0]:%Y-%m-%dT%H:%MZ}",
+                len(rows),
+                hours[sensor],
             )
             for sensor, rows in bad.groupby("sensor")
         ]
@@ -207,7 +208,7 @@ def require_table_name(path: str | Path) -> None:
 
 
 def measure_quality(
-    dataset: Dataset,
+    dataset: Dataset | str | Path,
     *,
     timezone: str = "UTC",
     reporter: Reporter = QUIET,
@@ -216,8 +217,8 @@ def measure_quality(
 
     Parameters
     ----------
-    dataset : Dataset
-        As from :func:`gis_radar.open_dataset`.
+    dataset : Dataset, str or Path
+        As from :func:`gis_radar.open_dataset`, or its folder.
     timezone : str
         Time zone of hours, days and weekdays, such as Europe/Berlin.
     reporter : Reporter
@@ -241,17 +242,24 @@ def measure_quality(
     Quality(R1: 1 of 1 hours good)
     """
     zone = zone_of(timezone)
+    dataset = open_dataset(dataset, reporter=reporter)
     times = frame_times(dataset)
     if not times:
         raise InputError("{}: holds no frame", dataset.folder, hint="were the recordings empty?")
     counts = count_frames(dataset, times, zone, reporter)
     poses = _poses(dataset.poses())
     hours = sorted({hour for _, hour in counts})
+    # A sensor that came later lacks nothing before it.
+    first = {
+        number: min(h for (n, h), each in counts.items() if n == number and each.frames)
+        for number in times
+    }
     rows = [
         _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone)
         for number, sensor in enumerate(dataset.sensors)
         if number in times
         for hour in hours
+        if hour >= first[number]
     ]
     recordings = dataset.recordings()
     level = set(recordings.loc[~recordings["has_elevation"], "sensor"])

@@ -64,21 +64,26 @@ def recorded_s(results: Results) -> float:
     return results.dataset.frame_steps().steps * STEP_S
 
 
+# Names of the totals of lanes, their length, tiles, and tiles that something was on.
+OCCUPIED_TOTALS = ("lanes_visible", "lane_length_visible_m", "tiles_visible", "tiles_occupied")
+HIT_TOTALS = ("lanes_observed", "lane_length_observed_m", "tiles_observed", "tiles_hit")
+
+
 def totals_of(found: Findings) -> dict[str, Any]:
     """Count the totals of the whole time; the highest lane is None where none may be named."""
     heat, table, measure = found.results.heat, found.table, found.results.heat.measure
     (part_s, base_s), length_m = part_and_base(heat), heat.tiles["length_m"].to_numpy(np.float64)
     seen = base_s > 0
-    base, touched = ("visible", "occupied") if measure == "occupancy" else ("observed", "hit")
+    lanes, length, tiles, touched = OCCUPIED_TOTALS if measure == "occupancy" else HIT_TOTALS
     seconds = recorded_s(found.results)
     totals = {
         "recorded_s": round(seconds, 2) if np.isfinite(seconds) else None,
         "lanes": len(table),
-        f"lanes_{base}": int(table["share"].notna().sum()),
+        lanes: int(table["share"].notna().sum()),
         "lane_length_m": round(float(length_m.sum()), 2),
-        f"lane_length_{base}_m": round(float(length_m[seen].sum()), 2),
-        f"tiles_{base}": int(seen.sum()),
-        f"tiles_{touched}": int(np.count_nonzero(part_s[seen])),
+        length: round(float(length_m[seen].sum()), 2),
+        tiles: int(seen.sum()),
+        touched: int(np.count_nonzero(part_s[seen])),
     }
     known = heat.occupancy_shares()
     if known is None or not seen.any():

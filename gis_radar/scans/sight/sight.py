@@ -29,6 +29,7 @@ from gis_radar.base import (
     Integers,
     Reporter,
     Text,
+    UsageError,
     compiled,
     paths_of,
 )
@@ -329,6 +330,8 @@ def find_sight(
 
     Raises
     ------
+    UsageError
+        If `scan_crs` is given without files of scans.
     InputError
         If no scan has a point near the sensor, or the file is of another pose.
 
@@ -342,11 +345,11 @@ def find_sight(
     True
     """
     road = tiles if isinstance(tiles, SightTiles) else SightTiles.of(tiles)
-    if source is None:
-        return _find(pose, road, None, VIEW_ONLY)
     if isinstance(source, str | Path | Sequence):
         source = SightScan(paths_of(source), road, scan_crs=scan_crs)
-    return source.find(pose)
+    elif scan_crs is not None:
+        raise UsageError("scan_crs is for files of scans: an open scan has its own")
+    return _find(pose, road, None, VIEW_ONLY) if source is None else source.find(pose)
 
 
 def _find(pose: Pose, tiles: SightTiles, obstacles: Obstacles | None, scan: str) -> Sight:

@@ -100,8 +100,9 @@ class CheckPage(Page):
         self.completeChanged.emit()
 
     def check(self) -> None:
-        """Write the site file and check it in the worker."""
+        """Write the site file and check it in the worker; what an earlier check found goes."""
         self.let_go()
+        self.found.clear()
         if not self.save():
             return
         self.check_button.setEnabled(False)
