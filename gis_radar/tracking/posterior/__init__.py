@@ -28,8 +28,8 @@ def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGra
     Lengths are chosen, long vehicles split in two and neighbours joined to one, stretches that
     nothing supports cut. Then ends are lengthened along the lanes and motions fitted to the
     detections that are theirs. Twice, since what one vehicle loses another one gains; at the end
-    lengths and stretches again, each vehicle is extended while hardly a detection is due, and told
-    how likely it exists.
+    lengths, joins and stretches again, each vehicle is extended while hardly a detection is due,
+    and told how likely it exists.
 
     Parameters
     ----------
@@ -43,19 +43,21 @@ def improve(motions: Sequence[Motion], detections: MapDetections, graph: LaneGra
     if not motions:
         return []
     posterior = Posterior(detections, motions)
-    posterior.learn(_sized_and_cut(posterior))
+    posterior.learn(_sized_and_cut(posterior, split=True))
     posterior.place(lengthen(posterior, graph))
     posterior.motions = reassign(posterior)
     posterior.place(refit(posterior))
-    posterior.learn(_sized_and_cut(posterior))
+    posterior.learn(_sized_and_cut(posterior, split=True))
     posterior.place(lengthen(posterior, graph))
     posterior.motions = reassign(posterior)
-    found = with_undetected_ends(posterior, _sized_and_cut(posterior), graph)
+    # two that were joined by how they drove drive alike since: nothing would join them once more
+    found = with_undetected_ends(posterior, _sized_and_cut(posterior, split=False), graph)
     return with_existence(posterior, found)
 
 
-def _sized_and_cut(posterior: Posterior) -> list[Motion]:
+def _sized_and_cut(posterior: Posterior, *, split: bool) -> list[Motion]:
     posterior.place(resize(posterior))
-    posterior.place(split_long(posterior))
+    if split:
+        posterior.place(split_long(posterior))
     posterior.place(join_neighbours(posterior))
     return cut(posterior)

@@ -152,10 +152,11 @@ def _as_one(posterior: Posterior, one: int, other: int) -> tuple[float, float, f
 
 
 def _driven_as_one(one: Motion, other: Motion) -> float:
-    """Return the log odds that two who drive are one long vehicle, less what a lost one costs.
+    """Return the log odds that two who drive are one long vehicle.
 
-    Parts of one keep their distance as drivers do not, and are nearer than drivers follow. Where
-    detections lie on them tells nothing: a body returns from a few places.
+    Parts of one keep their distance as drivers do not, and are nearer than drivers follow; each
+    may be of any length up to that of the whole. Where detections lie on them tells nothing: a
+    body returns from a few places.
     """
     low, high = max(one.first_step, other.first_step), min(one.last_step, other.last_step)
     a, b = (slice(low - each.first_step, high + 1 - each.first_step) for each in (one, other))
@@ -169,9 +170,13 @@ def _driven_as_one(one: Motion, other: Motion) -> float:
     differ = max(DIFFER_MPS * time / math.sqrt(12.0), RIGID_M)
     off = 0.5 * float(np.var(apart))
     odds = 2.0 * (math.log(differ / RIGID_M) - off * (RIGID_M**-2 - differ**-2))
-    odds -= _gap_prior(away - 0.5 * bodies, np.maximum(one.speed[a], other.speed[b])[flows])
-    odds += prior(min(away + 0.5 * bodies, LONGEST_M)) - prior(one.length_m) - prior(other.length_m)
-    return odds - EXISTS
+    speed = np.maximum(one.speed[a], other.speed[b])[flows]
+    whole = min(away + 0.5 * bodies, LONGEST_M)
+    odds += prior(whole) - 2.0 * math.log(whole)
+    odds -= prior(one.length_m) + prior(other.length_m)
+    odds -= _gap_prior(away - 0.5 * bodies, speed)
+    usual = BETWEEN_M + GAP_S * float(np.mean(speed))  # whose density is 1 / (spread x gap)
+    return odds + math.log(math.sqrt(2.0 * math.pi) * GAP_SPREAD * usual)
 
 
 def split_long(posterior: Posterior) -> list[Motion]:
