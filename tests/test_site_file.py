@@ -227,6 +227,7 @@ def test_the_template_holds_every_key_and_its_values_fit(read, tmp_path):
 
 def test_the_document_is_that_of_the_models():
     document = (ROOT / "docs" / "site-file.md").read_text(encoding="utf-8")
+    assert "default True" not in document  # TOML writes true
     assert document.endswith(site_reference()), "docs/site-file.md: put site_reference() at its end"
 
 

@@ -224,4 +224,6 @@ def _default(field: FieldInfo) -> str:
         return "required"
     extra = field.json_schema_extra
     shown = extra.get("shown") if isinstance(extra, dict) else None
-    return f"default {field.default if shown is None else shown}"
+    if shown is None:  # as TOML writes it
+        shown = str(field.default).lower() if isinstance(field.default, bool) else field.default
+    return f"default {shown}"
