@@ -172,6 +172,26 @@ def test_who_is_left_over_at_the_end_of_green_is_the_queue_there():
     assert [each.queue_end_m for each in found] == pytest.approx(truth, abs=JAM_M)
 
 
+def test_the_queue_at_the_end_of_green_goes_on_over_road_that_is_not_visible():
+    """As `queue_max_m` does: nobody is seen from 21 to 65 m before the line."""
+    fronts = at_signal(18, 5, green_s=12.0, end=500.0)
+    runs, far = visible(), LINE_M - TILES.set_index("tile_id")["s_m"].to_numpy()
+    to_line = LINE_M - fronts
+    unseen = np.where((to_line > 21.0 - LENGTH_M) & (to_line < 65.0), np.nan, fronts)
+    shown = np.isin(runs.tile_id, np.flatnonzero((far <= 21.0) | (far >= 65.0)))
+    part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
+    known = vehicles_of(len(fronts))
+    whole = [each for each in told(fronts) if not each.reason]
+    found = cycles(NETWORK, GRID, states_of(unseen), known, part)
+    longer = [each.queue_end_m > 80.0 for each in whole]
+    assert sum(longer) >= 3
+    assert [each.first for each in found] == [each.first for each in whole]
+    for of_all, of_seen in zip(whole, found, strict=True):
+        if of_all.queue_end_m > 80.0:
+            assert of_seen.queue_end_m == pytest.approx(of_all.queue_end_m)
+            assert of_seen.queue_max_m == pytest.approx(of_all.queue_max_m)
+
+
 def test_a_cycle_in_which_the_line_was_hidden_says_so():
     fronts = at_signal(7, 3)
     reasons = [each.reason for each in told(fronts, (400, 403))]

@@ -173,8 +173,15 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
 def true_standing(
     site: SceneFiles, network: LaneNetwork
 ) -> dict[tuple[int, int], list[tuple[float, float]]]:
-    """Return who stands, by stop line's lane and step: metres to the line, and lengths."""
-    lanes, strips = lanes_of(site.tiles(), gr.read_map(site.map)), network.queue_strips()
+    """Return who stands, by way to a stop line and step: metres to the line, and lengths.
+
+    A way is named by the strip at its far end.
+    """
+    lanes, strips = lanes_of(site.tiles(), gr.read_map(site.map)), network.queue_strips
+    places: dict[int, list[tuple[int, float]]] = {}
+    for end in np.setdiff1d(np.arange(len(strips.lane)), strips.ahead).tolist():
+        for each in strips.way(end):
+            places.setdefault(int(strips.lane[each]), []).append((end, strips.to_line_m[each]))
     tree, truth = cKDTree(lanes.middle), site.truth()
     last = truth.first_step + truth.occupied.shape[1] - 1
     stand: dict[tuple[int, int], list[tuple[float, float]]] = {}
@@ -192,10 +199,8 @@ def true_standing(
             if at + 1 < len(way) and way[at + 1][1] == lane:
                 part = (k - rows[at]) / (rows[at + 1] - rows[at])
                 metres += part * (way[at + 1][2] - metres)
-            for stop, to_line in zip(*(
-                each[strips.lane == lane] for each in (strips.stop_lane, strips.to_line_m)
-            ), strict=True):  # fmt: skip
-                key = (int(network.lane[stop]), int(states["step"].iloc[k]))
+            for end, to_line in places.get(lane, ()):
+                key = (end, int(states["step"].iloc[k]))
                 stand.setdefault(key, []).append(
                     (float(to_line) - metres, float(states["length"].iloc[k]))
                 )
@@ -205,13 +210,14 @@ def true_standing(
 def true_backs(site: SceneFiles, network: LaneNetwork) -> dict[tuple[int, pd.Timestamp], float]:
     """Return the farthest back of each queue by lane and minute, looked at each second."""
     backs: dict[tuple[int, pd.Timestamp], float] = {}
-    for (number, step), fronts in true_standing(site, network).items():
+    for (end, step), fronts in true_standing(site, network).items():
         back = 0.0
         for front, length in sorted(each for each in fronts if each[0] >= -OVER_M):
             if front - back > JOINED_M:
                 break
             back = front + length
         minute = pd.Timestamp(step_begin(step)).floor("min")
+        number = int(network.lane[network.queue_strips.stop_lane[end]])
         backs[number, minute] = max(backs.get((number, minute), 0.0), back)
     return backs
 

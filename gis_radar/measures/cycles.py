@@ -27,6 +27,7 @@ from gis_radar.measures.queues import (
     JOINED_M,
     OVER_LINE_M,
     QueueCourse,
+    joins,
     queue_course,
     standing_states,
     to_stop_line,
@@ -150,12 +151,13 @@ def cycles(
         seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
         by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
         course = queue_course(lane, states, length_m, network, visible, by_second)
-        waiting = _Waiting(to_stop_line(lane, states, network), states, stands, length_m)
+        waiting = _Waiting.at(lane, states, stands, length_m, network)
         line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
         ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
         for each in told:
             if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
-                found.append(_filled(each, mine, course, waiting, ends.get(each.first, -1)))
+                end = ends.get(each.first, -1)
+                found.append(_filled(each, mine, course, waiting, end, network, visible))
             else:
                 found.append(each._replace(reason=HIDDEN))
     return found
@@ -202,39 +204,72 @@ def _edges(begins: Integers, period: Period, grid: StepGrid) -> Integers:
 
 
 class _Waiting(NamedTuple):
-    """States with the distance to a stop line (m), whether they stand, and lengths (m)."""
+    """States of who may queue at a stop line, those ahead first in each step.
 
+    Parameters
+    ----------
+    vehicle, step, strip : (n,) int64 arrays
+        Number of the vehicle, step, and strip of the queue on which it is.
+    to_line_m, length_m : (n,) arrays
+        Metres from the front to the line, and length of the vehicle.
+    stands : (n,) bool array
+        Whether it stands.
+    """
+
+    vehicle: Integers
+    step: Integers
+    strip: Integers
     to_line_m: Floats
-    states: FrontStates
-    stands: Booleans
     length_m: Floats
+    stands: Booleans
 
-    def left_over(self, gone: Integers, first: int, end: int) -> float:
+    @classmethod
+    def at(
+        cls, stop: int, states: FrontStates, stands: Booleans, length_m: Floats,
+        network: LaneNetwork,
+    ) -> _Waiting:  # fmt: skip
+        """Return those at the stop line of a lane."""
+        strips, strip_of = network.queue_strips, np.full(len(network.lane) + 1, -1)
+        mine = strips.of_stop(stop)
+        strip_of[strips.lane[mine]] = mine
+        to_line = to_stop_line(stop, states, network)
+        row = np.flatnonzero(to_line >= -OVER_LINE_M)  # NaN elsewhere
+        row = row[np.lexsort((to_line[row], states.step[row]))]
+        return cls(
+            states.vehicle[row], states.step[row], strip_of[states.lane[row]], to_line[row],
+            length_m[row], stands[row],
+        )  # fmt: skip
+
+    def left_over(
+        self, gone: Integers, first: int, end: int, network: LaneNetwork, visible: VisibleRuns
+    ) -> float:
         """Return the farthest rear, at a step, of who stood in the queue since `first` and is here.
 
-        The queue of that time begins at the line, and who stands joins it by the usual gap.
+        Those ahead may have left when those behind still stand: the queue reaches as far as it has
+        since `first`.
         """
-        step, vehicle = self.states.step, self.states.vehicle
-        here = (self.to_line_m >= -OVER_LINE_M) & (step >= first) & (step <= end)
-        row = np.flatnonzero(here & self.stands)
-        row = row[np.lexsort((self.to_line_m[row], step[row]))]
-        reach, queued = 0.0, set[int]()
-        for each, front, long in zip(
-            vehicle[row].tolist(), self.to_line_m[row].tolist(), self.length_m[row].tolist(),
-            strict=True,
-        ):  # fmt: skip
-            if front - reach <= JOINED_M:
-                queued.add(each)
-                reach = max(reach, front + long)
-        who = np.setdiff1d(np.array(sorted(queued), np.int64), gone)
-        row = np.flatnonzero(here & (step > end - STEPS_PER_SECOND) & np.isin(vehicle, who))
-        row = row[np.append(np.diff(vehicle[row]) != 0, True)[: len(row)]]  # their last ones
-        return float((self.to_line_m + self.length_m)[row].max(initial=0.0))
+        here = slice(*np.searchsorted(self.step, [first, end + 1]))
+        low = int(here.start)
+        reached, queued = dict[int, float](), set[int]()
+        for row in (low + np.flatnonzero(self.stands[here])).tolist():
+            strip, vehicle = int(self.strip[row]), int(self.vehicle[row])
+            way = network.queue_strips.way(strip).tolist()
+            reach = max(reached.get(each, 0.0) for each in way)
+            place = self.step[[row]], np.array([reach]), self.to_line_m[[row]]
+            if vehicle in queued or joins(strip, *place, network, visible)[0]:
+                queued.add(vehicle)
+                reached[strip] = max(reach, float(self.to_line_m[row] + self.length_m[row]))
+        staying = np.setdiff1d(np.array(sorted(queued), np.int64), gone)
+        lately = np.isin(self.vehicle[here], staying) & (self.step[here] > end - STEPS_PER_SECOND)
+        latest = (low + np.flatnonzero(lately))[::-1]
+        latest = latest[np.unique(self.vehicle[latest], return_index=True)[1]]
+        return float((self.to_line_m + self.length_m)[latest].max(initial=0.0))
 
 
 def _filled(
-    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int
-) -> Cycle:
+    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int,
+    network: LaneNetwork, visible: VisibleRuns,
+) -> Cycle:  # fmt: skip
     """Return a cycle with its figures; an `end` of green that is -1 is when the last one leaves."""
     left = crossed.step[(crossed.step >= cycle.first) & (crossed.step < cycle.after)]
     end = int(left.max(initial=cycle.first)) if end < 0 else end
@@ -243,5 +278,5 @@ def _filled(
     return cycle._replace(
         counted=len(left), queue_max_m=float(np.nanmax(back_m)),
         queue_mean_m=float(np.nanmean(back_m)),
-        queue_end_m=waiting.left_over(gone, cycle.first, end),
+        queue_end_m=waiting.left_over(gone, cycle.first, end, network, visible),
     )  # fmt: skip
