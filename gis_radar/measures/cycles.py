@@ -1,8 +1,9 @@
 """Cycles of signals, told from the traffic: vehicles that waited leave a stop line periodically.
 
 A *begin of green* is seen where a vehicle that stood at the line crosses it and none has crossed
-for some seconds. Begins that lie on a line over the numbers of their cycles are those of a signal
-of fixed time; others, as of a signal that follows demand, are not taken for cycles.
+for some seconds. Where more begins than chance explains lie on a line over the numbers of their
+cycles, they are those of a signal of fixed time; others, as of a signal that follows demand, are
+not taken for cycles.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers, Text
 from gis_radar.measures.lane_fronts import (
@@ -36,10 +38,9 @@ from gis_radar.measures.queues import (
 LEAST_RED_S = 8.0  # without a crossing before green: queues discharge every 2 to 4 s
 CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
 LEAST_GREENS = 4  # begins of green from which a cycle is told
-# Standard deviation of begins from even ones, at most: who starts first takes 1 to 2 s, more or
-# less by 1 s.
-EVEN_S = 3.0
-LEAST_SUCCESSIVE = 0.6  # share of the begins that follow the one before after one cycle
+EVEN_S = 3.0  # between a begin and its cycle's, at most: who starts first takes 1 to 2 s, +- 1 s
+MOST_CHANCE = 0.05  # that begins which are not periodic lie so on the line of any cycle
+FINE, TRIED, FITS = 32, 20, 3  # rates per resolved one, those that are fitted, and rounds of that
 FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
 UNSTATED = Text("no two begins of green stated")
@@ -98,27 +99,44 @@ class Period(NamedTuple):
 def period_of(begins_s: Floats) -> Period | str:
     """Return the period of begins of green (ascending, s), or why there is none.
 
-    Who starts late within a green seems to begin another one; of each cycle the first counts.
+    The line is that on which begins lie least by chance. Who starts late within a green seems to
+    begin another one: of each cycle the first counts.
     """
     if len(begins_s) < LEAST_GREENS:
         return FEW
-    apart = np.diff(begins_s)
-    long = apart[apart > CYCLE_S[0] - EVEN_S]
-    if not len(long):
-        return UNEVEN
-    shortest = np.median(long[long < 1.5 * long.min()])
-    number = np.append(0, np.cumsum(np.rint(apart / shortest)))
-    first = np.diff(number, prepend=-1) > 0
-    number, begins_s = number[first], begins_s[first]
-    if len(number) < LEAST_GREENS:
-        return FEW
-    slope, begin = np.polyfit(number, begins_s, 1)
-    off = begins_s - begin - slope * number
-    spread = float(np.sqrt((off**2).sum() / (len(off) - 2)))
-    successive = np.mean(np.diff(number) == 1)
-    if spread > EVEN_S or successive < LEAST_SUCCESSIVE or not CYCLE_S[0] <= slope <= CYCLE_S[1]:
-        return UNEVEN
-    return Period(float(slope), spread / float(np.std(number) * np.sqrt(len(off))), float(begin))
+    span = float(np.ptp(begins_s))
+    rate = np.arange(1.0 / CYCLE_S[1], 1.0 / CYCLE_S[0], 1.0 / (FINE * max(span, CYCLE_S[1])))
+    power = np.abs(np.exp(2j * np.pi * np.outer(rate, begins_s)).sum(axis=1))
+    found = [_line(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:TRIED]]]
+    chance, period = min(found, key=lambda each: each[0])
+    # so many lines differ by over `EVEN_S`, in where they begin and how far they go
+    apart = (period.length_s / (2.0 * EVEN_S)) ** 2
+    lines = apart * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
+    in_range = CYCLE_S[0] <= period.length_s <= CYCLE_S[1]
+    return period if in_range and chance * lines < MOST_CHANCE else UNEVEN
+
+
+def _line(begins_s: Floats, length_s: float) -> tuple[float, Period]:
+    """Fit cycles of about a length; return the chance that as many begins lie on them, and them."""
+    apart = (begins_s - begins_s[:, None] + length_s / 2.0) % length_s - length_s / 2.0
+    begin = float(begins_s[(np.abs(apart) <= EVEN_S).sum(axis=1).argmax()])
+    period = Period(length_s, np.nan, begin)
+    for _ in range(FITS):
+        number = np.floor((begins_s - period.begin_s + EVEN_S) / period.length_s)
+        first = np.diff(number, prepend=-np.inf) > 0
+        number, seen = number[first], begins_s[first]
+        on = np.abs(seen - period.begin_s - number * period.length_s) <= EVEN_S
+        if on.sum() < LEAST_GREENS:
+            return 1.0, period
+        number, fitted = number[on] - number[on][0], seen[on]
+        slope, begin = np.polyfit(number, fitted, 1)
+        spread = float(np.sqrt(((fitted - begin - slope * number) ** 2).sum() / (on.sum() - 2)))
+        error = spread / float(np.std(number) * np.sqrt(on.sum()))
+        period = Period(float(slope), error, float(begin))
+    # of several begins in a cycle the first is the more likely to lie on the line
+    each = len(begins_s) / len(on)
+    share = 1.0 - max(1.0 - 2.0 * EVEN_S / period.length_s, 0.0) ** each
+    return float(scipy.stats.binom.sf(on.sum() - 1, len(on), share)), period
 
 
 def cycles(
