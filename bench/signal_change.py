@@ -5,7 +5,8 @@
 SUMO drives hours at junctions drawn at random, with a signal of fixed time: two of a cycle of 60 s,
 two of 110 s. The states of all vehicles give lane measures, as if every vehicle were seen: what is
 left is how the traffic differs from hour to hour. A change is found where any lane and measure is
-told between the cycles; it is false where any is between hours of one cycle.
+told between the cycles; it is false where any is between hours of one cycle. Of each stop line and
+20 minutes, in which four begins of green and more are seen, the length of the cycle is told, too.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +40,10 @@ from gis_radar.measures import (  # noqa: E402
     TileSteps,
     VehicleTable,
     VisibleRuns,
+    cycles,
     measure_lanes,
 )
+from gis_radar.measures.cycles import FEW  # noqa: E402
 from gis_radar.products.comparison.compared import NOT_TOLD  # noqa: E402
 from gis_radar.products.comparison.rows import AlikeRows, compared_rows  # noqa: E402
 from simulation.curves import arc_length  # noqa: E402
@@ -52,6 +56,7 @@ WARM_UP_S = 300
 STATE_STEPS = 4  # between two states, as in a dataset
 BEGIN = 472_000 * STEPS_PER_HOUR
 CYCLES_S = (60, 110)
+PART_STEPS, RIGHT_S = 20 * 60 * STEPS_PER_SECOND, 2.0
 MINUTES = StepGrid(begin=BEGIN, steps=60 * STEPS_PER_SECOND, count=60)
 
 
@@ -217,6 +222,23 @@ def told(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame) -> pd.DataFrame:
     return found[found["verdict"] != NOT_TOLD]
 
 
+def cycles_told(hour: SignalHour, cycle_s: int) -> list[tuple[bool, bool]]:
+    """Return, by stop line and 20 minutes, whether a cycle is told, and whether it is right."""
+    found = []
+    for k in range(3):
+        grid = StepGrid(begin=BEGIN + k * PART_STEPS, steps=PART_STEPS, count=1)
+        told_by = {
+            each.lane: each
+            for each in cycles(hour.network, grid, hour.states, hour.vehicles, hour.visible)
+        }
+        found += [
+            (np.isfinite(each.cycle_s), abs(each.cycle_s - cycle_s) <= RIGHT_S)
+            for each in told_by.values()
+            if each.reason != FEW
+        ]
+    return found
+
+
 def main() -> None:
     """Print how often something is told."""
     words = argparse.ArgumentParser(
@@ -227,28 +249,33 @@ def main() -> None:
     given = words.parse_args()
     first, last = map(int, given.places.split("-"))
     kinds: dict[str, list[pd.DataFrame]] = {"60 to 110 s": [], "60 s twice": [], "110 s twice": []}
+    lengths: dict[int, list[tuple[bool, bool]]] = {cycle_s: [] for cycle_s in CYCLES_S}
     for place in range(first, last + 1):
-        (b1, b2), (a1, a2) = (
-            [
-                signal_hour(
-                    place=place, cycle_s=cycle_s, seed=cycle_s + k, per_hour=given.per_hour
-                ).traffic()
-                for k in range(2)
-            ]
-            for cycle_s in CYCLES_S
-        )
+        rows = []
+        for cycle_s, seed in product(CYCLES_S, range(2)):
+            hour = signal_hour(
+                place=place, cycle_s=cycle_s, seed=cycle_s + seed, per_hour=given.per_hour
+            )
+            rows.append(hour.traffic())
+            lengths[cycle_s] += cycles_told(hour, cycle_s)
+        b1, b2, a1, a2 = rows
         pairs = ((b1, a1), (b2, a2)), ((b1, b2),), ((a1, a2),)
         for kept, each in zip(kinds.values(), pairs, strict=True):
             kept += [told(*pair) for pair in each]
         print(place, *(sum(len(each) > 0 for each in kept) for kept in kinds.values()), flush=True)
-    rows = [
+    shown = [
         [kind, f"{len(kept)}", f"{np.mean([len(each) > 0 for each in kept]):.0%}",
          f"{np.mean([each['lane'].isna().any() for each in kept]):.0%}",
          f"{np.mean([len(each) for each in kept]):.1f}"]
         for kind, kept in kinds.items()
     ]  # fmt: skip
     heads = ["signal", "pairs of hours", "anything told", "of all stop lines", "rows told, mean"]
-    print(table(heads, rows))
+    print(table(heads, shown))
+    shown = [
+        [f"{cycle_s} s", f"{len(found)}", *(f"{each:.0%}" for each in np.mean(found, axis=0))]
+        for cycle_s, found in lengths.items()
+    ]
+    print(table(["cycle", "stop lines and 20 min", "told", "right within 2 s"], shown))
 
 
 if __name__ == "__main__":

@@ -23,13 +23,14 @@ from scenes import SceneFiles, scene
 from scipy.spatial import cKDTree
 
 import gis_radar as gr
-from gis_radar.base import Floats, step_begin
+from gis_radar.base import Floats, Integers, step_begin
 from gis_radar.dataset import LaneTraffic
 from gis_radar.measures import LaneNetwork
 
 WITHIN_M = 100.0  # of a radar, for which accuracy is stated
 LEAST_SHARE = 0.2
 QUEUE_M = 7.5  # of the target for the back of a queue: a vehicle and its gap
+SIGNAL_S, CYCLE_S = 60.0, 2.0  # cycle of simulated signals, and how far off one that is told may be
 SLOW, SLOW_STEPS, JOINED_M, OVER_M = 5.0 / 3.6, 20, 10.0, 2.0  # the definitions of a queue
 
 
@@ -98,6 +99,7 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         "within_2_se": f"{(error.abs() <= 2.0 * spread + 1e-9).mean():.0%} of {len(error)}",
         "speed_off_kmh": f"{faster.abs().mean():.1f} (bias {faster.mean():+.1f})",
         "queues": _queues(short),
+        "cycles": _cycles(dataset, near),
         "turns": f"{len(sums)}",
         "turns_off": f"{turns_off / sums['true'].sum():.1%}" if len(sums) else "none",
     }
@@ -168,6 +170,14 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
                     ))  # fmt: skip
     found = pd.DataFrame(rows, columns=["lane", "to_lane", "time", "speed", "vehicle"])
     return found.assign(time=pd.to_datetime(found["time"], utc=True))
+
+
+def _cycles(dataset: gr.Dataset, near: Integers) -> str:
+    """Return of how many stop lines a cycle is told, and right, in the hour with most begins."""
+    found = dataset.signal_cycles()
+    length = found[found["lane"].isin(near)].groupby("lane")["cycle_s"].max()
+    right = (length - SIGNAL_S).abs() <= CYCLE_S
+    return f"{length.notna().sum()} of {len(length)} told, {right.sum()} within {CYCLE_S:.0f} s"
 
 
 def true_standing(
