@@ -21,6 +21,7 @@ from gis_radar.base import STEPS_PER_HOUR, InputError, NoAnswerError, UsageError
 from gis_radar.dataset import Manifest, write_whole
 from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
 from gis_radar.measures import compare_values, holm_corrected
+from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 
 HOUR = 472_222  # 2023-11-14, 22 h
 BEGIN = HOUR * STEPS_PER_HOUR
@@ -119,8 +120,8 @@ def test_a_day_without_its_peak_is_no_quiet_day():
 
 
 def test_pairs_of_times_hold_a_change_against_the_profile():
-    time = np.arange(40)
-    before = pd.DataFrame({"day": 0, "time": time, "value": 100.0 + 5.0 * time})
+    quarter = np.arange(40)
+    before = pd.DataFrame({"day": 0, "time": 15 * quarter, "value": 100.0 + 5.0 * quarter})
     rng = np.random.default_rng(5)
     after = before.assign(day=1, value=before["value"] - 10.0 + rng.normal(0.0, 4.0, 40))
     found = compare_values(before, after)
@@ -168,6 +169,53 @@ def test_short_series_that_are_alike_are_seldom_told(count):
     assert told < 0.13 * 400  # without the correction 14 to 16 %
 
 
+def at_signal(rng, cycle_s, *, per_hour=160):
+    """Give by minute the time lost by who comes at random to a signal, and their number."""
+    come = rng.uniform(0.0, 3600.0, rng.poisson(per_hour))
+    lost = np.maximum(0.55 * cycle_s - (come + rng.uniform(0.0, cycle_s)) % cycle_s, 0.0)
+    minute = (come // 60).astype(int)
+    sums = {"value": np.bincount(minute, lost, 60), "weight": np.bincount(minute, minlength=60)}
+    return pd.DataFrame({"day": 0, "time": 600 + np.arange(60), **sums})
+
+
+def test_a_signal_of_another_cycle_is_told_from_an_hour():
+    """By the delays of one lane."""
+    rng, told = np.random.default_rng(7), {60: 0, 110: 0}
+    for cycle_s in told:
+        for _ in range(100):
+            found = compare_values(at_signal(rng, 60), at_signal(rng, cycle_s))
+            told[cycle_s] += found.p < 0.01
+    assert found.units == "times of day"
+    assert told[60] <= 4
+    assert told[110] >= 70
+
+
+def test_few_vehicles_tell_little():
+    """One who waits and three who do not are no mean of sixty minutes."""
+    before, after = (
+        pd.DataFrame({"day": 0, "time": np.arange(60), "value": 0.0, "weight": 0.0})
+        for _ in range(2)
+    )
+    before.loc[[5, 17, 40, 51], ["value", "weight"]] = [
+        [9.0, 1.0],
+        [10.0, 1.0],
+        [9.0, 1.0],
+        [9.5, 1],
+    ]
+    after.loc[[8, 21, 44], ["value", "weight"]] = [[12.0, 1.0], [12.5, 1.0], [12.0, 1.0]]
+    found = compare_values(before, after)
+    assert found.difference == pytest.approx(12.17 - 9.375, abs=0.01)
+    assert found.freedom < 5.0
+    assert np.isnan(compare_values(before, after[:40]).p)  # of two there is no variance
+
+
+def test_intervals_count_by_their_traffic():
+    minutes = pd.DataFrame({"day": 0, "time": np.arange(60), "value": 30.0, "weight": 10.0})
+    minutes.loc[::2, ["value", "weight"]] = [100.0, 1.0]
+    found = compare_values(minutes, minutes)
+    assert found.before == found.after == pytest.approx(130.0 / 11.0)
+
+
 def test_of_two_values_nothing_is_told():
     two = pd.DataFrame({"day": [0, 0], "time": [1, 2], "value": [1.0, 2.0]})
     found = compare_values(two, two.assign(day=1, value=9.0))
@@ -189,6 +237,43 @@ def test_correction_for_many_lanes(p):
     assert np.all(found[~np.isnan(found)] >= values[~np.isnan(values)])
 
 
+def lane_rows(lane, rng, queue_m):
+    """Give an hour of a lane by minute: every third one in which all stand."""
+    minute, moves = np.arange(60), np.arange(60) % 3 > 0
+    begin = pd.Timestamp("2023-11-14T22:00Z") + pd.Timedelta(minutes=1) * minute
+    flow = np.where(moves, 240.0, 0.0)
+    density = np.where(moves, 12.0, 30.0)
+    travel = np.where(moves, 3.6 * 100.0 * 12.0 / 240.0, np.nan)
+    return gpd.GeoDataFrame(
+        {
+            "lane": lane, "begin": begin, "end": begin + pd.Timedelta(minutes=1),
+            "volume_veh_h": 60.0 * rng.poisson(4.0, 60), "flow_veh_h": flow,
+            "density_veh_km": density, "occupancy": 0.1, "travel_time_s": travel,
+            "delay_s": travel - 10.0, "queue_max_m": queue_m + rng.normal(5.0, 2.0, 60),
+            "queue_mean_m": queue_m + rng.normal(0.0, 2.0, 60),
+        },
+        geometry=[LineString([(0, 0), (100, 0)])] * 60,
+    )  # fmt: skip
+
+
+def test_stop_lines_are_compared_together_and_time_is_lost_while_all_stand():
+    rng = np.random.default_rng(10)
+    lanes = {
+        lane: AlikeRows(lane_rows(lane, rng, 10.0), lane_rows(lane, rng, 11.0), "R1")
+        for lane in (3, 4, 5, 6)
+    }
+    table = compared_rows(lanes).set_index("measure")
+    together = table[table["lane"].isna()]
+    assert together.loc["queue_mean_m", "verdict"] == "more"  # no lane is told by itself
+    assert set(table.loc[table["lane"].notna(), "verdict"]) == {"not told"}
+    one = table[table["lane"] == 3]
+    assert together.loc["volume_veh_h", "before"] == pytest.approx(4.0 * 240.0, rel=0.15)
+    # 18 vehicles on average on 100 m, of which 160 an hour drive: 40.5 s each, 10 s of them free
+    assert one.loc["delay_s", "before"] == pytest.approx(3600.0 * 1.8 / 160.0 - 10.0)
+    assert one.loc["speed_kmh", "before"] == pytest.approx(160.0 / 18.0)
+    assert one.loc["queue_max_m", "count"] == 56  # of five minutes each
+
+
 def test_a_third_fewer_cars_are_told(dataset):
     found = gr.compare(dataset, before=BEFORE, after=AFTER)
     volume = found.table[found.table["measure"] == "volume_veh_h"].iloc[0]
@@ -196,6 +281,8 @@ def test_a_third_fewer_cars_are_told(dataset):
     assert volume["after"] == pytest.approx(240.0, rel=0.1)
     assert volume["verdict"] == "less"
     assert volume["low"] < -120.0 < volume["high"]
+    assert "all_stop_lines" in found.figures()
+    assert found.table["lane"].notna().all()  # one stop line needs no sum
     speed = found.table[found.table["measure"] == "speed_kmh"].iloc[0]
     assert speed["verdict"] == "not told"
     assert found.used == (1.0, 1.0)
@@ -221,12 +308,12 @@ def test_a_difference_below_what_is_resolved_is_not_told(tmp_path):
 
 
 def test_what_reaches_past_the_period_is_left_out(dataset):
-    with pytest.raises(InputError, match="no whole interval of 5min lies"):
+    with pytest.raises(InputError, match="no whole interval of 1min lies"):
         gr.compare(
-            dataset, before=("2023-11-14 22:00", "2023-11-14 22:04"), after=AFTER
-        )  # four minutes hold no whole interval
-    found = gr.compare(dataset, before=("2023-11-14 22:00", "2023-11-14 22:33"), after=AFTER)
-    assert found.before[1] == pd.Timestamp("2023-11-14 22:30", tz="UTC")
+            dataset, before=("2023-11-14 22:00", "2023-11-14 22:00:50"), after=AFTER
+        )  # fifty seconds hold no whole interval
+    found = gr.compare(dataset, before=("2023-11-14 22:00", "2023-11-14 22:33:40"), after=AFTER)
+    assert found.before[1] == pd.Timestamp("2023-11-14 22:33", tz="UTC")
 
 
 def test_one_dataset_named_twice_is_one(dataset):
@@ -241,7 +328,7 @@ def test_names_of_sensors_may_hold_a_comma(dataset):
 
 
 def test_where_nothing_can_be_told_there_is_no_answer(dataset):
-    halves = (("2023-11-14 22:00", "2023-11-14 22:10"), ("2023-11-14 22:30", "2023-11-14 22:40"))
+    halves = (("2023-11-14 22:00", "2023-11-14 22:02"), ("2023-11-14 22:30", "2023-11-14 22:32"))
     with pytest.raises(NoAnswerError, match="too few intervals to tell a difference: at most 2"):
         gr.compare(dataset, before=halves[0], after=halves[1])
 

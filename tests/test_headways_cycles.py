@@ -172,6 +172,26 @@ def test_who_is_left_over_at_the_end_of_green_is_the_queue_there():
     assert [each.queue_end_m for each in found] == pytest.approx(truth, abs=JAM_M)
 
 
+def test_the_queue_at_the_end_of_green_goes_on_over_road_that_is_not_visible():
+    """As `queue_max_m` does: nobody is seen from 21 to 65 m before the line."""
+    fronts = at_signal(18, 5, green_s=12.0, end=500.0)
+    runs, far = visible(), LINE_M - TILES.set_index("tile_id")["s_m"].to_numpy()
+    to_line = LINE_M - fronts
+    unseen = np.where((to_line > 21.0 - LENGTH_M) & (to_line < 65.0), np.nan, fronts)
+    shown = np.isin(runs.tile_id, np.flatnonzero((far <= 21.0) | (far >= 65.0)))
+    part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
+    known = vehicles_of(len(fronts))
+    whole = [each for each in told(fronts) if not each.reason]
+    found = cycles(NETWORK, GRID, states_of(unseen), known, part)
+    longer = [each.queue_end_m > 80.0 for each in whole]
+    assert sum(longer) >= 3
+    assert [each.first for each in found] == [each.first for each in whole]
+    for of_all, of_seen in zip(whole, found, strict=True):
+        if of_all.queue_end_m > 80.0:
+            assert of_seen.queue_end_m == pytest.approx(of_all.queue_end_m)
+            assert of_seen.queue_max_m == pytest.approx(of_all.queue_max_m)
+
+
 def test_a_cycle_in_which_the_line_was_hidden_says_so():
     fronts = at_signal(7, 3)
     reasons = [each.reason for each in told(fronts, (400, 403))]
@@ -183,14 +203,32 @@ def test_what_is_not_periodic_is_not_told():
     uneven = np.cumsum([40.0, 75.0, 52.0, 96.0, 61.0, 44.0, 83.0, 70.0])
     assert period_of(uneven) == UNEVEN
     assert period_of(uneven[:3]) == FEW
-    assert period_of(60.0 * np.array([1, 2, 4, 7, 11])) == UNEVEN  # few follow one another
+    assert period_of(60.0 * np.array([1, 2, 4, 7, 11])).length_s == pytest.approx(60.0)  # as seldom
     assert period_of(np.arange(5) * 20.0) == UNEVEN  # no signal is so fast
-    late = period_of(np.array([60.0, 72.0, 120.0, 180.0, 192.0, 240.0]))  # two start late
-    assert late.length_s == pytest.approx(60.0)
+    late = [60.0, 72.0, 120.0, 180.0, 192.0, 240.0, 300.0, 312.0, 360.0]  # three start late
+    assert period_of(np.array(late)).length_s == pytest.approx(60.0)
     even = period_of(60.0 * np.array([1, 2, 3, 5, 6]) + [0.0, 1.0, -1.0, 0.0, 1.0])
     assert even.length_s == pytest.approx(60.0, abs=0.5)
     nobody = told(drive(np.array([10.0]), never))
     assert [(each.reason, each.counted) for each in nobody] == [(FEW, None)]
+
+
+@pytest.mark.parametrize("cycle_s", [47.0, 90.0, 120.0])
+def test_cycles_are_told_though_some_begins_are_missed_and_some_vehicles_start_late(cycle_s):
+    rng = np.random.default_rng(round(cycle_s))
+    greens = cycle_s * np.arange(40)
+    seen = (greens + rng.normal(2.0, 0.7, 40))[rng.random(40) < 0.45]
+    late = rng.choice(greens, 8) + rng.uniform(10.0, 0.5 * cycle_s, 8)
+    found = period_of(np.sort(np.append(seen, late)))
+    assert found.length_s == pytest.approx(cycle_s, abs=0.5)
+
+
+def test_begins_at_random_are_seldom_told():
+    rng, told = np.random.default_rng(2), 0
+    for _ in range(100):
+        begins = np.cumsum(8.0 + rng.exponential(rng.uniform(15.0, 150.0), 60))
+        told += not isinstance(period_of(begins[begins < 3600.0]), str)
+    assert told <= 10  # 5 by chance
 
 
 def test_a_level_of_service_follows_the_delay():

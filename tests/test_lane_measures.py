@@ -298,6 +298,46 @@ def test_a_lorry_beside_a_car_does_not_cut_the_queue():
     assert found.lanes["queue_max_m"][at] == pytest.approx(60.0 - 34.0 + 4.5)
 
 
+def merge():
+    """Give the lanes 1 and 2, 40 m long, that merge 30 m before the line of lane 3."""
+    aside = (-40 * math.cos(math.radians(20)), -40 * math.sin(math.radians(20)))
+    rows = strip(1, (-40, 0), 0, 40, 0)
+    rows += strip(2, aside, 20, 40, len(rows))
+    rows += strip(3, (0, 0), 0, 31, len(rows))
+    return gpd.GeoDataFrame(rows, crs=UTM)
+
+
+@pytest.mark.parametrize(
+    ("on_one", "on_two", "hidden", "back_m"),
+    [
+        ([38, 30, 22], [], (), 30 + 18 + 4.5),  # beyond the merge on one lane
+        ([38, 30, 22], [37], (), 30 + 18 + 4.5),
+        ([38], [37, 29, 21], (), 30 + 19 + 4.5),  # the longer of two queues counts
+        ([38, 30, 22], [15, 7], (), 30 + 18 + 4.5),  # behind 20 m of empty lane
+        ([38, 30, 22], [15, 7], (2,), 30 + 33 + 4.5),  # unless that is hidden
+        ([38, 30, 22], [15, 7], (1,), 30 + 18 + 4.5),  # what is hidden on the other counts not
+        ([], [], (), 30 - 5 + 4.5),
+    ],
+)
+def test_queues_beyond_a_merge_are_each_lane_s_own(on_one, on_two, hidden, back_m):
+    tiles = merge()
+    network = LaneNetwork.of(tiles, {3: 30.0})
+    places = [(2, 29.0), (2, 21.0), (2, 13.0), (2, 5.0)]
+    places += [(0, float(x)) for x in on_one] + [(1, float(x)) for x in on_two]
+    count, step = len(places), np.arange(31) * 4
+    lane, along = (np.repeat(np.array(each), len(step)) for each in zip(*places, strict=True))
+    states = FrontStates(
+        vehicle=np.repeat(np.arange(count), len(step)), step=BEGIN + np.tile(step, count),
+        lane=lane, along_m=along, speed=np.zeros(len(lane)), seen=np.ones(len(lane), np.bool_),
+    )  # fmt: skip
+    runs, counts = seen_all(GRID, tiles)
+    shown = ~np.isin(runs.tile_id, tiles.loc[tiles["lanelet_id"].isin(hidden), "tile_id"])
+    part = VisibleRuns(tile_id=runs.tile_id[shown], first=runs.first[shown], last=runs.last[shown])
+    found = measure_lanes(network, GRID, states, vehicles_of(places), part, counts)
+    at = list(zip(found.lanes["lane"], found.lanes["interval"], strict=True)).index((3, 0))
+    assert found.lanes["queue_max_m"][at] == pytest.approx(back_m)
+
+
 def test_who_stands_far_from_the_line_is_no_queue():
     lanes, _ = measured(queue([45.0]), GRID)
     assert lanes.loc[(APPROACH, 0), "queue_max_m"] == 0.0
@@ -391,9 +431,10 @@ def test_lanes_before_a_stop_line_fan_out_without_being_turns():
     ways_on = [Turn(0, 1, ()), Turn(0, 2, ())]
     assert LaneNetwork.of(tiles).turns() == ways_on  # a diverge
     assert LaneNetwork.of(tiles, {2: 39.0}).turns() == ways_on  # so its volume is that of both
-    strips = LaneNetwork.of(tiles, {2: 39.0}).queue_strips()
-    assert strips.lane.tolist() == [0, 1]
-    assert strips.to_line_m.tolist() == [79.0, 39.0]
+    strips = LaneNetwork.of(tiles, {2: 39.0}).queue_strips
+    assert strips.lane.tolist() == [1, 0]
+    assert strips.to_line_m.tolist() == [39.0, 79.0]
+    assert strips.ahead.tolist() == [-1, 0]
 
 
 def junction(*, divides=False):

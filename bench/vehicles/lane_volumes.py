@@ -23,13 +23,14 @@ from scenes import SceneFiles, scene
 from scipy.spatial import cKDTree
 
 import gis_radar as gr
-from gis_radar.base import Floats, step_begin
+from gis_radar.base import Floats, Integers, step_begin
 from gis_radar.dataset import LaneTraffic
 from gis_radar.measures import LaneNetwork
 
 WITHIN_M = 100.0  # of a radar, for which accuracy is stated
 LEAST_SHARE = 0.2
 QUEUE_M = 7.5  # of the target for the back of a queue: a vehicle and its gap
+SIGNAL_S, CYCLE_S = 60.0, 2.0  # cycle of simulated signals, and how far off one that is told may be
 SLOW, SLOW_STEPS, JOINED_M, OVER_M = 5.0 / 3.6, 20, 10.0, 2.0  # the definitions of a queue
 
 
@@ -98,6 +99,7 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         "within_2_se": f"{(error.abs() <= 2.0 * spread + 1e-9).mean():.0%} of {len(error)}",
         "speed_off_kmh": f"{faster.abs().mean():.1f} (bias {faster.mean():+.1f})",
         "queues": _queues(short),
+        "cycles": _cycles(dataset, near),
         "turns": f"{len(sums)}",
         "turns_off": f"{turns_off / sums['true'].sum():.1%}" if len(sums) else "none",
     }
@@ -170,11 +172,26 @@ def true_crossings(site: SceneFiles, network: LaneNetwork) -> pd.DataFrame:
     return found.assign(time=pd.to_datetime(found["time"], utc=True))
 
 
+def _cycles(dataset: gr.Dataset, near: Integers) -> str:
+    """Return of how many stop lines a cycle is told, and right, in the hour with most begins."""
+    found = dataset.signal_cycles()
+    length = found[found["lane"].isin(near)].groupby("lane")["cycle_s"].max()
+    right = (length - SIGNAL_S).abs() <= CYCLE_S
+    return f"{length.notna().sum()} of {len(length)} told, {right.sum()} within {CYCLE_S:.0f} s"
+
+
 def true_standing(
     site: SceneFiles, network: LaneNetwork
 ) -> dict[tuple[int, int], list[tuple[float, float]]]:
-    """Return who stands, by stop line's lane and step: metres to the line, and lengths."""
-    lanes, strips = lanes_of(site.tiles(), gr.read_map(site.map)), network.queue_strips()
+    """Return who stands, by way to a stop line and step: metres to the line, and lengths.
+
+    A way is named by the strip at its far end.
+    """
+    lanes, strips = lanes_of(site.tiles(), gr.read_map(site.map)), network.queue_strips
+    places: dict[int, list[tuple[int, float]]] = {}
+    for end in np.setdiff1d(np.arange(len(strips.lane)), strips.ahead).tolist():
+        for each in strips.way(end):
+            places.setdefault(int(strips.lane[each]), []).append((end, strips.to_line_m[each]))
     tree, truth = cKDTree(lanes.middle), site.truth()
     last = truth.first_step + truth.occupied.shape[1] - 1
     stand: dict[tuple[int, int], list[tuple[float, float]]] = {}
@@ -192,10 +209,8 @@ def true_standing(
             if at + 1 < len(way) and way[at + 1][1] == lane:
                 part = (k - rows[at]) / (rows[at + 1] - rows[at])
                 metres += part * (way[at + 1][2] - metres)
-            for stop, to_line in zip(*(
-                each[strips.lane == lane] for each in (strips.stop_lane, strips.to_line_m)
-            ), strict=True):  # fmt: skip
-                key = (int(network.lane[stop]), int(states["step"].iloc[k]))
+            for end, to_line in places.get(lane, ()):
+                key = (end, int(states["step"].iloc[k]))
                 stand.setdefault(key, []).append(
                     (float(to_line) - metres, float(states["length"].iloc[k]))
                 )
@@ -205,13 +220,14 @@ def true_standing(
 def true_backs(site: SceneFiles, network: LaneNetwork) -> dict[tuple[int, pd.Timestamp], float]:
     """Return the farthest back of each queue by lane and minute, looked at each second."""
     backs: dict[tuple[int, pd.Timestamp], float] = {}
-    for (number, step), fronts in true_standing(site, network).items():
+    for (end, step), fronts in true_standing(site, network).items():
         back = 0.0
         for front, length in sorted(each for each in fronts if each[0] >= -OVER_M):
             if front - back > JOINED_M:
                 break
             back = front + length
         minute = pd.Timestamp(step_begin(step)).floor("min")
+        number = int(network.lane[network.queue_strips.stop_lane[end]])
         backs[number, minute] = max(backs.get((number, minute), 0.0), back)
     return backs
 

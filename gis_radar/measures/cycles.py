@@ -1,8 +1,9 @@
 """Cycles of signals, told from the traffic: vehicles that waited leave a stop line periodically.
 
 A *begin of green* is seen where a vehicle that stood at the line crosses it and none has crossed
-for some seconds. Begins that lie on a line over the numbers of their cycles are those of a signal
-of fixed time; others, as of a signal that follows demand, are not taken for cycles.
+for some seconds. Where more begins than chance explains lie on a line over the numbers of their
+cycles, they are those of a signal of fixed time; others, as of a signal that follows demand, are
+not taken for cycles.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from gis_radar.base import STEP_S, STEPS_PER_SECOND, Booleans, Floats, Integers, Text
 from gis_radar.measures.lane_fronts import (
@@ -27,6 +29,7 @@ from gis_radar.measures.queues import (
     JOINED_M,
     OVER_LINE_M,
     QueueCourse,
+    joins,
     queue_course,
     standing_states,
     to_stop_line,
@@ -35,10 +38,9 @@ from gis_radar.measures.queues import (
 LEAST_RED_S = 8.0  # without a crossing before green: queues discharge every 2 to 4 s
 CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and longer ones abroad
 LEAST_GREENS = 4  # begins of green from which a cycle is told
-# Standard deviation of begins from even ones, at most: who starts first takes 1 to 2 s, more or
-# less by 1 s.
-EVEN_S = 3.0
-LEAST_SUCCESSIVE = 0.6  # share of the begins that follow the one before after one cycle
+EVEN_S = 3.0  # between a begin and its cycle's, at most: who starts first takes 1 to 2 s, +- 1 s
+MOST_CHANCE = 0.05  # that begins which are not periodic lie so on the line of any cycle
+FINE, TRIED, FITS = 32, 20, 3  # rates per resolved one, those that are fitted, and rounds of that
 FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
 UNSTATED = Text("no two begins of green stated")
@@ -97,27 +99,44 @@ class Period(NamedTuple):
 def period_of(begins_s: Floats) -> Period | str:
     """Return the period of begins of green (ascending, s), or why there is none.
 
-    Who starts late within a green seems to begin another one; of each cycle the first counts.
+    The line is that on which begins lie least by chance. Who starts late within a green seems to
+    begin another one: of each cycle the first counts.
     """
     if len(begins_s) < LEAST_GREENS:
         return FEW
-    apart = np.diff(begins_s)
-    long = apart[apart > CYCLE_S[0] - EVEN_S]
-    if not len(long):
-        return UNEVEN
-    shortest = np.median(long[long < 1.5 * long.min()])
-    number = np.append(0, np.cumsum(np.rint(apart / shortest)))
-    first = np.diff(number, prepend=-1) > 0
-    number, begins_s = number[first], begins_s[first]
-    if len(number) < LEAST_GREENS:
-        return FEW
-    slope, begin = np.polyfit(number, begins_s, 1)
-    off = begins_s - begin - slope * number
-    spread = float(np.sqrt((off**2).sum() / (len(off) - 2)))
-    successive = np.mean(np.diff(number) == 1)
-    if spread > EVEN_S or successive < LEAST_SUCCESSIVE or not CYCLE_S[0] <= slope <= CYCLE_S[1]:
-        return UNEVEN
-    return Period(float(slope), spread / float(np.std(number) * np.sqrt(len(off))), float(begin))
+    span = float(np.ptp(begins_s))
+    rate = np.arange(1.0 / CYCLE_S[1], 1.0 / CYCLE_S[0], 1.0 / (FINE * max(span, CYCLE_S[1])))
+    power = np.abs(np.exp(2j * np.pi * np.outer(rate, begins_s)).sum(axis=1))
+    found = [_line(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:TRIED]]]
+    chance, period = min(found, key=lambda each: each[0])
+    # so many lines differ by over `EVEN_S`, in where they begin and how far they go
+    apart = (period.length_s / (2.0 * EVEN_S)) ** 2
+    lines = apart * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
+    in_range = CYCLE_S[0] <= period.length_s <= CYCLE_S[1]
+    return period if in_range and chance * lines < MOST_CHANCE else UNEVEN
+
+
+def _line(begins_s: Floats, length_s: float) -> tuple[float, Period]:
+    """Fit cycles of about a length; return the chance that as many begins lie on them, and them."""
+    apart = (begins_s - begins_s[:, None] + length_s / 2.0) % length_s - length_s / 2.0
+    begin = float(begins_s[(np.abs(apart) <= EVEN_S).sum(axis=1).argmax()])
+    period = Period(length_s, np.nan, begin)
+    for _ in range(FITS):
+        number = np.floor((begins_s - period.begin_s + EVEN_S) / period.length_s)
+        first = np.diff(number, prepend=-np.inf) > 0
+        number, seen = number[first], begins_s[first]
+        on = np.abs(seen - period.begin_s - number * period.length_s) <= EVEN_S
+        if on.sum() < LEAST_GREENS:
+            return 1.0, period
+        number, fitted = number[on] - number[on][0], seen[on]
+        slope, begin = np.polyfit(number, fitted, 1)
+        spread = float(np.sqrt(((fitted - begin - slope * number) ** 2).sum() / (on.sum() - 2)))
+        error = spread / float(np.std(number) * np.sqrt(on.sum()))
+        period = Period(float(slope), error, float(begin))
+    # of several begins in a cycle the first is the more likely to lie on the line
+    each = len(begins_s) / len(on)
+    share = 1.0 - max(1.0 - 2.0 * EVEN_S / period.length_s, 0.0) ** each
+    return float(scipy.stats.binom.sf(on.sum() - 1, len(on), share)), period
 
 
 def cycles(
@@ -150,12 +169,13 @@ def cycles(
         seconds = (grid.end - grid.begin) // STEPS_PER_SECOND
         by_second = StepGrid(begin=grid.begin, steps=STEPS_PER_SECOND, count=seconds)
         course = queue_course(lane, states, length_m, network, visible, by_second)
-        waiting = _Waiting(to_stop_line(lane, states, network), states, stands, length_m)
+        waiting = _Waiting.at(lane, states, stands, length_m, network)
         line = network.tile_id[network.tile_at(np.array([lane]), network.line_m[[lane]])]
         ends = {} if stated is None else dict(zip(*(n.tolist() for n in stated), strict=True))
         for each in told:
             if visible.throughout(line, np.array([each.first]), np.array([each.after - 1]))[0]:
-                found.append(_filled(each, mine, course, waiting, ends.get(each.first, -1)))
+                end = ends.get(each.first, -1)
+                found.append(_filled(each, mine, course, waiting, end, network, visible))
             else:
                 found.append(each._replace(reason=HIDDEN))
     return found
@@ -202,39 +222,72 @@ def _edges(begins: Integers, period: Period, grid: StepGrid) -> Integers:
 
 
 class _Waiting(NamedTuple):
-    """States with the distance to a stop line (m), whether they stand, and lengths (m)."""
+    """States of who may queue at a stop line, those ahead first in each step.
 
+    Parameters
+    ----------
+    vehicle, step, strip : (n,) int64 arrays
+        Number of the vehicle, step, and strip of the queue on which it is.
+    to_line_m, length_m : (n,) arrays
+        Metres from the front to the line, and length of the vehicle.
+    stands : (n,) bool array
+        Whether it stands.
+    """
+
+    vehicle: Integers
+    step: Integers
+    strip: Integers
     to_line_m: Floats
-    states: FrontStates
-    stands: Booleans
     length_m: Floats
+    stands: Booleans
 
-    def left_over(self, gone: Integers, first: int, end: int) -> float:
+    @classmethod
+    def at(
+        cls, stop: int, states: FrontStates, stands: Booleans, length_m: Floats,
+        network: LaneNetwork,
+    ) -> _Waiting:  # fmt: skip
+        """Return those at the stop line of a lane."""
+        strips, strip_of = network.queue_strips, np.full(len(network.lane) + 1, -1)
+        mine = strips.of_stop(stop)
+        strip_of[strips.lane[mine]] = mine
+        to_line = to_stop_line(stop, states, network)
+        row = np.flatnonzero(to_line >= -OVER_LINE_M)  # NaN elsewhere
+        row = row[np.lexsort((to_line[row], states.step[row]))]
+        return cls(
+            states.vehicle[row], states.step[row], strip_of[states.lane[row]], to_line[row],
+            length_m[row], stands[row],
+        )  # fmt: skip
+
+    def left_over(
+        self, gone: Integers, first: int, end: int, network: LaneNetwork, visible: VisibleRuns
+    ) -> float:
         """Return the farthest rear, at a step, of who stood in the queue since `first` and is here.
 
-        The queue of that time begins at the line, and who stands joins it by the usual gap.
+        Those ahead may have left when those behind still stand: the queue reaches as far as it has
+        since `first`.
         """
-        step, vehicle = self.states.step, self.states.vehicle
-        here = (self.to_line_m >= -OVER_LINE_M) & (step >= first) & (step <= end)
-        row = np.flatnonzero(here & self.stands)
-        row = row[np.lexsort((self.to_line_m[row], step[row]))]
-        reach, queued = 0.0, set[int]()
-        for each, front, long in zip(
-            vehicle[row].tolist(), self.to_line_m[row].tolist(), self.length_m[row].tolist(),
-            strict=True,
-        ):  # fmt: skip
-            if front - reach <= JOINED_M:
-                queued.add(each)
-                reach = max(reach, front + long)
-        who = np.setdiff1d(np.array(sorted(queued), np.int64), gone)
-        row = np.flatnonzero(here & (step > end - STEPS_PER_SECOND) & np.isin(vehicle, who))
-        row = row[np.append(np.diff(vehicle[row]) != 0, True)[: len(row)]]  # their last ones
-        return float((self.to_line_m + self.length_m)[row].max(initial=0.0))
+        here = slice(*np.searchsorted(self.step, [first, end + 1]))
+        low = int(here.start)
+        reached, queued = dict[int, float](), set[int]()
+        for row in (low + np.flatnonzero(self.stands[here])).tolist():
+            strip, vehicle = int(self.strip[row]), int(self.vehicle[row])
+            way = network.queue_strips.way(strip).tolist()
+            reach = max(reached.get(each, 0.0) for each in way)
+            place = self.step[[row]], np.array([reach]), self.to_line_m[[row]]
+            if vehicle in queued or joins(strip, *place, network, visible)[0]:
+                queued.add(vehicle)
+                reached[strip] = max(reach, float(self.to_line_m[row] + self.length_m[row]))
+        staying = np.setdiff1d(np.array(sorted(queued), np.int64), gone)
+        lately = np.isin(self.vehicle[here], staying) & (self.step[here] > end - STEPS_PER_SECOND)
+        latest = (low + np.flatnonzero(lately))[::-1]
+        latest = latest[np.unique(self.vehicle[latest], return_index=True)[1]]
+        return float((self.to_line_m + self.length_m)[latest].max(initial=0.0))
 
 
 def _filled(
-    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int
-) -> Cycle:
+    cycle: Cycle, crossed: Crossings, course: QueueCourse, waiting: _Waiting, end: int,
+    network: LaneNetwork, visible: VisibleRuns,
+) -> Cycle:  # fmt: skip
     """Return a cycle with its figures; an `end` of green that is -1 is when the last one leaves."""
     left = crossed.step[(crossed.step >= cycle.first) & (crossed.step < cycle.after)]
     end = int(left.max(initial=cycle.first)) if end < 0 else end
@@ -243,5 +296,5 @@ def _filled(
     return cycle._replace(
         counted=len(left), queue_max_m=float(np.nanmax(back_m)),
         queue_mean_m=float(np.nanmean(back_m)),
-        queue_end_m=waiting.left_over(gone, cycle.first, end),
+        queue_end_m=waiting.left_over(gone, cycle.first, end, network, visible),
     )  # fmt: skip

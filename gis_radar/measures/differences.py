@@ -5,13 +5,18 @@ The length of the periods decides what is compared:
 - *days*: each period has three days or more. The mean of each day is one value; two sets of days
   are compared by Welch's t-test (Welch 1947). Values within a day are correlated, so days, not
   intervals, are taken as independent.
-- *times of day*: there are fewer days. The same times of day, before and after, make pairs; their
-  differences are compared with 0 by a t-test of one sample.
-- *intervals*: the periods share less than three times of day. Their intervals are compared by
-  Welch's test; a difference may then be one between times of day.
+- *times of day*: there are fewer days. Over more than two hours, in which the traffic follows the
+  time of day, the same times before and after make pairs; their differences are compared with 0.
+  Shorter periods are compared as a whole, which leaves the error twice the degrees of freedom.
+- *intervals*: the periods share less than three times of day. They are compared as a whole; a
+  difference may then be one between times of day.
 
-Consecutive intervals are correlated, as a queue lasts. With a correlation r of neighbours, n values
-count as n (1 - r) / (1 + r) independent ones (Bartlett 1946).
+A mean within a day is a quotient of sums over intervals: of distances and times for a speed, of
+time lost and vehicles for a delay. So intervals count by their traffic (Cochran 1977, ch. 6).
+Consecutive intervals are correlated, as the cycles of a signal and queues last. The error of a mean
+follows from how slow waves of the intervals vary: the means of the squares of the first cosine
+coefficients, each with one degree of freedom (Mueller 2007; Lazarus, Lewis, Stock, Watson 2018).
+Few vehicles tell no more about their variance than as many intervals (Kish 1965).
 
 Of many lanes some seem to differ by chance. Probabilities are corrected by Holm's procedure (Holm
 1979): the chance to name any unchanged lane stays under the level.
@@ -20,6 +25,7 @@ Of many lanes some seem to differ by chance. Probabilities are corrected by Holm
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -30,7 +36,9 @@ from gis_radar.base import Floats, Text
 DAYS, TIMES, INTERVALS = Text("days"), Text("times of day"), Text("intervals")
 LEVEL = 0.05  # chance to name any lane where nothing changed
 LEAST_UNITS = 3  # days, pairs or intervals for the estimate of a variance; that of two is useless
-MOST_ALIKE = 0.8  # upper limit of the correlation of neighbours: few values give it badly
+LEAST_WAVE = 10  # intervals in the shortest wave: by minute, over two of the longest cycles
+MOST_WAVES = 12  # as an hour has by minute; longer periods are told by their longer waves
+PROFILE_MIN = 120  # beyond so many minutes the traffic follows the time of day
 
 
 @dataclass(frozen=True)
@@ -82,31 +90,38 @@ def compare_values(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
     Parameters
     ----------
     before, after : DataFrame
-        `day` (ascending), `time` (begin of the interval within the day, in any unit) and `value`;
-        rows in the order of time, without those of unknown value.
+        `day` (ascending), `time` (begin of the interval, minutes of the day) and `value`; rows in
+        the order of time, without those of unknown value. Of a quotient of sums `value` is the one,
+        and a column `weight` the other.
 
     Returns
     -------
     Difference
         With `se` NaN where there are too few values.
     """
+    before, after = (each.assign(weight=each.get("weight", 1.0)) for each in (before, after))
     shared = np.intersect1d(before["time"], after["time"])
-    if (
-        len(shared) >= LEAST_UNITS
-        or min(before["day"].nunique(), after["day"].nunique()) >= LEAST_UNITS
-    ):
+    several = min(before["day"].nunique(), after["day"].nunique()) >= LEAST_UNITS
+    if len(shared) >= LEAST_UNITS or several:
         before, after = (each[each["time"].isin(shared)] for each in (before, after))
-    days = [_day_means(each, before, after) for each in (before, after)]
-    if len(shared) and min(map(len, days)) >= LEAST_UNITS:
-        return _welch(days[0], days[1], DAYS, 0.0)
-    if len(shared) >= LEAST_UNITS:
+    if several and len(shared):
+        days = [_day_means(each, before, after) for each in (before, after)]
+        if min(map(len, days)) >= LEAST_UNITS:
+            return _welch(_of_days(days[0]), _of_days(days[1]), DAYS)
+    alike = len(shared) >= LEAST_UNITS
+    if alike and np.ptp(shared) >= PROFILE_MIN:
         return _paired(before, after)
-    values = [each["value"].to_numpy(np.float64) for each in (before, after)]
-    if min(map(len, values)) < LEAST_UNITS:
-        means = [float(each.mean()) if len(each) else np.nan for each in values]
-        return Difference(means[0], means[1], np.nan, np.nan, INTERVALS, min(map(len, values)))
-    alike = max(_alike(each) for each in values)
-    return _welch(values[0], values[1], INTERVALS, alike)
+    units = TIMES if alike else INTERVALS
+    return _welch(_of_intervals(before), _of_intervals(after), units)
+
+
+class _Mean(NamedTuple):
+    """A mean, its variance with degrees of freedom, and the number of values that it is of."""
+
+    mean: float
+    variance: float
+    freedom: float
+    size: int
 
 
 def _day_means(table: pd.DataFrame, before: pd.DataFrame, after: pd.DataFrame) -> Floats:
@@ -117,45 +132,73 @@ def _day_means(table: pd.DataFrame, before: pd.DataFrame, after: pd.DataFrame) -
     """
     if before.empty or after.empty:
         return np.zeros(0)
+    before, after, table = (
+        each.assign(value=each["value"] / each["weight"])[each["weight"] > 0.0]
+        for each in (before, after, table)
+    )
     usual = 0.5 * (before.groupby("time")["value"].mean() + after.groupby("time")["value"].mean())
     beyond = table["value"] - table["time"].map(usual)
     found = usual.mean() + beyond.groupby(table["day"]).mean()
     return np.asarray(found.to_numpy(np.float64))
 
 
-def _paired(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
-    first, second = (each.groupby("time")["value"].mean().sort_index() for each in (before, after))
-    apart = (second - first).to_numpy(np.float64)
-    alike = _alike(apart)
-    independent = len(apart) * (1.0 - alike) / (1.0 + alike)
-    se = float(apart.std(ddof=1) / np.sqrt(independent))
-    freedom = max(independent - 1.0, 1.0)
-    return Difference(float(first.mean()), float(second.mean()), se, freedom, TIMES, len(apart))
-
-
-def _welch(before: Floats, after: Floats, units: str, alike: float) -> Difference:
-    counts = [len(each) * (1.0 - alike) / (1.0 + alike) for each in (before, after)]
-    parts = [float(each.var(ddof=1)) / n for each, n in zip((before, after), counts, strict=True)]
-    spread = sum(part**2 / max(n - 1.0, 1.0) for part, n in zip(parts, counts, strict=True))
-    freedom = sum(parts) ** 2 / spread if spread > 0.0 else max(min(counts) - 1.0, 1.0)
-    count = min(len(before), len(after))
-    return Difference(
-        float(before.mean()), float(after.mean()), float(np.sqrt(sum(parts))), freedom, units, count
+def _of_days(values: Floats) -> _Mean:
+    freedom = len(values) - 1
+    return _Mean(
+        float(values.mean()), float(values.var(ddof=1)) / len(values), freedom, len(values)
     )
 
 
-def _alike(values: Floats) -> float:
-    """Return the correlation of neighbouring values, within 0 and `MOST_ALIKE`.
+def _of_intervals(table: pd.DataFrame) -> _Mean:
+    mean, part, worth = _quotient(table)
+    return _Mean(mean, *_variance(part, worth), len(table))
 
-    The correlation r of a sample of n is too low by about (1 + 4 r) / n (Marriott and Pope 1954).
+
+def _paired(before: pd.DataFrame, after: pd.DataFrame) -> Difference:
+    sums = [
+        each.groupby("time")[["value", "weight"]].sum().sort_index() for each in (before, after)
+    ]
+    (first, part, worth), (second, other, other_worth) = map(_quotient, sums)
+    variance, freedom = _variance(other - part, min(worth, other_worth))
+    return Difference(first, second, float(np.sqrt(variance)), freedom, TIMES, len(part))
+
+
+def _welch(before: _Mean, after: _Mean, units: str) -> Difference:
+    both = (before, after)
+    total = before.variance + after.variance
+    spread = sum(each.variance**2 / each.freedom for each in both)
+    freedom = total**2 / spread if spread > 0.0 else min(each.freedom for each in both)
+    size = min(before.size, after.size)
+    return Difference(before.mean, after.mean, float(np.sqrt(total)), freedom, units, size)
+
+
+def _quotient(sums: pd.DataFrame) -> tuple[float, Floats, float]:
+    """Return a quotient of sums, what each interval adds to its error, and how many count."""
+    value, weight = (sums[name].to_numpy(np.float64) for name in ("value", "weight"))
+    if not weight.sum() > 0.0:
+        return np.nan, np.full(len(sums), np.nan), 0.0
+    mean = float(value.sum() / weight.sum())
+    worth = float(weight.sum() ** 2 / (weight**2).sum())
+    return mean, np.asarray((value - mean * weight) / weight.mean()), worth
+
+
+def _variance(part: Floats, worth: float) -> tuple[float, float]:
+    """Return the variance of a mean, by how slow waves of its parts vary, and its freedom.
+
+    Parameters
+    ----------
+    part : (n,) array
+        Deviations from the mean in the order of time.
+    worth : float
+        How many values they are worth.
     """
-    count = len(values)
-    if count <= 4:
-        return MOST_ALIKE
-    off = values - values.mean()
-    power = float((off**2).sum())
-    found = float((off[1:] * off[:-1]).sum()) / power if power > 0.0 else 0.0
-    return min(max((count * found + 1.0) / (count - 4), 0.0), MOST_ALIKE)
+    count = len(part)
+    if min(worth, count) < LEAST_UNITS - 1e-6:
+        return np.nan, np.nan
+    waves = np.arange(1, max(min(2 * count // LEAST_WAVE, MOST_WAVES), 1) + 1)
+    phase = np.pi * np.outer(waves, np.arange(count) + 0.5) / count
+    powers = 2.0 / count * (np.cos(phase) @ part) ** 2
+    return float(powers.mean() / count * worth / (worth - 1.0)), min(len(waves), worth - 1.0)
 
 
 def holm_corrected(p: Floats) -> Floats:

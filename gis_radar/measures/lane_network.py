@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from heapq import heappop, heappush
 from typing import NamedTuple
 
 import geopandas as gpd
@@ -34,19 +36,33 @@ class Turn(NamedTuple):
 
 
 class QueueStrips(NamedTuple):
-    """Lanes on which a queue at a stop line may stand, sorted by `lane`.
+    """Lanes on which a queue at a stop line may stand, sorted by stop line and distance from it.
 
     Parameters
     ----------
     lane, stop_lane : (k,) int64 arrays
         Positions of the lane, and of the lane with the stop line.
+    ahead : (k,) int64 array
+        Strip that follows towards the line; -1 at the line.
     to_line_m : (k,) array
         Distance from the begin of the lane to the stop line, metres.
     """
 
     lane: Integers
     stop_lane: Integers
+    ahead: Integers
     to_line_m: Floats
+
+    def of_stop(self, stop: int) -> range:
+        """Return the strips of a stop line."""
+        return range(*np.searchsorted(self.stop_lane, [stop, stop + 1]).tolist())
+
+    def way(self, strip: int) -> Integers:
+        """Return the strips from the line back to one."""
+        found = [strip]
+        while found[-1] >= 0:
+            found.append(int(self.ahead[found[-1]]))
+        return np.array(found[-2::-1], np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -195,28 +211,28 @@ class LaneNetwork:
         """Return whether a lane that follows without connector is a turn, not one fanning out."""
         return bool(self.has_stop_line[start] or not self.has_stop_line[end])
 
+    @cached_property
     def queue_strips(self) -> QueueStrips:
-        """Return the lanes on which queues may stand: back to other stop lines, or 500 m."""
-        before, rows = self.before, list[tuple[int, int, float]]()
+        """Lanes on which queues may stand: back to other stop lines, or 500 m."""
+        before, rows = self.before, list[tuple[int, int, int, float]]()
         for stop in np.flatnonzero(self.has_stop_line).tolist():
-            waiting, seen = [(stop, float(self.line_m[stop]))], set[int]()
+            waiting, seen = [(float(self.line_m[stop]), stop, -1)], set[int]()
             while waiting:
-                at, to_line = waiting.pop(0)
+                to_line, at, ahead = heappop(waiting)
                 if at in seen:
                     continue
                 seen.add(at)
-                rows.append((at, stop, to_line))
+                rows.append((at, stop, ahead, to_line))
                 if to_line < QUEUE_REACH_M:
-                    waiting += [
-                        (k, to_line + float(self.length_m[k]))
-                        for k in before[at]
-                        if not self.has_stop_line[k]
-                    ]
-        rows.sort()
-        lane, stop_lane, metres = zip(*rows, strict=True) if rows else ((), (), ())
+                    for k in before[at]:
+                        if not self.has_stop_line[k]:
+                            further = to_line + float(self.length_m[k])
+                            heappush(waiting, (further, k, len(rows) - 1))
+        lane, stop_lane, ahead_of, metres = zip(*rows, strict=True) if rows else ((), (), (), ())
         return QueueStrips(
-            np.array(lane, np.int64), np.array(stop_lane, np.int64), np.array(metres, np.float64)
-        )
+            np.array(lane, np.int64), np.array(stop_lane, np.int64), np.array(ahead_of, np.int64),
+            np.array(metres, np.float64),
+        )  # fmt: skip
 
     def sight_m(self, tile_id: Integers) -> Floats:
         """Return how far before its stop line each lane is in sight.
@@ -232,7 +248,7 @@ class LaneNetwork:
             Metres from the stop line to the farthest tile in sight on which a queue may stand; NaN
             for lanes without a stop line.
         """
-        strips = self.queue_strips()
+        strips = self.queue_strips
         first = np.searchsorted(self.tile_lane, strips.lane)
         count = np.searchsorted(self.tile_lane, strips.lane, side="right") - first
         tile, row = ranges(first, count), np.repeat(np.arange(len(count)), count)

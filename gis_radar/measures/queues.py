@@ -81,57 +81,131 @@ def queues(
     network, visible, grid
         As for :func:`gis_radar.measures.lane_fronts.driven`.
     """
-    size = len(network.lane) * grid.count
-    strips = network.queue_strips()
-    looked = stands & (states.lane >= 0) & (states.step % LOOK_STEPS == 0)
-    row = np.flatnonzero(looked & (states.step >= grid.begin) & (states.step < grid.end))
-    low = np.searchsorted(strips.lane, states.lane[row])
-    count = np.searchsorted(strips.lane, states.lane[row], side="right") - low
-    at, row = ranges(low, count), np.repeat(row, count)
-    stop, step = strips.stop_lane[at], states.step[row]
-    front = strips.to_line_m[at] - states.along_m[row]
-    order = np.lexsort((front, step, stop))
-    order = order[front[order] >= -OVER_LINE_M]
-    stop, step, front = stop[order], step[order], front[order]
-    rear = front + length_m[row[order]]
-    new = np.ones(len(stop), np.bool_)
-    new[1:] = (np.diff(stop) != 0) | (np.diff(step) != 0)
-    reach = _farthest(rear, new)  # a lorry may reach farther back than a car whose front is behind
-    ahead = np.where(new, 0.0, np.concatenate([[0.0], reach])[: len(reach)])
-    gap = front - ahead
+    standing, look = StandingFronts.of(states, stands, length_m, grid), looks(grid)
+    most, total = np.zeros((2, len(network.lane), grid.count))
+    for stop in np.flatnonzero(network.has_stop_line).tolist():
+        back = queue_back(stop, standing, network, visible, grid)
+        np.maximum.at(most[stop], grid.of(look), back)
+        total[stop] = np.bincount(grid.of(look), back, grid.count)
+    return QueueBacks(most.ravel(), total.ravel())
+
+
+def looks(grid: StepGrid) -> Integers:
+    """Return the steps of a grid at which queues are measured."""
+    return np.arange(-(-grid.begin // LOOK_STEPS) * LOOK_STEPS, grid.end, LOOK_STEPS)
+
+
+class StandingFronts(NamedTuple):
+    """States in which vehicles stand, sorted by lane and step, those ahead first.
+
+    Parameters
+    ----------
+    lane, step : (n,) int64 arrays
+        Position of the lane, and step, divisible by `LOOK_STEPS`.
+    along_m, length_m : (n,) arrays
+        Place of the front along the lane, and length of the vehicle, m.
+    """
+
+    lane: Integers
+    step: Integers
+    along_m: Floats
+    length_m: Floats
+
+    @classmethod
+    def of(
+        cls, states: FrontStates, stands: Booleans, length_m: Floats, grid: StepGrid
+    ) -> StandingFronts:
+        """Return those of a grid, on lanes."""
+        looked = stands & (states.lane >= 0) & (states.step % LOOK_STEPS == 0)
+        row = np.flatnonzero(looked & (states.step >= grid.begin) & (states.step < grid.end))
+        row = row[np.lexsort((-states.along_m[row], states.step[row], states.lane[row]))]
+        return cls(states.lane[row], states.step[row], states.along_m[row], length_m[row])
+
+
+def queue_back(
+    stop: int, standing: StandingFronts, network: LaneNetwork, visible: VisibleRuns, grid: StepGrid
+) -> Floats:
+    """Return how far back from a stop line a queue reaches, m, every `LOOK_STEPS` of a grid.
+
+    Where lanes merge before the line, each has a queue of its own beyond: who waits on one of them
+    does not join those on the other. The longest counts.
+
+    Parameters
+    ----------
+    stop : int
+        Position of its lane.
+    standing : StandingFronts
+        Who stands in the grid.
+    network, visible, grid
+        As for :func:`queues`.
+    """
+    strips, look = network.queue_strips, looks(grid)
+    # by strip: how far back the queue reaches, and whether no gap has ended it
+    reached = {-1: (np.zeros(len(look)), np.ones(len(look), np.bool_))}
+    for strip in strips.of_stop(stop):
+        reach, whole = reached[strip] = reached[int(strips.ahead[strip])]
+        lane = strips.lane[strip]
+        mine = slice(*np.searchsorted(standing.lane, [lane, lane + 1]))
+        front = strips.to_line_m[strip] - standing.along_m[mine]
+        near = front >= -OVER_LINE_M
+        if not near.any():
+            continue
+        step, front, rear = (
+            each[near] for each in (standing.step[mine], front, front + standing.length_m[mine])
+        )
+        at, new = np.searchsorted(look, step), np.diff(step, prepend=-1) != 0
+        farthest = _farthest(rear, new)  # a lorry may reach farther back than a car behind it
+        ahead = np.maximum(reach[at], np.where(new, 0.0, np.append(0.0, farthest[:-1])))
+        good = joins(strip, step, ahead, front, network, visible) & whole[at]
+        joined = _unbroken(good, new)
+        reach, whole = reached[strip] = reach.copy(), whole.copy()
+        np.maximum.at(reach, at[joined], rear[joined])
+        whole[at[~joined]] = False
+    back = np.max([reach for reach, _ in reached.values()], axis=0)
+    line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
+    return np.where(visible.at(np.repeat(line, len(look)), look), back, 0.0)
+
+
+def joins(
+    strip: int, step: Integers, reach_m: Floats, front_m: Floats, network: LaneNetwork,
+    visible: VisibleRuns,
+) -> Booleans:  # fmt: skip
+    """Return which standing vehicles join a queue: no visible gap over `JOINED_M` lies between.
+
+    Parameters
+    ----------
+    strip : int
+        Strip of :attr:`LaneNetwork.queue_strips` on which they stand.
+    step : (n,) int64 array
+        Steps.
+    reach_m, front_m : (n,) arrays
+        Metres to the line: how far back the queue reaches, and the front of the vehicle.
+    network, visible
+        As for :func:`gis_radar.measures.lane_fronts.driven`.
+    """
+    gap = front_m - reach_m
     wide = np.flatnonzero(gap > JOINED_M)
-    gap[wide] = _visible_m(stop[wide], step[wide], ahead[wide], front[wide], network, visible)
-    joined = _unbroken(gap <= JOINED_M, new)
-    line = network.tile_id[network.tile_at(stop, network.line_m[stop])]
-    joined &= visible.at(line, step)
-    stop, step, rear = stop[joined], step[joined], rear[joined]
-    first = np.flatnonzero(new[joined])
-    back = np.maximum.reduceat(rear, first) if len(first) else rear  # it takes no empty array
-    cell = stop[first] * grid.count + grid.of(step[first])
-    most = np.zeros(size)
-    np.maximum.at(most, cell, back)
-    return QueueBacks(most, np.bincount(cell, back, size).astype(np.float64))
+    if len(wide):
+        near_m, far_m = reach_m[wide], front_m[wide]
+        gap[wide] = _visible_m(strip, step[wide], near_m, far_m, network, visible)
+    return np.asarray(gap <= JOINED_M, np.bool_)
 
 
 def _visible_m(
-    stop: Integers, step: Integers, near_m: Floats, far_m: Floats, network: LaneNetwork,
+    strip: int, step: Integers, near_m: Floats, far_m: Floats, network: LaneNetwork,
     visible: VisibleRuns,
 ) -> Floats:  # fmt: skip
-    """Return the visible metres before stop lines, between two distances in a step."""
-    strips = network.queue_strips()
-    order = np.lexsort((strips.to_line_m, strips.stop_lane))
-    lane, line, to_line = strips.lane[order], strips.stop_lane[order], strips.to_line_m[order]
+    """Return the visible metres on the way from a strip to the line, between two distances."""
+    way = network.queue_strips.way(strip)
+    lane, to_line = network.queue_strips.lane[way], network.queue_strips.to_line_m[way]
     count = np.ceil(far_m - near_m).astype(np.int64)
-    row = np.repeat(np.arange(len(stop)), count)
-    metre = near_m[row] + ranges(np.zeros(len(stop), np.int64), count) + 0.5
+    row = np.repeat(np.arange(len(step)), count)
+    metre = near_m[row] + ranges(np.zeros(len(step), np.int64), count) + 0.5
     metre = np.minimum(metre, far_m[row])  # beyond it the lanes may end
-    span = float(to_line.max(initial=0.0)) + 1.0
-    # the lane that begins nearest upstream of the place
-    at = np.searchsorted(line * span + to_line, stop[row] * span + metre)
-    at = np.minimum(at, len(lane) - 1)
+    at = np.minimum(np.searchsorted(to_line, metre), len(lane) - 1)
     tile = network.tile_id[network.tile_at(lane[at], to_line[at] - metre)]
     seen = visible.at(tile, step[row])
-    return np.bincount(row, seen, len(stop)).astype(np.float64)
+    return np.bincount(row, seen, len(step)).astype(np.float64)
 
 
 class QueueCourse(NamedTuple):
@@ -172,11 +246,13 @@ def queue_course(
     to_line, to_stop = _strip(stop, network), to_stop_line(stop, states, network)
     inside = (states.step >= grid.begin) & (states.step < grid.end)
     row = np.flatnonzero(inside & np.isfinite(to_stop))
-    backs = queues(states, standing_states(states).stands, length_m, network, visible, grid)
+    standing = StandingFronts.of(states, standing_states(states).stands, length_m, grid)
+    back = np.zeros(grid.count)
+    at_look = queue_back(stop, standing, network, visible, grid)
+    np.maximum.at(back, grid.of(looks(grid)), at_look)
     begin = grid.begin + np.arange(grid.count) * grid.steps
     line = network.tile_id[network.tile_at(np.array([stop]), network.line_m[[stop]])]
     known = visible.at(np.repeat(line, grid.count), begin)
-    back = backs.most_m.reshape(-1, grid.count)[stop]
     place = pd.Series(np.arange(len(network.tile_id)), network.tile_id)
     tile = place.reindex(visible.tile_id).to_numpy()
     run = np.flatnonzero(np.isfinite(to_line[network.tile_lane[tile]]))
@@ -198,7 +274,7 @@ def to_stop_line(stop: int, states: FrontStates, network: LaneNetwork) -> Floats
 
 def _strip(stop: int, network: LaneNetwork) -> Floats:
     """Return the metres from the begin of each lane to a stop line; NaN off its strips."""
-    strips, to_line = network.queue_strips(), np.full(len(network.lane), np.nan)
+    strips, to_line = network.queue_strips, np.full(len(network.lane), np.nan)
     mine = strips.stop_lane == stop
     to_line[strips.lane[mine]] = strips.to_line_m[mine]
     return to_line

@@ -48,4 +48,7 @@ COMPARED = {
     "queue_max_m": Compared(
         Text("Longest queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
     ),
+    "queue_mean_m": Compared(
+        Text("Mean queue [m]"), Text("shorter queue"), Text("longer queue"), -1, 0.5, 1
+    ),
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,16 @@ from gis_radar.base import (
     Text,
     UsageError,
     current_language,
+    speaking,
+    tr,
 )
 from gis_radar.dataset import Dataset, open_dataset
-from gis_radar.measures import LEVEL, compare_values, holm_corrected
-from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
 from gis_radar.products.comparison.result import Comparison, Period
+from gis_radar.products.comparison.rows import AlikeRows, compared_rows
 from gis_radar.products.comparison.sights import LaneSights, lane_sights, seen_alike, shown_names
 
 DAY_NAMES = ("Mo", "Tu", "We", "Th", "Fr", "Sa", "Su")  # as in opening hours of OpenStreetMap
-INTERVAL, FINER = "15min", "5min"
+INTERVAL, FINER = "15min", "1min"
 FEW_HOURS = 12  # periods up to so long have too few quarters of an hour: `FINER` is used
 
 
@@ -42,7 +43,7 @@ def compare(
 
     Only what the same sensors saw alike in both is compared: periods of three days and more by
     days, shorter ones by times of day, or else by intervals
-    (:mod:`gis_radar.measures.differences`).
+    (:mod:`gis_radar.measures.differences`). All lanes with a stop line are compared together, too.
 
     Parameters
     ----------
@@ -78,7 +79,9 @@ def compare(
     options = {"language": language or current_language()}
     rows = _rows(sources, _day_numbers(days), options)
     sights = [lane_sights(source, table) for (source, _), table in zip(sources, rows, strict=True)]
-    return _compared(rows, sights, dataset.doubts, other.doubts)
+    with speaking(options["language"]):
+        together = tr("All stop lines together")
+    return _compared(rows, sights, together, dataset.doubts, other.doubts)
 
 
 def _read_period(text: str) -> Period:
@@ -179,33 +182,37 @@ def _rows_of(
 
 
 def _compared(
-    rows: Sequence[gpd.GeoDataFrame], sights: Sequence[LaneSights], *doubts: Sequence[str]
-) -> Comparison:
+    rows: Sequence[gpd.GeoDataFrame], sights: Sequence[LaneSights], together: str,
+    *doubts: Sequence[str],
+) -> Comparison:  # fmt: skip
+    """Return the comparison; `together` is the name of all stop lines."""
     lines = pd.concat(rows)[["lane", "name", "geometry"]].drop_duplicates("lane").set_index("lane")
-    found, left_out, used = [], [], np.zeros(2)
-    for lane in sorted(lines.index):
-        watchers, why = seen_alike(sights[0], sights[1], int(lane))
+    left_out, used = [], np.zeros(2)
+    alike: dict[int, AlikeRows] = {}
+    for lane in sorted(map(int, lines.index)):
+        watchers, why = seen_alike(sights[0], sights[1], lane)
         if watchers is None:
             left_out.append({"lane": lane, "name": lines.loc[lane, "name"], "seen": why})
             continue
-        mine = [each.of_lane(int(lane)) for each in sights]
+        mine = [each.of_lane(lane) for each in sights]
         mine = [each[each["watchers"] == watchers] for each in mine]
         used += [len(each) for each in mine]
-        found += [row | {"watchers": shown_names(watchers)} for row in _lane_rows(int(lane), mine)]
-    if not found:
+        alike[lane] = AlikeRows(mine[0], mine[1], shown_names(watchers))
+    if not alike:
         raise NoAnswerError(
             "no lane was seen by the same sensors alike in both periods",
             hint="compare periods with the same sensors at the same places",
         )
-    table = _with_verdicts(pd.DataFrame(found))
+    table = compared_rows(alike)
     if table["p"].isna().all():
         raise NoAnswerError(
             "too few intervals to tell a difference: at most {} of a lane in both periods",
             int(table["count"].max()),
             hint="compare three days and more in each, or three times of day in both",
         )
-    table.insert(1, "name", lines["name"].loc[table["lane"]].to_numpy())
-    geometry = lines["geometry"].loc[table["lane"]].to_numpy()
+    named = lines["name"].reindex(table["lane"]).to_numpy()
+    table.insert(1, "name", np.where(table["lane"].isna(), together, named))
+    geometry = lines["geometry"].reindex(table["lane"]).to_numpy()
     before, after = ((each["begin"].min(), each["end"].max()) for each in rows)
     return Comparison(
         table=gpd.GeoDataFrame(table, geometry=geometry, crs=rows[0].crs),
@@ -213,42 +220,3 @@ def _compared(
         used=(float(used[0] / len(rows[0])), float(used[1] / len(rows[1]))),
         before=before, after=after, doubts=sorted({line for each in doubts for line in each}),
     )  # fmt: skip
-
-
-def _lane_rows(lane: int, rows: Sequence[pd.DataFrame]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each measure that the lane has in both periods."""
-    for measure in COMPARED:
-        values = [_values(each, measure) for each in rows]
-        if any(each.empty for each in values):
-            continue
-        found = compare_values(values[0], values[1])
-        half = found.half_width(LEVEL)
-        yield {
-            "lane": lane, "measure": measure, "before": found.before, "after": found.after,
-            "difference": found.difference,
-            "percent": 100.0 * found.difference / found.before if found.before else np.nan,
-            "se": found.se, "low": found.difference - half, "high": found.difference + half,
-            "p": found.p, "units": found.units, "count": found.count,
-        }  # fmt: skip
-
-
-def _values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
-    known = rows[rows[measure].notna()].sort_values("begin")
-    begin = known["begin"].dt
-    return pd.DataFrame(
-        {
-            "day": begin.date, "time": 60 * begin.hour + begin.minute,
-            "value": known[measure].astype(np.float64),
-        }
-    )  # fmt: skip
-
-
-def _with_verdicts(table: pd.DataFrame) -> pd.DataFrame:
-    """Add verdicts: which differences are significant among all lanes and measures."""
-    table = table.assign(p_corrected=np.nan, verdict=NOT_TOLD)
-    table["p_corrected"] = holm_corrected(table["p"].to_numpy(np.float64))
-    least = table["measure"].map({name: of.resolution for name, of in COMPARED.items()})
-    told = (table["p_corrected"] < LEVEL) & (table["difference"].abs() >= least)
-    table.loc[told & (table["difference"] > 0.0), "verdict"] = MORE
-    table.loc[told & (table["difference"] < 0.0), "verdict"] = LESS
-    return table

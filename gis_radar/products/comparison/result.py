@@ -58,11 +58,11 @@ class Comparison:
     Parameters
     ----------
     table : GeoDataFrame
-        A row for each lane and measure: `lane`, `name`, `measure`, `before`, `after`, `difference`,
-        `percent`, `se`, `low` and `high` (95 % interval of the difference), `p`, `p_corrected` (for
-        the number of lanes and measures), `verdict` (`more`, `less` or `not told`), `units` (the
-        compared units: days, times of day or intervals) and `count` (their number), `watchers` (the
-        sensors); the lane's line.
+        A row for each lane and measure: `lane` (null for all stop lines together), `name`,
+        `measure`, `before`, `after`, `difference`, `percent`, `se`, `low` and `high` (95 % interval
+        of the difference), `p`, `p_corrected` (for the number of rows), `verdict` (`more`, `less`
+        or `not told`), `units` (the compared units: days, times of day or intervals) and `count`
+        (their number), `watchers` (the sensors); the lane's line.
     left_out : DataFrame
         Lanes that cannot be compared: `lane`, `name`, `seen` (sensors before / after; where they
         are the same, the number of tiles in their sight).
@@ -84,6 +84,7 @@ class Comparison:
     def figures(self) -> dict[str, Any]:
         """Return the compared periods, and the number of lanes with a significant difference."""
         told = self.table[self.table["verdict"] != NOT_TOLD]
+        together, told = told[told["lane"].isna()], told[told["lane"].notna()]
         changed = told.groupby(["measure", "verdict"]).size()
         periods = {"before": self.before, "after": self.after}
         return {
@@ -94,6 +95,7 @@ class Comparison:
             "share_of_after_used": round(self.used[1], 3),
             "compared_by": [Text(each) for each in sorted(set(self.table["units"]))],
             "lanes_with_a_change": {f"{name}, {way}": int(n) for (name, way), n in changed.items()},
+            "all_stop_lines": dict(zip(together["measure"], together["verdict"], strict=True)),
         }
 
     def write(
@@ -137,7 +139,7 @@ class Comparison:
 
 
 def _write_table(table: gpd.GeoDataFrame, path: Path) -> None:
-    shown = pd.DataFrame(table.drop(columns="geometry")).astype({"lane": str})
+    shown = pd.DataFrame(table.drop(columns="geometry")).astype({"lane": "string"})
     rows = shown.astype(object).where(shown.notna(), None).itertuples(index=False)
     write_csv(path, [*shown.columns], rows)
 
@@ -148,6 +150,7 @@ def wide_table(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     These are columns of each measure. `..._change` is the difference in percent where one is told,
     else 0; null where the lane has no such measure.
     """
+    table = table[table["lane"].notna()].astype({"lane": np.int64})
     lanes = table.drop_duplicates("lane").set_index("lane")[["name", "watchers", "geometry"]]
     columns: dict[str, Any] = {}
     for measure in COMPARED:
