@@ -47,7 +47,7 @@ from gis_radar.measures import (
     queue_course,
 )
 
-METHOD = 3
+METHOD = 4
 """Raised whenever the same parts would give other lane measures or turns."""
 
 TRAFFIC_TABLES = (LANE_MEASURES, TURNS)
