@@ -30,8 +30,9 @@ KEPT_S = 5.0  # after which a gap counts as chosen anew
 LEAST_GAP_M = 0.5  # a shorter gap, or an overlap, is within the error of two lengths
 LENGTH_CHANGES_M = (2.0, 1.0, 0.5)  # by which the length of two as one is sought, ever finer
 # Parts of one body keep their distance by so much, m; drivers who flow, faster than that, m/s,
-# differ by so much, m/s; after a second it can be told.
-RIGID_M, FLOWS_MPS, DIFFER_MPS, LEAST_S = 0.4, 5.0, 1.0, 1.0
+# differ by so much, m/s, and who follows lets the gap vary by so large a share of it; after a
+# second it can be told.
+RIGID_M, FLOWS_MPS, DIFFER_MPS, VARIES, LEAST_S = 0.4, 5.0, 1.0, 0.25, 1.0
 
 
 def join_neighbours(posterior: Posterior) -> list[Motion]:
@@ -167,14 +168,15 @@ def _driven_as_one(one: Motion, other: Motion) -> float:
         return -np.inf
     apart = np.hypot(*(one.places[0][a] - other.places[0][b])[flows].T)
     away, bodies = float(np.median(apart)), one.length_m + other.length_m
-    differ = max(DIFFER_MPS * time / math.sqrt(12.0), RIGID_M)
+    gap = max(away - 0.5 * bodies, LEAST_GAP_M)
+    differ = max(min(DIFFER_MPS * time / math.sqrt(12.0), VARIES * gap), RIGID_M)
     off = 0.5 * float(np.var(apart))
     odds = 2.0 * (math.log(differ / RIGID_M) - off * (RIGID_M**-2 - differ**-2))
     speed = np.maximum(one.speed[a], other.speed[b])[flows]
     whole = min(away + 0.5 * bodies, LONGEST_M)
     odds += prior(whole) - 2.0 * math.log(whole)
     odds -= prior(one.length_m) + prior(other.length_m)
-    odds -= _gap_prior(away - 0.5 * bodies, speed)
+    odds -= _gap_prior(gap, speed)
     usual = BETWEEN_M + GAP_S * float(np.mean(speed))  # whose density is 1 / (spread x gap)
     return odds + math.log(math.sqrt(2.0 * math.pi) * GAP_SPREAD * usual)
 
