@@ -25,8 +25,9 @@ def as_lines(name: str, value: Any) -> str:
     if isinstance(value, Mapping):
         if not value:
             return tr("none")
-        plain = not any(isinstance(each, Mapping | list) for each in value.values())
-        return "\n".join(f"{k}: {_cell(v)}" for k, v in value.items()) if plain else json_text(value)
+        if any(isinstance(each, Mapping | list) for each in value.values()):
+            return json_text(value)
+        return "\n".join(f"{k}: {_cell(v)}" for k, v in value.items())
     if isinstance(value, list) and any(" " in str(each) for each in value):
         return "\n".join(map(_readable, value))
     return _readable(value)
