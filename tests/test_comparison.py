@@ -289,6 +289,20 @@ def test_a_minute_that_is_hidden_loses_no_delay_of_the_others():
     assert "delay_s" not in set(rows["measure"])
 
 
+def test_who_drives_over_the_limit_gains_no_time():
+    """And a lane on which nobody lost time before is compared."""
+    rng, slow = np.random.default_rng(14), np.arange(60) % 10 == 0
+    before, after = (lane_rows(3, rng, 0.0).assign(flow_veh_h=240.0) for _ in range(2))
+    before = before.assign(travel_time_s=6.0, density_veh_km=4.0, delay_s=0.0)
+    after = after.assign(
+        travel_time_s=np.where(slow, 17.0, 6.0), density_veh_km=np.where(slow, 34.0 / 3.0, 4.0),
+        delay_s=np.where(slow, 10.0, 0.0),
+    )  # fmt: skip
+    found = compared_rows({3: AlikeRows(before, after)}).set_index("measure").loc["delay_s"]
+    assert found["before"] == 0.0
+    assert found["after"] == pytest.approx(1.0)
+
+
 def test_a_lane_without_vehicles_has_no_speed_to_compare():
     rng = np.random.default_rng(12)
     used = lane_rows(3, rng, 10.0)
