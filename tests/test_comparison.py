@@ -274,6 +274,51 @@ def test_stop_lines_are_compared_together_and_time_is_lost_while_all_stand():
     assert one.loc["queue_max_m", "count"] == 56  # of five minutes each
 
 
+def test_a_minute_that_is_hidden_loses_no_delay_of_the_others():
+    rng = np.random.default_rng(11)
+    before, after = (lane_rows(3, rng, 10.0) for _ in range(2))
+    hidden = before.index.isin([10, 11])  # two minutes with traffic, of which too little is seen
+    before = before.assign(travel_time_s=before["travel_time_s"].mask(hidden))
+    before = before.assign(delay_s=before["delay_s"].mask(hidden))
+    found = compared_rows({3: AlikeRows(before, after)}).set_index("measure").loc["delay_s"]
+    assert found["count"] == 58
+    assert found["before"] == pytest.approx(360.0 * (18.0 * 60 - 24) / (160.0 * 60 - 480) - 10.0)
+    most = before.index % 10 > 0
+    dark = before.assign(travel_time_s=before["travel_time_s"].mask(most))
+    rows = compared_rows({3: AlikeRows(dark, after)})  # who stands in sight is not all of it
+    assert "delay_s" not in set(rows["measure"])
+
+
+def test_who_drives_over_the_limit_gains_no_time():
+    """And a lane on which nobody lost time before is compared."""
+    rng, slow = np.random.default_rng(14), np.arange(60) % 10 == 0
+    before, after = (lane_rows(3, rng, 0.0).assign(flow_veh_h=240.0) for _ in range(2))
+    before = before.assign(travel_time_s=6.0, density_veh_km=4.0, delay_s=0.0)
+    after = after.assign(
+        travel_time_s=np.where(slow, 17.0, 6.0), density_veh_km=np.where(slow, 34.0 / 3.0, 4.0),
+        delay_s=np.where(slow, 10.0, 0.0),
+    )  # fmt: skip
+    found = compared_rows({3: AlikeRows(before, after)}).set_index("measure").loc["delay_s"]
+    assert found["before"] == 0.0
+    assert found["after"] == pytest.approx(1.0)
+
+
+def test_a_lane_without_vehicles_has_no_speed_to_compare():
+    rng = np.random.default_rng(12)
+    used = lane_rows(3, rng, 10.0)
+    closed = used.assign(flow_veh_h=0.0, density_veh_km=0.0, travel_time_s=np.nan, delay_s=np.nan)
+    measures = compared_rows({3: AlikeRows(used, closed)})["measure"]
+    assert not {"speed_kmh", "delay_s"} & set(measures)
+    assert "volume_veh_h" in set(measures)
+
+
+def test_lanes_without_any_known_measure_give_no_answer():
+    rows = lane_rows(3, np.random.default_rng(13), 10.0)
+    unknown = rows.assign(**dict.fromkeys(rows.columns[3:-1], np.nan))
+    with pytest.raises(NoAnswerError, match="no measure of any lane is known in both periods"):
+        compared_rows({3: AlikeRows(unknown, rows)})
+
+
 def test_a_third_fewer_cars_are_told(dataset):
     found = gr.compare(dataset, before=BEFORE, after=AFTER)
     volume = found.table[found.table["measure"] == "volume_veh_h"].iloc[0]

@@ -231,6 +231,16 @@ def test_begins_at_random_are_seldom_told():
     assert told <= 10  # 5 by chance
 
 
+@pytest.mark.parametrize("between_s", [(50.0, 70.0), (80.0, 120.0)])
+def test_signals_that_follow_demand_are_not_told(between_s):
+    """Cycles that differ by some seconds lie near a line for a while, but most do not."""
+    rng, told = np.random.default_rng(4), 0
+    for _ in range(100):
+        begins = np.cumsum(rng.uniform(*between_s, 90))
+        told += not isinstance(period_of(begins[begins < 3600.0]), str)
+    assert told <= 5
+
+
 def test_a_level_of_service_follows_the_delay():
     line = LineString([(0, 0), (60, 0)])
     delays = [0.0, 10.0, 10.1, 34.0, 54.0, 79.0, 81.0, np.nan, 5.0, 5.0]

@@ -29,7 +29,7 @@ from gis_radar.base import (
 )
 from gis_radar.base.languages import catalogue
 from gis_radar.base.words import long_day
-from gis_radar.cli.result_tables import as_lines, as_title
+from gis_radar.cli.result_tables import as_lines, as_title, is_table
 from gis_radar.products import MapLabels
 from tools import catalogue as tool
 
@@ -299,6 +299,15 @@ def test_the_terminal_shows_figures_in_german():
         "sigma Gierwinkel": "0,089", "eindeutig bestimmbar": "nein",
     }  # fmt: skip
     assert as_lines("points_in", 322924) == "322,924"
+
+
+def test_figures_by_name_are_lines_and_none_is_said():
+    changed = {"queue_max_m, more": 1, "speed_kmh, less": 2}
+    assert as_lines("lanes_with_a_change", changed) == "queue_max_m, more: 1\nspeed_kmh, less: 2"
+    with speaking("de"):
+        assert as_lines("all_stop_lines", {"n": Text("yes")}) == "n: ja"
+        assert as_lines("all_stop_lines", {}) == "keine"
+    assert not is_table({})
 
 
 def test_a_language_that_is_none(tmp_path):

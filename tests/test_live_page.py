@@ -36,6 +36,7 @@ from PIL import Image
 from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
+from starlette.requests import Request
 
 from gis_radar.base import InputError, OutputError, Text, step_begin
 from gis_radar.live import (
@@ -47,6 +48,7 @@ from gis_radar.live import (
     read_edge_file,
     read_live_site,
 )
+from gis_radar.live.features import refusal as refused
 from gis_radar.live.page import HIT, VEHICLE, difference, page_server, whole_event
 from gis_radar.live.quarters import TRAFFIC
 from gis_radar.live.snapshot import NOT_OBSERVED
@@ -269,6 +271,17 @@ def test_whom_the_service_does_not_know_it_refuses_in_json(live):
             assert json.load(caught.value)["code"] == str(code)
             assert caught.value.headers.get("www-authenticate") == {401: "Bearer"}.get(code)
             caught.value.close()
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [("/ogc", "json"), ("/ogc/x", "json"), ("/ogcx", "plain"), ("", "plain"), ("*", "plain")],
+)
+def test_an_address_without_a_path_is_refused_too(path, kind):
+    scope = {"type": "http", "method": "POST", "scheme": "http", "server": ("here", 80),
+             "path": path, "query_string": b"", "headers": [(b"host", b"here")]}  # fmt: skip
+    media = refused(Request(scope), 405, "for reading only").media_type
+    assert str(media).endswith(kind)
 
 
 def test_only_who_has_the_token_reads(live):

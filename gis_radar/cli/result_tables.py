@@ -13,8 +13,9 @@ from gis_radar.base import Text, decimal, json_text, one_line, tr
 
 
 def is_table(value: Any) -> bool:
-    """Return whether a value is a table: a mapping of mappings."""
-    return isinstance(value, Mapping) and all(isinstance(row, Mapping) for row in value.values())
+    """Return whether a value is a table: a mapping of mappings, not an empty one."""
+    rows = value.values() if isinstance(value, Mapping) else ()
+    return bool(rows) and all(isinstance(row, Mapping) for row in rows)
 
 
 def as_lines(name: str, value: Any) -> str:
@@ -22,8 +23,11 @@ def as_lines(name: str, value: Any) -> str:
     if name.endswith("lane"):
         return str(value)
     if isinstance(value, Mapping):
-        worded = all(isinstance(each, str) for each in value.values())
-        return "\n".join(f"{k}: {v}" for k, v in value.items()) if worded else json_text(value)
+        if not value:
+            return tr("none")
+        if any(isinstance(each, Mapping | list) for each in value.values()):
+            return json_text(value)
+        return "\n".join(f"{k}: {_cell(v)}" for k, v in value.items())
     if isinstance(value, list) and any(" " in str(each) for each in value):
         return "\n".join(map(_readable, value))
     return _readable(value)

@@ -67,7 +67,7 @@ def refusal(
     request: Request, code: int, text: str, headers: Mapping[str, str] | None = None
 ) -> Response:
     """Return an HTTP error: as JSON below `/ogc`, as the standard asks, else as plain text."""
-    if request.url.path.split("/")[1] != "ogc":
+    if not f"{request.url.path}/".startswith("/ogc/"):
         return PlainTextResponse(f"{text}\n", code, headers)
     return JSONResponse({"code": str(code), "description": text}, code, headers)
 

@@ -1,9 +1,9 @@
 """Cycles of signals, told from the traffic: vehicles that waited leave a stop line periodically.
 
 A *begin of green* is seen where a vehicle that stood at the line crosses it and none has crossed
-for some seconds. Where more begins than chance explains lie on a line over the numbers of their
-cycles, they are those of a signal of fixed time; others, as of a signal that follows demand, are
-not taken for cycles.
+for some seconds. Where most begins, and more than chance explains, lie on a line over the numbers
+of their cycles, they are those of a signal of fixed time; others, as of a signal that follows
+demand, are not taken for cycles.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ CYCLE_S = (30.0, 240.0)  # lengths of cycles: those of RiLSA (30 to 120 s), and 
 LEAST_GREENS = 4  # begins of green from which a cycle is told
 EVEN_S = 3.0  # between a begin and its cycle's, at most: who starts first takes 1 to 2 s, +- 1 s
 MOST_CHANCE = 0.05  # that begins which are not periodic lie so on the line of any cycle
+LEAST_ON = 0.6  # share of the cycles with a begin whose first lies on the line: demand drifts off
 FINE, TRIED, FITS = 32, 20, 3  # rates per resolved one, those that are fitted, and rounds of that
 FEW = Text("fewer than {} begins of green seen", LEAST_GREENS)
 UNEVEN = Text("vehicles do not leave periodically")
@@ -108,16 +109,27 @@ def period_of(begins_s: Floats) -> Period | str:
     rate = np.arange(1.0 / CYCLE_S[1], 1.0 / CYCLE_S[0], 1.0 / (FINE * max(span, CYCLE_S[1])))
     power = np.abs(np.exp(2j * np.pi * np.outer(rate, begins_s)).sum(axis=1))
     found = [_line(begins_s, float(1.0 / each)) for each in rate[np.argsort(-power)[:TRIED]]]
-    chance, period = min(found, key=lambda each: each[0])
+    chance, on, period = min(found, key=lambda each: each[0])
     # so many lines differ by over `EVEN_S`, in where they begin and how far they go
     apart = (period.length_s / (2.0 * EVEN_S)) ** 2
     lines = apart * span * (1.0 / CYCLE_S[0] - 1.0 / CYCLE_S[1])
     in_range = CYCLE_S[0] <= period.length_s <= CYCLE_S[1]
-    return period if in_range and chance * lines < MOST_CHANCE else UNEVEN
+    is_even = on >= LEAST_ON and chance * lines < MOST_CHANCE
+    return period if in_range and is_even else UNEVEN
 
 
-def _line(begins_s: Floats, length_s: float) -> tuple[float, Period]:
-    """Fit cycles of about a length; return the chance that as many begins lie on them, and them."""
+def _line(begins_s: Floats, length_s: float) -> tuple[float, float, Period]:
+    """Fit cycles of about a length.
+
+    Returns
+    -------
+    chance : float
+        That as many begins lie on them.
+    on : float
+        Share of the cycles with a begin whose first lies on them.
+    period : Period
+        The cycles.
+    """
     apart = (begins_s - begins_s[:, None] + length_s / 2.0) % length_s - length_s / 2.0
     begin = float(begins_s[(np.abs(apart) <= EVEN_S).sum(axis=1).argmax()])
     period = Period(length_s, np.nan, begin)
@@ -127,7 +139,7 @@ def _line(begins_s: Floats, length_s: float) -> tuple[float, Period]:
         number, seen = number[first], begins_s[first]
         on = np.abs(seen - period.begin_s - number * period.length_s) <= EVEN_S
         if on.sum() < LEAST_GREENS:
-            return 1.0, period
+            return 1.0, 0.0, period
         number, fitted = number[on] - number[on][0], seen[on]
         slope, begin = np.polyfit(number, fitted, 1)
         spread = float(np.sqrt(((fitted - begin - slope * number) ** 2).sum() / (on.sum() - 2)))
@@ -136,7 +148,8 @@ def _line(begins_s: Floats, length_s: float) -> tuple[float, Period]:
     # of several begins in a cycle the first is the more likely to lie on the line
     each = len(begins_s) / len(on)
     share = 1.0 - max(1.0 - 2.0 * EVEN_S / period.length_s, 0.0) ** each
-    return float(scipy.stats.binom.sf(on.sum() - 1, len(on), share)), period
+    chance = float(scipy.stats.binom.sf(on.sum() - 1, len(on), share))
+    return chance, float(on.mean()), period
 
 
 def cycles(

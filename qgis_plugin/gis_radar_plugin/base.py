@@ -272,7 +272,7 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
             continue
         if occupied and name == "vehicles":
             title = tr("Tracks of vehicles")
-        if isinstance(value, dict) and all(isinstance(part, dict) for part in value.values()):
+        if value and isinstance(value, dict) and all(isinstance(p, dict) for p in value.values()):
             lines += [f"{title}: {key}: {readable(part)}" for key, part in value.items()]
         else:
             lines.append(f"{title}: {readable(value)}")
@@ -287,6 +287,8 @@ def as_title(name: str) -> str:
 
 def readable(value: Any) -> str:
     """Return a figure as a person would write it."""
+    if value == {}:
+        return tr("none")
     if isinstance(value, dict):
         return ", ".join(f"{as_title(k)} {readable(v)}" for k, v in value.items())
     if isinstance(value, bool):

@@ -308,3 +308,4 @@ def test_the_log_of_a_run_shows_no_hits_beside_occupancy(provider):
     assert summary_lines({"sigma_yaw": 0.5, "observable": False}) == [
         "sigma yaw: 0.5", "observable: no",
     ]  # fmt: skip
+    assert summary_lines({"all_stop_lines": {}}) == ["all stop lines: none"]

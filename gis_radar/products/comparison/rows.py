@@ -9,6 +9,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
+from gis_radar.base import NoAnswerError
 from gis_radar.measures import LEVEL, compare_values, holm_corrected
 from gis_radar.products.comparison.compared import COMPARED, LESS, MORE, NOT_TOLD
 from gis_radar.products.comparison.values import (
@@ -49,6 +50,11 @@ def compared_rows(lanes: Mapping[int, AlikeRows]) -> pd.DataFrame:
     -------
     DataFrame
         As :attr:`Comparison.table`, without names and lines.
+
+    Raises
+    ------
+    NoAnswerError
+        If no measure is known in both periods.
     """
     values = {n: [_known(each) for each in (rows.before, rows.after)] for n, rows in lanes.items()}
     found = [
@@ -61,13 +67,18 @@ def compared_rows(lanes: Mapping[int, AlikeRows]) -> pd.DataFrame:
         watchers = "; ".join(sorted({lanes[n].watchers for n in stops}))
         together = _together([values[n] for n in stops])
         found += [{"lane": None} | row | {"watchers": watchers} for row in _rows(together)]
+    if not found:
+        raise NoAnswerError(
+            "no measure of any lane is known in both periods",
+            hint="compare periods in which more of the lanes is visible",
+        )
     return _with_verdicts(pd.DataFrame(found).astype({"lane": "Int64"}))
 
 
 def _known(rows: gpd.GeoDataFrame) -> dict[str, pd.DataFrame]:
-    """Return the values of a lane by measure, of those that are known."""
+    """Return the values of a lane by measure, of those that are known: none is of no vehicle."""
     values = {measure: interval_values(rows, measure) for measure in COMPARED}
-    return {measure: each for measure, each in values.items() if len(each)}
+    return {measure: each for measure, each in values.items() if each["weight"].sum() > 0.0}
 
 
 def _together(lanes: Sequence[Sequence[Mapping[str, pd.DataFrame]]]) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ from gis_radar.base import Booleans
 
 LONGEST_MIN = 5  # minutes over which a queue's farthest back is taken, several cycles
 KNOWN_SHARE = 0.9  # least share of the intervals of a lane that counts with others
+LEAST_SEEN = 0.5  # least share of the intervals with traffic in which enough of a lane is visible
 
 
 def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
@@ -49,16 +50,19 @@ def interval_values(rows: pd.DataFrame, measure: str) -> pd.DataFrame:
 def _lost_time(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
     """Return the time lost on a lane, and the flow, also while all stand.
 
-    Lane and free speed are those of travel times: 3600 L k / q, and those without the delay.
+    The lane is that of travel times, 3600 L k / q. Where too little of it is visible for these,
+    nothing is known. As a delay, time lost is never under 0.
     """
-    flow, density, travel_s = (
-        rows[name].astype(np.float64) for name in ("flow_veh_h", "density_veh_km", "travel_time_s")
+    flow, density, travel_s, delay_s = (
+        rows[name].astype(np.float64)
+        for name in ("flow_veh_h", "density_veh_km", "travel_time_s", "delay_s")
     )
-    free_s = (travel_s - rows["delay_s"])[rows["delay_s"] > 0.0].median()
     of_one = (travel_s * flow / density)[flow > 0.0].median()
-    if (travel_s.isna() & (flow > 0.0)).any():  # too little of the lane is visible
+    hidden = travel_s.isna() & (flow > 0.0)
+    if hidden.sum() > (1.0 - LEAST_SEEN) * (flow > 0.0).sum():  # nor is it known while all stand
         of_one = np.nan
-    return of_one * density - free_s * flow, flow
+    lost = (delay_s * flow).where(flow > 0.0, of_one * density)
+    return lost if np.isfinite(of_one) else lost * np.nan, flow
 
 
 def _longest(rows: pd.DataFrame) -> pd.Series:
