@@ -113,7 +113,7 @@ def check_plausibility(
 def check_recordings(
     sensors: Mapping[str, Sequence[Recording]], *, reporter: Reporter = QUIET
 ) -> tuple[Finding, ...]:
-    """Check recordings alone, where poses are not yet known: frozen frames, units, signs.
+    """Check recordings alone, where poses are not yet known: frozen frames, units, signs, traffic.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def check_recordings(
     Returns
     -------
     tuple of Finding
-        What does not fit, in the order of names; nothing on sensors whose recordings have no fault.
+        What does not fit, or shows too little traffic, in the order of names; nothing on others.
 
     Raises
     ------
@@ -137,6 +137,7 @@ def check_recordings(
         reporter.progress(STAGE, done, len(sensors))
         excerpt = next(read_excerpts(recordings))
         odd = _odd_recording(excerpt) or odd_pace(measure_range_scale(excerpt.moving))
+        odd = odd or _too_little(excerpt)
         found += [replace(odd, sensor=name)] if odd is not None else []
     reporter.progress(STAGE, len(sensors), len(sensors))
     return tuple(found)
