@@ -123,19 +123,12 @@ def short(table):
     return table[table["time"] < table["time"].iloc[0] + 5.0]
 
 
-def partly_infinite(table):
-    """A rate that is infinite is none: it speaks for no unit."""
-    every = np.arange(len(table)) % 50 == 0
-    return table.assign(range_rate=table["range_rate"].mask(every, np.inf))
-
-
 USUAL = {
     "a quiet night": (quiet, {LITTLE}),
     "a jam at start": (jam, {FITS}),
     "one lane": (one_lane, {LITTLE}),
     "no elevation": (flat, {FITS}),
     "five seconds": (short, {LITTLE}),
-    "some rates infinite": (partly_infinite, {FITS}),
 }
 
 

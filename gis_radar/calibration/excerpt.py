@@ -225,7 +225,7 @@ def _pieces(recording: Recording, begins: Floats) -> Iterator[Detections]:
 
 
 def _excerpt(rows: _Rows, tracks: Sequence[PoseTrack]) -> Excerpt:
-    moves = np.isfinite(rows.range_rate) & (np.abs(rows.range_rate) > MIN_SPEED_MPS)
+    moves = np.abs(rows.range_rate) > MIN_SPEED_MPS
     frames = np.unique(rows.time)
     moving = Moving(
         time=rows.time[moves], points=rows.points[moves], range_rate=rows.range_rate[moves],
