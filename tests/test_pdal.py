@@ -203,11 +203,14 @@ def test_an_interrupt_ends_the_child(no_pdal, tmp_path, monkeypatch, number):
     monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
     (tmp_path / "tmp").mkdir()
     with subprocess.Popen([sys.executable, "-c", INTERRUPTED], stderr=subprocess.PIPE) as parent:
-        wait_for((tmp_path / "pid").exists)
-        wait_for(lambda: state_of(parent.pid) == "S")
-        time.sleep(0.5)  # the parent has turned to waiting
-        parent.send_signal(number)
-        _, said = parent.communicate(timeout=300)
+        try:
+            wait_for((tmp_path / "pid").exists)
+            wait_for(lambda: state_of(parent.pid) == "S")
+            time.sleep(0.5)  # the parent has turned to waiting
+            parent.send_signal(number)
+            _, said = parent.communicate(timeout=300)
+        finally:
+            parent.kill()  # one that hangs fails here, and does not hold the others
     assert b"KeyboardInterrupt" in said
     pid = int((tmp_path / "pid").read_text())
     with pytest.raises(ProcessLookupError):

@@ -52,13 +52,28 @@ with tempfile.TemporaryFile() as file:
 """
 
 
+# An interrupt between two instructions of Popen.wait leaves its lock taken for ever.
+LOCKED = """
+import subprocess
+kill = subprocess.Popen.kill
+def kill_and_lock(child):
+    kill(child)
+    child._waitpid_lock.acquire()
+subprocess.Popen.kill = kill_and_lock
+"""
+
+
 @posix
-def test_ctrl_c_leaves_no_child():
-    with subprocess.Popen([sys.executable, "-c", CHILD], stderr=subprocess.PIPE,
+@pytest.mark.parametrize("before", ["", LOCKED], ids=["", "within wait"])
+def test_ctrl_c_leaves_no_child(before):
+    with subprocess.Popen([sys.executable, "-c", before + CHILD], stderr=subprocess.PIPE,
                           stdout=subprocess.PIPE) as parent:  # fmt: skip
-        assert parent.stdout.readline() == b"waits\n"
-        parent.send_signal(signal.SIGINT)
-        _, said = parent.communicate(timeout=45.0)
+        try:
+            assert parent.stdout.readline() == b"waits\n"
+            parent.send_signal(signal.SIGINT)
+            _, said = parent.communicate(timeout=45.0)
+        finally:
+            parent.kill()  # one that hangs fails here, and does not hold the others
     assert said.endswith(b"KeyboardInterrupt\n")
     assert is_gone(int(said.split()[0]))
 

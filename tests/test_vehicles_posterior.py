@@ -279,21 +279,22 @@ def test_nobody_drives_three_metres_behind_another(graph):
 
 
 @pytest.mark.parametrize(
-    ("apart", "faster", "left"),
+    ("apart", "faster", "left", "lasts", "speed"),
     [
-        (8.0, 0.02, 1),  # ends of a lorry, 3.5 m between them at 36 km/h
-        (9.5, 0.02, 1),  # of one of 14 m
-        (8.0, 0.4, 2),  # the second falls behind by 5 m
-        (14.0, 0.02, 2),  # cars a second apart
+        (8.0, 0.02, 1, 14, 10.0),  # ends of a lorry, 3.5 m between them at 36 km/h
+        (9.5, 0.02, 1, 14, 10.0),  # of one of 14 m
+        (8.0, 0.4, 2, 14, 10.0),  # the second falls behind by 5 m
+        (14.0, 0.02, 2, 14, 10.0),  # cars a second apart
+        (13.0, 0.01, 2, 40, 6.5),  # in a platoon, however long it keeps together
     ],
 )
-def test_who_keeps_no_distance_is_the_end_of_another(apart, faster, left):
+def test_who_keeps_no_distance_is_the_end_of_another(apart, faster, left, lasts, speed):
     """Both returned like a car of its own, so what lies where does not tell."""
     rng = np.random.default_rng(11)
-    starts, speeds = (30.0 + apart, 30.0), (10.0, 10.0 - faster)
-    parts = [returns(rng, 0, 14, *each) for each in zip(starts, speeds, strict=True)]
-    found = detected(*parts, clutter(rng, 15))
-    motions = [track(found, 0, 14, *each) for each in zip(starts, speeds, strict=True)]
+    starts, speeds = (30.0 + apart, 30.0), (speed, speed - faster)
+    parts = [returns(rng, 0, lasts, *each) for each in zip(starts, speeds, strict=True)]
+    found = detected(*parts, clutter(rng, lasts + 1))
+    motions = [track(found, 0, lasts, *each) for each in zip(starts, speeds, strict=True)]
     assert len(join_neighbours(Posterior(found, motions))) == left
 
 

@@ -220,6 +220,22 @@ MORE: Mapping[str, Recipe] = {
         plan="junction", seed=973, per_hour=4200, radars=2, minutes=2.5, warm_up_s=600.0
     ),
     "arterial-974": Recipe(plan="arterial", seed=974, per_hour=2400, radars=2),
+    "gridlock-3002": Recipe(
+        plan="junction", seed=3002, per_hour=4200, radars=2, minutes=4.0, warm_up_s=600.0
+    ),
+    "tee-3011": Recipe(
+        plan="tee", seed=3011, per_hour=1600, radars=1, minutes=4.0, warm_up_s=300.0
+    ),
+    "gridlock-3012": Recipe(
+        plan="junction", seed=3012, per_hour=4200, radars=2, minutes=3.0, warm_up_s=600.0
+    ),
+    "gridlock-3013": Recipe(
+        plan="town", seed=3013, per_hour=9000, radars=("R1", "R3"), warm_up_s=900.0, free=False
+    ),
+    "town-3014": Recipe(
+        plan="town", seed=3014, per_hour=2600, radars=("R2", "R4", "R5"), minutes=3.0,
+        warm_up_s=420.0,
+    ),
 }  # fmt: skip
 """Scenes that `make bench-vehicles` leaves out: for what a change or a part earns."""
 

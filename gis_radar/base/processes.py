@@ -115,7 +115,9 @@ def run_child(
                 waiting(time.monotonic() - start)
     finally:
         child.kill()  # does nothing where it has ended
-        child.wait()
+        # an interrupt within the wait may have left a lock taken, on which this one hangs for ever
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(_GONE_S)
 
 
 class _StopSignal(threading.Event):
