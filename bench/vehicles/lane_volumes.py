@@ -28,7 +28,8 @@ from gis_radar.dataset import LaneTraffic
 from gis_radar.measures import LaneNetwork
 
 WITHIN_M = 100.0  # of a radar, for which accuracy is stated
-LEAST_SHARE = 0.2
+LEAST_SHARE = 0.2  # of a minute, for which a lane is visible
+WHOLE_SHARE = 0.95  # the same, of minutes that are compared whole
 QUEUE_M = 7.5  # of the target for the back of a queue: a vehicle and its gap
 SIGNAL_S, CYCLE_S = 60.0, 2.0  # cycle of simulated signals, and how far off one that is told may be
 SLOW, SLOW_STEPS, JOINED_M, OVER_M = 5.0 / 3.6, 20, 10.0, 2.0  # the definitions of a queue
@@ -56,16 +57,13 @@ def main() -> None:
 
 def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
     """Return what lanes and turns are off, over all minutes that are visible."""
-    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
-    network = traffic.network
+    network = network_of(dataset)
     true = true_crossings(site, network)
     near = network.lane[near_lines(site, network)]
-    lanes = dataset.traffic("1min")
-    lanes = lanes[lanes["lane"].isin(near) & (lanes["visible_share"] >= LEAST_SHARE)]
-    lanes = lanes.join(by_minute(true, ["lane"]), on=["lane", "begin"])
-    count, speed = lanes["true"].fillna(0.0), lanes["true_speed"]
+    lanes = minutes(dataset, near, true)
+    count, speed = lanes["true"], lanes["true_speed"]
     # what passed while nothing of the minute was recorded belongs to no estimate of it
-    whole = lanes["visible_share"] > 0.95
+    whole = lanes["visible_share"] > WHOLE_SHARE
     error = (lanes["volume"] - count)[whole]
     spread = lanes["volume_se"][whole]
     by_lane = lanes[whole].assign(true=count[whole]).groupby("lane")[["volume", "true"]].sum()
@@ -73,13 +71,13 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
     both = whole & (lanes["counted"] > 0) & (count > 0)
     faster = lanes["speed_time_mean_kmh"][both] - 3.6 * speed[both]
     turns = dataset.turns("1min")
-    turns = turns[turns["from_lane"].isin(near) & (turns["visible_share"] > 0.95)]
+    turns = turns[turns["from_lane"].isin(near) & (turns["visible_share"] > WHOLE_SHARE)]
     turns = turns.dropna(subset="volume").join(
         by_minute(true[true["to_lane"] >= 0], ["lane", "to_lane"]),
         on=["from_lane", "to_lane", "begin"],
     )
     queues = dataset.queues("1min")
-    queues = queues[queues["lane"].isin(near) & (queues["visible_share"] > 0.95)]
+    queues = queues[queues["lane"].isin(near) & (queues["visible_share"] > WHOLE_SHARE)]
     backs = true_backs(site, network)
     keys = zip(queues["lane"], queues["begin"].dt.tz_convert("UTC"), strict=True)
     true_m = np.array([backs.get(key, 0.0) for key in keys])
@@ -103,6 +101,20 @@ def score(site: SceneFiles, dataset: gr.Dataset) -> dict[str, str]:
         "turns": f"{len(sums)}",
         "turns_off": f"{turns_off / sums['true'].sum():.1%}" if len(sums) else "none",
     }
+
+
+def network_of(dataset: gr.Dataset) -> LaneNetwork:
+    """Return the lanes of a dataset."""
+    traffic = LaneTraffic(folder=dataset.folder, fingerprint=dataset.manifest.fingerprint)
+    return traffic.network
+
+
+def minutes(dataset: gr.Dataset, lane: Integers, true: pd.DataFrame) -> pd.DataFrame:
+    """Return some lanes by minute as the dataset measures them, and `true` and `true_speed`."""
+    lanes = dataset.traffic("1min")
+    lanes = lanes[lanes["lane"].isin(lane) & (lanes["visible_share"] >= LEAST_SHARE)]
+    lanes = lanes.join(by_minute(true, ["lane"]), on=["lane", "begin"])
+    return pd.DataFrame(lanes.fillna({"true": 0.0}))
 
 
 def _queues(short: Floats) -> str:
