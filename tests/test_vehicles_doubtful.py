@@ -7,16 +7,17 @@ import pandas as pd
 import pytest
 from test_vehicles_evidence import detections_at, driven, road_of, setting_off
 
-from gis_radar.tracking import are_persons, track_management
+from gis_radar.tracking import are_persons
 from gis_radar.tracking.batches import pose_warnings
-from gis_radar.tracking.bodies import is_person, without_faint_ends
-from gis_radar.tracking.detectability import Detectability, Occluders
 from gis_radar.tracking.motion import fit_motion
-from gis_radar.tracking.passes import Passes
-from gis_radar.tracking.resting import rate_without
-from gis_radar.tracking.stationary import StationaryTarget, heard_parts
-from gis_radar.tracking.strips import Strips
-from gis_radar.tracking.track_management import split_at_drives
+from gis_radar.tracking.start import track_management
+from gis_radar.tracking.start.bodies import is_person, without_faint_ends
+from gis_radar.tracking.start.detectability import Detectability, Occluders
+from gis_radar.tracking.start.passes import Passes
+from gis_radar.tracking.start.resting import rate_without
+from gis_radar.tracking.start.stationary import StationaryTarget, heard_parts
+from gis_radar.tracking.start.strips import Strips
+from gis_radar.tracking.start.track_management import split_at_drives
 
 RATE = 20
 

@@ -8,17 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gis_radar.hdmap import LaneGraph
-from gis_radar.tracking import MOVING_MPS, ForwardFilter, MapDetections, stationary, still_rate
-from gis_radar.tracking.detectability import Detectability, Occluders
-from gis_radar.tracking.links import Part, chains
+from gis_radar.tracking import MOVING_MPS, ForwardFilter, MapDetections, still_rate
 from gis_radar.tracking.motion import Motion, fit_motion
-from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
-from gis_radar.tracking.resting import rate_without, unbroken, with_rest
 from gis_radar.tracking.size import size_of
-from gis_radar.tracking.stationary import not_built
-from gis_radar.tracking.strips import Strips
-from gis_radar.tracking.tall import one_tall_odds, tall_odds
+from gis_radar.tracking.start import stationary
+from gis_radar.tracking.start.detectability import Detectability, Occluders
+from gis_radar.tracking.start.links import Part, chains
+from gis_radar.tracking.start.passes import Passes
+from gis_radar.tracking.start.resting import rate_without, unbroken, with_rest
+from gis_radar.tracking.start.stationary import not_built
+from gis_radar.tracking.start.strips import Strips
+from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
 BEGIN = 1_700_000_000.0
 RATE = 20

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 import gis_radar as gr
 from gis_radar.hdmap import lane_graph
 from gis_radar.tracking import ForwardFilter, MapDetections
-from gis_radar.tracking.bodies import join_directions
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.motion import fit_motion, without_way_back
 from gis_radar.tracking.paths import Path, path_through
-from gis_radar.tracking.stationary import CELL_M, pack
-from gis_radar.tracking.strips import Strips
+from gis_radar.tracking.start.bodies import join_directions
+from gis_radar.tracking.start.stationary import CELL_M, pack
+from gis_radar.tracking.start.strips import Strips
 from gis_radar.tracking.tracker import vehicles_in
 
 

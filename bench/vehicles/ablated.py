@@ -10,14 +10,15 @@ from unittest.mock import patch
 
 import numpy as np
 
-from gis_radar.tracking import bodies, motion, passes, track_management
-from gis_radar.tracking import detectability as due
+from gis_radar.tracking import motion
 from gis_radar.tracking import posterior as posterior_module
 from gis_radar.tracking import tracker as tracker_module
 from gis_radar.tracking.posterior import cuts, ends, neighbours, sizes
 from gis_radar.tracking.posterior import estimate as estimate_module
 from gis_radar.tracking.posterior.background import Background
 from gis_radar.tracking.size import Size
+from gis_radar.tracking.start import bodies, passes, track_management
+from gis_radar.tracking.start import detectability as due
 
 # what they import counts as theirs here
 moves: Any = posterior_module

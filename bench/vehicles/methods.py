@@ -64,7 +64,7 @@ def with_constants(site: SceneFiles, values: Mapping[str, Any]) -> Figures:
     site : SceneFiles
         A scene.
     values : mapping
-        By module and name, such as ``links.END_COST``, also in each module that imports it.
+        By module and name, such as ``start.links.END_COST``, also in each module that imports it.
         Compiled code takes them when it is first called: one process a set of values.
     """
     with tempfile.TemporaryDirectory() as folder, ExitStack() as changed:

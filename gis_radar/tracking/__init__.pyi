@@ -1,6 +1,5 @@
 from . import columns
 from .batches import warn_of_poses
-from .bodies import are_persons, usual_rcs
 from .detections import (
     HEIGHT_RAD,
     HIGH_M,
@@ -13,11 +12,12 @@ from .detections import (
     still_rate,
 )
 from .footprints import Footprints, PathBook, footprints_of
-from .forward import STAND_S, ForwardFilter
 from .hour_blocks import MARGIN_STEPS
 from .hour_vehicles import HourVehicles, vehicles_of_hour
 from .map_check import map_of_tiles
 from .passages import HEAVY
+from .start.bodies import are_persons, usual_rcs
+from .start.forward import STAND_S, ForwardFilter
 
 __all__ = [
     "HEAVY",

@@ -6,8 +6,11 @@ import numpy as np
 
 from gis_radar.base import Floats, Integers, give_back_memory
 from gis_radar.hdmap import LaneGraph
-from gis_radar.tracking.births import BIRTHS
-from gis_radar.tracking.bodies import (
+from gis_radar.tracking.detections import MOVING_MPS, MapDetections
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.posterior import improve
+from gis_radar.tracking.start.births import BIRTHS
+from gis_radar.tracking.start.bodies import (
     LEAST_ROWS,
     absorb,
     is_person,
@@ -16,11 +19,8 @@ from gis_radar.tracking.bodies import (
     rows_by_number,
     without_faint_ends,
 )
-from gis_radar.tracking.detections import MOVING_MPS, MapDetections
-from gis_radar.tracking.forward import follow_both_ways
-from gis_radar.tracking.motion import Motion
-from gis_radar.tracking.posterior import improve
-from gis_radar.tracking.track_management import complete_tracks
+from gis_radar.tracking.start.forward import follow_both_ways
+from gis_radar.tracking.start.track_management import complete_tracks
 
 
 def vehicles_in(detections: MapDetections, graph: LaneGraph) -> list[Motion]:

@@ -21,8 +21,8 @@ from gis_radar.base import Booleans, Floats, Integers, compiled
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
-from gis_radar.tracking.passes import CELLS, TWO_CELLS_M, Passes
 from gis_radar.tracking.size import LONGEST_M, length_prior
+from gis_radar.tracking.start.passes import CELLS, TWO_CELLS_M, Passes
 
 FRONT, REAR, SIDE = range(3)  # part of a vehicle that a sensor sees
 SQUARE_COS = 0.5  # least cosine of the aspect at which an end is seen: 60 degrees

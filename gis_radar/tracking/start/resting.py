@@ -6,12 +6,12 @@ import numpy as np
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.tracking.columns import NONE
-from gis_radar.tracking.detectability import Detectability
 from gis_radar.tracking.detections import AZIMUTH_RAD, MapDetections
-from gis_radar.tracking.forward import STANDING_MPS
 from gis_radar.tracking.motion import Motion, fit_motion
-from gis_radar.tracking.passes import Passes
-from gis_radar.tracking.stationary import RATE_SHARE, SILENCE_S
+from gis_radar.tracking.start.detectability import Detectability
+from gis_radar.tracking.start.forward import STANDING_MPS
+from gis_radar.tracking.start.passes import Passes
+from gis_radar.tracking.start.stationary import RATE_SHARE, SILENCE_S
 
 END_M = 1.0  # largest error of an end of a vehicle
 LEFT_M = 1.1  # half the width of a vehicle with the error of its place

@@ -16,7 +16,6 @@ import numpy as np
 
 from gis_radar.base import Floats, Integers, compiled, turned
 from gis_radar.hdmap import FieldArrays, LaneGraph, lanes_at
-from gis_radar.tracking.births import BIRTH_S, LEAST_COS, begin
 from gis_radar.tracking.columns import (  # fmt: skip
     ALIVE,
     ALONG_LANE,
@@ -54,6 +53,7 @@ from gis_radar.tracking.columns import (  # fmt: skip
 )
 from gis_radar.tracking.detections import AZIMUTH_RAD, MOVING_MPS, MapDetections
 from gis_radar.tracking.size import LONGEST_M
+from gis_radar.tracking.start.births import BIRTH_S, LEAST_COS, begin
 
 CAPACITY = 1024  # most vehicles at a time
 WAITING = 2048  # most detections at a time that no vehicle claims

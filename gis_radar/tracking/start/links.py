@@ -14,10 +14,10 @@ from scipy.optimize import linear_sum_assignment
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.tracking.columns import NONE
-from gis_radar.tracking.detectability import SILENT_S, Detectability
 from gis_radar.tracking.motion import Motion
-from gis_radar.tracking.passes import Passes
-from gis_radar.tracking.stationary import StationaryTarget
+from gis_radar.tracking.start.detectability import SILENT_S, Detectability
+from gis_radar.tracking.start.passes import Passes
+from gis_radar.tracking.start.stationary import StationaryTarget
 
 END_STEPS = 10  # steps over which the speed at an end is taken: half a second
 MOST_DUE = 60.0  # expected detections; if none of as many is observed, no vehicle is there

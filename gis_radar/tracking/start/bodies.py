@@ -16,7 +16,7 @@ from gis_radar.base import Booleans, Floats, Integers, nearest
 from gis_radar.tracking.columns import NONE
 from gis_radar.tracking.detections import MOVING_MPS, MapDetections
 from gis_radar.tracking.motion import Motion, fit_motion
-from gis_radar.tracking.tall import one_tall_odds, tall_odds
+from gis_radar.tracking.start.tall import one_tall_odds, tall_odds
 
 LEAST_SPREAD_M = 0.1  # two detections of one scatterer
 UNKNOWN_SIZE = -1.0  # log odds of a person of unknown size: on lanes persons are fewer

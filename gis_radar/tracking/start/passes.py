@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from gis_radar.base import STEPS_PER_SECOND, Floats, nearest
 from gis_radar.tracking.detections import MapDetections
 from gis_radar.tracking.motion import Motion
-from gis_radar.tracking.strips import Strips
+from gis_radar.tracking.start.strips import Strips
 
 CELLS = 100_000  # most cells of a strip, more than the longest has
 TWO_CELLS_M = 0.5  # length of two cells, whose size is that of the cells in `stationary`

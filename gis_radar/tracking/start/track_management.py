@@ -13,22 +13,22 @@ import numpy as np
 
 from gis_radar.base import STEPS_PER_SECOND, Booleans, Floats, Integers
 from gis_radar.hdmap import LaneGraph
-from gis_radar.tracking.bodies import LEAST_ROWS
-from gis_radar.tracking.detectability import SILENT_S, Detectability, Occluders
 from gis_radar.tracking.detections import MOVING_MPS, MapDetections
-from gis_radar.tracking.links import Part, chains
 from gis_radar.tracking.motion import Motion, fit_motion
-from gis_radar.tracking.passes import Passes
 from gis_radar.tracking.paths import Path
-from gis_radar.tracking.resting import AWAY_M, with_rest
 from gis_radar.tracking.size import LONG_M, width_of
-from gis_radar.tracking.stationary import (
+from gis_radar.tracking.start.bodies import LEAST_ROWS
+from gis_radar.tracking.start.detectability import SILENT_S, Detectability, Occluders
+from gis_radar.tracking.start.links import Part, chains
+from gis_radar.tracking.start.passes import Passes
+from gis_radar.tracking.start.resting import AWAY_M, with_rest
+from gis_radar.tracking.start.stationary import (
     SILENCE_S,
     StationaryTarget,
     find_stationary,
     not_built,
 )
-from gis_radar.tracking.strips import Strips
+from gis_radar.tracking.start.strips import Strips
 
 APART_S = 1.0  # least time between two vehicles at one place
 # Least moving detections and least distance of a vehicle; otherwise its detections are false.
