@@ -2,7 +2,7 @@
 
     python bench/vehicles                                        all methods, development scenes
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
-    python bench/vehicles --scene town --set start.links.END_COST=0    with true poses, constants changed
+    python bench/vehicles --scene town --set start.links.END_COST=0    with changed constants
     python bench/vehicles --scene town --score-only dataset/     a dataset, or a table
     python bench/vehicles --into docs/accuracy.md                its tables, from what is kept
 
