@@ -31,9 +31,10 @@ from gis_radar.calibration.adjustment import (
     STRETCH_SIGMA_M,
     Correspondences,
     adjust,
+    plane_covariance,
     shared_covariance,
+    stated_covariance,
 )
-from gis_radar.calibration.certainty import plane_covariance, stated_covariance
 from gis_radar.calibration.correspondences import HALF_LENGTH_M, Moments, assign, compare_moments
 from gis_radar.calibration.joint import common_time, locate_all
 from gis_radar.calibration.moving import Span, best_end, read_span

@@ -15,16 +15,20 @@ from gis_radar.calibration.adjustment import (
     Adjusted,
     Correspondences,
     adjust,
+    moved,
+    plane_covariance,
     shared_covariance,
     sum_correspondences,
+    with_gain,
 )
-from gis_radar.calibration.certainty import Names, longest_m, moved, plane_covariance, with_gain
+from gis_radar.calibration.certainty import longest_m
 from gis_radar.calibration.clock_offsets import measured_offset
 from gis_radar.calibration.clocks import SensorClock, adjust_network, reached
 from gis_radar.calibration.correspondences import (
     LEAST_PAIRS,
-    PLANE,
+    PLANAR,
     Moments,
+    Names,
     Rows,
     assign,
     compare_moments,
@@ -128,8 +132,8 @@ class _Member:
     station: Station
     tracks: Integers
     choice: int = 0
-    start: Floats = field(default_factory=lambda: np.zeros(PLANE))  # step from its own answer
-    away: Floats = field(default_factory=lambda: np.zeros(PLANE))
+    start: Floats = field(default_factory=lambda: np.zeros(PLANAR))  # step from its own answer
+    away: Floats = field(default_factory=lambda: np.zeros(PLANAR))
     loose: bool = False  # its own answer did not fix the place: correspondences chose the start
     clock: SensorClock = RIGHT  # its assumed clock
     free: bool = False  # its clock is off, and estimated with the poses
@@ -182,7 +186,7 @@ class _Network:
     def choices(self, member: _Member) -> list[Choice]:
         """Return all poses that a sensor may have by itself."""
         return [
-            self.choice(member, i, np.zeros(PLANE), plane_covariance(pose))
+            self.choice(member, i, np.zeros(PLANAR), plane_covariance(pose))
             for i, pose in enumerate(member.station.poses)
         ]
 
@@ -300,7 +304,7 @@ class _Network:
         gates = [self._loose(c) if self.all[n].loose else c
                  for n, c in zip(names, covariances, strict=True)]  # fmt: skip
         within = shared_covariance(gates)
-        result = adjust({}, np.zeros((len(names), PLANE)), covariances)
+        result = adjust({}, np.zeros((len(names), PLANAR)), covariances)
         correspondences: dict[Names, Correspondences] = {}
         for _ in range(PAIRING_ROUNDS):
             at = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
@@ -334,7 +338,7 @@ class _Network:
                 rows = compare_moments(at[one], at[other])
                 if len(rows.tracks) < LEAST_PAIRS:
                     continue
-                own = [*range(PLANE * i, PLANE * i + PLANE), *range(PLANE * j, PLANE * j + PLANE)]
+                own = [PLANAR * k + m for k in (i, j) for m in range(PLANAR)]
                 rows = self._paired(rows, covariance[np.ix_(own, own)])
                 if len(rows.tracks) >= LEAST_PAIRS:
                     correspondences[one, other] = sum_correspondences(rows)
@@ -366,7 +370,7 @@ class _Network:
             pair = names[i], names[j]
             own = np.array([self.all[name].away for name in pair])
             matched = correspondences[pair]
-            gap = matched.gap - matched.slope[:, :, : 2 * PLANE] @ own.ravel()
+            gap = matched.gap - matched.slope[:, :, : 2 * PLANAR] @ own.ravel()
             apart_m = float(np.median(np.hypot(*gap.T)))
             found[pair] = contradiction_text(pair, len(gap), apart_m)
         return found
@@ -458,7 +462,7 @@ class _Network:
         held = {pair: shared[pair] for pair in self._held(correspondences)}
         pairs = {pair: number for pair, number in shared.items() if pair not in held}
         for number, name in enumerate(self.placed):
-            own = slice(PLANE * number, PLANE * number + PLANE)
+            own = slice(PLANAR * number, PLANAR * number + PLANAR)
             mine = {pair: n for pair, n in pairs.items() if name in pair}
             if mine:
                 member = self.all[name]
