@@ -222,11 +222,11 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
 
 def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding | None:
     """Return the finding that data are another sensor's from a moment on, by its surroundings."""
-    seen = excerpt.stays
-    if seen is None or seen.until is None:
+    change = excerpt.scene_change
+    if change is None or change.time is None:
         return None
-    when = iso(seen.until)
-    parts = zip(excerpt.parted(seen.until), ("until {}: {}", "from {} on: {}"), strict=True)
+    when = iso(change.time)
+    parts = zip(excerpt.parted(change.time), ("until {}: {}", "from {} on: {}"), strict=True)
     for part, template in parts:
         if part.vehicles < LEAST_PART:  # too little traffic, as at night, to name a cause
             continue
@@ -236,7 +236,7 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
     evidence = Text(
         "across that moment {:.0%} of what stands around it stays where it was, "
         "across others {:.0%}",
-        seen.share, seen.usual,
+        change.share, change.usual,
     )  # fmt: skip
     return wrong(
         evidence,
@@ -259,7 +259,9 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     bad = since if until.verdict == FITS else until
     if until.verdict == since.verdict or (gain < CHANGED and bad.cause == UNKNOWN_CAUSE):
         return None
-    if excerpt.stays is not None and bad.cause not in OF_RATES:  # place and axes are the same
+    if (
+        excerpt.scene_change is not None and bad.cause not in OF_RATES
+    ):  # place and axes are the same
         return None
     if until.verdict == WRONG:
         return replace(until, cause=Text("until {}: {}", iso(when), until.cause))
