@@ -281,7 +281,7 @@ def _misfit(
     return float((reduced / scale) @ unit @ (reduced / scale))
 
 
-def plane_covariance(pose: Pose) -> Floats:
+def planar_covariance(pose: Pose) -> Floats:
     """Return the covariance of easting, northing (m) and yaw (radians), (3, 3)."""
     return stated_covariance(pose)[np.ix_(PLANE, PLANE)]
 

@@ -393,12 +393,12 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
             turned = replace(pose, yaw=yaw)
             aside = replace(there, yaw=pose.yaw, pitch=pose.pitch, roll=pose.roll)
             for each in (turned, aside, there):
-                rival = moved(pose, each) if axes is Axes.GIVEN else MIRRORED.by(pose, each)
+                rival = other_pose(pose, each) if axes is Axes.GIVEN else MIRRORED.by(pose, each)
                 found.append(replace(rival, fitted=6))
     return found
 
 
-def moved(pose: Pose, there: Pose) -> Rival:
+def other_pose(pose: Pose, there: Pose) -> Rival:
     """Return the explanation that a sensor has the pose `there` instead."""
     off_m, turn = GIVEN.by(pose, there).off(pose)
     to = side(*(there.position - pose.position)[:2])
