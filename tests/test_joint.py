@@ -31,9 +31,10 @@ from gis_radar.calibration.adjustment import (
     STRETCH_SIGMA_M,
     Correspondences,
     adjust,
+    planar_covariance,
     shared_covariance,
+    stated_covariance,
 )
-from gis_radar.calibration.certainty import plane_covariance, stated_covariance
 from gis_radar.calibration.correspondences import HALF_LENGTH_M, Moments, assign, compare_moments
 from gis_radar.calibration.joint import common_time, locate_all
 from gis_radar.calibration.moving import Span, best_end, read_span
@@ -136,7 +137,7 @@ def test_no_sigma_grows_where_the_poses_agree(recordings, true, spread_m):
     for name, pose in mine.items():
         before, after = stated_covariance(pose), stated_covariance(solved.poses[name])
         assert np.linalg.eigvalsh(before - after).min() > -1e-9
-        assert plane_covariance(solved.poses[name])[2, 2] < 0.95 * before[5, 5]
+        assert planar_covariance(solved.poses[name])[2, 2] < 0.95 * before[5, 5]
 
 
 def test_errors_are_as_large_as_stated(recordings, true):
@@ -159,7 +160,7 @@ def test_errors_are_as_large_as_stated(recordings, true):
         solved = matched(recordings, **drawn)
         for name, pose in solved.poses.items():
             error = errors(pose, true[name])[[0, 1, 5]] * [1.0, 1.0, math.radians(1.0)]
-            nees.append(error @ np.linalg.solve(plane_covariance(pose), error))
+            nees.append(error @ np.linalg.solve(planar_covariance(pose), error))
     assert 1.0 < np.mean(nees) < 4.5
 
 

@@ -32,10 +32,10 @@ from gis_radar.calibration.explanations import by_lanes
 from gis_radar.calibration.findings import UNKNOWN_CAUSE
 from gis_radar.calibration.kalman_filter import Measurement
 from gis_radar.calibration.plausibility import judge
-from gis_radar.calibration.range_scale import FEET, YARDS
 from gis_radar.calibration.rivals import GIVEN, MIRRORED, Rival, score
 from gis_radar.calibration.state import State
 from gis_radar.calibration.traces import NONE
+from gis_radar.calibration.unit_mistakes import FEET, YARDS
 from gis_radar.poses import PoseTrack, as_track
 
 SAMPLE = gr.sample_folder()

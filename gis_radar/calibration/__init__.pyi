@@ -17,12 +17,13 @@ from .monitor import LOST_S, Follower, start_estimate, track
 from .network import CLASH_HINT, Solved
 from .plausibility import RecordedSensor, check_plausibility, check_recordings
 from .pose_track import MOVED, Track, track_of
-from .range_scale import RangeScale, measure_range_scale
+from .range_scale import measure_range_scale
 from .result import AmbiguousError, Localization, Problem
 from .rivals import LaneMap
 from .scan_check import check_against_scan, require_scans_near
 from .scan_check_result import ScanCheck
 from .traces import FRAMES, MIN_SPEED_MPS
+from .unit_mistakes import RangeScale
 from .windows import WindowFitter
 
 __all__ = [

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gis_radar.base import Floats, Integers
-from gis_radar.calibration.certainty import cluster_robust
+from gis_radar.base import Floats, Integers, NoAnswerError, Text
+from gis_radar.calibration.certainty import PLANE, cluster_robust, is_fixed, stated
 from gis_radar.calibration.correspondences import (
     FACES,
-    PLANE,
+    PLANAR,
     SHARE,
+    Names,
     Rows,
     effects,
     mean_gaps,
     stretches,
 )
 from gis_radar.calibration.solver import at_most
+from gis_radar.poses import COMPONENTS, Pose
 
 HALF_LENGTH_SIGMA_M = 0.25  # 1 sigma of the mean half length of vehicles
 HALF_WIDTH_SIGMA_M = 0.1  # 1 sigma of their mean half width
@@ -34,7 +36,7 @@ FREE_CLOCK_S = 1.0
 FREEDOM_T = 4.0
 
 STEPS = 8  # of weights and poses in turn; they settle after three or four
-OWN = 2 * PLANE  # unknowns of a pair's poses
+OWN = 2 * PLANAR  # unknowns of a pair's poses
 SHARED = OWN + FACES + 2  # these with the constants of the faces and both clocks: eleven
 Edge = tuple[int, int]
 
@@ -182,11 +184,11 @@ def adjust(
     """
     n = len(covariances)
     clocks = [CLOCK_S] * n if clocks_s is None else list(clocks_s)
-    prior = np.zeros((PLANE * n + FACES + n, PLANE * n + FACES + n))
+    prior = np.zeros((PLANAR * n + FACES + n, PLANAR * n + FACES + n))
     single = shared_covariance(covariances)
-    prior[: PLANE * n, : PLANE * n] = np.linalg.inv(single)
+    prior[: PLANAR * n, : PLANAR * n] = np.linalg.inv(single)
     nuisance = _nuisance(clocks)
-    prior[PLANE * n :, PLANE * n :] = np.diag(nuisance)
+    prior[PLANAR * n :, PLANAR * n :] = np.diag(nuisance)
     start = np.concatenate([away.ravel(), np.zeros(FACES + n)])
     step = np.zeros(len(prior))
     for _ in range(STEPS):
@@ -206,18 +208,18 @@ def adjust(
         step = step - np.linalg.solve(information, clusters.sum(axis=0) + prior @ (start + step))
     inverse = np.asarray(np.linalg.inv(information))
     if len(clusters):
-        inverse = cluster_robust(inverse, clusters, prior, unknowns=PLANE)
-    covariance = inverse[: PLANE * n, : PLANE * n]
+        inverse = cluster_robust(inverse, clusters, prior, unknowns=PLANAR)
+    covariance = inverse[: PLANAR * n, : PLANAR * n]
     misfit = {
         edge: _misfit(matched, weights[edge], away[list(edge)], [covariances[i] for i in edge],
                       _nuisance([clocks[i] for i in edge]))
         for edge, matched in correspondences.items()
     }  # fmt: skip
     return Adjusted(
-        step=step[: PLANE * n].reshape(n, PLANE),
+        step=step[: PLANAR * n].reshape(n, PLANAR),
         covariance=at_most(covariance, single),
-        clocks_s=step[PLANE * n + FACES :],
-        clock_covariance=inverse[PLANE * n + FACES :, PLANE * n + FACES :],
+        clocks_s=step[PLANAR * n + FACES :],
+        clock_covariance=inverse[PLANAR * n + FACES :, PLANAR * n + FACES :],
         misfit=misfit,
     )
 
@@ -232,11 +234,11 @@ def shared_covariance(covariances: Sequence[Floats]) -> Floats:
     n = len(covariances)
     given = [np.linalg.inv(each)[:2, :2] for each in covariances]
     common = np.linalg.inv(np.sum(given, axis=0)) if n > 1 else np.zeros((2, 2))
-    whole = np.zeros((n, PLANE, n, PLANE))
+    whole = np.zeros((n, PLANAR, n, PLANAR))
     whole[:, :2, :, :2] = common[None, :, None, :]
     for i, each in enumerate(covariances):
         whole[i, :, i] = each
-    return whole.reshape(n * PLANE, n * PLANE)
+    return whole.reshape(n * PLANAR, n * PLANAR)
 
 
 def _nuisance(clocks_s: Sequence[float]) -> Floats:
@@ -247,9 +249,9 @@ def _nuisance(clocks_s: Sequence[float]) -> Floats:
 
 def _index(edge: Edge, n: int) -> list[int]:
     """Return the indices of the eleven unknowns of a pair of sensors."""
-    one, other = (list(range(PLANE * i, PLANE * i + PLANE)) for i in edge)
-    after = PLANE * n + FACES
-    return [*one, *other, *range(PLANE * n, after), after + edge[0], after + edge[1]]
+    one, other = (list(range(PLANAR * i, PLANAR * i + PLANAR)) for i in edge)
+    after = PLANAR * n + FACES
+    return [*one, *other, *range(PLANAR * n, after), after + edge[0], after + edge[1]]
 
 
 def _weights(matched: Correspondences, step: Floats) -> Floats:
@@ -272,8 +274,74 @@ def _misfit(
     reduced = gradient[:OWN] - gain @ gradient[OWN:]
     known = information[:OWN, :OWN] - gain @ information[OWN:, :OWN]
     both = np.zeros((OWN, OWN))
-    both[:PLANE, :PLANE], both[PLANE:, PLANE:] = covariances
+    both[:PLANAR, :PLANAR], both[PLANAR:, PLANAR:] = covariances
     scatter = known + known @ both @ known
     scale = np.sqrt(np.maximum(np.diag(scatter), 1e-12))
     unit = np.linalg.pinv(scatter / np.outer(scale, scale), rcond=1e-6, hermitian=True)
     return float((reduced / scale) @ unit @ (reduced / scale))
+
+
+def planar_covariance(pose: Pose) -> Floats:
+    """Return the covariance of easting, northing (m) and yaw (radians), (3, 3)."""
+    return stated_covariance(pose)[np.ix_(PLANE, PLANE)]
+
+
+def stated_covariance(pose: Pose) -> Floats:
+    """Return the (6, 6) covariance that a pose states.
+
+    Raises
+    ------
+    NoAnswerError
+        If it states none.
+    """
+    covariance = pose.parsed_evidence().covariance
+    if covariance is None:
+        raise NoAnswerError(
+            "{}: its pose states no covariance",
+            pose.sensor,
+            hint=Text("localize it with {} lane", "--method"),
+        )
+    return covariance
+
+
+def moved(pose: Pose, step: Floats) -> Pose:
+    """Move a pose by easting, northing (m), yaw (rad); the rest follows by its covariance."""
+    covariance = stated_covariance(pose)
+    known = covariance[np.ix_(PLANE, PLANE)]
+    whole = covariance[:, PLANE] @ np.linalg.solve(known, step)
+    whole[PLANE] = step
+    east, north, up, roll, pitch, yaw = (float(v) for v in whole)
+    turned = pose.yaw + math.degrees(yaw)
+    return replace(
+        pose,
+        easting=pose.easting + east,
+        northing=pose.northing + north,
+        height=pose.height + up,
+        roll=pose.roll + math.degrees(roll),
+        pitch=pose.pitch + math.degrees(pitch),
+        yaw=(turned + 180.0) % 360.0 - 180.0,
+    )
+
+
+def with_gain(pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int]) -> Pose:
+    """Return a pose with a new covariance in the plane, and the evidence of what it gained."""
+    before = stated_covariance(pose)
+    known = before[np.ix_(PLANE, PLANE)]
+    share = before[:, PLANE] @ np.linalg.inv(known)
+    after = before + share @ (plane - known) @ share.T
+    after = (after + after.T) / 2.0
+    old, new = (stated(each) for each in (before, after))
+    others = sorted({each for pair in pairs for each in pair} - {name})
+    gained = {
+        COMPONENTS[i]: {
+            when: each["sigma"][COMPONENTS[i]] for when, each in (("before", old), ("after", new))
+        }
+        for i in PLANE
+    }
+    evidence = {
+        **pose.evidence,
+        **new,
+        "observable": is_fixed(after),
+        "together": {"sensors": others, "pairs": sum(pairs.values()), "gained": gained},
+    }
+    return replace(pose, evidence=evidence)

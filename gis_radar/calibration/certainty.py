@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from gis_radar.base import Floats, NoAnswerError, Text
+from gis_radar.base import Floats
 from gis_radar.calibration.lanes import Scene
 from gis_radar.calibration.model import Model
 from gis_radar.calibration.solver import Fit, Prior, Rest, Schedule, limited, settle, solve
 from gis_radar.calibration.state import LEVER_M, POSE, SIZE, State
 from gis_radar.calibration.traces import Samples
-from gis_radar.poses import COMPONENTS, Pose
+from gis_radar.poses import COMPONENTS
 
 # 1 sigma of the map's place, to the east and to the north: maps and tracks recorded independently
 # lay 0.3 to 0.5 m off each other.
@@ -39,7 +38,6 @@ LOOK_GAIN = 1.0  # least gain in cost of a better optimum: one sigma costs 0.5
 PLACE = [0, 1]  # of the state: easting, northing
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
 UNITS = np.repeat([1.0, math.degrees(1.0)], 3)  # of a pose file's sigmas: metres, degrees
-Names = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,72 +357,6 @@ def stated(covariance: Floats) -> dict[str, Any]:
     return {"sigma": named, "covariance": covariance.tolist()}
 
 
-def plane_covariance(pose: Pose) -> Floats:
-    """Return the covariance of easting, northing (m) and yaw (radians), (3, 3)."""
-    return stated_covariance(pose)[np.ix_(PLANE, PLANE)]
-
-
-def stated_covariance(pose: Pose) -> Floats:
-    """Return the (6, 6) covariance that a pose states.
-
-    Raises
-    ------
-    NoAnswerError
-        If it states none.
-    """
-    covariance = pose.parsed_evidence().covariance
-    if covariance is None:
-        raise NoAnswerError(
-            "{}: its pose states no covariance",
-            pose.sensor,
-            hint=Text("localize it with {} lane", "--method"),
-        )
-    return covariance
-
-
 def longest_m(covariance: Floats) -> float:
     """Return the standard deviation, metres, along the worst-known direction in the plane."""
     return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-
-
-def moved(pose: Pose, step: Floats) -> Pose:
-    """Move a pose by easting, northing (m), yaw (rad); the rest follows by its covariance."""
-    covariance = stated_covariance(pose)
-    known = covariance[np.ix_(PLANE, PLANE)]
-    whole = covariance[:, PLANE] @ np.linalg.solve(known, step)
-    whole[PLANE] = step
-    east, north, up, roll, pitch, yaw = (float(v) for v in whole)
-    turned = pose.yaw + math.degrees(yaw)
-    return replace(
-        pose,
-        easting=pose.easting + east,
-        northing=pose.northing + north,
-        height=pose.height + up,
-        roll=pose.roll + math.degrees(roll),
-        pitch=pose.pitch + math.degrees(pitch),
-        yaw=(turned + 180.0) % 360.0 - 180.0,
-    )
-
-
-def with_gain(pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int]) -> Pose:
-    """Return a pose with a new covariance in the plane, and the evidence of what it gained."""
-    before = stated_covariance(pose)
-    known = before[np.ix_(PLANE, PLANE)]
-    share = before[:, PLANE] @ np.linalg.inv(known)
-    after = before + share @ (plane - known) @ share.T
-    after = (after + after.T) / 2.0
-    old, new = (stated(each) for each in (before, after))
-    others = sorted({each for pair in pairs for each in pair} - {name})
-    gained = {
-        COMPONENTS[i]: {
-            when: each["sigma"][COMPONENTS[i]] for when, each in (("before", old), ("after", new))
-        }
-        for i in PLANE
-    }
-    evidence = {
-        **pose.evidence,
-        **new,
-        "observable": is_fixed(after),
-        "together": {"sensors": others, "pairs": sum(pairs.values()), "gained": gained},
-    }
-    return replace(pose, evidence=evidence)

@@ -48,7 +48,8 @@ MEMORY_S = 1.0
 SHARE = min(MOMENT_S / MEMORY_S, 1.0)  # weight of a moment among those that share their error
 LEAST_PAIRS = 4  # fewer pairs neither place a sensor nor contradict a pose
 
-PLANE = 3  # number of unknowns of a pose in the plane: easting, northing, yaw
+PLANAR = 3  # number of unknowns of a pose in the plane: easting, northing, yaw
+Names = tuple[str, str]  # of two sensors
 FLAT, FACES = slice(0, 2), 3  # plane; constants: half length, half width, log of the side strength
 
 
@@ -278,7 +279,7 @@ def _rows(
     axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
     half = np.array([HALF_LENGTH_M, MODEL.half_width])
     gap = np.einsum("rij,rj->ri", axes, (one.points[a] - other.points[b])[:, FLAT])
-    poses, constants = np.zeros((len(a), 2, 2 * PLANE)), np.zeros((len(a), 2, FACES))
+    poses, constants = np.zeros((len(a), 2, 2 * PLANAR)), np.zeros((len(a), 2, FACES))
     clocks, bearings = np.zeros((len(a), 2, 2)), np.zeros((len(a), 2, 2))
     variance = np.full((len(a), 2), MOMENT_SIGMA_M**2)
     for k, (seen, at, sign) in enumerate(((one, a, 1.0), (other, b, -1.0))):
@@ -287,8 +288,8 @@ def _rows(
         both, mixed = np.column_stack([ends, sides]), side * (1.0 - side)
         gap += sign * both * half
         turn = np.einsum("rij,rj->ri", axes, np.column_stack([-arm[:, 1], arm[:, 0]]))
-        poses[:, :, PLANE * k : PLANE * k + 2] = sign * axes
-        poses[:, :, PLANE * k + 2] = sign * turn
+        poses[:, :, PLANAR * k : PLANAR * k + 2] = sign * axes
+        poses[:, :, PLANAR * k + 2] = sign * turn
         bearings[:, :, k] = sign * turn
         constants[:, 0, 0] += sign * ends
         constants[:, 1, 1] += sign * sides

@@ -11,7 +11,7 @@ import numpy as np
 from gis_radar.base import Booleans, Floats, Integers, iso_from_step, step_of
 from gis_radar.calibration.clocks import SensorClock
 from gis_radar.calibration.moving import RIGHT, recorded_between
-from gis_radar.calibration.stays import Stays, compare_standing
+from gis_radar.calibration.scene_change import SceneChange, detect_scene_change
 from gis_radar.calibration.traces import (
     CREEPING,
     MIN_SPEED_MPS,
@@ -50,8 +50,8 @@ class Excerpt:
         Index in `poses` of the pose in force at each moving detection.
     frozen : (begin, end, frames) or None
         The longest run of equal frames: its begin and end, UNIX seconds, and number of frames.
-    stays : Stays or None
-        Whether the stationary surroundings of the sensor stay the same.
+    scene_change : SceneChange or None
+        Whether the static surroundings of the sensor change; None where too little stands.
     wild : int
         Number of impossibly fast detections; where it is not 0, no tracks are linked.
     time, points, range_rate : arrays
@@ -68,7 +68,7 @@ class Excerpt:
     track: Integers
     held: Integers
     frozen: tuple[float, float, int] | None
-    stays: Stays | None = None
+    scene_change: SceneChange | None = None
     wild: int
     time: Floats
     points: Floats
@@ -104,16 +104,16 @@ class Excerpt:
         are numbered anew, from 0 without gaps.
         """
         usual, points = self.usual, self.moving.points.copy()
-        stays = np.ones(len(points), dtype=bool)
+        near = np.ones(len(points), dtype=bool)
         for number, pose in enumerate(self.poses):
             mine = self.held == number
             if np.linalg.norm(pose.position - usual.position) > CORRECTED_M:
-                stays[mine] = False
+                near[mine] = False
             elif pose != usual:
                 there = pose.to_map(points[mine]) - usual.position
                 points[mine] = there @ usual.R_map_sensor
-        moving = replace(self.moving, points=points).where(stays)
-        track, on = self.track[stays], self.track[stays] != NONE
+        moving = replace(self.moving, points=points).where(near)
+        track, on = self.track[near], self.track[near] != NONE
         track[on] = np.unique(track[on], return_inverse=True)[1]
         return moving, track
 
@@ -175,7 +175,7 @@ def read_excerpts(
         found = _excerpt(rows, tracks)
         last = PIECE_S * count >= length_s or count >= MOST_PIECES
         if last or found.vehicles >= ENOUGH or found.wild:
-            found = replace(found, stays=_stays(rows, tracks) if tracks else None)
+            found = replace(found, scene_change=_scene_change(rows, tracks) if tracks else None)
             del rows  # the caller may keep this generator for long before asking for more
             yield found
         if last:
@@ -287,15 +287,15 @@ def _in_force(
     return tuple(poses), number
 
 
-def _stays(rows: _Rows, tracks: Sequence[PoseTrack]) -> Stays | None:
-    """Return whether the stationary surroundings stay the same in the map, given the poses."""
+def _scene_change(rows: _Rows, tracks: Sequence[PoseTrack]) -> SceneChange | None:
+    """Return whether the static surroundings change in the map, given the poses."""
     poses, held = _in_force(rows.time, rows.source, tracks)
     places = np.full((len(rows.time), 2), np.nan)
     for number, pose in enumerate(poses):
         mine = held == number
         places[mine] = pose.to_map(np.nan_to_num(rows.points[mine]))[:, :2]
     places[~np.isfinite(rows.points[:, :2]).all(axis=1)] = np.nan
-    return compare_standing(rows.time, places, rows.range_rate)
+    return detect_scene_change(rows.time, places, rows.range_rate)
 
 
 def _frozen(rows: _Rows) -> tuple[float, float, int] | None:

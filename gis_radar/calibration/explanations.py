@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from gis_radar.base import Text
-from gis_radar.calibration.corrections import fits_if
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.findings import (
     FITS,
@@ -17,7 +16,7 @@ from gis_radar.calibration.findings import (
     either,
     wrong,
 )
-from gis_radar.calibration.range_scale import UnitMistake
+from gis_radar.calibration.offsets import fits_if
 from gis_radar.calibration.rivals import (
     AGAINST,
     REFLECTION_M,
@@ -31,6 +30,7 @@ from gis_radar.calibration.rivals import (
     signs_lost,
     ways_to_be_wrong,
 )
+from gis_radar.calibration.unit_mistakes import UnitMistake
 from gis_radar.poses import Pose
 
 FITTING = 0.75  # share of vehicles on lanes from which a pose fits; right ones show 0.85 and more

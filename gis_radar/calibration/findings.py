@@ -1,7 +1,8 @@
-"""Findings of the check of poses and recordings, one for each sensor, and their refusal."""
+"""Findings of the check of poses and recordings, their words, and their refusal."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,11 @@ ONE_PLACE = Text(
 CLOCKS_APART = "its clock and that of {} are apart"
 HEADS = (Text("sensor"), Text("verdict"), Text("evidence"), Text("what to do"))
 RECORD = ("verdict", "evidence", "cause", "advice")
+SIDES = (
+    Text("east"), Text("north-east"), Text("north"), Text("north-west"), Text("west"),
+    Text("south-west"), Text("south"), Text("south-east"),
+)  # fmt: skip
+CLOCKWISE, ANTICLOCKWISE = Text("clockwise"), Text("anticlockwise")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +138,33 @@ def either(mistakes: Iterable[tuple[str, str]]) -> tuple[Text, Text]:
     return cause, Text("; ").join(Text("{}: {}", *each) for each in given)
 
 
+def side(east: float, north: float) -> Text:
+    """Return the side to which a step in the plane leads, of eight.
+
+    Parameters
+    ----------
+    east, north : float
+        The step.
+
+    Examples
+    --------
+    >>> side(-2.0, 1.9)
+    'north-west'
+    """
+    return SIDES[round(math.degrees(math.atan2(north, east)) / 45.0) % 8]
+
+
+def sense(turn: float) -> Text:
+    """Return the sense of a turn of yaw, seen from above, or of roll, seen from ahead.
+
+    Parameters
+    ----------
+    turn : float
+        The turn, positive as yaw counts.
+    """
+    return CLOCKWISE if turn < 0.0 else ANTICLOCKWISE
+
+
 class ImplausibleError(NoAnswerError):
     """Error of sensors whose poses and recordings do not fit each other or the map.
 
@@ -171,11 +204,11 @@ def refuse_implausible(
         Naming all sensors that do not fit.
     """
     refused = tuple(each for each in findings if each.refused and each.sensor not in accepted)
+    if len(refused) == 1:
+        raise refused[0].refusal
     if refused:
         accept = Text(", ").join(Text("{} {}", "--accept", each.sensor) for each in refused)
         advice = Text("; ").join(Text("{}: {}", each.sensor, each.advice) for each in refused)
-        if len(refused) == 1:
-            advice = Text(refused[0].advice)
         raise ImplausibleError(
             "{}",
             Text("; ").join(each.line for each in refused),

@@ -28,7 +28,7 @@ from gis_radar.base import (
 from gis_radar.calibration.icp import by_icp
 from gis_radar.calibration.lane_method import by_lanes
 from gis_radar.calibration.moving import read_moving
-from gis_radar.calibration.range_scale import NOT_FITTED, measure_range_scale
+from gis_radar.calibration.range_scale import measure_range_scale
 from gis_radar.calibration.result import AmbiguousError, Localization, Problem
 from gis_radar.calibration.scan_check import (
     CLEAR_SIGMAS,
@@ -39,6 +39,7 @@ from gis_radar.calibration.scan_check import (
 )
 from gis_radar.calibration.scan_check_result import CONFIRMS, DOUBTS, ScanCheck
 from gis_radar.calibration.traces import LEAST_FRAMES, Moving
+from gis_radar.calibration.unit_mistakes import NOT_FITTED
 from gis_radar.hdmap import LaneletMap, make_tiles, read_map
 from gis_radar.poses import Pose, View
 from gis_radar.recordings import open_recording

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from gis_radar.base import Text
-from gis_radar.calibration.corrections import fits_if
 from gis_radar.calibration.excerpt import Excerpt
 from gis_radar.calibration.explanations import CLEAR, FOUND_SHARE, likeliest, scored
 from gis_radar.calibration.findings import (
@@ -29,10 +28,9 @@ from gis_radar.calibration.offsets import (
     TOO_FAR,
     Discrepancy,
     discrepancy,
+    fits_if,
     hidden,
 )
-from gis_radar.calibration.pace import PACE, lengthened
-from gis_radar.calibration.range_scale import RangeScale
 from gis_radar.calibration.rivals import (
     SAME_DEG,
     SAME_PLACE_M,
@@ -43,6 +41,7 @@ from gis_radar.calibration.rivals import (
     ways_to_be_wrong,
 )
 from gis_radar.calibration.solver import cost_at
+from gis_radar.calibration.unit_mistakes import LEAST_WRONG, RangeScale, lengthened
 
 HINTED = 1.5  # standard errors from which a scale of range may explain a pose that is off
 OPEN = np.linspace(-2.0, 2.0, 9)  # standard errors from a measured scale of range that are tried
@@ -50,7 +49,7 @@ OPEN = np.linspace(-2.0, 2.0, 9)  # standard errors from a measured scale of ran
 POSE_OFF, MAY_BE_OFF = Text("its pose is off"), Text("its pose may be off")
 
 
-def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, pace: RangeScale | None) -> Finding:
+def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, scale: RangeScale | None) -> Finding:
     """Return how far a pose that nearly fits is off, or whether the traffic would show that.
 
     Ranges may be too long instead where the pose is right with a scale of range within its error.
@@ -63,7 +62,7 @@ def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, pace: RangeScale 
         The map.
     found : Finding
         The finding that most vehicles drive along lanes.
-    pace : RangeScale or None
+    scale : RangeScale or None
         The measured scale of range.
     """
     fitted = fit_pose(excerpt, lanes)
@@ -78,18 +77,18 @@ def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, pace: RangeScale 
     if off is None:
         return _shown(hidden(fitted.pose, seen, fitted.centre), found)
     told = _told(excerpt, lanes, off, found.evidence)
-    if not off.sure or not off.of_place or pace is None:
+    if not off.sure or not off.of_place or scale is None:
         return told
-    scale = _scale_instead(excerpt, lanes, fitted, pace)
-    if scale is None:
+    other = _scale_instead(excerpt, lanes, fitted, scale)
+    if other is None:
         return told
-    both = told, lengthened(replace(pace, factor=scale))
+    both = told, lengthened(replace(scale, factor=other))
     cause, advice = either((each.cause, each.advice) for each in both)
     return replace(told, cause=cause, advice=advice)
 
 
 def _scale_instead(
-    excerpt: Excerpt, lanes: LaneMap, fitted: FittedPose, pace: RangeScale
+    excerpt: Excerpt, lanes: LaneMap, fitted: FittedPose, measured: RangeScale
 ) -> float | None:
     """Return a scale of range within its error with which the given pose fits, if any."""
     few = few_samples(fitted.scene)
@@ -98,11 +97,11 @@ def _scale_instead(
         shorter = replace(few.samples, points=few.samples.points / scale)
         return cost_at(few.of(shorter), fitted.centre, scale_m=LOOK_SCALE_M)
 
-    scales: list[float] = (pace.factor + pace.sigma * OPEN).tolist()
-    likeliest_one = min(scales, key=cost)
-    if abs(likeliest_one - 1.0) <= PACE or not fits_if(excerpt, lanes, Rival(scale=likeliest_one)):
+    scales: list[float] = (measured.factor + measured.sigma * OPEN).tolist()
+    best = min(scales, key=cost)
+    if abs(best - 1.0) <= LEAST_WRONG or not fits_if(excerpt, lanes, Rival(scale=best)):
         return None
-    return likeliest_one
+    return best
 
 
 def _unfitted(found: Finding) -> Finding:
@@ -174,7 +173,7 @@ def _with_name(excerpt: Excerpt, lanes: LaneMap, yaw: float, within: float) -> R
     return near[0] if near else None
 
 
-def lengths_off(excerpt: Excerpt, lanes: LaneMap, pace: RangeScale | None) -> Finding | None:
+def lengths_off(excerpt: Excerpt, lanes: LaneMap, scale: RangeScale | None) -> Finding | None:
     """Return the finding that ranges are too long, where range rates hint at it and lanes agree.
 
     Parameters
@@ -183,12 +182,12 @@ def lengths_off(excerpt: Excerpt, lanes: LaneMap, pace: RangeScale | None) -> Fi
         What moved.
     lanes : LaneMap
         The map.
-    pace : RangeScale or None
+    scale : RangeScale or None
         How far ranges change as range rates state.
     """
-    if pace is None or abs(pace.factor - 1.0) <= max(PACE, HINTED * pace.sigma):
+    if scale is None or abs(scale.factor - 1.0) <= max(LEAST_WRONG, HINTED * scale.sigma):
         return None
-    longer = Rival(scale=pace.factor)
+    longer = Rival(scale=scale.factor)
     if score(excerpt, lanes, longer).ahead_of(score(excerpt, lanes)) <= CLEAR:
         return None
-    return lengthened(pace) if fits_if(excerpt, lanes, longer) else None
+    return lengthened(scale) if fits_if(excerpt, lanes, longer) else None

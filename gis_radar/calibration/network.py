@@ -15,16 +15,20 @@ from gis_radar.calibration.adjustment import (
     Adjusted,
     Correspondences,
     adjust,
+    moved,
+    planar_covariance,
     shared_covariance,
     sum_correspondences,
+    with_gain,
 )
-from gis_radar.calibration.certainty import Names, longest_m, moved, plane_covariance, with_gain
+from gis_radar.calibration.certainty import longest_m
 from gis_radar.calibration.clock_offsets import measured_offset
 from gis_radar.calibration.clocks import SensorClock, adjust_network, reached
 from gis_radar.calibration.correspondences import (
     LEAST_PAIRS,
-    PLANE,
+    PLANAR,
     Moments,
+    Names,
     Rows,
     assign,
     compare_moments,
@@ -128,8 +132,8 @@ class _Member:
     station: Station
     tracks: Integers
     choice: int = 0
-    start: Floats = field(default_factory=lambda: np.zeros(PLANE))  # step from its own answer
-    away: Floats = field(default_factory=lambda: np.zeros(PLANE))
+    start: Floats = field(default_factory=lambda: np.zeros(PLANAR))  # step from its own answer
+    away: Floats = field(default_factory=lambda: np.zeros(PLANAR))
     loose: bool = False  # its own answer did not fix the place: correspondences chose the start
     clock: SensorClock = RIGHT  # its assumed clock
     free: bool = False  # its clock is off, and estimated with the poses
@@ -182,29 +186,29 @@ class _Network:
     def choices(self, member: _Member) -> list[Choice]:
         """Return all poses that a sensor may have by itself."""
         return [
-            self.choice(member, i, np.zeros(PLANE), plane_covariance(pose))
+            self.choice(member, i, np.zeros(PLANAR), planar_covariance(pose))
             for i, pose in enumerate(member.station.poses)
         ]
 
     def place_all(self) -> None:
         """Fix the sensors with a certain pose, compare these, and place the others by them."""
         longest = {
-            name: longest_m(plane_covariance(member.pose))
+            name: longest_m(planar_covariance(member.pose))
             for name, member in self.all.items()
             if len(member.station.poses) == 1
         }
         firm = sorted(longest, key=lambda name: longest[name])
         fixed = [name for name in firm if longest[name] < FIXED_M] or firm[:1]
         for name in fixed:
-            (choice,), _ = self._look(self.all[name])
+            (choice,), _ = self._located(self.all[name])
             for other, at in self.placed.items():
-                self._hold_against(name, choice, other, at)
+                self._compare_certain(name, choice, other, at)
             self.placed[name] = choice
         waiting = [name for name in dict.fromkeys((*firm, *self.all)) if name not in self.placed]
         while any(self._place(name) for name in waiting if name not in self.placed):
             pass  # a sensor that has just been placed may place another
 
-    def _look(self, member: _Member) -> tuple[list[Choice], Placing]:
+    def _located(self, member: _Member) -> tuple[list[Choice], Placing]:
         """Place a sensor relative to those that are placed.
 
         Where its vehicles clearly agree better at another time, its clock is off by that time.
@@ -236,7 +240,7 @@ class _Network:
             return clock if abs(clock.offset_s) > LEAST_LAG_S or clock.drift_ppm else None
         return None
 
-    def _hold_against(self, name: str, choice: Choice, other: str, at: Choice) -> None:
+    def _compare_certain(self, name: str, choice: Choice, other: str, at: Choice) -> None:
         """Record whether two sensors with certain poses agree or contradict each other."""
         found = find_place([choice], {other: at})
         if found.beyond is not None:
@@ -253,7 +257,7 @@ class _Network:
     def _place(self, name: str) -> bool:
         """Place a sensor by those that have a place; return whether it could be."""
         member = self.all[name]
-        choices, found = self._look(member)
+        choices, found = self._located(member)
         if found.beyond is not None:
             most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
             self.clashes[self._pair(most, name)] = clash_text(self._pair(most, name), found.beyond)
@@ -278,7 +282,7 @@ class _Network:
         for (one, other), why in self.clashes.items():
             if self.refused.keys() & {one, other}:
                 continue
-            mine, theirs = len(self._friends(one)), len(self._friends(other))
+            mine, theirs = len(self._confirming(one)), len(self._confirming(other))
             if mine <= theirs:
                 self.refused[one] = why
             if theirs <= mine:
@@ -286,7 +290,7 @@ class _Network:
         left = self.placed.keys() - self.refused.keys()
         self.placed = {name: self.placed[name] for name in self.all if name in left}
 
-    def _friends(self, name: str) -> set[str]:
+    def _confirming(self, name: str) -> set[str]:
         """Return all sensors linked with one by pairs that agree, itself included."""
         good = self.agreeing - self.clashes.keys()
         return set(reached(dict.fromkeys(good, 0.0), name))
@@ -296,11 +300,11 @@ class _Network:
         names = list(self.placed)
         for name in names:
             self.all[name].away = self.all[name].start
-        covariances = [plane_covariance(self.all[name].pose) for name in names]
+        covariances = [planar_covariance(self.all[name].pose) for name in names]
         gates = [self._loose(c) if self.all[n].loose else c
                  for n, c in zip(names, covariances, strict=True)]  # fmt: skip
         within = shared_covariance(gates)
-        result = adjust({}, np.zeros((len(names), PLANE)), covariances)
+        result = adjust({}, np.zeros((len(names), PLANAR)), covariances)
         correspondences: dict[Names, Correspondences] = {}
         for _ in range(PAIRING_ROUNDS):
             at = {n: self.seen(self.all[n], self.all[n].choice, self.all[n].away) for n in names}
@@ -334,7 +338,7 @@ class _Network:
                 rows = compare_moments(at[one], at[other])
                 if len(rows.tracks) < LEAST_PAIRS:
                     continue
-                own = [*range(PLANE * i, PLANE * i + PLANE), *range(PLANE * j, PLANE * j + PLANE)]
+                own = [PLANAR * k + m for k in (i, j) for m in range(PLANAR)]
                 rows = self._paired(rows, covariance[np.ix_(own, own)])
                 if len(rows.tracks) >= LEAST_PAIRS:
                     correspondences[one, other] = sum_correspondences(rows)
@@ -366,7 +370,7 @@ class _Network:
             pair = names[i], names[j]
             own = np.array([self.all[name].away for name in pair])
             matched = correspondences[pair]
-            gap = matched.gap - matched.slope[:, :, : 2 * PLANE] @ own.ravel()
+            gap = matched.gap - matched.slope[:, :, : 2 * PLANAR] @ own.ravel()
             apart_m = float(np.median(np.hypot(*gap.T)))
             found[pair] = contradiction_text(pair, len(gap), apart_m)
         return found
@@ -381,7 +385,7 @@ class _Network:
     def _clock_gap(self, pair: Names, matched: Correspondences) -> tuple[float, bool]:
         """Return how many seconds the second clock is ahead, and whether that is out of bounds."""
         away = np.array([self.all[name].away for name in pair])
-        known = [plane_covariance(self.all[name].pose) for name in pair]
+        known = [planar_covariance(self.all[name].pose) for name in pair]
         free = adjust({(0, 1): matched}, away, known, clocks_s=[FREE_CLOCK_S] * 2)
         ahead_s, sigma_s = free.clock_gap
         most = math.hypot(*[self._clock_s(self.all[name]) for name in pair], sigma_s)
@@ -458,7 +462,7 @@ class _Network:
         held = {pair: shared[pair] for pair in self._held(correspondences)}
         pairs = {pair: number for pair, number in shared.items() if pair not in held}
         for number, name in enumerate(self.placed):
-            own = slice(PLANE * number, PLANE * number + PLANE)
+            own = slice(PLANAR * number, PLANAR * number + PLANAR)
             mine = {pair: n for pair, n in pairs.items() if name in pair}
             if mine:
                 member = self.all[name]

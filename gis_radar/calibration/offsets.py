@@ -1,4 +1,7 @@
-"""How far, and to which side, a given pose is off the one that the traffic shows."""
+"""How far, and to which side, a given pose is off the one that the traffic shows.
+
+A cause of a fault is named only if nothing is off once what it says is corrected (:func:`fits_if`).
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.base import Text
-from gis_radar.calibration.directions import sense, side
-from gis_radar.calibration.fitted_pose import FittedPose, mistakes_apart, single_mistakes
+from gis_radar.calibration.excerpt import Excerpt
+from gis_radar.calibration.findings import sense, side
+from gis_radar.calibration.fitted_pose import (
+    FittedPose,
+    fit_pose,
+    mistakes_apart,
+    single_mistakes,
+)
 from gis_radar.calibration.kalman_filter import Measurement, covariance_of_angles
+from gis_radar.calibration.rivals import LaneMap, Rival
 from gis_radar.calibration.state import State
 from gis_radar.poses import Pose
 
@@ -228,3 +238,45 @@ def turns_of(pose: Pose, seen: Measurement) -> list[tuple[float, float]]:
         (a - getattr(pose, n) + 180.0) % 360.0 - 180.0 for a, n in zip(angles, TURNS, strict=True)
     ]
     return list(zip(turns, sigmas.tolist(), strict=True))
+
+
+def fits_if(excerpt: Excerpt, lanes: LaneMap, mistake: Rival) -> bool:
+    """Return whether the traffic fits pose and map once a mistake is corrected.
+
+    A pose that a search found is only a place from which one is to be found: there the traffic must
+    fit some pose.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        The sensor's traffic.
+    lanes : LaneMap
+        The map.
+    mistake : Rival
+        The mistake.
+    """
+    if mistake.signless:
+        return True  # which sign each range rate had is not known
+    fitted = fit_pose(corrected(excerpt, mistake), lanes)
+    return fitted is not None and (mistake.searched or discrepancy(fitted)[0] is None)
+
+
+def corrected(excerpt: Excerpt, mistake: Rival) -> Excerpt:
+    """Return an excerpt as it would be without a mistake.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        The sensor's traffic.
+    mistake : Rival
+        The mistake.
+    """
+    points, sign = mistake.points, -1.0 if mistake.against else 1.0
+    moving = excerpt.moving
+    return replace(
+        excerpt, points=points(excerpt.points), range_rate=sign * excerpt.range_rate,
+        moving=replace(
+            moving, points=points(moving.points), range_rate=sign * moving.range_rate
+        ),
+        poses=tuple(map(mistake.turned, excerpt.poses)),
+    )  # fmt: skip

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.base import Booleans, Floats, Integers, Text
-from gis_radar.calibration.certainty import Names, z_score
+from gis_radar.calibration.certainty import z_score
 from gis_radar.calibration.correspondences import (
     FARTHEST_M,
     LEAST_PAIRS,
     MOMENT_S,
-    PLANE,
+    PLANAR,
     Moments,
+    Names,
     Rows,
     assign,
     compare_moments,
@@ -248,11 +249,11 @@ class _Score:
             rows = compare_moments(other.seen, choice.seen)
             if not len(rows.tracks):
                 continue
-            covariance = np.zeros((2 * PLANE, 2 * PLANE))
-            covariance[:PLANE, :PLANE] = other.covariance
-            covariance[PLANE:, PLANE:] = loose
+            covariance = np.zeros((2 * PLANAR, 2 * PLANAR))
+            covariance[:PLANAR, :PLANAR] = other.covariance
+            covariance[PLANAR:, PLANAR:] = loose
             gap, known = mean_gaps(rows, covariance)
-            slope = rows.means(rows.poses)[:, :, PLANE:]
+            slope = rows.means(rows.poses)[:, :, PLANAR:]
             self.parts[name] = rows, gap, slope, np.asarray(np.linalg.inv(known))
 
     def best(self, choice: int, steps: Floats) -> list[Shift]:

@@ -30,9 +30,9 @@ from gis_radar.calibration.findings import (
 from gis_radar.calibration.lane_detections import LaneDetections
 from gis_radar.calibration.nearly_right import lengths_off, pose_off
 from gis_radar.calibration.odd_clocks import odd_clocks
-from gis_radar.calibration.pace import is_sure, odd_pace
-from gis_radar.calibration.range_scale import ABSOLUTE, FEET, SIGN, YARDS, measure_range_scale
+from gis_radar.calibration.range_scale import measure_range_scale
 from gis_radar.calibration.rivals import AGAINST, LaneMap, best_split, on_lanes, score, signs_lost
+from gis_radar.calibration.unit_mistakes import ABSOLUTE, FEET, SIGN, YARDS, odd_scale
 from gis_radar.poses import Pose, PoseTrack
 from gis_radar.recordings import Recording
 
@@ -136,7 +136,7 @@ def check_recordings(
     for done, (name, recordings) in enumerate(sorted(sensors.items())):
         reporter.progress(STAGE, done, len(sensors))
         excerpt = next(read_excerpts(recordings))
-        odd = _odd_recording(excerpt) or odd_pace(measure_range_scale(excerpt.moving))
+        odd = _odd_recording(excerpt) or odd_scale(measure_range_scale(excerpt.moving))
         odd = odd or _too_little(excerpt)
         found += [replace(odd, sensor=name)] if odd is not None else []
     reporter.progress(STAGE, len(sensors), len(sensors))
@@ -174,22 +174,23 @@ def judge(
 
 
 def _judged(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding:
-    pace = None if excerpt.wild else measure_range_scale(excerpt.moving)
-    found = _odd_recording(excerpt) or odd_pace(pace) or _replaced(excerpt, lanes, others)
+    scale = None if excerpt.wild else measure_range_scale(excerpt.moving)
+    is_known = scale is not None and scale.known
+    found = _odd_recording(excerpt) or odd_scale(scale) or _replaced(excerpt, lanes, others)
     found = found or _too_little(excerpt) or _changed(excerpt, lanes, others)
-    units = () if is_sure(pace) else (FEET, YARDS)
+    units = () if is_known else (FEET, YARDS)
     found = found or by_lanes(excerpt, lanes, others, units)
     if found.verdict == FITS:
-        found = lengths_off(excerpt, lanes, pace) or pose_off(excerpt, lanes, found, pace)
+        found = lengths_off(excerpt, lanes, scale) or pose_off(excerpt, lanes, found, scale)
     other = None
-    if found.cause == AGAINST.cause and not is_sure(pace):  # both turn the direction of travel
+    if found.cause == AGAINST.cause and not is_known:  # both turn the direction of travel
         other = SIGN
     if found.cause == SIGN.looks and signs_lost(excerpt):  # where all approach, both are the same
         other = ABSOLUTE
     if other is not None:
         cause, advice = either([(found.cause, found.advice), (other.looks, other.advice)])
         found = replace(found, cause=cause, advice=advice)
-    if found.verdict == FITS and not is_sure(pace):
+    if found.verdict == FITS and not is_known:
         evidence = Text(
             "{}, too few approach or recede to compare ranges with range rates", found.evidence
         )
@@ -221,11 +222,11 @@ def _odd_recording(excerpt: Excerpt) -> Finding | None:
 
 def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Finding | None:
     """Return the finding that data are another sensor's from a moment on, by its surroundings."""
-    seen = excerpt.stays
-    if seen is None or seen.until is None:
+    change = excerpt.scene_change
+    if change is None or change.time is None:
         return None
-    when = iso(seen.until)
-    parts = zip(excerpt.parted(seen.until), ("until {}: {}", "from {} on: {}"), strict=True)
+    when = iso(change.time)
+    parts = zip(excerpt.parted(change.time), ("until {}: {}", "from {} on: {}"), strict=True)
     for part, template in parts:
         if part.vehicles < LEAST_PART:  # too little traffic, as at night, to name a cause
             continue
@@ -235,7 +236,7 @@ def _replaced(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> F
     evidence = Text(
         "across that moment {:.0%} of what stands around it stays where it was, "
         "across others {:.0%}",
-        seen.share, seen.usual,
+        change.share, change.usual,
     )  # fmt: skip
     return wrong(
         evidence,
@@ -258,7 +259,9 @@ def _changed(excerpt: Excerpt, lanes: LaneMap, others: Mapping[str, Pose]) -> Fi
     bad = since if until.verdict == FITS else until
     if until.verdict == since.verdict or (gain < CHANGED and bad.cause == UNKNOWN_CAUSE):
         return None
-    if excerpt.stays is not None and bad.cause not in OF_RATES:  # place and axes are the same
+    if (
+        excerpt.scene_change is not None and bad.cause not in OF_RATES
+    ):  # place and axes are the same
         return None
     if until.verdict == WRONG:
         return replace(until, cause=Text("until {}: {}", iso(when), until.cause))

@@ -1,4 +1,4 @@
-"""Scale of range: how much faster ranges change than the range rates state, with its error.
+"""Measure the scale of range: how much faster ranges change than the range rates state.
 
 With ranges 5 % too long or in yards, range rates in km/h, or signs turned or lost, a found pose may
 look certain, as all traces are scaled alike. But whatever the map and the pose, the range of an
@@ -8,15 +8,14 @@ object changes by the integral of its range rate.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, Text
-from gis_radar.calibration.findings import either
+from gis_radar.base import Booleans, Floats, Integers
 from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
+from gis_radar.calibration.unit_mistakes import SIGMAS, RangeScale
 
 # The search pairs detections so long apart: a vehicle moves farther than the length of a car.
 LAPSE_S = 0.5
@@ -46,156 +45,6 @@ FACES, KNOWN = 0.7, np.diag([0.0, 0.4**-2])
 # 1 sigma of another error that the tracks of all vehicles share: they come into view front first,
 # and near the sensor more of their rear is seen.
 SHARED_M = 0.35
-
-SIGMAS, LEAST_OFF = 3.0, 0.01  # a scale differs from 1 if it does by more than both
-NOT_FITTED = Text("not fitted")  # what a pose's evidence states of a scale in too little traffic
-FOOT_M, YARD_M, MILE_KM, NAUTICAL_MILE_KM, KMH = 0.3048, 0.9144, 1.609344, 1.852, 3.6
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnitMistake:
-    """A usual mistake of units or signs, with its exact factor.
-
-    Parameters
-    ----------
-    looks : str
-        Description of a recording with this mistake.
-    advice : str
-        How to correct it.
-    factor : float
-        How much faster ranges change than the range rates state.
-    of_positions : bool
-        Whether x, y and z are wrong; else the range rates or the times are.
-    """
-
-    looks: str
-    advice: str
-    factor: float
-    of_positions: bool = False
-
-
-FEET = UnitMistake(
-    looks=Text("positions look like feet"), of_positions=True, factor=1.0 / FOOT_M,
-    advice=Text("multiply x, y and z of all detections by {:g}", FOOT_M),
-)  # fmt: skip
-YARDS = UnitMistake(
-    looks=Text("positions look like yards"), of_positions=True, factor=1.0 / YARD_M,
-    advice=Text("multiply x, y and z of all detections by {:g}", YARD_M),
-)  # fmt: skip
-ABSOLUTE = UnitMistake(
-    looks=Text("range rates look like absolute values"), factor=1.0,
-    advice=Text("range_rate is positive when receding"),
-)  # fmt: skip
-SIGN = UnitMistake(
-    looks=Text("range rates look positive where targets approach"), factor=-1.0,
-    advice=Text("change the sign of range_rate"),
-)  # fmt: skip
-LIKELY = (
-    FEET,
-    YARDS,
-    UnitMistake(
-        looks=Text("range rates look like km/h"), factor=1.0 / KMH,
-        advice=Text("divide range_rate by {:g}", KMH),
-    ),
-    UnitMistake(
-        looks=Text("range rates look like mph"), factor=MILE_KM / KMH,
-        advice=Text("multiply range_rate by {:g}", MILE_KM / KMH),
-    ),
-    UnitMistake(
-        looks=Text("range rates look like knots"), factor=NAUTICAL_MILE_KM / KMH,
-        advice=Text("multiply range_rate by {:g}", round(NAUTICAL_MILE_KM / KMH, 6)),
-    ),
-    SIGN,
-    UnitMistake(
-        looks=Text("range rates look halved, or times run half as fast"), factor=2.0,
-        advice=Text("multiply range_rate by {:g}, or time if the clock is off", 2.0),
-    ),
-    UnitMistake(
-        looks=Text("range rates look doubled, or times run twice as fast"), factor=0.5,
-        advice=Text("multiply range_rate by {:g}, or time if the clock is off", 0.5),
-    ),
-)  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class RangeScale:
-    """Scale of range: the factor by which ranges change faster than the range rates state.
-
-    Parameters
-    ----------
-    factor : float
-        Change of range over the integral of range rate: 1 where units and times are right,
-        negative where the sign of the range rates is turned.
-    sigma : float
-        Standard error of the factor.
-    vehicles : int
-        Number of vehicles on which it rests.
-    absolute : bool
-        Whether range rates have lost their sign: positive where targets approach, too.
-    """
-
-    factor: float
-    sigma: float
-    vehicles: int
-    absolute: bool = False
-
-    @property
-    def off(self) -> bool:
-        """Whether the factor differs from 1 by more than three standard errors and 1 %."""
-        return self.absolute or abs(self.factor - 1.0) > max(SIGMAS * self.sigma, LEAST_OFF)
-
-    @property
-    def mistakes(self) -> tuple[UnitMistake, ...]:
-        """The usual mistakes whose factors it may be; of several, any may be the one."""
-        if self.absolute:
-            return (ABSOLUTE,)
-        within = max(SIGMAS * self.sigma, LEAST_OFF * abs(self.factor))
-        return tuple(each for each in LIKELY if abs(self.factor - each.factor) < within)
-
-    @property
-    def likely(self) -> str:
-        """Description of the likely mistakes; empty where it is none of the usual ones."""
-        return Text(" or ").join(each.looks for each in self.mistakes)
-
-    @property
-    def advice(self) -> str:
-        """How to correct each of the likely mistakes; empty where there is none."""
-        return either((each.looks, each.advice) for each in self.mistakes)[1]
-
-    def require_one(self, name: str) -> None:
-        """Refuse a scale that contradicts 1.
-
-        Parameters
-        ----------
-        name : str
-            Name of the recording.
-
-        Raises
-        ------
-        NoAnswerError
-            The text has the factor, its error, and advice.
-        """
-        if not self.off:
-            return
-        stated = Text(
-            "{}: ranges change {:.3f} \u00b1 {:.3f} times as fast as the range rates state "
-            "({} vehicles)",
-            name, self.factor, self.sigma, self.vehicles,
-        )  # fmt: skip
-        raise NoAnswerError(
-            "{}",
-            Text(": ").join([stated, self.likely] if self.likely else [stated]),
-            hint=self.advice
-            or "x, y, z are metres, range_rate is m/s, positive when receding, time is seconds",
-        )
-
-    def evidence(self) -> Mapping[str, float]:
-        """Return the entry of the scale in a pose's evidence."""
-        return {"factor": self.factor, "sigma": self.sigma, "vehicles": self.vehicles}
-
-    def __repr__(self) -> str:
-        lost = ", signs lost" if self.absolute else ""
-        return f"RangeScale({self.factor:.3f} ± {self.sigma:.3f}, {self.vehicles} vehicles{lost})"
 
 
 @dataclass(frozen=True, kw_only=True)

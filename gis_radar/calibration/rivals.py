@@ -12,8 +12,8 @@ import scipy
 
 from gis_radar.base import Booleans, Floats, NoAnswerError, Text, yaw_from_compass
 from gis_radar.calibration.certainty import z_score
-from gis_radar.calibration.directions import sense, side
 from gis_radar.calibration.excerpt import Excerpt
+from gis_radar.calibration.findings import sense, side
 from gis_radar.calibration.hypotheses import find_hypotheses, mirrored
 from gis_radar.calibration.lane_detections import LaneDetections, placed_on_lanes
 from gis_radar.calibration.lanes import (
@@ -24,8 +24,8 @@ from gis_radar.calibration.lanes import (
     sample_lanes,
 )
 from gis_radar.calibration.matches import match_along
-from gis_radar.calibration.range_scale import ABSOLUTE, UnitMistake
 from gis_radar.calibration.traces import thin
+from gis_radar.calibration.unit_mistakes import ABSOLUTE, UnitMistake
 from gis_radar.poses import Pose
 
 # A detection is of a vehicle, anywhere on the width of a lane whose edges are blurred by errors of
@@ -393,12 +393,12 @@ def found_poses(excerpt: Excerpt, lanes: LaneMap) -> list[Rival]:
             turned = replace(pose, yaw=yaw)
             aside = replace(there, yaw=pose.yaw, pitch=pose.pitch, roll=pose.roll)
             for each in (turned, aside, there):
-                rival = moved(pose, each) if axes is Axes.GIVEN else MIRRORED.by(pose, each)
+                rival = other_pose(pose, each) if axes is Axes.GIVEN else MIRRORED.by(pose, each)
                 found.append(replace(rival, fitted=6))
     return found
 
 
-def moved(pose: Pose, there: Pose) -> Rival:
+def other_pose(pose: Pose, there: Pose) -> Rival:
     """Return the explanation that a sensor has the pose `there` instead."""
     off_m, turn = GIVEN.by(pose, there).off(pose)
     to = side(*(there.position - pose.position)[:2])

@@ -1,8 +1,8 @@
-"""Test whether what stands around a sensor stays in its place, or changes at some moment.
+"""Detect a change of the static surroundings of a sensor.
 
-Walls, posts and signs return in second after second at one place, whatever traffic and lanes are.
-So it is noticed, at night, too, if data are another sensor's from some moment on, or if a mast was
-turned without a new pose.
+Walls, posts and signs return second after second at one place, whatever traffic and lanes are. So
+it shows, at night, too, if data are another sensor's from some moment on, or if a mast was turned
+without a new pose.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ STAYS, ALIKE = 0.5, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stays:
-    """Whether what stands around a sensor stays in its place.
+class SceneChange:
+    """A change of the static surroundings of a sensor, or that there is none.
 
     Parameters
     ----------
-    until : float or None
-        UNIX seconds, to ten seconds, from which on nearly nothing stays; None where all stays.
+    time : float or None
+        UNIX seconds, to ten seconds, of the change; None where there is none.
     share : float
-        Share of what stands that also stood before that moment, or at other times.
+        Share of standing cells that are the same before and after, or at different times.
     usual : float
         The same share between times on one side of the moment.
     """
 
-    until: float | None
+    time: float | None
     share: float
     usual: float
 
 
-def compare_standing(time: Floats, places: Floats, range_rate: Floats) -> Stays | None:
-    """Test whether what stands stays in its place; None where too little stands to tell.
+def detect_scene_change(time: Floats, places: Floats, range_rate: Floats) -> SceneChange | None:
+    """Compare the static surroundings at different times; None where too little stands.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def compare_standing(time: Floats, places: Floats, range_rate: Floats) -> Stays 
     if len(part) < 2 * LEAST_PARTS:
         return None
     alike = _shares(stands)
-    best: Stays | None = None
+    best: SceneChange | None = None
     for first in range(LEAST_PARTS, len(part) - LEAST_PARTS + 1):
         for mixed in (0, 1):  # a part may lie on both sides
             begin = first + mixed
@@ -76,8 +76,8 @@ def compare_standing(time: Floats, places: Floats, range_rate: Floats) -> Stays 
             usual = min(_usual(alike[:first, :first]), _usual(alike[begin:, begin:]))
             if usual >= ALIKE and share < min(STAYS * usual, best.share if best else 1.0):
                 moment = float(part[first]) * PART_S + float(time[still[0]])
-                best = Stays(until=moment, share=share, usual=usual)
-    return best or Stays(until=None, share=_usual(alike), usual=_usual(alike))
+                best = SceneChange(time=moment, share=share, usual=usual)
+    return best or SceneChange(time=None, share=_usual(alike), usual=_usual(alike))
 
 
 def _standing(time: Floats, places: Floats) -> tuple[Integers, Booleans]:
