@@ -35,18 +35,19 @@ from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
 from gis_radar.base import Floats
-from gis_radar.calibration import MIN_SPEED_MPS, alarm
-from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
-from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places
-from gis_radar.calibration.lanes import sample_lanes
-from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import (
+from gis_radar.calibration import MIN_SPEED_MPS
+from gis_radar.calibration.monitoring import alarm
+from gis_radar.calibration.monitoring.alarm import Alarm, ChangeDetector, detectors
+from gis_radar.calibration.monitoring.lane_places import Cells, LanePlaces, cells_along, lane_places
+from gis_radar.calibration.monitoring.stationary_targets import (
     BLOCK_S,
     GATE,
     SEARCH_BLOCKS,
     StationaryTargets,
 )
-from gis_radar.calibration.traces import Moving
+from gis_radar.calibration.registration.lanes import sample_lanes
+from gis_radar.calibration.registration.state import State
+from gis_radar.calibration.registration.traces import Moving
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network
@@ -208,7 +209,7 @@ class Scores:
 
     @property
     def whole(self) -> float:
-        """What the alarm goes by, as :func:`gis_radar.calibration.watch.decided`."""
+        """What the alarm goes by, as :func:`gis_radar.calibration.monitoring.watch.decided`."""
         return self.still if self.sees else max(self.still, self.vehicles)
 
 

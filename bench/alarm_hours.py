@@ -18,10 +18,16 @@ from scipy.stats import genpareto
 
 from gis_radar.base import Booleans, Floats
 from gis_radar.calibration import DRIFT
-from gis_radar.calibration.alarm import ChangeDetector
-from gis_radar.calibration.kalman_filter import HOUR_S
-from gis_radar.calibration.lane_places import WITHIN_M, LanePlaces
-from gis_radar.calibration.stationary_targets import GATE_M, GATE_RAD, WANDER_M, WANDER_RAD, by_move
+from gis_radar.calibration.monitoring.alarm import ChangeDetector
+from gis_radar.calibration.monitoring.kalman_filter import HOUR_S
+from gis_radar.calibration.monitoring.lane_places import WITHIN_M, LanePlaces
+from gis_radar.calibration.monitoring.stationary_targets import (
+    GATE_M,
+    GATE_RAD,
+    WANDER_M,
+    WANDER_RAD,
+    by_move,
+)
 
 RUN = 3  # minutes that stay together
 MONTH_H = 720.0

@@ -34,12 +34,12 @@ from simulated import sites, true_pose
 import gis_radar as gr
 from gis_radar.base import Floats
 from gis_radar.calibration import FITS, UNKNOWN, Finding, LaneMap
-from gis_radar.calibration.excerpt import Excerpt, read_excerpts
-from gis_radar.calibration.explanations import BESIDE_LANES
+from gis_radar.calibration.check.excerpt import Excerpt, read_excerpts
+from gis_radar.calibration.check.explanations import BESIDE_LANES
+from gis_radar.calibration.check.fitted_pose import fit_pose, mistakes_apart
+from gis_radar.calibration.check.offsets import OFF_SIGMAS, turns_of
+from gis_radar.calibration.check.plausibility import judge
 from gis_radar.calibration.findings import UNKNOWN_CAUSE
-from gis_radar.calibration.fitted_pose import fit_pose, mistakes_apart
-from gis_radar.calibration.offsets import OFF_SIGMAS, turns_of
-from gis_radar.calibration.plausibility import judge
 from gis_radar.poses import as_track
 
 sys.path.insert(0, str(ROOT / "bench" / "localization"))

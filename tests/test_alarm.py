@@ -12,7 +12,7 @@ from streets import Street
 
 from gis_radar.base import seconds_from_iso
 from gis_radar.calibration import MOVED, track
-from gis_radar.calibration.alarm import (
+from gis_radar.calibration.monitoring.alarm import (
     BLOCKS,
     GATE,
     STRETCH_HABIT_M,
@@ -22,14 +22,14 @@ from gis_radar.calibration.alarm import (
     detectors,
     habits_of,
 )
-from gis_radar.calibration.kalman_filter import KNOCK, Estimate, Innovation, Measurement
-from gis_radar.calibration.lane_places import LanePlaces, cells_along, lane_places
-from gis_radar.calibration.lanes import sample_lanes
-from gis_radar.calibration.moves import FAR_WINDOW, MoveTest, Scatter, score
-from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Moving
-from gis_radar.calibration.watch import Watch
-from gis_radar.calibration.windows import WindowTraffic
+from gis_radar.calibration.monitoring.kalman_filter import KNOCK, Estimate, Innovation, Measurement
+from gis_radar.calibration.monitoring.lane_places import LanePlaces, cells_along, lane_places
+from gis_radar.calibration.monitoring.moves import FAR_WINDOW, MoveTest, Scatter, score
+from gis_radar.calibration.monitoring.watch import Watch
+from gis_radar.calibration.monitoring.windows import WindowTraffic
+from gis_radar.calibration.registration.lanes import sample_lanes
+from gis_radar.calibration.registration.state import State
+from gis_radar.calibration.registration.traces import Moving
 
 STREET = Street()
 POSE = STREET.pose()

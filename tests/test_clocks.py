@@ -13,15 +13,15 @@ from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 from gis_radar import read_clocks
 from gis_radar.base import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.calibration import SensorClock, lanelets_of, measure_clocks
-from gis_radar.calibration.clock_offsets import (
+from gis_radar.calibration.timing.clock_offsets import (
     ClockOffset,
     NoCommonTrafficError,
     fine_offset,
     rough_offset,
     validate_offset,
 )
-from gis_radar.calibration.clocks import adjust_network, best_linked, why_not_compared
-from gis_radar.calibration.lane_detections import LaneDetections
+from gis_radar.calibration.timing.clocks import adjust_network, best_linked, why_not_compared
+from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 LENGTH_M = 4.4
 SECONDS = 60
@@ -267,7 +267,7 @@ def test_each_step_refuses_by_its_limit(step, limit, monkeypatch):
     given = (one, other) if step is rough_offset else (one, other, 0.0)
     step(*given)
     for name, value in limit.items():
-        monkeypatch.setattr(f"gis_radar.calibration.clock_offsets.{name}", value)
+        monkeypatch.setattr(f"gis_radar.calibration.timing.clock_offsets.{name}", value)
     with pytest.raises(NoAnswerError):
         step(*given)
 

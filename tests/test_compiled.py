@@ -35,7 +35,7 @@ def test_a_compiled_function_calls_another():
 
 def test_what_takes_long_to_import_waits_until_it_is_needed():
     code = (
-        "import sys, gis_radar.calibration.localization, gis_radar.scans.mask\n"
+        "import sys, gis_radar.calibration.single.localization, gis_radar.scans.mask\n"
         "assert 'numba' not in sys.modules\n"
         "import gis_radar.live.fusion, gis_radar.live.hour_work\n"
         "assert 'matplotlib' not in sys.modules"

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from gis_radar.calibration import CYCLE_S, DRIFT
-from gis_radar.calibration.kalman_filter import (
+from gis_radar.calibration.monitoring.kalman_filter import (
     LEVER,
     Estimate,
     Innovation,
@@ -23,7 +23,7 @@ from gis_radar.calibration.kalman_filter import (
     same_sign,
     widened,
 )
-from gis_radar.calibration.moves import FALSE_ALARMS, GATE, LENGTHS_S, SUSPECT
+from gis_radar.calibration.monitoring.moves import FALSE_ALARMS, GATE, LENGTHS_S, SUSPECT
 from gis_radar.poses import Pose
 
 HOUR_S = 3600.0

@@ -18,8 +18,8 @@ from test_formats_bags import clouds, write_bag
 import gis_radar as gr
 from gis_radar.base import InputError, NoAnswerError
 from gis_radar.calibration import lanelets_of
-from gis_radar.calibration.lane_detections import read_lane_detections
-from gis_radar.calibration.surroundings import read_slow
+from gis_radar.calibration.scan.surroundings import read_slow
+from gis_radar.calibration.timing.lane_detections import read_lane_detections
 from gis_radar.cli import group
 from gis_radar.hdmap import write_tiles
 from gis_radar.measures import Filters

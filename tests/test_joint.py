@@ -27,7 +27,7 @@ from gis_radar.calibration import (
     adjust_poses,
     localize_together,
 )
-from gis_radar.calibration.adjustment import (
+from gis_radar.calibration.several.adjustment import (
     STRETCH_SIGMA_M,
     Correspondences,
     adjust,
@@ -35,10 +35,15 @@ from gis_radar.calibration.adjustment import (
     shared_covariance,
     stated_covariance,
 )
-from gis_radar.calibration.correspondences import HALF_LENGTH_M, Moments, assign, compare_moments
-from gis_radar.calibration.joint import common_time, locate_all
-from gis_radar.calibration.moving import Span, best_end, read_span
-from gis_radar.calibration.network import FIRM_PAIRS
+from gis_radar.calibration.several.correspondences import (
+    HALF_LENGTH_M,
+    Moments,
+    assign,
+    compare_moments,
+)
+from gis_radar.calibration.several.joint import common_time, locate_all
+from gis_radar.calibration.several.network import FIRM_PAIRS
+from gis_radar.calibration.single.moving import Span, best_end, read_span
 from gis_radar.cli import group
 from gis_radar.poses import COMPONENTS, View
 
@@ -181,7 +186,7 @@ def test_two_sensors_that_contradict_each_other_end_with_one_line(recordings, tr
     def single(recording, *_, **__):
         return Localization(pose=poses[recording.stem], fitness=0.9, observable=True)
 
-    monkeypatch.setattr("gis_radar.calibration.joint.localize_one", single)
+    monkeypatch.setattr("gis_radar.calibration.several.joint.localize_one", single)
     with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict[^;]*$") as refusal:
         locate_all(
             list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
@@ -389,7 +394,7 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
             raise found
         return found
 
-    monkeypatch.setattr("gis_radar.calibration.joint.localize_one", single)
+    monkeypatch.setattr("gis_radar.calibration.several.joint.localize_one", single)
     done = locate_all(
         [recordings["R1"], alone], LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
     )
@@ -525,7 +530,7 @@ def guess_words(true):
 @pytest.fixture
 def scene_map(monkeypatch):
     monkeypatch.setattr(
-        "gis_radar.calibration.localization.read_map", lambda *_, **__: LONG.roads()
+        "gis_radar.calibration.single.localization.read_map", lambda *_, **__: LONG.roads()
     )
 
 

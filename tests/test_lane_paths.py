@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import shapely
 
-from gis_radar.calibration.lane_paths import CHANGE, match_paths
-from gis_radar.calibration.lanes import place, sample_lanes
-from gis_radar.calibration.matches import lanes_near, match
-from gis_radar.calibration.model import MODEL
-from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import Samples
+from gis_radar.calibration.registration.lane_paths import CHANGE, match_paths
+from gis_radar.calibration.registration.lanes import place, sample_lanes
+from gis_radar.calibration.registration.matches import lanes_near, match
+from gis_radar.calibration.registration.model import MODEL
+from gis_radar.calibration.registration.state import State
+from gis_radar.calibration.registration.traces import Samples
 
 APART_M = 3.5  # of two lanes of one direction
 STATE = State(position=np.array([0.0, -12.0, 5.0]), R_map_sensor=np.eye(3), reflection=0.6)

@@ -11,11 +11,12 @@ from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
 from gis_radar.base import InputError, NoAnswerError, UsageError
-from gis_radar.calibration import lane_method, localize
-from gis_radar.calibration.certainty import eigenvalues, is_fixed, pose_covariance
-from gis_radar.calibration.icp import pose_information, voxels
-from gis_radar.calibration.moving import read_moving
-from gis_radar.calibration.state import State
+from gis_radar.calibration import localize
+from gis_radar.calibration.registration.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.calibration.registration.state import State
+from gis_radar.calibration.single import lane_method
+from gis_radar.calibration.single.icp import pose_information, voxels
+from gis_radar.calibration.single.moving import read_moving
 from gis_radar.poses import read_pose
 
 CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])

@@ -11,7 +11,7 @@ from streets import Street, errors
 
 import gis_radar as gr
 from gis_radar.base import yaw_from_compass
-from gis_radar.calibration import localization as localizing
+from gis_radar.calibration.single import localization as localizing
 from gis_radar.cli import group
 from gis_radar.poses import read_pose
 from gis_radar.scans import road_crs

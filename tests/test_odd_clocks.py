@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from gis_radar.calibration.lane_detections import LaneDetections
-from gis_radar.calibration.odd_clocks import clock_offsets_between, odd_clocks
+from gis_radar.calibration.check.odd_clocks import clock_offsets_between, odd_clocks
+from gis_radar.calibration.timing.lane_detections import LaneDetections
 
 SENSORS, LATE_S = 9, 1.0
 

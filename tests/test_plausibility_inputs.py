@@ -18,23 +18,16 @@ from scans import write_points
 from scipy.spatial.transform import Rotation
 
 import gis_radar as gr
-from gis_radar.calibration import (
-    Finding,
-    LaneMap,
-    RangeScale,
-    explanations,
-    fitted_pose,
-    nearly_right,
-    offsets,
-)
-from gis_radar.calibration.excerpt import read_excerpts
-from gis_radar.calibration.explanations import by_lanes
+from gis_radar.calibration import Finding, LaneMap, RangeScale
+from gis_radar.calibration.check import explanations, fitted_pose, nearly_right, offsets
+from gis_radar.calibration.check.excerpt import read_excerpts
+from gis_radar.calibration.check.explanations import by_lanes
+from gis_radar.calibration.check.plausibility import judge
+from gis_radar.calibration.check.rivals import GIVEN, MIRRORED, Rival, score
 from gis_radar.calibration.findings import UNKNOWN_CAUSE
-from gis_radar.calibration.kalman_filter import Measurement
-from gis_radar.calibration.plausibility import judge
-from gis_radar.calibration.rivals import GIVEN, MIRRORED, Rival, score
-from gis_radar.calibration.state import State
-from gis_radar.calibration.traces import NONE
+from gis_radar.calibration.monitoring.kalman_filter import Measurement
+from gis_radar.calibration.registration.state import State
+from gis_radar.calibration.registration.traces import NONE
 from gis_radar.calibration.unit_mistakes import FEET, YARDS
 from gis_radar.poses import PoseTrack, as_track
 

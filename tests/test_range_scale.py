@@ -7,7 +7,7 @@ import pytest
 
 from gis_radar.base import NoAnswerError
 from gis_radar.calibration import RangeScale, measure_range_scale
-from gis_radar.calibration.traces import Moving
+from gis_radar.calibration.registration.traces import Moving
 
 YARDS = 1.0 / 0.9144
 

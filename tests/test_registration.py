@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
 from gis_radar.base import NoAnswerError
-from gis_radar.calibration import certainty as knowing
-from gis_radar.calibration.adaptation import adapted, heights
-from gis_radar.calibration.certainty import (
+from gis_radar.calibration.registration import certainty as knowing
+from gis_radar.calibration.registration.adaptation import adapted, heights
+from gis_radar.calibration.registration.certainty import (
     CLEAR_RISE,
     advantage,
     along_valley,
@@ -25,11 +25,11 @@ from gis_radar.calibration.certainty import (
     sigma_along,
     with_information_along,
 )
-from gis_radar.calibration.hypotheses import Hypothesis, level, look_around, prior_at
-from gis_radar.calibration.lanes import Lanes, Scene, place, sample_lanes
-from gis_radar.calibration.matches import match, match_along
-from gis_radar.calibration.model import MODEL
-from gis_radar.calibration.residuals import (
+from gis_radar.calibration.registration.hypotheses import Hypothesis, level, look_around, prior_at
+from gis_radar.calibration.registration.lanes import Lanes, Scene, place, sample_lanes
+from gis_radar.calibration.registration.matches import match, match_along
+from gis_radar.calibration.registration.model import MODEL
+from gis_radar.calibration.registration.residuals import (
     STRAY_HEIGHT_M,
     STRAY_SHARE,
     VIEW_EDGE,
@@ -40,9 +40,9 @@ from gis_radar.calibration.residuals import (
     height_over_road,
     lateral,
 )
-from gis_radar.calibration.solver import Schedule, at_least, solve
-from gis_radar.calibration.state import POSE, SIZE, TURN, State, angles_from_turn
-from gis_radar.calibration.traces import SPELL_S, Moving, Samples, link_tracks, thin
+from gis_radar.calibration.registration.solver import Schedule, at_least, solve
+from gis_radar.calibration.registration.state import POSE, SIZE, TURN, State, angles_from_turn
+from gis_radar.calibration.registration.traces import SPELL_S, Moving, Samples, link_tracks, thin
 from gis_radar.poses import Pose
 
 

@@ -24,13 +24,13 @@ from gis_radar.calibration import (
     AmbiguousError,
     Localization,
     Solved,
-    joint,
     localize_together,
     require_scans_near,
 )
-from gis_radar.calibration import localization as localizing
-from gis_radar.calibration.scan_check import CLOSE_M, Alignment, align
-from gis_radar.calibration.surroundings import LevelFrame, read_slow, read_structure
+from gis_radar.calibration.scan.scan_check import CLOSE_M, Alignment, align
+from gis_radar.calibration.scan.surroundings import LevelFrame, read_slow, read_structure
+from gis_radar.calibration.several import joint
+from gis_radar.calibration.single import localization as localizing
 from gis_radar.cli import group
 from gis_radar.scans import scan as scan_files
 from simulation.movement import Traffic
@@ -335,7 +335,7 @@ def test_batches_and_their_order_do_not_matter(tmp_path, monkeypatch):
 
 
 def test_the_last_frames_count(monkeypatch):
-    monkeypatch.setattr("gis_radar.calibration.surroundings.FRAMES", 200)
+    monkeypatch.setattr("gis_radar.calibration.scan.surroundings.FRAMES", 200)
     table = pq.read_table(R2)
     slow = read_slow(R2)
     late = table.filter(pc.field("time") >= np.unique(table["time"].to_numpy())[-200])
@@ -345,7 +345,7 @@ def test_the_last_frames_count(monkeypatch):
 
 
 def test_few_cells_are_nothing_to_compare(monkeypatch):
-    monkeypatch.setattr("gis_radar.calibration.scan_check.LEAST_CELLS", 10**6)
+    monkeypatch.setattr("gis_radar.calibration.scan.scan_check.LEAST_CELLS", 10**6)
     few = gr.check_against_scan(R2, POSE, [SCAN])
     assert few.reason.startswith("little stands in view")
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from gis_radar.calibration.alarm import Displacement
-from gis_radar.calibration.state import State
-from gis_radar.calibration.stationary_targets import (
+from gis_radar.calibration.monitoring.alarm import Displacement
+from gis_radar.calibration.monitoring.stationary_targets import (
     BLOCKS,
     GATE,
     GONE_BLOCKS,
@@ -24,7 +23,8 @@ from gis_radar.calibration.stationary_targets import (
     by_move,
     polar_of,
 )
-from gis_radar.calibration.watch import BLOW_BLOCKS, Watch, decided
+from gis_radar.calibration.monitoring.watch import BLOW_BLOCKS, Watch, decided
+from gis_radar.calibration.registration.state import State
 from gis_radar.recordings import Detections
 
 FRAME_S, FRAMES = 0.5, 40  # one frame of ten

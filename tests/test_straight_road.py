@@ -7,9 +7,9 @@ import pytest
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.calibration.icp import pose_information, voxels
-from gis_radar.calibration.moving import read_moving
-from gis_radar.calibration.state import State
+from gis_radar.calibration.registration.state import State
+from gis_radar.calibration.single.icp import pose_information, voxels
+from gis_radar.calibration.single.moving import read_moving
 from simulation.lanelet_writer import write_lanelets
 from simulation.network import Lane, RoadNetwork
 from simulation.radar import RadarModel, place_radar

@@ -8,10 +8,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from sites import START, recording, table
 
-from gis_radar.calibration import moving as reading
-from gis_radar.calibration.icp import source_voxels, voxels
-from gis_radar.calibration.moving import MovingWindow, read_moving
-from gis_radar.calibration.traces import Moving, link_tracks, thin, vehicles_of
+from gis_radar.calibration.registration.traces import Moving, link_tracks, thin, vehicles_of
+from gis_radar.calibration.single import moving as reading
+from gis_radar.calibration.single.icp import source_voxels, voxels
+from gis_radar.calibration.single.moving import MovingWindow, read_moving
 from gis_radar.recordings import Detections
 
 

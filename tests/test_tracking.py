@@ -23,19 +23,14 @@ from gis_radar.base import (
     OutputError,
     seconds_from_iso,
 )
-from gis_radar.calibration import (
-    Follower,
-    WindowFitter,
-    monitor,
-    start_estimate,
-    track,
-)
-from gis_radar.calibration.kalman_filter import KNOCK as BLOW
-from gis_radar.calibration.kalman_filter import Measurement
-from gis_radar.calibration.monitor import BY_HAND
-from gis_radar.calibration.moves import AGREEMENT, agreement
-from gis_radar.calibration.traces import Moving
-from gis_radar.calibration.windows import WindowTraffic
+from gis_radar.calibration import Follower, WindowFitter, start_estimate, track
+from gis_radar.calibration.monitoring import monitor
+from gis_radar.calibration.monitoring.kalman_filter import KNOCK as BLOW
+from gis_radar.calibration.monitoring.kalman_filter import Measurement
+from gis_radar.calibration.monitoring.monitor import BY_HAND
+from gis_radar.calibration.monitoring.moves import AGREEMENT, agreement
+from gis_radar.calibration.monitoring.windows import WindowTraffic
+from gis_radar.calibration.registration.traces import Moving
 from gis_radar.cli import group
 from gis_radar.poses import read_track
 
@@ -459,7 +454,7 @@ def test_an_interrupted_track_leaves_nothing(files, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gis_radar.calibration.pose_track.Track.draw", stop)
+    monkeypatch.setattr("gis_radar.calibration.monitoring.pose_track.Track.draw", stop)
     before = sorted(files.iterdir())
     CliRunner().invoke(group, words(files, "--figure", str(files / "figure.png")))
     assert sorted(files.iterdir()) == before

@@ -1,26 +1,25 @@
 """Calibration: where sensors stand and look, how far their clocks are apart, and what confirms it.
 
-- :mod:`~gis_radar.calibration.localization` finds the pose of one sensor from its traffic,
-- :mod:`~gis_radar.calibration.joint` adjusts several by the vehicles that two of them see,
-- :mod:`~gis_radar.calibration.scan_check` compares what stands around a sensor with a scan,
-- :mod:`~gis_radar.calibration.monitor` follows a pose through a recording, and notices moves,
-- :mod:`~gis_radar.calibration.clocks` compares the clocks of several sensors.
+From the data to the answers:
 
-All but the scan check rest on one registration of traffic to lanes. From the data to the answers:
+- `registration` compares traffic with lanes: `traces` links detections to tracks, `lanes` samples
+  lanes, `matches` and `lane_paths` find the lane of each detection, `model` and `residuals`
+  compare, `solver` fits, `hypotheses` searches, `adaptation` fits the model to the radar,
+  `certainty` gives covariances and compares fits;
+- `timing` compares clocks: `lane_detections` and `clock_offsets` of two sensors, in `clocks`;
+- `scan` compares what stands around a sensor with a scan: `surroundings`, in `scan_check`;
+- `single` finds the pose of one sensor: `moving` reads its traffic, `lane_method` and `icp` (the
+  paper's) find poses, in `localization`;
+- `several` adjusts the poses of several sensors: `correspondences` pairs their vehicles, `placing`
+  chooses among poses, `adjustment` adjusts them, `network` decides, in `joint`;
+- `monitoring` follows a pose: `windows` registers a window, `kalman_filter` takes it in, `moves`,
+  `alarm` (by `lane_places`) and `stationary_targets` notice moves, `watch` asks the latter two, in
+  `monitor`;
+- `check` tells whether recordings, poses and map fit together: `excerpt` reads, `scene_change`,
+  `explanations` (by `rivals`), `nearly_right` (by `fitted_pose` and `offsets`) and `odd_clocks`
+  look, in `plausibility`.
 
-- traffic: `moving` and `excerpt` read detections, `traces` links them to tracks;
-- lanes: `lanes` samples them, `matches` and `lane_paths` find the lane of each detection;
-- registration: `model` and `residuals` compare, `solver` fits, `hypotheses` searches, `adaptation`
-  fits the model to the radar, `certainty` gives covariances and compares fits;
-- one sensor: `lane_method` and `icp` (the paper's) in `localization`;
-- several sensors: `correspondences` pairs their vehicles, `placing` chooses among poses,
-  `adjustment` adjusts them, `network` decides, in `joint`;
-- over time: `windows` registers a window, `kalman_filter` takes it in, `moves`, `alarm` (by
-  `lane_places`) and `stationary_targets` notice moves, `watch` asks the latter two, in `monitor`;
-- clocks: `lane_detections` and `clock_offsets` compare two sensors, in `clocks`;
-- check: `unit_mistakes` (by `range_scale`), `scene_change`, `explanations` (by `rivals`),
-  `nearly_right` (by `fitted_pose` and `offsets`) and `odd_clocks`, in `plausibility`;
-- scan check: `surroundings`, in `scan_check`.
+`findings`, `unit_mistakes` and `range_scale` serve `single` and `check`.
 
 What the room offers is listed in `__init__.pyi` and loaded when it is first used.
 """

@@ -1,4 +1,5 @@
-from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
+from .check.plausibility import RecordedSensor, check_plausibility, check_recordings
+from .check.rivals import LaneMap
 from .findings import (
     FITS,
     HEADS,
@@ -9,22 +10,21 @@ from .findings import (
     is_record,
     refuse_implausible,
 )
-from .joint import JointCalibration, adjust_poses, gain_line, localize_together
-from .kalman_filter import CYCLE_S, DRIFT
-from .lane_detections import lanelets_of
-from .localization import localize
-from .monitor import LOST_S, Follower, start_estimate, track
-from .network import CLASH_HINT, Solved
-from .plausibility import RecordedSensor, check_plausibility, check_recordings
-from .pose_track import MOVED, Track, track_of
+from .monitoring.kalman_filter import CYCLE_S, DRIFT
+from .monitoring.monitor import LOST_S, Follower, start_estimate, track
+from .monitoring.pose_track import MOVED, Track, track_of
+from .monitoring.windows import WindowFitter
 from .range_scale import measure_range_scale
-from .result import AmbiguousError, Localization, Problem
-from .rivals import LaneMap
-from .scan_check import check_against_scan, require_scans_near
-from .scan_check_result import ScanCheck
-from .traces import FRAMES, MIN_SPEED_MPS
+from .registration.traces import FRAMES, MIN_SPEED_MPS
+from .scan.scan_check import check_against_scan, require_scans_near
+from .scan.scan_check_result import ScanCheck
+from .several.joint import JointCalibration, adjust_poses, gain_line, localize_together
+from .several.network import CLASH_HINT, Solved
+from .single.localization import localize
+from .single.result import AmbiguousError, Localization, Problem
+from .timing.clocks import Clocks, SensorClock, measure_clocks, read_clocks
+from .timing.lane_detections import lanelets_of
 from .unit_mistakes import RangeScale
-from .windows import WindowFitter
 
 __all__ = [
     "CLASH_HINT",

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from gis_radar.base import Booleans, Floats, Integers
-from gis_radar.calibration.traces import NONE, Moving, link_tracks, vehicles_of
+from gis_radar.calibration.registration.traces import NONE, Moving, link_tracks, vehicles_of
 from gis_radar.calibration.unit_mistakes import SIGMAS, RangeScale
 
 # The search pairs detections so long apart: a vehicle moves farther than the length of a car.

@@ -1,0 +1,193 @@
+"""Judge a pose that nearly fits: whether it is off, and whether the traffic would show it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gis_radar.base import Text
+from gis_radar.calibration.check.excerpt import Excerpt
+from gis_radar.calibration.check.explanations import CLEAR, FOUND_SHARE, likeliest, scored
+from gis_radar.calibration.check.fitted_pose import FittedPose, fit_pose
+from gis_radar.calibration.check.offsets import (
+    OFF_DEG,
+    OFF_M,
+    OFF_SIGMAS,
+    TOO_FAR,
+    Discrepancy,
+    discrepancy,
+    fits_if,
+    hidden,
+)
+from gis_radar.calibration.check.rivals import (
+    SAME_DEG,
+    SAME_PLACE_M,
+    LaneMap,
+    Rival,
+    found_poses,
+    score,
+    ways_to_be_wrong,
+)
+from gis_radar.calibration.findings import (
+    FITS,
+    ONE_PLACE,
+    RECORD_MORE,
+    UNKNOWN,
+    UNKNOWN_CAUSE,
+    Finding,
+    either,
+    wrong,
+)
+from gis_radar.calibration.registration.hypotheses import LOOK_SCALE_M, few_samples
+from gis_radar.calibration.registration.solver import cost_at
+from gis_radar.calibration.unit_mistakes import LEAST_WRONG, RangeScale, lengthened
+
+HINTED = 1.5  # standard errors from which a scale of range may explain a pose that is off
+OPEN = np.linspace(-2.0, 2.0, 9)  # standard errors from a measured scale of range that are tried
+
+POSE_OFF, MAY_BE_OFF = Text("its pose is off"), Text("its pose may be off")
+
+
+def pose_off(excerpt: Excerpt, lanes: LaneMap, found: Finding, scale: RangeScale | None) -> Finding:
+    """Return how far a pose that nearly fits is off, or whether the traffic would show that.
+
+    Ranges may be too long instead where the pose is right with a scale of range within its error.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        The sensor's traffic.
+    lanes : LaneMap
+        The map.
+    found : Finding
+        The finding that most vehicles drive along lanes.
+    scale : RangeScale or None
+        The measured scale of range.
+    """
+    fitted = fit_pose(excerpt, lanes)
+    if fitted is None:
+        return _elsewhere(excerpt, lanes, found.evidence) or _unfitted(found)
+    if not fitted.heights:
+        evidence = Text(
+            "{}; without heights of map and radar, height and tilt are not compared", found.evidence
+        )
+        found = replace(found, evidence=evidence)
+    off, seen = discrepancy(fitted)
+    if off is None:
+        return _shown(hidden(fitted.pose, seen, fitted.centre), found)
+    told = _told(excerpt, lanes, off, found.evidence)
+    if not off.sure or not off.of_place or scale is None:
+        return told
+    other = _scale_instead(excerpt, lanes, fitted, scale)
+    if other is None:
+        return told
+    both = told, lengthened(replace(scale, factor=other))
+    cause, advice = either((each.cause, each.advice) for each in both)
+    return replace(told, cause=cause, advice=advice)
+
+
+def _scale_instead(
+    excerpt: Excerpt, lanes: LaneMap, fitted: FittedPose, measured: RangeScale
+) -> float | None:
+    """Return a scale of range within its error with which the given pose fits, if any."""
+    few = few_samples(fitted.scene)
+
+    def cost(scale: float) -> float:
+        shorter = replace(few.samples, points=few.samples.points / scale)
+        return cost_at(few.of(shorter), fitted.centre, scale_m=LOOK_SCALE_M)
+
+    scales: list[float] = (measured.factor + measured.sigma * OPEN).tolist()
+    best = min(scales, key=cost)
+    if abs(best - 1.0) <= LEAST_WRONG or not fits_if(excerpt, lanes, Rival(scale=best)):
+        return None
+    return best
+
+
+def _unfitted(found: Finding) -> Finding:
+    """Return the finding for a pose around which no fit converges: doubt stays, else unknown."""
+    if found.cause:
+        return found
+    evidence = Text("{}, but no pose is fitted to them", found.evidence)
+    return replace(found, verdict=UNKNOWN, evidence=evidence, advice=RECORD_MORE)
+
+
+def _shown(open_by: list[Text], found: Finding) -> Finding:
+    """Return that a pose fits, or unknown where the traffic would not show an error."""
+    if found.cause or not open_by:
+        return found
+    evidence = Text(
+        "{}, but they would do so as well with the sensor off by up to {}",
+        found.evidence, Text(", ").join(open_by),
+    )  # fmt: skip
+    crossing = Text("record more traffic, on crossing lanes, too")
+    return replace(found, verdict=UNKNOWN, evidence=evidence, advice=crossing)
+
+
+def _told(excerpt: Excerpt, lanes: LaneMap, off: Discrepancy, evidence: str) -> Finding:
+    """Return the finding that the pose is off."""
+    by, right = (
+        Text(", or ").join(Text(", ").join(getattr(each, part) for each in way) for way in off.ways)
+        for part in ("text", "right")
+    )
+    put = Text("{}; they do so best with the sensor {}", evidence, by)
+    advice = Text("set {} in its pose, or find it with gis-radar localize", right)
+    if not off.too_far:
+        return Finding(sensor="", verdict=FITS, evidence=put, cause=MAY_BE_OFF, advice=advice)
+    if not off.sure:
+        return wrong(put, UNKNOWN_CAUSE, ONE_PLACE)
+    if off.turn is not None:
+        turn, sigma = off.turn
+        named = _with_name(excerpt, lanes, excerpt.usual.yaw + turn, OFF_SIGMAS * sigma)
+        if named is not None:
+            return wrong(put, named.cause, named.advice)
+    return wrong(put, POSE_OFF, advice)
+
+
+def _elsewhere(excerpt: Excerpt, lanes: LaneMap, evidence: str) -> Finding | None:
+    """Return the finding that a search finds another pose where no fit near it converges."""
+    pose, tried = excerpt.usual, scored(excerpt, lanes, found_poses(excerpt, lanes))
+    best = likeliest(excerpt, score(excerpt, lanes), tried, FOUND_SHARE)[:1]
+    for rival, each in best:
+        off_m, turn = rival.off(pose)
+        if off_m > TOO_FAR * OFF_M or abs(turn) > TOO_FAR * OFF_DEG[0]:
+            if_so = Text("{}, {:.0%} after this correction", evidence, each.share)
+            if rival.twofold(pose):
+                return wrong(if_so, UNKNOWN_CAUSE, ONE_PLACE)
+            yaw = rival.turned(pose).yaw
+            named = _with_name(excerpt, lanes, yaw, SAME_DEG[0]) if off_m < SAME_PLACE_M else rival
+            return wrong(if_so, (named or rival).cause, (named or rival).advice)
+    return None
+
+
+def _with_name(excerpt: Excerpt, lanes: LaneMap, yaw: float, within: float) -> Rival | None:
+    """Return the named mistake, if any, that turns the usual pose to a yaw (degrees)."""
+    pose = excerpt.usual
+    turned = [each for each in ways_to_be_wrong(excerpt, {}) if each.off(pose)[1] != 0.0]
+    near = [
+        each
+        for each in turned
+        if abs((each.turned(pose).yaw - yaw + 180.0) % 360.0 - 180.0) < within
+        and fits_if(excerpt, lanes, each)
+    ]
+    return near[0] if near else None
+
+
+def lengths_off(excerpt: Excerpt, lanes: LaneMap, scale: RangeScale | None) -> Finding | None:
+    """Return the finding that ranges are too long, where range rates hint at it and lanes agree.
+
+    Parameters
+    ----------
+    excerpt : Excerpt
+        What moved.
+    lanes : LaneMap
+        The map.
+    scale : RangeScale or None
+        How far ranges change as range rates state.
+    """
+    if scale is None or abs(scale.factor - 1.0) <= max(LEAST_WRONG, HINTED * scale.sigma):
+        return None
+    longer = Rival(scale=scale.factor)
+    if score(excerpt, lanes, longer).ahead_of(score(excerpt, lanes)) <= CLEAR:
+        return None
+    return lengthened(scale) if fits_if(excerpt, lanes, longer) else None

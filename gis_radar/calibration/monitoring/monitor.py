@@ -1,0 +1,467 @@
+"""Calibration monitor, which follows the pose of a sensor through a recording."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from gis_radar.base import (
+    QUIET,
+    STEP_S,
+    Floats,
+    NoAnswerError,
+    Reporter,
+    Text,
+    iso_from_step,
+    require_same,
+    seconds_from_iso,
+    step_of,
+)
+from gis_radar.calibration.monitoring.alarm import SETTLE_S, Displacement
+from gis_radar.calibration.monitoring.kalman_filter import (
+    CYCLE_S,
+    KNOCK,
+    Estimate,
+    by_common_error,
+    corrected,
+    covariance_from_angles,
+    displaced,
+    innovation,
+    likeliest_move,
+    predicted,
+    widened,
+)
+from gis_radar.calibration.monitoring.moves import GATE, Change, MoveTest, Scatter, SuspectedMove
+from gis_radar.calibration.monitoring.pose_track import (
+    MOVED,
+    NOTHING,
+    REJECTED,
+    Row,
+    Track,
+    track_of,
+)
+from gis_radar.calibration.monitoring.watch import Watch
+from gis_radar.calibration.monitoring.windows import WindowFit, WindowFitter, WindowTraffic
+from gis_radar.calibration.registration.hypotheses import REFLECTION_M
+from gis_radar.calibration.registration.traces import FRAMES, LEAST_FRAMES
+from gis_radar.calibration.single.lane_method import LEAST_TRACKS
+from gis_radar.calibration.single.moving import MovingWindow
+from gis_radar.calibration.single.result import Problem
+from gis_radar.hdmap import LaneletMap
+from gis_radar.poses import COMPONENTS, Evidence, Pose, PoseTrack, as_track
+from gis_radar.recordings import Detections, Recording, as_recording
+
+# Seconds of rejected fits, a whole window, after which the event is `moved` with unknown pose.
+LOST_S = 100.0
+# 1 sigma of a start pose that states none: measured with tape, compass and spirit level.
+BY_HAND = (1.0, 1.0, 1.0, math.radians(2.0), math.radians(2.0), math.radians(2.0))
+LEAST_CYCLE = 0.5  # the last cycle gives a pose if it is at least this share of a whole one
+# Least sigma of a start pose; keeps the covariance regular.
+LEAST_SIGMA = (1e-3, 1e-3, 1e-3, math.radians(1e-3), math.radians(1e-3), math.radians(1e-3))
+# Share of the variance of a localized pose that is noise of its window; the rest, errors of the
+# map and the model, is in every window.
+NOISE_SHARE = 0.3
+
+STAGE = "following the pose"
+SAME_MAP = ("lane", "track")  # methods whose poses share the map's errors
+HINT = Text("find the pose with gis-radar localize")
+
+
+def track(
+    recording: str | Path | Recording,
+    roads: LaneletMap,
+    road_points: Floats,
+    pose: Pose | PoseTrack,
+    *,
+    reporter: Reporter = QUIET,
+) -> Track:
+    """Follow the pose of a sensor through a recording, one corrected pose each cycle.
+
+    The recording is read once, in batches; memory holds the frames of the window and the poses.
+
+    Parameters
+    ----------
+    recording : str, Path or Recording
+        The frames.
+    roads : LaneletMap
+        The lanes.
+    road_points : (n, 3) array
+        Points of the road's surface in the map's CRS, as :func:`gis_radar.read_road` gives them.
+    pose : Pose or PoseTrack
+        Where the sensor stands when the recording begins, as :func:`gis_radar.localize` finds it;
+        of a track the pose that holds then.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    CrsError
+        If pose and map are in different coordinate systems.
+    InputError
+        If the recording cannot be read, or scan and map do not overlap.
+    NoAnswerError
+        If the data do not confirm the start pose: no traffic, too few frames, a pose too far off.
+    """
+    opened, known = as_recording(recording), as_track(pose)
+    opened.require_elevation("its pose cannot be followed")
+    require_same(known.poses[0].crs, roads.crs, what="the pose", other_what="the map")
+    cycles = _cycles(opened, reporter)
+    first, ends = next(cycles)
+    begin = float(first.time[0])
+    start = known.poses[int(known.at(np.array([begin]))[0])]
+    problem = Problem(
+        name=start.sensor,
+        roads=roads,
+        road=np.asarray(road_points, dtype=np.float64),
+        guess=start.position[:2],
+    )
+    fitter = WindowFitter(problem, reporter=reporter)
+    follower = Follower(fitter, start_estimate(start, begin), name=start.sensor, reporter=reporter)
+    for rows, end in chain([(first, ends)], cycles):
+        follower.push(rows)
+        if end is not None:
+            follower.cycle(end)
+    follower.finish(str(opened.path))
+    return track_of(problem, start, follower.rows)
+
+
+def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detections, float | None]]:
+    """Cut a recording into cycles; yield its parts, each with the time if a cycle ends there."""
+    begin = last = due = np.nan
+    done = 0
+    for batch in recording.read():
+        rows, done = batch, done + len(batch)
+        if np.isnan(due):
+            begin, due = float(rows.time[0]), float(rows.time[0]) + CYCLE_S
+        last = float(rows.time[-1])
+        while len(rows) and last >= due:
+            early = rows.time < due
+            yield rows.take(early), due
+            rows = rows.take(~early)
+            # no pose where there are no frames
+            count = np.floor((rows.time[0] - begin) / CYCLE_S) + 1.0
+            due = begin + CYCLE_S * count
+            if due <= rows.time[0]:  # rounding: the cycle must end after this frame
+                due = begin + CYCLE_S * (count + 1.0)
+        yield rows, None
+        reporter.progress(STAGE, done, recording.rows)
+    if due - last < (1.0 - LEAST_CYCLE) * CYCLE_S:
+        yield rows.take(np.zeros(len(rows), dtype=bool)), due
+
+
+def start_estimate(pose: Pose, time: float) -> Estimate:
+    """Convert a pose to an estimate; its easting and northing become the local (0, 0).
+
+    A pose that was found from the data that follow holds no further information: it is the start
+    only, with the uncertainty of a pose measured by hand.
+
+    Parameters
+    ----------
+    pose : Pose
+        With `covariance` or `sigma` in its evidence, or neither.
+    time : float
+        UNIX seconds of the first frame.
+
+    Raises
+    ------
+    InputError
+        If covariance or sigma are invalid.
+    """
+    evidence = pose.parsed_evidence()
+    found_here = evidence.method in SAME_MAP
+    covariance = _stated_covariance(evidence)
+    if covariance is None or (found_here and _sees(evidence, time, pose.sensor)):
+        found_here = False
+        covariance = np.diag(np.square(BY_HAND))
+    turned = covariance_from_angles(pose.quaternion, covariance) + np.diag(np.square(LEAST_SIGMA))
+    position = np.array([0.0, 0.0, pose.height])
+    common = np.zeros((6, 6))
+    if found_here:
+        common = -by_common_error(turned - NOISE_SHARE * turned)
+    return Estimate(
+        time=time,
+        position=position,
+        quaternion=pose.quaternion,
+        covariance=turned,
+        common=common,
+    )
+
+
+def _sees(evidence: Evidence, time: float, sensor: str) -> bool:
+    """Return whether a pose rests on data after a time."""
+    if not evidence.time:
+        return True
+    found = seconds_from_iso(evidence.time, what=Text("pose of {}: time", sensor))
+    return found > time + STEP_S
+
+
+def _stated_covariance(evidence: Evidence) -> Floats | None:
+    """Return the (6, 6) covariance of a pose, missing sigmas as `BY_HAND`; None if it has none."""
+    if evidence.covariance is not None or not evidence.sigma:
+        return evidence.covariance
+    sigma = np.array(BY_HAND)
+    for i, name in enumerate(COMPONENTS):
+        if name in evidence.sigma:
+            stated = evidence.sigma[name]
+            sigma[i] = stated if i < 3 else math.radians(stated)
+    return np.diag(sigma**2)
+
+
+class Follower:
+    """Follower of the pose of one sensor through its frames.
+
+    Each cycle fits the rolling window to the lanes and corrects with this fit the estimate from
+    **before the window began**: so no detection counts twice although windows overlap by 95 %.
+
+    Parameters
+    ----------
+    fitter : WindowFitter
+        The lanes.
+    start : Estimate
+        The pose to begin with.
+    name : str
+        The sensor's name, for warnings.
+    reporter : Reporter
+        Receives a warning for each move.
+    """
+
+    def __init__(
+        self,
+        fitter: WindowFitter,
+        start: Estimate,
+        *,
+        name: str = "the sensor",
+        reporter: Reporter = QUIET,
+    ) -> None:
+        self.rows = [Row(estimate=start)]
+        self.confirmed = False
+        self._fitter = fitter
+        self._name, self._reporter = name, reporter
+        self.watch, self.scatter = Watch(fitter), Scatter()
+        self._window = MovingWindow()
+        self._past: deque[Estimate] = deque([start])
+        self._reflection_m = REFLECTION_M
+        self._seen: WindowFit | None = None
+        self._vehicles = 0
+        self._rejected_since: Estimate | None = None
+
+    @property
+    def now(self) -> Estimate:
+        """The latest estimate."""
+        return self.rows[-1].estimate
+
+    def push(self, rows: Detections) -> None:
+        """Add the next detections, if there are any."""
+        if len(rows):
+            self._window.push(rows)
+            self.watch.push(rows)
+
+    def cycle(self, time: float) -> None:
+        """End a cycle: correct the pose by all frames so far.
+
+        Parameters
+        ----------
+        time : float
+            UNIX seconds: the end of the last frame, when the corrected pose becomes valid.
+
+        Raises
+        ------
+        NoAnswerError
+            If a whole window of traffic does not confirm the start pose.
+        """
+        traffic = WindowTraffic.of(self._window.moving())
+        suspected = self._suspected_move(traffic, time)
+        if suspected is not None and suspected.change is not None:
+            self._restart(suspected.change, time)
+        else:
+            row = self._corrected(
+                traffic, time, suspected=suspected is not None and suspected.certain
+            )
+            self._keep(row if suspected is None else _allowing(row, suspected.move))
+        self._give_up_if_lost(time)
+        whole = traffic if self.confirmed and self._window.full and traffic.vehicles else None
+        noticed = self.watch.look(whole, self.now.state(self._reflection_m), time)
+        if noticed is not None and self.confirmed:
+            self._move(noticed, time)
+        self._vehicles = max(self._vehicles, traffic.vehicles)
+        if not self.confirmed and self._window.full and self._seen:
+            self._refuse_start(self._seen)
+
+    def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
+        """Return the move that the newest data suggest, or None."""
+        if not self.confirmed or traffic.vehicles < LEAST_TRACKS or self.watch.unmoved:
+            return None
+        expected = partial(self._expected, time=time)
+        test = MoveTest(
+            fitter=self._fitter, traffic=traffic, now=time, expected=expected, scatter=self.scatter
+        )
+        return test.suspected(self._reflection_m)
+
+    def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
+        held = Row(estimate=predicted(self.now, time), vehicles=traffic.vehicles)
+        if suspected:
+            return replace(held, event=REJECTED)
+        prior = self._expected(traffic.moving.begin, time)
+        seen = self._fitter.fit(traffic, prior, self._reflection_m)
+        if seen is None:
+            return held
+        self._seen = seen
+        found = innovation(prior, seen.measurement)
+        held = replace(held, fitness=seen.fit.fitness, chi2=found.chi2)
+        if not seen.on_lanes:
+            return replace(held, event=REJECTED)
+        if seen.trusted and found.chi2 > GATE:
+            return _allowing(replace(held, event=REJECTED), likeliest_move(found))
+        if not seen.trusted:
+            return held  # not converged: no measurement
+        if not self._window.full:
+            self._fitter.refuse_other_lane(seen)
+        self.confirmed = True
+        self._reflection_m = seen.fit.state.reflection
+        self._fitter.adapt(seen)
+        return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
+
+    def _expected(self, seen: float, time: float) -> Estimate:
+        """Return the pose at `time`, predicted from the data before `seen` (UNIX seconds)."""
+        return predicted(self._before(seen), time)
+
+    def _before(self, time: float) -> Estimate:
+        """Return the latest estimate that rests on no data after a time, or else the first."""
+        earlier = [e for e in self._past if e.time <= time]
+        return earlier[-1] if earlier else self._past[0]
+
+    def _keep(self, row: Row) -> None:
+        self.rows.append(row)
+        self._past.append(row.estimate)
+        while len(self._past) > 1 and self._past[1].time <= self._window.begin:
+            self._past.popleft()
+
+    def _move(self, noticed: Displacement, time: float) -> None:
+        """Move the pose by the alarm's move since the alarm's time, and restart the watch."""
+        since = time - SETTLE_S - noticed.seconds
+        earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
+        before = predicted((earlier or [self.rows[0].estimate])[-1], since)
+        new = displaced(before, noticed.move, noticed.covariance)
+        self._begin_anew(Row(estimate=new, vehicles=self.rows[-1].vehicles))
+        self._warn(new, noticed.move)
+
+    def _begin_anew(self, row: Row, later: str = NOTHING) -> None:
+        """Continue from the pose after a move, with the frames since then."""
+        self._window.forget(row.estimate.time)
+        self._replace_since(replace(row, event=MOVED), later)
+        self._past, self._rejected_since = deque([row.estimate]), None
+        self.watch.restart()
+
+    def _warn(self, new: Estimate, move: Floats) -> None:
+        when = iso_from_step(int(step_of(np.array(new.time))))
+        self._reporter.warn(
+            "{} was moved by about {:.2f} m and {:.2f} deg around {}",
+            self._name,
+            np.linalg.norm(move[:3]),
+            np.degrees(np.linalg.norm(move[3:])),
+            when,
+        )
+
+    def _restart(self, change: Change, time: float) -> None:
+        """Restart the filter at a change of the pose, and replace the poses since then."""
+        before, fit = self._expected(change.time, change.time), change.found.fit
+        start = _knocked(before)
+        new = corrected(start, change.found.measurement)
+        self._reflection_m = fit.state.reflection
+        row = Row(
+            estimate=new, vehicles=change.found.samples.tracks, fitness=fit.fitness,
+            chi2=change.chi2, corrected=True,
+        )  # fmt: skip
+        self.rows.append(replace(row, estimate=predicted(new, time)))
+        self._begin_anew(row)
+        self._past = deque([start, self.now])
+        gap = innovation(before, change.found.measurement)
+        self._warn(new, likeliest_move(gap))
+
+    def _give_up_if_lost(self, time: float) -> None:
+        """Declare `moved` with unknown pose after `LOST_S` of rejected fits."""
+        row = self.rows[-1]
+        if row.event != REJECTED:
+            self._rejected_since = None
+            return
+        if self._rejected_since is None:
+            self._rejected_since = row.estimate
+        if not self.confirmed or time - self._rejected_since.time < LOST_S:
+            return
+        self._begin_anew(Row(estimate=_knocked(self._rejected_since)), REJECTED)
+
+    def _replace_since(self, row: Row, event: str = NOTHING) -> None:
+        """Insert a row, and replace all later ones by what follows from it."""
+        begin = row.estimate.time
+        late = [r.estimate.time for r in self.rows if r.estimate.time > begin]
+        self.rows = [r for r in self.rows if r.estimate.time < begin] + [row]
+        self.rows += [
+            replace(row, estimate=predicted(row.estimate, time), event=event) for time in late
+        ]
+
+    def finish(self, name: str) -> None:
+        """Refuse a track that no data have confirmed.
+
+        Parameters
+        ----------
+        name : str
+            The recording's name.
+
+        Raises
+        ------
+        NoAnswerError
+            If there were too few frames or vehicles, or they contradict the start pose.
+        """
+        if self.confirmed:
+            return
+        if len(self._window) < LEAST_FRAMES:
+            raise NoAnswerError(
+                "{}: {} frames, at least {} are needed",
+                name,
+                len(self._window),
+                LEAST_FRAMES,
+                hint=Text("record longer: {} frames are a good length", FRAMES),
+            )
+        if self._seen:
+            self._refuse_start(self._seen)
+        raise NoAnswerError(
+            "{}: {} moving vehicles in the window, at least {} are needed to confirm the "
+            "start pose",
+            name,
+            self._vehicles,
+            LEAST_TRACKS,
+            hint="record while traffic flows",
+        )
+
+    def _refuse_start(self, seen: WindowFit) -> None:
+        if not seen.trusted:
+            raise NoAnswerError(
+                "at the start pose only {:.0%} of the traffic lie on lanes",
+                seen.fit.fitness,
+                hint=HINT,
+            )
+        gap: Floats = innovation(self.rows[0].estimate, seen.measurement).gap
+        raise NoAnswerError(
+            "the traffic puts the sensor {:.2f} m and {:.2f} deg from its start pose, "
+            "more than that pose's sigma allows",
+            np.linalg.norm(gap[:3]),
+            np.degrees(np.linalg.norm(gap[3:])),
+            hint=HINT,
+        )
+
+
+def _knocked(estimate: Estimate) -> Estimate:
+    """Return an estimate whose sensor may have moved."""
+    return replace(estimate, covariance=estimate.covariance + np.diag(np.square(KNOCK)))
+
+
+def _allowing(row: Row, move: Floats) -> Row:
+    """Widen the pose of a row by a possible move: a failure must not look like an answer."""
+    return replace(row, estimate=widened(row.estimate, move))

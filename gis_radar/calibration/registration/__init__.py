@@ -1,0 +1,1 @@
+"""Registration of traffic to lanes: tracks of moving vehicles, and the pose that fits them."""

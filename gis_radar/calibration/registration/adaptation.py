@@ -1,0 +1,265 @@
+"""Adaptation of prior and model to a recording's radar and vehicles, estimated near a fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+from scipy.special import gammaincinv, ndtr
+
+from gis_radar.base import Floats, Integers
+from gis_radar.calibration.registration.lanes import Placed, Scene, place
+from gis_radar.calibration.registration.model import Model
+from gis_radar.calibration.registration.residuals import (
+    LaneComparison,
+    assemble,
+    height,
+    height_over_road,
+    lateral,
+)
+from gis_radar.calibration.registration.solver import Fit, Prior
+from gis_radar.calibration.registration.state import REFLECTION
+from gis_radar.calibration.registration.traces import SPELL_S, Samples
+
+# Height over the road at which bumpers, sills and wheels end (ground clearance 0.12 to 0.3 m).
+EDGE_M = 0.2
+EDGE_SIGMA_M = 0.07
+NODES = 16  # of the quadrature over the gamma distribution of heights above the edge
+# Share of reflections that come from bodies, and their lowest and highest height above the edge.
+TALL_SHARE = 0.2
+TALL_M = (0.2, 2.8)
+# Share of stray reflections, and the range of heights over which they spread evenly.
+STRAY_HEIGHTS = 0.05
+STRAY_M = 8.0
+NEAR_M = 80.0  # farther samples fix no heights: 0.6 degrees are 0.8 m
+MOST_SAMPLES = 1500  # more cost time only
+NOISE_M = 0.05  # 1 sigma of the heights of scan and map
+# Edge (m), scale (m) and elevation noise (radians): start of the fit and its bounds.
+START = (0.2, 0.2, math.radians(0.5))
+LOWEST = (-1.5, 0.05, math.radians(0.1))
+HIGHEST = (2.0, 0.6, math.radians(2.0))
+LEAST_SAMPLES = 200  # near enough; with fewer no heights are estimated
+# Number of factors on the side strength that are tried, from 1 / MOST_FACTOR to MOST_FACTOR.
+FACTORS = 17
+MOST_FACTOR = 4.0
+FACTOR_SIGMA = math.log(2.0)  # 1 sigma of the logarithm of such a factor in the prior
+DERIVATIVE_STEP = 1e-4  # of numerical derivatives
+# Shares of the elevation's variance tried as a lasting error; iterations of the random effects.
+BENT_SHARES: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+BENT_ROUNDS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heights:
+    """Heights at which vehicles reflect.
+
+    Parameters
+    ----------
+    mean_m, sigma_m : float
+        Mean height of reflections from bumpers, sills and wheels over the road, and its 1 sigma.
+    elevation : float
+        One standard deviation of the radar's elevation angles, radians.
+    """
+
+    mean_m: float
+    sigma_m: float
+    elevation: float
+
+
+def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, Model]:
+    """Adapt prior and model to the radar and the vehicles of a recording.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        A fit near the answer.
+    prior, model : Prior, Model
+        Those with which it was found.
+    """
+    model = replace(model, side_strength=side_strength(scene, fit, model))
+    found = heights(scene, fit)
+    if found is None:
+        return prior, model
+    model = bent(scene, fit, replace(model, elevation=found.elevation))
+    found = heights(scene, fit, alone=_alone(scene.samples, model)) or found
+    information, known = prior.information.copy(), prior.information[REFLECTION, REFLECTION]
+    information[REFLECTION, REFLECTION] = known + found.sigma_m**-2
+    both = known * prior.mean.reflection + found.mean_m * found.sigma_m**-2
+    mean = replace(prior.mean, reflection=float(both / information[REFLECTION, REFLECTION]))
+    prior = Prior(mean=mean, information=information)
+    return prior, model
+
+
+def bent(scene: Scene, fit: Fit, model: Model) -> Model:
+    """Split a model's elevation noise into an independent part and one that lasts for seconds.
+
+    The likeliest split is taken, with the random effects of the vehicles integrated out (Laplace's
+    method): where the detections of one vehicle agree better than those of different vehicles,
+    they share an error, and count less.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    model : Model
+        Its `elevation` is the whole noise of the elevation angles.
+    """
+    placed = place(scene.samples, fit.state)
+    models = [
+        replace(
+            model,
+            elevation=model.elevation * float(np.sqrt(1.0 - share)),
+            bent=model.elevation * float(np.sqrt(share)),
+        )
+        for share in BENT_SHARES
+    ]
+
+    def cost(tried: Model) -> float:
+        compared = _compared(scene, fit, placed, tried)
+        effect = np.zeros_like(fit.effects[1])
+        for _ in range(BENT_ROUNDS):
+            rows = height(compared, effect)
+            normal = assemble([rows], [effect])
+            ((gradient, _, covariance),) = normal.shared
+            effect = effect - np.einsum("kij,kj->ki", covariance, gradient)
+        rows = height(compared, effect)
+        _, _, covariance = assemble([rows], [effect], curved=True).shared[0]
+        own = np.einsum("ki,kij,kj", effect, rows.stiffness, effect)
+        spread = np.linalg.slogdet(rows.stiffness)[1] + np.linalg.slogdet(covariance)[1]
+        return float(rows.loss.sum() + 0.5 * own - 0.5 * spread.sum())
+
+    return min(models, key=cost)
+
+
+def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> LaneComparison:
+    """Return placed samples with their lanes, from which a model's residuals follow."""
+    return LaneComparison(lanes=scene.lanes, placed=placed, matches=fit.matches, model=model)
+
+
+def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
+    """Estimate how strongly sides reflect relative to fronts (a ratio) from where samples lie.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    model : Model
+        Its side strength is the prior's mean, with 1 sigma of a factor of two.
+    """
+    placed = place(scene.samples, fit.state)
+
+    def cost(factor: float) -> float:
+        tried = replace(model, side_strength=model.side_strength * factor)
+        compared = _compared(scene, fit, placed, tried)
+        prior = (np.log(factor) / FACTOR_SIGMA) ** 2
+        rows = lateral(compared, fit.effects[0])
+        return float(rows.weight @ rows.loss + 0.5 * prior)
+
+    factors = np.geomspace(1.0 / MOST_FACTOR, MOST_FACTOR, FACTORS)
+    return float(model.side_strength * min(factors, key=cost))
+
+
+def _alone(samples: Samples, model: Model) -> Floats:
+    """Return each sample's weight, up to 1, among those of its vehicle that share its error."""
+    longest, together = samples.spell_reach.shape[1], round(model.lasting / SPELL_S)
+    spell = samples.spells % longest // max(together, 1)
+    key = samples.track * longest + spell
+    _, whose, count = np.unique(key, return_inverse=True, return_counts=True)
+    lasting = np.square(model.bent * samples.reach)
+    own = np.square(model.elevation * samples.reach) + model.low**2
+    return np.asarray(1.0 / (1.0 + (count[whose] - 1) * lasting / (lasting + own)))
+
+
+def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights | None:
+    """Estimate at which heights vehicles reflect, from the distribution of heights in a fit.
+
+    A sensor placed higher looks like reflections that lie higher, but no vehicle reflects from
+    below its bumpers, sills and wheels, and these end 0.2 m over the road whatever the
+    radar. The lower edge of the reflections is therefore known; their spread over it, and the
+    noise that blurs it with the range, follow by maximum likelihood: a gamma distribution of
+    shape 2 over the edge, bodies above, strays.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    alone : (n,) array, optional
+        Weight of each sample; by default 1.
+
+    Returns
+    -------
+    Heights or None
+        None where too few samples are near enough.
+    """
+    samples, reach = scene.samples, scene.samples.reach
+    over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches)
+    on_path = fit.on_lane & (fit.matches.path_cost == 0.0)
+    usable = np.flatnonzero(on_path & np.isfinite(over) & (reach < NEAR_M))
+    if len(usable) < LEAST_SAMPLES:
+        return None
+    usable = np.random.default_rng(0).permutation(usable)[:MOST_SAMPLES]
+    over, reach = over[usable], reach[usable]
+    weight = np.ones(len(over)) if alone is None else alone[usable]
+
+    def cost(parameters: Floats) -> float:
+        return -float(weight @ _log_density(parameters, over, reach))
+
+    start, low, high = (
+        np.array([edge, np.log(scale), np.log(noise)])
+        for edge, scale, noise in (START, LOWEST, HIGHEST)
+    )
+    fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
+    found: Floats = np.asarray(fitted.x)
+    clusters = samples.vehicles[samples.track[usable]]
+    error = _sandwich(found, over, reach, clusters, weight)
+    shift = found[0] - EDGE_M
+    return Heights(
+        mean_m=float(fit.state.reflection - shift),
+        sigma_m=float(np.hypot(EDGE_SIGMA_M, error)),
+        elevation=float(np.exp(found[2])),
+    )
+
+
+def _log_density(parameters: Floats, over: Floats, reach: Floats) -> Floats:
+    """Return the log density of heights, given edge, log scale and log noise of elevations."""
+    edge, scale = parameters[0], np.exp(parameters[1])
+    sigma = np.hypot(NOISE_M, np.exp(parameters[2]) * reach)
+    nodes = gammaincinv(2.0, (np.arange(NODES) + 0.5) / NODES)
+    away = (over[:, None] - edge - scale * nodes) / sigma[:, None]
+    low = np.exp(-0.5 * away**2).mean(axis=1) / (sigma * np.sqrt(2.0 * np.pi))
+    begin, end = TALL_M
+    tall = ndtr((over - edge - begin) / sigma) - ndtr((over - edge - end) / sigma)
+    share, stray = TALL_SHARE, STRAY_HEIGHTS
+    vehicle = (1.0 - share) * low + share * tall / (end - begin)
+    return np.asarray(np.log((1.0 - stray) * vehicle + stray / STRAY_M))
+
+
+def _sandwich(
+    parameters: Floats,
+    over: Floats,
+    reach: Floats,
+    track: Integers,
+    weight: Floats,
+) -> float:
+    """Return the standard error of the edge, with the vehicles as clusters."""
+
+    def density(shift: Floats) -> Floats:
+        return _log_density(parameters + shift, over, reach)
+
+    shifts = DERIVATIVE_STEP * np.eye(len(parameters))
+    scores = np.column_stack([(density(d) - density(-d)) / (2.0 * DERIVATIVE_STEP) for d in shifts])
+    weighted = weight[:, None] * scores
+    bread = np.linalg.inv(scores.T @ weighted + 1e-9 * np.eye(len(parameters)))
+    _, number = np.unique(track, return_inverse=True)
+    clusters = np.column_stack([np.bincount(number, weights=column) for column in weighted.T])
+    return float(np.sqrt((bread @ (clusters.T @ clusters) @ bread)[0, 0]))

@@ -1,0 +1,370 @@
+"""How certain a pose is: covariance, unobservable directions, z score against another one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gis_radar.base import Floats
+from gis_radar.calibration.registration.lanes import Scene
+from gis_radar.calibration.registration.model import Model
+from gis_radar.calibration.registration.solver import (
+    Fit,
+    Prior,
+    Rest,
+    Schedule,
+    limited,
+    settle,
+    solve,
+)
+from gis_radar.calibration.registration.state import LEVER_M, POSE, SIZE, State
+from gis_radar.calibration.registration.traces import Samples
+from gis_radar.poses import COMPONENTS
+
+# 1 sigma of the map's place, to the east and to the north: maps and tracks recorded independently
+# lay 0.3 to 0.5 m off each other.
+MAP_SIGMA_M = 0.15
+# Sigmas of easting, northing, height (m), roll, pitch, yaw from which on a scene does not fix them:
+# one metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
+UNFIXED = (1.0, 1.0, 0.5, math.radians(2.0), math.radians(2.0), math.radians(1.0))
+# Distances along the least-known direction at which the likelihood's profile is taken.
+VALLEY_STEPS_M: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+VALLEY = Schedule(scales_m=(0.3, 0.0), rounds=4)  # fit at each step along the least-known direction
+# Rise of the cost at one standard deviation, and at ten, from which on a place is excluded.
+LEAST_RISE = 0.5
+CLEAR_RISE = 50.0
+
+FINE = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)  # fit to all samples
+# The same from a lower place of the valley: with wider spreads the fit would leave it again.
+THERE = Schedule(scales_m=(0.0,), rounds=30)
+LOOKS = 4  # most searches for a better optimum, each around the last best one
+LOOK_GAIN = 1.0  # least gain in cost of a better optimum: one sigma costs 0.5
+
+PLACE = [0, 1]  # of the state: easting, northing
+PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
+UNITS = np.repeat([1.0, math.degrees(1.0)], 3)  # of a pose file's sigmas: metres, degrees
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certainty:
+    """How certain a pose is.
+
+    Parameters
+    ----------
+    covariance : (6, 6) array
+        Order easting, northing, height, roll, pitch, yaw; metres and radians.
+    noise : (6, 6) array
+        The part of it that is independent in another recording; the rest is of map and model.
+    sigma : (6,) array
+        Standard deviations of the covariance.
+    eigenvalues : (6,) array
+        Of the data's information about the pose, a turn counted as metres at 50 m, ascending.
+        Small ones are directions that the scene does not fix.
+    observable : bool
+        Whether the data fix all six.
+    """
+
+    covariance: Floats
+    noise: Floats
+    sigma: Floats
+    eigenvalues: Floats
+    observable: bool
+
+
+def certainty(
+    fit: Fit, *, map_sigma_m: float = MAP_SIGMA_M, rival: State | None = None
+) -> Certainty:
+    """Return how certain a fit is.
+
+    The inverse information, widened where the vehicles disagree more than in the model (a
+    cluster-robust covariance with the vehicles as clusters), and by what is not estimated: the
+    constants of the model, where all drivers keep in a lane, the accuracy of map and scan from
+    street to street, and the map's place.
+
+    Parameters
+    ----------
+    fit : Fit
+        A local optimum.
+    map_sigma_m : float
+        1 sigma of the map's place; 0 where windows of one recording are compared.
+    rival : State, optional
+        Another optimum, so near that both are one answer; either may be the right one.
+    """
+    inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
+    noise = _widened(inverse, fit)
+    effects = np.vstack([fit.considered(), fit.biases]) @ inverse
+    covariance = noise + effects.T @ effects
+    covariance[PLACE, PLACE] += map_sigma_m**2
+    to_angles = fit.state.to_angles
+    if rival is not None:
+        gap = rival.difference(fit.state)
+        covariance = covariance + np.outer(gap, gap) / 2.0
+    pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
+    drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
+    return Certainty(
+        covariance=pose,
+        noise=drawn,
+        sigma=np.sqrt(np.diag(pose)),
+        eigenvalues=eigenvalues(fit.data_information[POSE, POSE]),
+        observable=is_fixed(pose),
+    )
+
+
+def pose_covariance(information: Floats, state: State) -> Floats:
+    """Return the covariance of easting, northing, height, roll, pitch, yaw from an information."""
+    to_angles = state.to_angles
+    return np.asarray(to_angles @ np.linalg.inv(information) @ to_angles.T)
+
+
+def eigenvalues(information: Floats) -> Floats:
+    """Return the eigenvalues, ascending, of a (6, 6) pose information, 1/m^2, turns at 50 m."""
+    lever = np.diag([1.0] * 3 + [1.0 / LEVER_M] * 3)
+    return np.asarray(np.linalg.eigvalsh(lever @ information @ lever), dtype=np.float64)
+
+
+def is_fixed(covariance: Floats) -> bool:
+    """Return whether a covariance (easting to yaw, radians) fixes all six components."""
+    sigma = np.sqrt(np.diag(covariance))
+    return bool((sigma < UNFIXED).all() and longest_m(covariance) < UNFIXED[0])
+
+
+def _widened(inverse: Floats, fit: Fit) -> Floats:
+    """Return the cluster-robust covariance of a fit, with the vehicles as clusters."""
+    clusters = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0]
+    prior = fit.information - fit.data_information
+    return cluster_robust(inverse, clusters, prior, unknowns=len(inverse))
+
+
+def cluster_robust(inverse: Floats, clusters: Floats, prior: Floats, *, unknowns: int) -> Floats:
+    """Return the cluster-robust covariance, never below the model's.
+
+    Parameters
+    ----------
+    inverse : (n, n) array
+        The model's covariance.
+    clusters : (k, n) array
+        Gradient of the cost of each cluster.
+    prior : (n, n) array
+        Information of the prior, which is no cluster.
+    unknowns : int
+        Number of unknowns that the clusters fix, for the correction of few clusters.
+    """
+    root: Floats = np.asarray(np.linalg.cholesky((inverse + inverse.T) / 2.0), dtype=np.float64)
+    few = len(clusters) / max(len(clusters) - unknowns, 1)
+    spread = root.T @ (few * clusters.T @ clusters + prior) @ root
+    return limited(root, spread, np.maximum)
+
+
+def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
+    """Return by how many standard deviations the traffic prefers one fit to another.
+
+    The vehicles are clusters, each with the difference of its losses as score, the loss of its own
+    place in the lane included: with a wrong pose all vehicles seem to drive aside. The sum is
+    compared with its standard error (Vuong 1989), to which the variance is added that the habits
+    of all drivers on a street give to the loss of either fit.
+
+    Parameters
+    ----------
+    fit, other : Fit
+        Two fits to the same samples.
+    samples : Samples
+        The samples.
+    """
+    lost = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
+    gain: Floats = (lost + other.aside - fit.aside)[np.unique(samples.track)]
+    return z_score(gain, shared=fit.habits + other.habits)
+
+
+def z_score(gain: Floats, *, shared: float = 0.0) -> float:
+    """Return by how many standard errors a sum of gains differs from zero (Vuong 1989).
+
+    Parameters
+    ----------
+    gain : (n,) array
+        Gain in log likelihood of each vehicle, which is a cluster.
+    shared : float
+        Variance of the part that all vehicles share.
+    """
+    drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
+    spread, total = float(np.sqrt(drawn + shared)), float(gain.sum())
+    if spread <= 0.0:
+        return float(np.inf * np.sign(total)) if total else 0.0
+    return total / spread
+
+
+def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
+    """Widen sigma along the least-known direction in the plane by profile likelihood.
+
+    Along a bend of constant curvature, or a straight road, the pose can slide with hardly a change
+    of cost, over small local optima. Several metres away along this valley, all else fitted anew,
+    the cost must have risen as the curvature predicts (profile likelihood); where it has not, sigma
+    follows from the least rise. Where the cost is lower there, the fit was such a local optimum,
+    whose curvature gives no sigma: it is fitted again from the lowest place.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        A local optimum for these samples.
+    prior, model : Prior, Model
+        Those with which the fit was found.
+    """
+    for look in range(LOOKS + 1):  # the last turn only measures sigma
+        hold, way = _weakest(fit)
+        curved_m = float(np.sqrt(hold @ way))
+        sides = [
+            _profile(scene, fit, side * way / curved_m**2, hold, prior, model)
+            for side in (-1.0, 1.0)
+        ]
+        sigma_m = max(_deviation(fit, side) for side in sides)
+        lowest = min(
+            (other for side in sides for _, other in side), key=lambda each: each.cost, default=fit
+        )
+        if look == LOOKS or lowest.cost > fit.cost - LOOK_GAIN:
+            break
+        again = solve(scene, lowest.state, prior, schedule=THERE, model=model)
+        if not again.converged or again.cost > fit.cost - LOOK_GAIN:
+            break
+        fit = again
+    if sigma_m > curved_m:
+        fit = with_information_along(fit, hold, curved_m**-2, sigma_m**-2)
+    return narrowed_by_exclusion(fit, hold, sides)
+
+
+def with_information_along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
+    """Change a fit's information along a linear combination of the state's components.
+
+    The scores of vehicles are scaled by the root of the change, so that what they disagree widens
+    as sigma does. Biases and the constants of the model, which all share, are scaled so that they
+    move the answer as far as before.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    hold : (n,) array
+        Weight of each component of the state in the combination.
+    before, after : float
+        Present and new information along it, 1/m^2.
+
+    Returns
+    -------
+    Fit
+        With the difference added to both information matrices.
+    """
+    more = (after - before) * np.outer(hold, hold)
+    way = np.linalg.solve(fit.information, hold)
+    root = np.eye(len(hold)) + before * (math.sqrt(after / before) - 1.0) * np.outer(way, hold)
+    return replace(
+        fit,
+        information=fit.information + more,
+        data_information=fit.data_information + more,
+        scores=fit.scores @ root,
+        biases=fit.biases @ root @ root,
+        considered=lambda: fit.considered() @ root @ root,
+    )
+
+
+def narrowed_by_exclusion(fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]) -> Fit:
+    """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
+
+    Curvature holds near the optimum only. Where sigma reaches beyond a distance from which on the
+    cost excludes every place, the least rise there counts as curvature; the sigma that follows
+    is taken where it is no longer than that distance.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit at the optimum.
+    hold : (n,) array
+        Weight of each component of the state in the combination along the valley.
+    sides : list of two lists of (float, Rest)
+        By side of the optimum: distances in metres, ascending and the same on both sides, and the
+        fit there.
+
+    Returns
+    -------
+    Fit
+        The fit itself where nothing excludes.
+    """
+    curved = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
+    for k, (step_m, _) in enumerate(sides[0]):
+        if sigma_along(fit, hold) <= step_m:
+            break
+        rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
+        if rise < CLEAR_RISE:
+            continue
+        walled = with_information_along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
+        if sigma_along(walled, hold) <= step_m:
+            return walled
+    return fit
+
+
+def sigma_along(fit: Fit, hold: Floats) -> float:
+    """Return one standard deviation along a linear combination of the pose's components.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    hold : (n,) array
+        Weight of each component of the state in the combination.
+
+    Returns
+    -------
+    float
+        Metres.
+    """
+    to_angles = fit.state.to_angles
+    way = np.linalg.solve(to_angles.T, hold[POSE])
+    return float(np.sqrt(way @ certainty(fit).covariance @ way))
+
+
+def _weakest(fit: Fit) -> tuple[Floats, Floats]:
+    """Return the weights of the least-known combination (m), and its covariance with the state."""
+    covariance: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
+    lever_m = np.array([1.0, 1.0, LEVER_M])
+    _, vectors = np.linalg.eigh(lever_m[:, None] * covariance[np.ix_(PLANE, PLANE)] * lever_m)
+    hold = np.zeros(SIZE)
+    hold[PLANE] = lever_m * vectors[:, -1]
+    return hold, covariance @ hold
+
+
+def _profile(
+    scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
+) -> list[tuple[float, Rest]]:
+    """Return fits at some distances along a valley, metres, all else fitted anew."""
+    found, state, at_m = list[tuple[float, Rest]](), fit.state, 0.0
+    for step_m in VALLEY_STEPS_M:
+        start = state.moved((step_m - at_m) * way)
+        here = settle(scene, start, prior, schedule=VALLEY, model=model, hold=hold)
+        state, at_m = here.state, step_m
+        found.append((step_m, here))
+    return found
+
+
+def _deviation(fit: Fit, side: list[tuple[float, Rest]]) -> float:
+    """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
+    sigma_m = 0.0
+    for step_m, here in side:
+        rise = max(here.cost - fit.cost, LEAST_RISE)
+        if rise > CLEAR_RISE:
+            continue  # this place is excluded, however far it is
+        sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
+    return sigma_m
+
+
+def stated(covariance: Floats) -> dict[str, Any]:
+    """Return a covariance, and its sigmas in m and degrees, as entries of a pose's evidence."""
+    sigma = np.sqrt(np.diag(covariance)) * UNITS
+    named = {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)}
+    return {"sigma": named, "covariance": covariance.tolist()}
+
+
+def longest_m(covariance: Floats) -> float:
+    """Return the standard deviation, metres, along the worst-known direction in the plane."""
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))

@@ -1,0 +1,380 @@
+"""Lanes as sampled centre lines, and the lane of each detection that its Doppler allows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import geopandas as gpd
+import numpy as np
+import scipy
+import shapely
+from numpy.typing import NDArray
+
+from gis_radar.base import Booleans, Floats, Integers, NoAnswerError, compiled
+from gis_radar.calibration.registration.state import State
+from gis_radar.calibration.registration.traces import Samples
+from gis_radar.hdmap import is_driven
+
+# Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius lose 1 cm.
+LANE_STEP_M = 1.0
+LANE_CELL_M = 1.0
+LANE_BINS = 16  # bins of direction, 22.5 degrees each: lanes of a junction stay apart
+LANE_REACH_M = 12.0  # a point farther from every lane matches none; more than three lanes
+MARGIN_M = 20.0  # reach of the lanes beyond the farthest traces and the error of the guess
+SAME_LEVEL_M = 2.0  # scanned points farther from the map's height are of another level
+# A sample's height is the median of so many scanned points at most, within SCAN_NEAR_M.
+SCAN_NEAR_M = 2.0
+SCAN_POINTS = 12
+SLOPE_REACH = 3  # samples to either side over which the rise is taken
+MOST_SLOPE = 0.2  # steeper is an error: roads rise 12 % at most (RAL), ramps 20 %
+UNLIMITED_MPS = 55.0  # top speed where the map has no limit, 200 km/h
+# Top speed as a multiple of the limit, and its least value (54 km/h).
+SPEEDING = 1.5
+MIN_TOP_MPS = 15.0
+BORDER_M = 1.0  # a sample nearer to its lane's middle is of no other lane: less than half a lane
+NEXT_LANE_M = 5.5  # largest distance between the middles of lanes beside each other
+PARALLEL = 0.87  # least cosine between their directions (30 degrees)
+NO_WAY_M = 1e-9  # shorter vectors have no direction
+# Length of the mean of a lane's directions under which it bends: an arc of 30 degrees.
+STRAIGHT = 0.9886
+# 1 sigma, among streets, of the lanes' place in the map, and of the scan's heights.
+STREET_SIGMA_M = (0.3, 0.2)
+# 1 sigma, among lanes, of the mean offset of a lane's drivers from its middle: on straight lanes,
+# and in bends; from three recorded junctions.
+LANE_SIGMA_M = (0.18, 0.36)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lanes:
+    """Samples of the centre lines around a place, and a grid of the nearest sample.
+
+    Parameters
+    ----------
+    origin : (2,) array
+        Map position of the local (0, 0), metres; all else is local in easting and northing.
+    points : (m, 3) array
+        Samples of centre lines, about a metre apart; heights of the scanned road, NaN where
+        neither scan nor map has one.
+    along : (m, 2) array
+        Unit vectors of travel.
+    slope : (m,) array
+        Rise of the road along the lane, metres a metre.
+    top_speed : (m,) array
+        Speed that no vehicle exceeds there, m/s.
+    width_m : (m,) array
+        Width of the lane.
+    lane : (m,) array
+        Number of the lane: its row in the table of lanelets, or that plus the table's length
+        where it is driven against its direction.
+    s_m : (m,) array
+        Place along the lane, in the direction of travel.
+    corner : (2,) array
+        South-west corner of the grid.
+    nearest : (bins, rows, columns) int32 array
+        Index of the nearest sample among those of a bin of direction, -1 where none is near.
+    distance : (bins, rows, columns) float32 array
+        Distance to it, metres.
+    directed : bool
+        Whether most of the lanes have a direction.
+    scanned : float
+        Share of the samples whose height the scanned road gives.
+    """
+
+    origin: Floats
+    points: Floats
+    along: Floats
+    slope: Floats
+    top_speed: Floats
+    width_m: Floats
+    lane: Integers
+    s_m: Floats
+    corner: Floats
+    nearest: np.ndarray
+    distance: np.ndarray
+    directed: bool
+    scanned: float
+
+    @cached_property
+    def bends(self) -> Booleans:
+        """Whether the lane of each sample bends by more than 30 degrees in all."""
+        _, lane = np.unique(self.lane, return_inverse=True)
+        mean = [(np.bincount(lane, way) / np.bincount(lane))[lane] for way in self.along.T]
+        return np.asarray(np.hypot(*mean) < STRAIGHT)
+
+    @cached_property
+    def next_lanes(self) -> Integers:
+        """Sample beside each one on the next lane of its direction, left and right; -1 for none."""
+        pairs = scipy.spatial.cKDTree(self.points[:, :2]).query_pairs(
+            NEXT_LANE_M, output_type="ndarray"
+        )
+        one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+        ahead, left, _ = self.beside(one, self.points[other])
+        same = np.sum(self.along[one] * self.along[other], axis=1) > PARALLEL
+        near = same & (np.abs(ahead) < LANE_STEP_M) & (np.abs(left) > BORDER_M)
+        found = np.full((len(self.points), 2), -1)
+        order = np.flatnonzero(near)[np.argsort(-np.abs(left[near]), kind="stable")]
+        found[one[order], np.where(left[order] > 0.0, 0, 1)] = other[order]  # the nearest is last
+        return found
+
+    @property
+    def raster(self) -> tuple[Floats, Floats, Floats, Floats, np.ndarray]:
+        """What points are matched with."""
+        return self.points, self.along, self.top_speed, self.corner, self.nearest
+
+    def beside(self, sample: Integers, points: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return how far points are ahead of a sample, left of its lane, and over it, metres."""
+        off, way = points - self.points[sample], self.along[sample]
+        ahead = np.sum(off[:, :2] * way, axis=1)
+        left = off[:, 1] * way[:, 0] - off[:, 0] * way[:, 1]
+        return ahead, left, off[:, 2] - self.slope[sample] * ahead
+
+
+def sample_lanes(
+    lanelets: gpd.GeoDataFrame, road: Floats, *, place: Floats, reach_m: float
+) -> Lanes:
+    """Sample the lanes that vehicles use within reach of a place.
+
+    Parameters
+    ----------
+    lanelets : GeoDataFrame
+        As in :class:`gis_radar.hdmap.LaneletMap`.
+    road : (n, 3) array
+        Points of the road's surface in the lanelets' CRS, metres; it gives the heights.
+    place : (2,) array
+        Easting and northing around which to sample; becomes the local origin.
+    reach_m : float
+        Radius around the place, metres.
+
+    Raises
+    ------
+    NoAnswerError
+        If no lane is there.
+    """
+    driven = lanelets["participants"].map(is_driven).astype(bool)
+    close = lanelets["centre"].distance(shapely.Point(place)) < reach_m
+    kept = np.flatnonzero(driven & close)
+    table = lanelets.iloc[kept]
+    if table.empty:
+        raise NoAnswerError(
+            "no lane for vehicles within {:.0f} m of the guess {:.1f},{:.1f}",
+            reach_m,
+            place[0],
+            place[1],
+            hint="check the guess, its coordinate system, and that the map is the right one",
+        )
+    parts = [_sampled(line, LANE_STEP_M) for line in table["centre"]]
+    count = [len(xyz) for xyz, _, _ in parts]
+    local = np.vstack([xyz for xyz, _, _ in parts]) - [*place, 0.0]
+    along = np.vstack([way for _, way, _ in parts])
+    s_m = np.concatenate([at for _, _, at in parts])
+    lane = np.repeat(np.arange(len(parts)), count)
+    height, scanned = _heights(local, road - [*place, 0.0])
+    local[:, 2] = height
+    slope = _slopes(local, along, lane)
+    limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
+    top = np.maximum(limit * SPEEDING, MIN_TOP_MPS)
+    top = np.where(np.isnan(limit), UNLIMITED_MPS, top)
+    width = (table.geometry.area / table["centre"].length).to_numpy()[lane]
+    two_way = ~table["one_way"].to_numpy(bool)[lane]
+    near = np.hypot(local[:, 0], local[:, 1]) < reach_m
+    rows = np.concatenate([np.flatnonzero(near), np.flatnonzero(near & two_way)])
+    turn = np.where(np.arange(len(rows)) < near.sum(), 1.0, -1.0)
+    back = np.where(turn > 0.0, 0, 1)
+    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None])
+    return Lanes(
+        origin=np.asarray(place, dtype=np.float64),
+        points=local[rows],
+        along=along[rows] * turn[:, None],
+        slope=slope[rows] * turn,
+        top_speed=top[rows],
+        width_m=width[rows],
+        lane=kept[lane[rows]] + back * len(lanelets),
+        s_m=turn * s_m[rows] + back * table["centre"].length.to_numpy()[lane[rows]],
+        corner=corner,
+        nearest=nearest,
+        distance=distance,
+        directed=bool(two_way.mean() < 0.5),
+        scanned=float(scanned[rows].mean()) if len(rows) else 0.0,
+    )
+
+
+def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats, Floats]:
+    """Return points about `step_m` apart, their directions and places along the line (m)."""
+    xyz = shapely.get_coordinates(line, include_z=True)
+    step = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
+    xyz, step = xyz[np.append(True, step > 1e-6)], step[step > 1e-6]
+    s = np.append(0.0, np.cumsum(step))
+    n = max(int(np.ceil(s[-1] / step_m)), 1)
+    at = (np.arange(n) + 0.5) * s[-1] / n
+    points = np.column_stack([np.interp(at, s, c) for c in xyz.T])
+    reach = min(step_m, s[-1] / 2)
+    ahead, behind = (
+        np.column_stack([np.interp(np.clip(at + d, 0, s[-1]), s, c) for c in xyz[:, :2].T])
+        for d in (reach, -reach)
+    )
+    way = ahead - behind
+    return points, way / np.hypot(*way.T)[:, None], at
+
+
+def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
+    """Return heights at samples, and whether they are the scan's; the map's tell levels apart."""
+    known = local[:, 2]
+    if len(road) == 0:
+        return known, np.zeros(len(known), dtype=bool)
+    gap, index = scipy.spatial.cKDTree(road[:, :2]).query(
+        local[:, :2],
+        k=min(SCAN_POINTS, len(road)),
+        distance_upper_bound=SCAN_NEAR_M,
+    )
+    gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
+    z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
+    z = np.where(np.abs(z - known[:, None]) > SAME_LEVEL_M, np.nan, z)
+    found = np.isfinite(z).sum(axis=1)
+    ranked = np.sort(z, axis=1)
+    rows = np.arange(len(z))
+    low, high = ranked[rows, np.maximum(found - 1, 0) // 2], ranked[rows, found // 2 % z.shape[1]]
+    height = np.where(found > 0, np.where(found % 2 == 1, low, (low + high) / 2), known)
+    return height, np.asarray(found > 0)
+
+
+def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
+    """Return the rise along each lane (m/m); 0 where the heights are unknown."""
+    last = len(points) - 1
+    ahead, behind = (
+        np.clip(np.arange(len(points)) + d, 0, last) for d in (SLOPE_REACH, -SLOPE_REACH)
+    )
+    ahead = np.where(lane[ahead] == lane, ahead, np.arange(len(points)))
+    behind = np.where(lane[behind] == lane, behind, np.arange(len(points)))
+    gap = points[ahead] - points[behind]
+    run = np.sum(gap[:, :2] * along, axis=1)
+    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > LANE_STEP_M)
+    return np.asarray(np.clip(np.nan_to_num(rise), -MOST_SLOPE, MOST_SLOPE))
+
+
+def _raster(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
+    """Return the grid's corner, and for each bin of direction the nearest sample of each cell."""
+    cell_m, reach = LANE_CELL_M, LANE_REACH_M / LANE_CELL_M
+    corner = np.floor(points[:, :2].min(axis=0)) - LANE_REACH_M
+    place = (points[:, :2] - corner) / cell_m
+    columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
+    nearest = np.full((LANE_BINS, rows, columns), -1, dtype=np.int32)
+    distance = np.full((LANE_BINS, rows, columns), np.float32(np.inf))
+    _spread(nearest, distance, direction_bin(along, LANE_BINS), place, reach)
+    distance *= np.float32(cell_m)
+    return corner, nearest, distance
+
+
+@compiled
+def _spread(  # pragma: no cover - compiled
+    nearest: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    bins: Integers,
+    place: Floats,
+    reach: float,
+) -> None:
+    """Enter each sample, and its distance in cells, where no other of its bin is nearer."""
+    _, rows, columns = nearest.shape
+    for k in range(len(place)):
+        b, x, y = bins[k], place[k, 0] - 0.5, place[k, 1] - 0.5  # of the cells' centres
+        for i in range(max(int(y - reach), 0), min(int(y + reach) + 2, rows)):
+            for j in range(max(int(x - reach), 0), min(int(x + reach) + 2, columns)):
+                gap = np.sqrt((i - y) ** 2 + (j - x) ** 2)
+                if gap < reach and gap < distance[b, i, j]:
+                    nearest[b, i, j] = k
+                    distance[b, i, j] = gap
+
+
+def direction_bin(along: Floats, bins: int) -> Integers:
+    """Return the bin of direction of (m, 2) vectors; bin 0 is centred on east."""
+    turns = np.arctan2(along[:, 1], along[:, 0]) / (2.0 * np.pi)
+    return np.asarray(np.rint(turns * bins).astype(np.int64) % bins)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Scene of a registration: lanes and traces.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map around the guess.
+    samples : Samples
+        The traces.
+    lane_sigma_m : (2,) tuple
+        1 sigma of the mean offset of a lane's drivers, on straight lanes and in bends; 0 among
+        windows of one recording, which share it.
+    keeps_lanes : bool
+        Whether tracks take paths through the lanes, not each sample the nearest. False in windows:
+        some seconds of a track leave its path open, and half a metre of a move hides in it.
+    """
+
+    lanes: Lanes
+    samples: Samples
+    lane_sigma_m: tuple[float, float] = LANE_SIGMA_M
+    keeps_lanes: bool = True
+
+    def of(self, samples: Samples) -> Scene:
+        """Return the scene with other samples."""
+        return replace(self, samples=samples)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Samples placed in the map by a state of the sensor.
+
+    Parameters
+    ----------
+    samples : Samples
+        Traces.
+    state : State
+        State of the sensor.
+    points : (n, 3) array
+        The samples in local map coordinates, metres.
+    arms : (n, 3) array
+        Vectors from the sensor to the samples, in the map's axes, metres.
+    flat : (n,) array
+        Distances from the sensor in the plane, metres.
+    sight : (n, 2) array
+        Unit vectors from the sensor to the samples in the plane; east where the distance is 0.
+    """
+
+    samples: Samples
+    state: State
+    points: Floats
+    arms: Floats
+    flat: Floats
+    sight: Floats
+
+
+def place(samples: Samples, state: State) -> Placed:
+    """Place samples in the map.
+
+    Parameters
+    ----------
+    samples : Samples
+        Traces.
+    state : State
+        Assumed state of the sensor.
+    """
+    turn = np.ascontiguousarray(state.R_map_sensor)  # other layouts would be compiled anew
+    points, arms, flat, sight = _placed(samples.points, turn, state.position)
+    return Placed(samples=samples, state=state, points=points, arms=arms, flat=flat, sight=sight)
+
+
+@compiled
+def _placed(  # pragma: no cover - compiled
+    seen: Floats, turn: Floats, position: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return points, arms, distances and directions of sight, as in `Placed`."""
+    points, arms = np.empty((len(seen), 3)), np.empty((len(seen), 3))
+    flat, sight = np.empty(len(seen)), np.empty((len(seen), 2))
+    for i in range(len(seen)):
+        for j in range(3):
+            arms[i, j] = turn[j, 0] * seen[i, 0] + turn[j, 1] * seen[i, 1] + turn[j, 2] * seen[i, 2]
+            points[i, j] = arms[i, j] + position[j]
+        flat[i] = np.hypot(arms[i, 0], arms[i, 1])
+        sight[i, 0], sight[i, 1] = 1.0, 0.0
+        if flat[i] > NO_WAY_M:
+            sight[i, 0], sight[i, 1] = arms[i, 0] / flat[i], arms[i, 1] / flat[i]
+    return points, arms, flat, sight

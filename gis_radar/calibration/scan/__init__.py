@@ -1,0 +1,1 @@
+"""Scan check: what stands around a sensor, compared with an airborne scan."""

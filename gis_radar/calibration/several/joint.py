@@ -1,0 +1,488 @@
+"""Joint calibration of a site's sensors: vehicles that two of them see relate their poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gis_radar.base import (
+    QUIET,
+    Floats,
+    InputError,
+    Level,
+    NoAnswerError,
+    Reporter,
+    Text,
+    UsageError,
+    atomic_writes,
+    card,
+    output_errors,
+)
+from gis_radar.calibration.registration.lanes import MARGIN_M, Lanes, sample_lanes
+from gis_radar.calibration.registration.traces import Moving
+from gis_radar.calibration.scan.scan_check import check_against_scan, require_scans_near
+from gis_radar.calibration.scan.scan_check_result import CONFIRMS, ScanCheck
+from gis_radar.calibration.several.network import CLASH_HINT, Solved, solve_network
+from gis_radar.calibration.several.placing import Station
+from gis_radar.calibration.single.localization import (
+    decided_by_scan,
+    localize_one,
+    read_ground,
+    refuse_both,
+    start_in_map,
+)
+from gis_radar.calibration.single.moving import (
+    RIGHT,
+    Span,
+    best_end,
+    common_time,
+    read_span,
+    read_until,
+)
+from gis_radar.calibration.single.result import AmbiguousError, Localization
+from gis_radar.calibration.timing.clocks import SensorClock
+from gis_radar.hdmap import LaneletMap
+from gis_radar.poses import Pose
+
+# Length of the time, in which most sensors recorded, that is used of long recordings: 2000 frames.
+COMMON_S = 100.0
+
+STAGE = "finding the poses together"
+READING = "reading what moved"
+AWAY = "it did not record while the others did"
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCalibration:
+    """The poses of several sensors of a site.
+
+    Parameters
+    ----------
+    found : dict of str to Localization
+        By sensor. Where vehicles relate a sensor to others, `together` in its pose's evidence
+        states these, the number of pairs of tracks, and sigma before and after (m, degrees).
+    refused : dict of str to str
+        By sensor without a trustworthy pose: the reason.
+    pairs : dict of (str, str) to int
+        Number of vehicles that two sensors share.
+    """
+
+    found: dict[str, Localization]
+    refused: dict[str, str]
+    pairs: dict[tuple[str, str], int]
+
+    @property
+    def failure(self) -> NoAnswerError | None:
+        """Error that names all refused sensors in one line; None where every sensor has a pose."""
+        if not self.refused:
+            return None
+        whys = {
+            why if name in why.partition(":")[0].split() else f"{name}: {why}": None
+            for name, why in self.refused.items()
+        }
+        return NoAnswerError(Text("; ").join(whys), hint="the other sensors have their poses")
+
+    def figures(self) -> dict[str, str]:
+        """Return one line of text for each sensor."""
+        lines = {name: _line(found.pose) for name, found in self.found.items()}
+        return lines | {name: Text("no answer: {}", why) for name, why in self.refused.items()}
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write a pose file for each sensor into a folder, all or none, and return them."""
+        folder = Path(folder)
+        with output_errors(folder):
+            folder.mkdir(exist_ok=True)
+        made = [folder / f"{name}.json" for name in self.found]
+        with atomic_writes(made[0]) as (private, places):
+            for found, path in zip(self.found.values(), made, strict=True):
+                found.pose.write(private / path.name)
+                places[private / path.name] = path
+        return made
+
+    def _repr_html_(self) -> str:
+        return card("Sensors together", self.figures())
+
+    def __repr__(self) -> str:
+        figures = "; ".join(f"{name}: {text}" for name, text in self.figures().items())
+        return f"JointCalibration({figures})"
+
+
+def localize_together(
+    recordings: Sequence[str | Path],
+    roads: LaneletMap | str | Path,
+    road: Floats | str | Path,
+    *,
+    guesses: Sequence[Sequence[float]],
+    guess_crs: Any = None,
+    headings: Sequence[float] | None = None,
+    compasses: Sequence[float] | None = None,
+    crs: Any = None,
+    origin: tuple[float, float] | None = None,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
+    reporter: Reporter = QUIET,
+) -> JointCalibration:
+    """Find the poses of several sensors that recorded at the same time.
+
+    Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
+    the same time relate their poses, which are adjusted together. A sensor with several
+    poses that fit alike, or whose place along a straight road is not fixed, is placed by its
+    neighbours.
+    Where there are scans, each adjusted pose is checked against them.
+
+    Parameters
+    ----------
+    recordings : sequence of paths
+        One a sensor, which is named after the file; they overlap in time.
+    roads, road, crs, origin
+        As for :func:`gis_radar.localize`.
+    guesses : sequence of (easting, northing) or (easting, northing, height)
+        As many as recordings, in order; each within 15 m of the truth.
+    guess_crs : CRS, str or int, optional
+        The guesses' coordinate system, where it is not the map's.
+    headings : sequence of float, optional
+        As many yaws in degrees, counter-clockwise from grid east, within 25 degrees of the truth.
+    compasses : sequence of float, optional
+        The same as bearings: degrees clockwise from true north.
+    scans, scan_crs
+        As for :func:`gis_radar.localize`: where the traffic in front of a sensor fits several
+        poses, the scan check decides first.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    UsageError
+        If there are fewer than two recordings, not as many guesses, or a sensor twice.
+    InputError
+        If a file cannot be read, two recordings have no time in common, or no scan has points
+        within 300 m of a guess.
+    NoAnswerError
+        If no sensor has a trustworthy pose.
+    """
+    paths = [Path(each) for each in recordings]
+    _check_counts(paths, guesses, headings, compasses)
+    roads, points = read_ground(roads, road, crs=crs, origin=origin, reporter=reporter)
+    none = [None] * len(paths)
+    starts = [
+        start_in_map(roads, guess, guess_crs, heading, compass)
+        for guess, heading, compass in zip(
+            guesses, headings or none, compasses or none, strict=True
+        )
+    ]
+    places, yaws = zip(*starts, strict=True)
+    if scans:
+        for path, place in zip(paths, places, strict=True):
+            require_scans_near(scans, roads.crs, place, name=path.stem, scan_crs=scan_crs)
+    return locate_all(
+        paths, roads, points, guesses=places, headings=yaws, scans=scans,
+        scan_crs=scan_crs, reporter=reporter,
+    )  # fmt: skip
+
+
+def locate_all(
+    recordings: Sequence[Path],
+    roads: LaneletMap,
+    road_points: Floats,
+    *,
+    guesses: Sequence[tuple[float, ...]],
+    headings: Sequence[float | None] | None = None,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
+    reporter: Reporter = QUIET,
+) -> JointCalibration:
+    """Find the poses of several sensors, with map and road in memory.
+
+    Parameters
+    ----------
+    recordings, guesses, headings, scans, scan_crs, reporter
+        As for :func:`localize_together`; guesses in the map's CRS.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    """
+    end = common_time(recordings)
+    look_at = partial(_look, scans=scans, scan_crs=scan_crs, reporter=reporter) if scans else None
+    sure = [None] * len(guesses) if headings is None else headings
+    asks = [
+        partial(
+            localize_one, roads=roads, road_points=road_points, guess=guess, heading=heading,
+            reporter=reporter,
+        )
+        for guess, heading in zip(guesses, sure, strict=True)
+    ]  # fmt: skip
+    if look_at is not None:
+        asks = [
+            partial(decided_by_scan, localize=ask, look_at=look_at, reporter=reporter)
+            for ask in asks
+        ]
+    answers, refused = _alone(recordings, asks, reporter)
+    used = {path.stem: path for path in recordings if path.stem in answers}
+    solved = adjust_poses(
+        used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
+        roads, road_points, end=end, reporter=reporter,
+    )  # fmt: skip
+    reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
+    kept: dict[str, Localization] = {}
+    if look_at is not None:
+        kept = _confirmed({name: answers[name] for name in solved.refused}, used, look_at)
+    for name in kept:
+        reporter.warn("{}; what stands in the scan confirms that of {}", solved.refused[name], name)
+    if not solved.poses and not kept:
+        raise NoAnswerError(
+            Text("; ").join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT
+        )
+    for name, reason in solved.unmatched.items():
+        if name in solved.poses and len(used) > 1:
+            reporter.warn("{}: {}", name, reason)
+    placed = {
+        name: _with_pose(answers[name][solved.chosen[name]], solved.poses[name])
+        for name in used if name in solved.poses
+    }  # fmt: skip
+    if look_at is not None:
+        placed = {
+            name: found.with_scan_check(look_at(used[name], found.pose))
+            for name, found in placed.items()
+        }
+    found = {name: (placed | kept)[name] for name in used if name in placed or name in kept}
+    why = {name: error.message for name, error in refused.items()} | solved.refused
+    left = {name: text for name, text in why.items() if name not in found}
+    return JointCalibration(found=found, refused=left, pairs=solved.pairs)
+
+
+def _confirmed(
+    refused: Mapping[str, tuple[Localization, ...]],
+    recordings: Mapping[str, Path],
+    look_at: Callable[[Path, Pose], ScanCheck],
+) -> dict[str, Localization]:
+    """Return the answers that the scan check confirms, of refused sensors with one answer each."""
+    alone = {name: several[0] for name, several in refused.items() if len(several) == 1}
+    looks = {name: look_at(recordings[name], found.pose) for name, found in alone.items()}
+    return {
+        name: alone[name].with_scan_check(look)
+        for name, look in looks.items()
+        if look.verdict == CONFIRMS
+    }
+
+
+def _alone(
+    recordings: Sequence[Path], asks: Sequence[Callable[[Path], Localization]], reporter: Reporter
+) -> tuple[dict[str, tuple[Localization, ...]], dict[str, NoAnswerError]]:
+    """Localize each sensor by itself; return its answers (several if ambiguous), and refusals.
+
+    Raises
+    ------
+    NoAnswerError
+        If none of them has one answer.
+    """
+    answers: dict[str, tuple[Localization, ...]] = {}
+    refused: dict[str, NoAnswerError] = {}
+    for done, (recording, ask) in enumerate(zip(recordings, asks, strict=True)):
+        reporter.progress(STAGE, done, len(recordings) + 1)
+        try:
+            answers[recording.stem] = (ask(recording),)
+        except AmbiguousError as error:
+            answers[recording.stem] = error.answers
+            refused[recording.stem] = error
+        except NoAnswerError as error:
+            refused[recording.stem] = error
+    reporter.progress(STAGE, len(recordings), len(recordings) + 1)
+    if all(name in refused for name in answers):
+        raise NoAnswerError(Text("; ").join(error.message for error in refused.values()),
+                            hint="at least one sensor must have an answer of its own")  # fmt: skip
+    return answers, refused
+
+
+@dataclass(frozen=True)
+class _Named(Reporter):
+    """Reporter that passes on progress, and remarks with the sensor's name before them."""
+
+    name: str
+    reporter: Reporter
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        self.reporter.progress(stage, done, total)
+
+    def log(self, message: str, level: Level = "info") -> None:
+        self.reporter.log(Text("{}: {}", self.name, message), level)
+
+
+def _look(
+    recording: Path, pose: Pose, *, scans: Sequence[str | Path], scan_crs: Any, reporter: Reporter
+) -> ScanCheck:
+    """Check a sensor's pose against the scan; remarks name the sensor."""
+    named = _Named(pose.sensor, reporter)
+    return check_against_scan(recording, pose, scans, scan_crs=scan_crs, reporter=named)
+
+
+def adjust_poses(
+    recordings: Mapping[str, Path | Sequence[Path]],
+    poses: Mapping[str, tuple[Pose, ...]],
+    roads: LaneletMap,
+    road_points: Floats,
+    *,
+    end: float | None = None,
+    clocks: Mapping[str, SensorClock] | None = None,
+    reporter: Reporter = QUIET,
+) -> Solved:
+    """Adjust poses of sensors by the vehicles that they see at the same time.
+
+    Parameters
+    ----------
+    recordings : mapping of str to Path or sequence of Path
+        By sensor.
+    poses : mapping of str to tuple of Pose
+        By sensor: its own answer with covariance, or several that fit alike.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    end : float, optional
+        UNIX seconds: the end of the 100 s of the recordings that are used; by default of the first
+        100 s in which most sensors recorded.
+    clocks : mapping of str to SensorClock, optional
+        Measured clocks, by which the times of their sensors are corrected.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Returns
+    -------
+    Solved
+        Without a pose for any sensor where all contradict each other. Sensors with recordings that
+        cannot be read have no correspondences.
+    """
+    right = {name: (clocks or {}).get(name, RIGHT) for name in recordings}
+    paths = {name: [each] if isinstance(each, Path) else each for name, each in recordings.items()}
+    why: dict[str, str] = {}
+    spans: dict[str, list[Span]] = {name: [] for name in paths}
+    for name, several in paths.items():
+        for path in several:
+            with _noted(why, name):
+                spans[name].append(read_span(path, right[name]))
+    until = best_end(spans, COMMON_S) if end is None else end
+    stations = []
+    for done, (name, known) in enumerate(spans.items()):
+        reporter.progress(READING, done, len(spans))
+        there = [each for each in known if each.shared_s(until - COMMON_S, until)]
+        moving = read_until([], until)
+        with _noted(why, name):
+            moving = read_until(there, until, right[name])
+        if not moving.frames:
+            why.setdefault(name, AWAY)
+        clock_s = _sigma_s(right[name])
+        stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
+    reporter.progress(READING, len(spans), len(spans))
+    places = np.array([pose.position[:2] for each in stations for pose in each.poses])
+    lanes = _lanes_of_all([each.moving for each in stations], places, roads, road_points)
+    solved = solve_network(stations, lanes)
+    for remark in solved.remarks:
+        reporter.warn(remark)
+    unmatched = {name: why.get(name, text) for name, text in solved.unmatched.items()}
+    return replace(solved, unmatched=unmatched)
+
+
+def _lanes_of_all(
+    moving: Sequence[Moving],
+    places: Floats,
+    roads: LaneletMap,
+    road_points: Floats,
+) -> Lanes:
+    """Return the lanes that any of several sensors sees.
+
+    Parameters
+    ----------
+    moving : sequence of Moving
+        Moving detections of each sensor.
+    places : (n, 2) array
+        Possible places of the sensors, easting and northing.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    """
+    middle = places.mean(axis=0)
+    flat = [np.hypot(*each.points[:, :2].T) for each in moving if len(each)]
+    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
+    spread_m = float(np.hypot(*(places - middle).T).max())
+    return sample_lanes(
+        roads.lanelets, road_points,
+        place=middle, reach_m=spread_m + seen_m + MARGIN_M,
+    )  # fmt: skip
+
+
+def _sigma_s(clock: SensorClock) -> float | None:
+    """Return the standard deviation of a measured clock, seconds; None where it is not known."""
+    known = clock is not RIGHT and math.isfinite(clock.sigma_s)
+    return clock.sigma_s if known else None
+
+
+@contextmanager
+def _noted(why: dict[str, str], name: str) -> Iterator[None]:
+    """Record an error of one sensor's data in `why` instead of raising it."""
+    try:
+        yield
+    except InputError as error:
+        why[name] = error.message
+
+
+def _check_counts(
+    paths: Sequence[Path],
+    guesses: Sequence[Any],
+    headings: Sequence[Any] | None,
+    compasses: Sequence[Any] | None,
+) -> None:
+    if len(paths) < 2:
+        raise UsageError(
+            "{} recording, at least two are needed",
+            len(paths),
+            hint=Text("leave out {}", "--together"),
+        )
+    refuse_both(headings, compasses)
+    given = {"guesses": guesses, "headings": headings, "compasses": compasses}
+    for what, values in given.items():
+        if values is not None and len(values) != len(paths):
+            raise UsageError(
+                "{} recordings, but {} {}", len(paths), len(values), what, hint="one each, in order"
+            )
+    names = [path.stem for path in paths]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(
+            "two recordings are of {}", twice, hint="sensors are named after their files"
+        )
+
+
+def _with_pose(found: Localization, pose: Pose) -> Localization:
+    observable = bool(pose.evidence.get("observable", found.observable))
+    return replace(found, pose=pose, observable=observable)
+
+
+def _line(pose: Pose) -> str:
+    look, scale = pose.evidence.get("scan_check"), pose.evidence.get("range_scale")
+    parts = [gain_line(pose)]
+    if isinstance(scale, Mapping):
+        parts.append(Text("scale of range {:.3f} ± {:.3f}", scale["factor"], scale["sigma"]))
+    if look:
+        parts.append(f"scan check: {look['verdict']}")
+    return Text("; ").join(parts)
+
+
+def gain_line(pose: Pose) -> str:
+    """Describe a pose's certainty and correspondences in a line, by its evidence."""
+    sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
+    after = Text("position ± {:.2f} m", np.hypot(sigma["easting"], sigma["northing"]))
+    turn = Text("yaw ± {:.2f} deg", sigma["yaw"])
+    if together is None:
+        return Text("{}, {}; alone", after, turn)
+    before = {name: value["before"] for name, value in together["gained"].items()}
+    return Text(
+        "{} (alone {:.2f}), {} (alone {:.2f}); {} vehicles shared with {}",
+        after,
+        np.hypot(before["easting"], before["northing"]),
+        turn,
+        before["yaw"],
+        together["pairs"],
+        ", ".join(together["sensors"]),
+    )

@@ -1,0 +1,230 @@
+"""The method `icp`: the paper's registration of motion traces to the scanned road."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from gis_radar.base import INSTALL_LOCALIZE, Floats, InputError, Integers, NoAnswerError, Reporter
+from gis_radar.calibration.registration.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.calibration.registration.hypotheses import GUESS_M
+from gis_radar.calibration.registration.solver import FLOOR, at_least
+from gis_radar.calibration.registration.state import LEVER_M, State
+from gis_radar.calibration.registration.traces import CROWD_M, Moving
+from gis_radar.calibration.single.result import STAGE, Localization, Problem, common
+
+# Step of the pose by which the information is measured: longer than the slack between traces and
+# kerb, in which the cost is flat.
+PROFILE_M = 2.0
+MAST_M = 5.0  # height of a usual mast, where the guess has none
+HEADINGS = 8  # number of start headings where none is given, evenly spaced
+VOXEL_M = 0.5  # edge of the voxels of traces and road (the paper)
+# DBSCAN of the traces' voxels: gaps between the lanes of a street stay closed.
+EPS_M, MIN_POINTS = 2.0, 10
+DISTANCES_M = (10.0, 1.0, 0.5)  # largest of correspondences: 10 m, two voxels, one (the paper)
+ITERATIONS = 60  # most iterations at each distance
+FARTHEST = 2.0  # an answer farther off than so many times GUESS_M is refused
+
+
+def voxels(points: Floats, size_m: float) -> Floats:
+    """Return the centres of the cubes that hold a point, in a fixed order.
+
+    Parameters
+    ----------
+    points : (n, d) array
+        Metres.
+    size_m : float
+        Edge of a cube.
+    """
+    cells: Integers = np.floor(np.asarray(points) / size_m).astype(np.int64)
+    return np.asarray((np.unique(cells, axis=0) + 0.5) * size_m, dtype=np.float64)
+
+
+def source_voxels(moving: Moving) -> Floats:
+    """Return the traces as the paper makes them: the voxels of the largest cluster.
+
+    The paper clusters the detections; clustering voxels bounds the memory of DBSCAN's neighbours.
+
+    Parameters
+    ----------
+    moving : Moving
+        Detections faster than 0.15 m/s of the last 2000 frames.
+
+    Raises
+    ------
+    NoAnswerError
+        If nothing that moved is dense enough for a cluster.
+    InputError
+        If Open3D is not installed.
+    """
+    o3d = _open3d()
+    centres = voxels(moving.points, VOXEL_M)
+    labels = np.asarray(_cloud(o3d, centres).cluster_dbscan(EPS_M, MIN_POINTS))
+    if (labels < 0).all():
+        raise NoAnswerError("nothing moved on the same place often enough", hint="record longer")
+    return np.asarray(centres[labels == np.argmax(np.bincount(labels[labels >= 0]))])
+
+
+def register_icp(source: Floats, road: Floats, starts: list[State]) -> tuple[State, float]:
+    """Register traces to the road by point-to-point ICP at three distances, eq. (1) of the paper.
+
+    Parameters
+    ----------
+    source : (n, 3) array
+        Traces, sensor frame, metres.
+    road : (m, 3) array
+        Cells of the road, local map coordinates, metres.
+    starts : list of State
+        Starts; the best result counts.
+
+    Returns
+    -------
+    State
+        The pose.
+    float
+        Share of source voxels within a voxel of the road.
+
+    Raises
+    ------
+    InputError
+        If Open3D is not installed.
+    """
+    o3d = _open3d()
+    traces, target = _cloud(o3d, source), _cloud(o3d, road)
+    fits = [_register(o3d, traces, target, start) for start in starts]
+    best = max(fits, key=lambda fit: (fit.fitness, -fit.inlier_rmse))
+    T_map_sensor = np.array(best.transformation)  # noqa: N806 - frames name a transform
+    state = State(position=T_map_sensor[:3, 3], R_map_sensor=T_map_sensor[:3, :3], reflection=0.0)
+    return state, float(best.fitness)
+
+
+def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
+    """Return starts at a place (local, m): the given yaw (radians), or `count` evenly spaced."""
+    yaws = [yaw] if yaw is not None else (np.arange(count) * 2.0 * np.pi / count).tolist()
+    return [
+        State(
+            position=place,
+            R_map_sensor=Rotation.from_euler("Z", turn).as_matrix(),
+            reflection=0.0,
+        )
+        for turn in yaws
+    ]
+
+
+def _register(o3d: Any, source: Any, target: Any, start: State) -> Any:
+    T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
+    T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
+    pipeline = o3d.pipelines.registration
+    for distance_m in DISTANCES_M:
+        result = pipeline.registration_icp(
+            source,
+            target,
+            distance_m,
+            T_map_sensor,
+            pipeline.TransformationEstimationPointToPoint(),
+            pipeline.ICPConvergenceCriteria(max_iteration=ITERATIONS),
+        )
+        T_map_sensor = np.array(result.transformation)  # noqa: N806
+    return result
+
+
+def pose_information(source: Floats, road: Floats, state: State) -> Floats:
+    """Return the (6, 6) information of a registration about its pose, in the order of a step.
+
+    Fixed point-to-point correspondences would hold a trace even along a road on which it slides.
+    The curvature of the cost is therefore measured over steps of `PROFILE_M` (or a voxel up and
+    down), with the nearest road point looked up anew at each; the cost is the squared distance from
+    the road, over a voxel squared. Traces within a cell of `CROWD_M` count as one.
+
+    Parameters
+    ----------
+    source : (n, 3) array
+        Traces, sensor frame, metres.
+    road : (m, 3) array
+        Cells of the road, local map coordinates, metres.
+    state : State
+        The pose.
+    """
+    tree = cKDTree(road)
+    cells = np.floor(source[:, :2] / CROWD_M).astype(np.int64)
+    _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    weight = 0.5 / (count[number.ravel()] * VOXEL_M**2)
+
+    def cost(step: Floats) -> float:
+        points = state.moved(np.append(step, 0.0)).to_map(source)
+        gap = tree.query(points, distance_upper_bound=PROFILE_M)[0]
+        return float(weight @ np.minimum(gap, PROFILE_M) ** 2)
+
+    size = np.array([PROFILE_M, PROFILE_M] + [VOXEL_M] * 3 + [PROFILE_M])
+    size /= [1.0, 1.0, 1.0, *[LEVER_M] * 3]
+    steps = np.diag(size)
+    rise = np.diag([cost(step) + cost(-step) for step in steps]) - 2.0 * cost(np.zeros(6)) * np.eye(
+        6
+    )
+    for i, j in combinations(range(6), 2):
+        a, b = steps[i] / np.sqrt(2.0), steps[j] / np.sqrt(2.0)
+        rise[i, j] = rise[j, i] = 0.5 * (cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b))
+    curvature = rise / np.outer(size, size)
+    return at_least(curvature, FLOOR * np.eye(6))
+
+
+def _cloud(o3d: Any, points: Floats) -> Any:
+    cloud = o3d.geometry.PointCloud()
+    cloud.points = o3d.utility.Vector3dVector(points)
+    return cloud
+
+
+def _open3d() -> Any:
+    try:
+        import open3d  # noqa: PLC0415 - large, and only this method needs it
+    except ImportError as error:
+        raise InputError(
+            "the method icp needs Open3D, which is missing", hint=INSTALL_LOCALIZE
+        ) from error
+    return open3d
+
+
+def by_icp(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
+    """Register the traces to the road's surface, as the paper does."""
+    reporter.progress(STAGE, 1, 3)
+    source = source_voxels(moving)
+    local = problem.road - [*problem.guess[:2], 0.0]
+    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + GUESS_M
+    local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
+    if len(local) == 0:
+        raise NoAnswerError("{}: no road within {:.0f} m of the guess", problem.name, reach_m)
+    reporter.progress(STAGE, 2, 3)
+    height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, MAST_M)
+    starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, HEADINGS)
+    state, fitness = register_icp(source, voxels(local, VOXEL_M), starts)
+    away = float(np.hypot(*state.position[:2]))
+    if away > FARTHEST * GUESS_M:
+        raise NoAnswerError(
+            "{}: the registration went {:.0f} m from the guess",
+            problem.name,
+            away,
+            hint="guess closer",
+        )
+    reporter.progress(STAGE, 3, 3)
+    information = pose_information(source, local, state)
+    observable = is_fixed(pose_covariance(information, state))
+    evidence = {**common(moving, "icp"), "fitness": fitness, "observable": observable}
+    return Localization(
+        pose=problem.pose(state, evidence),
+        fitness=fitness,
+        observable=observable,
+        eigenvalues=tuple(eigenvalues(information).tolist()),
+        samples=len(source),
+        traces=source,
+        range_rate=np.full(len(source), np.nan),
+    )
+
+
+def _mast_top(local: Floats, mast_m: float) -> float:
+    """Return the height of a usual mast at the local (0, 0)."""
+    nearest = np.argsort(np.hypot(local[:, 0], local[:, 1]))[:100]
+    return float(np.median(local[nearest, 2])) + mast_m

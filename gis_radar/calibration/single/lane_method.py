@@ -1,0 +1,266 @@
+"""The method `lane`: register tracks to lanes that their Doppler allows, and the scanned road."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gis_radar.base import InputError, NoAnswerError, Reporter, Text
+from gis_radar.calibration.registration.certainty import advantage, certainty, stated
+from gis_radar.calibration.registration.hypotheses import (
+    GUESS_M,
+    HEADING_TOLERANCE,
+    Hypothesis,
+    find_hypotheses,
+    mirrored,
+    refine,
+    rough,
+    search_score,
+    widen_by_profile,
+)
+from gis_radar.calibration.registration.lanes import MARGIN_M, Lanes, Scene, sample_lanes
+from gis_radar.calibration.registration.traces import Moving, Samples, link_tracks, thin
+from gis_radar.calibration.single.result import STAGE, AmbiguousError, Localization, Problem, common
+
+LEAST_TRACKS = 5  # vehicles; fewer leave the seven components of the state unfixed
+# Least share of samples on lanes: 0.8 to 0.99 at right answers, 0.6 to 0.8 a lane off.
+LEAST_FITNESS = 0.6
+# Standard deviations by which the vehicles must prefer an answer to every other (99.4 %,
+# one-sided).
+CLEAR = 2.5
+# Squared standard deviations within which two answers are one (99.9 %, 3 components).
+SAME_CHI2 = 16.0
+# Optima as near to each other are one answer with a larger sigma: they are nearer than lanes are,
+# and drivers off the middle of their lanes split one optimum so far.
+ONE_ANSWER_M = 1.0
+ONE_ANSWER_RAD = math.radians(3.0)
+LEAST_SCANNED = 0.3  # share of lanes in reach that the scanned road must cover
+ANSWER_SLACK_M = 5.0  # an answer may be farther from the guess than GUESS_M by this
+
+
+def by_lanes(problem: Problem, moving: Moving, reporter: Reporter) -> Localization:
+    """Register tracks of vehicles to lanes that their Doppler allows, and to the scanned road."""
+    samples = thin(moving, link_tracks(moving))
+    if samples.tracks < LEAST_TRACKS:
+        raise NoAnswerError(
+            "{}: {} moving vehicles in {} frames, at least {} are needed",
+            problem.name,
+            samples.tracks,
+            moving.frames,
+            LEAST_TRACKS,
+            hint="record while traffic flows",
+        )
+    reporter.progress(STAGE, 1, 5)
+    scene = Scene(lanes=lanes_around(problem, samples, reporter), samples=samples)
+    heading = None if problem.heading is None else (problem.heading, HEADING_TOLERANCE)
+    tried = find_hypotheses(scene, heading=heading)
+    reporter.progress(STAGE, 3, 5)
+    _refuse_mirrored(scene, tried, heading)
+    reporter.progress(STAGE, 4, 5)
+    answers = _within_reach(problem, refine(scene, tried), scene)
+    _refuse_unfit(problem, answers[0])
+    best = widen_by_profile(scene, answers[0])
+    others = answers[1:]
+    beside = [h for h in others if _one_answer(best, h)]
+    z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
+    reporter.progress(STAGE, 5, 5)
+    if rival is not None and z_score < CLEAR:
+        open_ones = [best, *_others(best, others, scene)]
+        each = [_answer(problem, moving, scene, h, tried, z_score) for h in open_ones]
+        raise _ambiguous(problem, best, rival, tuple(each))
+    beside_z_score, same = _z_score(best, beside, scene)
+    if same is not None and beside_z_score < CLEAR:
+        best = replace(best, rival=same.fit.state)
+    return _answer(problem, moving, scene, best, tried, z_score)
+
+
+def lanes_around(
+    problem: Problem,
+    samples: Samples,
+    reporter: Reporter,
+    *,
+    grow: float = 1.0,
+) -> Lanes:
+    """Return the lanes around the guess, as far as the samples reach.
+
+    Parameters
+    ----------
+    problem : Problem
+        Map, road and guess.
+    samples : Samples
+        Traces.
+    reporter : Reporter
+        Receives a warning where the lanes have no direction.
+    grow : float
+        Factor on this reach.
+
+    Raises
+    ------
+    InputError
+        If lanes and scanned road do not overlap.
+    NoAnswerError
+        If no lane is there.
+    """
+    reach = np.hypot(samples.points[:, 0], samples.points[:, 1])
+    reach_m = grow * float(np.percentile(reach, 99.5))
+    lanes = sample_lanes(
+        problem.roads.lanelets,
+        problem.road,
+        place=problem.guess[:2],
+        reach_m=reach_m + GUESS_M + MARGIN_M,
+    )
+    if lanes.scanned < LEAST_SCANNED:
+        raise InputError(
+            "the road's points lie on {:.0%} of the lanes around the guess",
+            lanes.scanned,
+            hint="take the mask of a scan of this place, in the map's coordinate system",
+        )
+    if not lanes.directed:
+        reporter.warn("most lanes have no direction: the sign of the Doppler does not help")
+    return lanes
+
+
+def _refuse_mirrored(
+    scene: Scene, tried: list[Hypothesis], heading: tuple[float, float] | None
+) -> None:
+    """Refuse a recording that fits far better with left and right swapped."""
+    turned, best = scene.of(mirrored(scene.samples)), tried[0]
+    if search_score(turned, heading=heading) < max(h.score for h in tried):
+        return
+    other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples
+    z_score = advantage(other.fit, best.fit, part)
+    if z_score > CLEAR and other.fit.fitness > LEAST_FITNESS:
+        raise NoAnswerError(
+            "the recording fits the lanes only when mirrored ({:.0%} of the traces, "
+            "{:.0%} as it is)",
+            other.fit.fitness,
+            best.fit.fitness,
+            hint="the y axis of the sensor frame must point to the left; change the sign of y",
+        )
+
+
+def _z_score(
+    answer: Hypothesis, others: list[Hypothesis], scene: Scene
+) -> tuple[float, Hypothesis | None]:
+    """Return the z score of the vehicles' preference for an answer, and its best rival."""
+    best, known = answer.fit, certainty(answer.fit)
+    z_score, closest = math.inf, None
+    for other in others:
+        away_m = float(np.hypot(*other.fit.state.position[:2]))
+        if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
+            continue  # no rival: too far from the guess, or not acceptable as an answer itself
+        gap = other.fit.state.difference(best.state)[:6]
+        # answers that differ only in a direction that the scene does not fix are one
+        apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
+        turned = (gap[5] / known.sigma[5]) ** 2
+        ahead = advantage(best, other.fit, scene.samples)
+        if apart + turned > SAME_CHI2 and ahead < z_score:
+            z_score, closest = ahead, other
+    return z_score, closest
+
+
+def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
+    """Return the answers near the guess; refuse where one farther off is clearly better."""
+    away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
+    farthest_m = GUESS_M + ANSWER_SLACK_M
+    inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < farthest_m]
+    if not inside or (
+        inside[0] is not answers[0]
+        and advantage(answers[0].fit, inside[0].fit, scene.samples) > CLEAR
+    ):
+        raise NoAnswerError(
+            "{}: the fit went {:.0f} m from the guess, which is too far off",
+            problem.name,
+            away[0],
+            hint=Text("guess within {:.0f} m", GUESS_M),
+        )
+    return inside
+
+
+def _refuse_unfit(problem: Problem, answer: Hypothesis) -> None:
+    if answer.fit.fitness < LEAST_FITNESS:
+        raise NoAnswerError(
+            "{}: no pose within {:.0f} m of the guess puts the traffic on the lanes; the "
+            "best one {:.0%} of it",
+            problem.name,
+            GUESS_M,
+            answer.fit.fitness,
+            hint="check the guess, the map, and that the recording's y axis points to the left",
+        )
+    if not answer.fit.converged:
+        raise NoAnswerError("{}: the fit did not come to rest", problem.name)
+
+
+def _one_answer(answer: Hypothesis, rival: Hypothesis) -> bool:
+    """Return whether two optima are so near that they are one answer with a larger sigma."""
+    gap = rival.fit.state.difference(answer.fit.state)
+    return bool(np.hypot(*gap[:2]) < ONE_ANSWER_M and abs(gap[5]) < ONE_ANSWER_RAD)
+
+
+def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
+    """Return the other hypotheses that the vehicles do not clearly rule out, widened by profile."""
+    return [
+        widen_by_profile(scene, h)
+        for h in others
+        if h.fit.fitness >= LEAST_FITNESS and advantage(answer.fit, h.fit, scene.samples) < CLEAR
+    ]
+
+
+def _ambiguous(
+    problem: Problem, answer: Hypothesis, rival: Hypothesis, answers: tuple[Localization, ...]
+) -> AmbiguousError:
+    gap = rival.fit.state.difference(answer.fit.state)
+    return AmbiguousError(
+        "{}: ambiguous, two poses {:.1f} m and {:.1f} deg apart put {:.0%} and {:.0%} of "
+        "the traffic on lanes",
+        problem.name,
+        float(np.hypot(*gap[:2])),
+        abs(math.degrees(gap[5])),
+        answer.fit.fitness,
+        rival.fit.fitness,
+        hint=Text(
+            "record longer, give a heading, or a scan ({}): what stands may decide", "--scan"
+        ),
+        answers=answers,
+    )
+
+
+def _answer(
+    problem: Problem,
+    moving: Moving,
+    scene: Scene,
+    best: Hypothesis,
+    tried: list[Hypothesis],
+    z_score: float,
+) -> Localization:
+    known = certainty(best.fit, rival=best.rival)
+    samples = scene.samples
+    evidence = {
+        **stated(known.covariance),
+        **common(moving, "lane"),
+        "converged": best.fit.converged,
+        "fitness": best.fit.fitness,
+        "observable": known.observable,
+    }
+    return Localization(
+        pose=problem.pose(best.fit.state, evidence),
+        fitness=best.fit.fitness,
+        observable=known.observable,
+        eigenvalues=tuple(known.eigenvalues.tolist()),
+        hypotheses=tuple(
+            (
+                float(h.fit.state.position[0] + problem.guess[0]),
+                float(h.fit.state.position[1] + problem.guess[1]),
+                float(np.degrees(h.fit.state.yaw_pitch_roll[0])),
+                h.loss,
+            )
+            for h in tried
+        ),
+        vehicles=samples.tracks,
+        samples=len(samples),
+        z_score=z_score,
+        traces=samples.points,
+        range_rate=samples.range_rate,
+    )

@@ -1,0 +1,226 @@
+"""Match moving detections to lanes, with the speed along the lane that their Doppler implies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import shapely
+
+from gis_radar.base import Booleans, Floats, Integers, Reporter, Text
+from gis_radar.calibration.registration.lanes import LANE_STEP_M, Lanes, sample_lanes
+from gis_radar.calibration.registration.matches import match_along
+from gis_radar.hdmap import quads
+from gis_radar.poses import Pose, PoseTrack
+from gis_radar.recordings import Detections, Recording
+
+STAGE = "reading traffic"
+LEAST_MPS = 1.5  # least speed along a lane: above walkers and leaves
+# Least cosine between lane and line of sight (60 deg): nearly across it the range rate implies no
+# speed. Twice the value leaves no traffic.
+LEAST_COSINE = 0.5
+# Begin and end of what is read, seconds from the begin of the last recording: an hour of traffic,
+# and to either side an hour by which a clock may be off.
+WINDOW_S = (-4000.0, 7600.0)
+PLACE_M = 10.0  # length of lane that shares a bias of a pose
+REACH_M = 300.0  # reach of the lanes around a sensor: the longest range of the sensors
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneDetections:
+    """Detections of one sensor that move along lanes.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds of the sensor's clock, ascending.
+    lanelet : (n,) int64 array
+        Number of the lanelet, the same for all sensors.
+    s_m : (n,) array
+        Place along the lanelet, metres.
+    speed : (n,) array
+        Speed along the lanelet, m/s.
+    side : (n,) array
+        1 where the vehicle recedes and shows its rear, -1 where it shows its front.
+    """
+
+    time: Floats
+    lanelet: Integers
+    s_m: Floats
+    speed: Floats
+    side: Floats
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def places(self) -> Integers:
+        """Number of each detection's place: its lanelet, and the `PLACE_M` piece of it."""
+        return self.lanelet * 100_000 + (self.s_m // PLACE_M).astype(np.int64)
+
+    def take(self, keep: Booleans | Integers) -> LaneDetections:
+        """Return the detections selected by a mask or by indices."""
+        return LaneDetections(**{name: values[keep] for name, values in vars(self).items()})
+
+    def scaled(self, time: Floats, *, near_m: float, near_s: float, near_mps: float) -> Floats:
+        """Return points that differ by at most 1 in each coordinate where detections are near.
+
+        Parameters
+        ----------
+        time : (n,) array
+            Times of the detections, seconds from any origin.
+        near_m, near_s, near_mps : float
+            The scales of place, time and speed.
+
+        Returns
+        -------
+        (n, 4) array
+        """
+        return np.column_stack(
+            [self.lanelet * 1e4, self.s_m / near_m, time / near_s, self.speed / near_mps]
+        )
+
+    @classmethod
+    def joined(cls, parts: list[LaneDetections]) -> LaneDetections:
+        """Concatenate parts."""
+        none = {name: np.empty(0) for name in cls.__dataclass_fields__}
+        none["lanelet"] = np.empty(0, np.int64)
+        return cls(
+            **{n: np.concatenate([first, *(getattr(part, n) for part in parts)])
+               for n, first in none.items()}
+        )  # fmt: skip
+
+
+def lane_detections(
+    lanes: Lanes, time: Floats, points: Floats, rate: Floats, eye: Floats
+) -> LaneDetections:
+    """Match detections to lanes, and return those that move along one.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map.
+    time : (n,) array
+        UNIX seconds.
+    points : (n, 3) array
+        Local map coordinates; NaN for a height that the sensor does not measure.
+    rate : (n,) array
+        Range rates, m/s.
+    eye : (3,) array
+        Place of the sensor, local map coordinates.
+    """
+    arm = np.nan_to_num(points - eye)
+    reach = np.linalg.norm(arm, axis=1)
+    way = arm[:, :2] / np.maximum(reach, 1.0)[:, None]
+    matches = match_along(lanes, points, way, rate, reach, least_cosine=LEAST_COSINE)
+    rows = np.flatnonzero(matches.found)
+    sample = matches.lane[rows]
+    ahead_m, left_m, _ = lanes.beside(sample, points[rows])
+    cosine = np.sum(lanes.along[sample] * way[rows], axis=1)
+    speed = rate[rows] / cosine
+    on = (np.abs(left_m) <= lanes.width_m[sample] / 2.0) & (np.abs(ahead_m) <= LANE_STEP_M)
+    on &= speed >= LEAST_MPS
+    return LaneDetections(
+        time=time[rows[on]],
+        lanelet=lanes.lane[sample[on]],
+        s_m=(lanes.s_m[sample] + ahead_m)[on],
+        speed=speed[on],
+        side=np.sign(cosine[on]),
+    )
+
+
+def lanelets_of(tiles: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the lanelets that tiles were cut from, as :func:`sample_lanes` takes them.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.hdmap.tiles.read_tiles`.
+    """
+    corners = quads(tiles)
+    ends = [(corners[:, i] + corners[:, j]) / 2.0 for i, j in ((0, 3), (1, 2))]
+    height = tiles["height_m"].to_numpy(np.float64)
+    ids, number = np.unique(tiles["lanelet_id"].to_numpy(), return_inverse=True)
+    both = np.vstack([np.column_stack([end, height]) for end in ends])
+    numbers, place = np.tile(number, 2), np.repeat([0.0, 0.5], len(tiles))
+    place += np.tile(tiles["index"].to_numpy(), 2)
+    last = np.bincount(number)[number] == tiles["index"].to_numpy() + 1
+    kept = np.flatnonzero(np.append(np.ones(len(tiles), dtype=bool), last))
+    kept = kept[np.lexsort((place[kept], numbers[kept]))]
+    centre = shapely.linestrings(both[kept], indices=numbers[kept])
+    width = np.bincount(number, tiles["width_m"].to_numpy()) / np.bincount(number)
+    return gpd.GeoDataFrame(
+        {
+            "centre": gpd.GeoSeries(centre, crs=tiles.crs),
+            "participants": [("vehicle",)] * len(ids),
+            "speed_limit_kmh": np.nan,
+            "one_way": True,
+        },
+        geometry=shapely.buffer(centre, width / 2.0, cap_style="flat"),
+        crs=tiles.crs,
+    )
+
+
+def read_lane_detections(
+    recording: Recording,
+    track: PoseTrack,
+    lanelets: gpd.GeoDataFrame,
+    latest_s: float,
+    reporter: Reporter,
+) -> LaneDetections:
+    """Read the detections that move along lanes in a few hours, by the sensor's own clock.
+
+    Parameters
+    ----------
+    recording, track : Recording, PoseTrack
+        The recording, and where its sensor stood.
+    lanelets : GeoDataFrame
+        As from :func:`lanelets_of`.
+    latest_s : float
+        UNIX seconds at which the last of all recordings begins: the hours around it are read, so
+        that long recordings overlap; of a recording that ends before, its own first hours.
+    reporter : Reporter
+        Receives the progress.
+    """
+    middle, none = track.poses[0].position[:2], np.empty((0, 3))
+    lanes = sample_lanes(lanelets, none, place=middle, reach_m=REACH_M)
+    parts: list[LaneDetections] = []
+    around: list[LaneDetections] = []
+    before_s, after_s = WINDOW_S
+    done, begin_s = 0, np.nan
+    for batch in recording.read():
+        begin_s = float(batch.time[0]) if done == 0 else begin_s
+        done += len(batch)
+        reporter.progress(Text("{}: {}", STAGE, recording.path.name), done, recording.rows)
+        if batch.time[0] > max(latest_s, begin_s) + after_s:
+            break
+        keep = np.abs(batch.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
+        if keep.any():
+            around += _matched(batch.take(keep), track, lanes)
+        elif not around and batch.time[0] <= begin_s + after_s - before_s:
+            parts += _matched(batch, track, lanes)
+    return LaneDetections.joined(around or parts)
+
+
+def _matched(rows: Detections, track: PoseTrack, lanes: Lanes) -> list[LaneDetections]:
+    """Return the detections that move along a lane, pose by pose."""
+    rows = rows.take(rows.present & (np.abs(rows.range_rate) >= LEAST_MPS * LEAST_COSINE))
+    held = track.at(rows.time)
+    found = []
+    for index in np.unique(held).tolist():
+        pose, now = track.poses[index], held == index
+        found.append(
+            placed_on_lanes(lanes, rows.time[now], rows.points[now], rows.range_rate[now], pose)
+        )
+    return found
+
+
+def placed_on_lanes(
+    lanes: Lanes, time: Floats, points: Floats, range_rate: Floats, pose: Pose
+) -> LaneDetections:
+    """Return the detections of a sensor, in its own frame, that move along a lane from a pose."""
+    origin = np.array([*lanes.origin, 0.0])
+    placed = pose.to_map(points) - origin
+    placed[np.isnan(points[:, 2]), 2] = np.nan
+    return lane_detections(lanes, time, placed, range_rate, pose.position - origin)
