@@ -6,7 +6,7 @@ import json
 import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -46,7 +46,7 @@ from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.live.spool import FRAMES, HEAD, PASSED, Marks, Spool, SpooledFrames, SpoolFile
 from gis_radar.live.spool import POSE as POSE_RECORD
 from gis_radar.live.vehicles_now import LiveVehicles
-from gis_radar.measures import FrameCounter, PoseNumbers, PoseSight
+from gis_radar.measures import FrameCounter, PoseNumbers, road_near
 from gis_radar.poses import Pose, pose_from_dict
 from gis_radar.scans import IN_SIGHT, SightSource, SightTiles, find_sight
 
@@ -74,27 +74,43 @@ class Mark:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlacedPose:
+    """A pose of a sensor, and what follows from it for its frames.
+
+    Parameters
+    ----------
+    pose : Pose
+        The pose.
+    road_m : float
+        Height of the road near the sensor, metres; NaN where not known.
+    numbers : PoseNumbers
+        Precomputed numbers by which frames are counted.
+    in_sight : (n,) int64 array
+        Positions of the tiles in sight.
+    """
+
+    pose: Pose
+    road_m: float
+    numbers: PoseNumbers
+    in_sight: Integers
+
+
+@dataclass(frozen=True, kw_only=True)
 class KnownPose:
-    """A pose of a sensor as fusion knows it.
+    """A pose that a sensor has sent.
 
     Parameters
     ----------
     message : bytes
         The message of the pose.
-    seen : PoseSight, optional
-        The pose and its sight; None if it was refused.
-    in_sight : (n,) int64 array
-        Positions of the tiles in sight.
-    numbers : PoseNumbers, optional
-        Precomputed numbers by which frames are counted.
+    placed : PlacedPose, optional
+        The pose; None if it was refused.
     other_tiles : str
         Fingerprint of the message's tiles, where they differ from fusion's.
     """
 
     message: bytes
-    seen: PoseSight | None = None
-    in_sight: Integers = field(default_factory=lambda: np.empty(0, np.int64))
-    numbers: PoseNumbers | None = None
+    placed: PlacedPose | None = None
     other_tiles: str = ""
 
 
@@ -175,7 +191,7 @@ class Intake:
     unknown : set of str
         Names of senders that are not in the site's file.
     vehicles : LiveVehicles, optional
-        Receives poses and messages for the vehicles of now.
+        Receives messages for the vehicles of now.
     """
 
     def __init__(
@@ -254,9 +270,9 @@ class Intake:
         if (name, key) in poses:
             self._take_pose(sensor, poses[name, key])
         known = sensor.poses.get(key)
-        if known is not None and known.seen is not None:
+        if known is not None and known.placed is not None:
             ours = [each for each in frames if each.time_us >= begin_us]
-            for step, seen in self._seen(ours, known):
+            for step, seen in self._seen(ours, known.placed):
                 self._windows.add(name, step, seen)
 
     def handle(self, message: Received) -> None:
@@ -335,12 +351,18 @@ class Intake:
         elif known.other_tiles:
             expected = self._road.fingerprint
             self._refuse(sensor, Text("tiles {}, expected {}", known.other_tiles, expected))
-        elif known.seen is None:
+        elif known.placed is None:
             self._pass_over(
                 sensor, message, envelope, content, "damaged", Text("its pose is damaged")
             )
         else:
-            self._take_frames(sensor, message, envelope, content, key, frames)
+            spooled = SpooledFrames(sensor.health.name, known.message, message.payload)
+            self._received(sensor, spooled, envelope, content)
+            sensor.health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
+            self._take_frames(sensor, frames, known.placed)
+            if self.vehicles is not None:
+                placed = known.placed
+                self.vehicles.take(sensor.health.name, content, placed.pose, placed.road_m)
 
     def _follows(self, sensor: SensorState, envelope: Envelope) -> bool:
         """Return whether a message is the next of its stream; ask for missing ones."""
@@ -418,23 +440,22 @@ class Intake:
         if key in sensor.poses:
             return
         found = PoseContent.unpack(message)
+        known = KnownPose(message=message)
         if found.fingerprint != self._road.fingerprint:
-            known = KnownPose(message=message, other_tiles=found.fingerprint)
+            known = replace(known, other_tiles=found.fingerprint)
         else:
             try:
-                known = self._known(name, found, message)
-                sensor.pose = known.seen.pose if known.seen is not None else None
+                placed = self._placed(name, found)
             except InputError as error:
                 sensor.health.counts["damaged"] += 1
                 sensor.health.alarm("damaged", error.message)
-                known = KnownPose(message=message)
+            else:
+                known, sensor.pose = replace(known, placed=placed), placed.pose
         sensor.poses[key] = known
-        if self.vehicles is not None and known.seen is not None:
-            self.vehicles.place(name, key, known.seen.pose, known.seen.road_m)
-        if len(sensor.poses) > POSES_KEPT:
-            self._forget(sensor, next(iter(sensor.poses)))
+        if len(sensor.poses) > POSES_KEPT:  # a sensor that names a forgotten pose is asked for it
+            del sensor.poses[next(iter(sensor.poses))]
 
-    def _known(self, name: str, found: PoseContent, message: bytes) -> KnownPose:
+    def _placed(self, name: str, found: PoseContent) -> PlacedPose:
         what = Text("the pose of {}", name)
         pose = pose_from_dict(found.pose, what=what)
         if pose.sensor != name:
@@ -446,43 +467,31 @@ class Intake:
         if self._scan is not None:
             self._scan.read([pose])
         sight = find_sight(pose, self._road, self._scan)
-        seen = PoseSight.of(sight, self._road, name=name)
-        return KnownPose(
-            message=message, seen=seen, numbers=PoseNumbers.of(pose, road_m=seen.road_m),
+        road_m = road_near(sight, self._road)
+        return PlacedPose(
+            pose=sight.pose, road_m=road_m, numbers=PoseNumbers.of(pose, road_m=road_m),
             in_sight=np.flatnonzero(sight.state == IN_SIGHT),
         )  # fmt: skip
 
-    def _forget(self, sensor: SensorState, key: bytes) -> None:
-        """Forget a pose; a sensor that refers to it again must send it again."""
-        del sensor.poses[key]
-        if self.vehicles is not None:
-            self.vehicles.forget(sensor.health.name, key)
-
     def _take_frames(
-        self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
-        key: bytes, frames: Sequence[FrameDetections],
-    ) -> None:  # fmt: skip
-        health, known = sensor.health, sensor.poses[key]
-        health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
-        spooled = SpooledFrames(health.name, known.message, message.payload)
-        self._received(sensor, spooled, envelope, content)
+        self, sensor: SensorState, frames: Sequence[FrameDetections], placed: PlacedPose
+    ) -> None:
+        """Count frames, for the map and for the sensor's health."""
+        counts = sensor.health.counts
         self.touched |= {hour_of_time(each.time_us) for each in frames}
-        for step, seen in self._seen(frames, known):
-            health.counts["hits"] += len(seen.tiles)
-            if not self._windows.add(health.name, step, seen):
-                health.counts["late_frames"] += 1
-        health.counts["frames"] += len(frames)
-        if self.vehicles is not None:
-            self.vehicles.take(health.name, content)
+        for step, seen in self._seen(frames, placed):
+            counts["hits"] += len(seen.tiles)
+            if not self._windows.add(sensor.health.name, step, seen):
+                counts["late_frames"] += 1
+        counts["frames"] += len(frames)
 
     def _seen(
-        self, frames: Sequence[FrameDetections], known: KnownPose
+        self, frames: Sequence[FrameDetections], placed: PlacedPose
     ) -> Iterator[tuple[int, Seen]]:
         """Yield for each frame its step and the tiles that it hits."""
-        assert known.numbers is not None  # noqa: S101 - the caller has looked
         for each in frames:
-            (counted,) = self._counter.count(each.as_rows(), known.numbers)
-            yield each.time_us // STEP_US, Seen(counted.tiles, known.in_sight)
+            (counted,) = self._counter.count(each.as_rows(), placed.numbers)
+            yield each.time_us // STEP_US, Seen(counted.tiles, placed.in_sight)
 
 
 _LAST_STEP = 5_000_000_000 * 20  # within the years that ISO 8601 writes
