@@ -71,7 +71,7 @@ def filled(folder: Path, names: list[str], seconds: int, end_s: int) -> Path:
         record = pose.as_dict() | {"sensor": name}
         messages[name] = PoseContent(pose=record, fingerprint=road.fingerprint).pack()
     spool = Spool(read_live_site(file).folder / SPOOL)
-    spool.rotate({})
+    spool.rotate()
     for k in range(seconds * HZ):
         for number, (name, message) in enumerate(messages.items()):
             time_us = (end_s - seconds) * 1_000_000 + k * 50_000 + number

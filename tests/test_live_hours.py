@@ -30,7 +30,6 @@ from gis_radar.live.hour_work import (
 from gis_radar.live.jobs import DOUBTS, HourJobs
 from gis_radar.live.quarters import KEPT, TRAFFIC, Quarters, read_quarters
 from gis_radar.live.recordings import end_of_hour_s
-from gis_radar.live.settings import DEFAULTS
 
 pytestmark = pytest.mark.usefixtures("ready_workers")
 HOUR = 486_111  # since 1970: 2025-06-15T15Z
@@ -341,13 +340,11 @@ class JobsHere(HourJobs):
             self.pool.future.set_result(done or Done())
 
 
-def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool):
+def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool, monkeypatch):
     made = SpooledSite(tmp_path)
     recorded_at(made, FULL_US - 20_000_000, ["R1"])
-    jobs = HourJobs(
-        made.site, Quarters(), settings=replace(DEFAULTS, again_s=0.0), process=lambda: pool,
-        reporter=Lines(),
-    )  # fmt: skip
+    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    jobs = HourJobs(made.site, Quarters(), process=lambda: pool, reporter=Lines())
     jobs.take_up(made.spool.closed)
     pool.future.set_exception(BrokenExecutor())
     jobs.poll(0.0, {})
@@ -449,7 +446,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
         jobs.poll_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
         jobs.end(error=OSError(28, "no space"))
         assert jobs.poll_at(end_s + 60.0 * minutes, end_s) is None  # not at once
-        clock.now_s += DEFAULTS.again_s
+        clock.now_s += jobs_module.AGAIN_S
     behind = [line for line in said.lines if "measuring is behind" in line]
     assert ["16 min" in behind[0], "40 min" in behind[1], len(behind)] == [True, True, 2]
     assert jobs.figures()["hours_behind_seconds"] == 3000.0
@@ -462,7 +459,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
 
 
 @pytest.mark.parametrize("idle", [False, True])
-def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, idle):
+def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, monkeypatch, idle):
     made, said, pools = SpooledSite(tmp_path), Lines(), []
     recorded_at(made, FULL_US - 20_000_000)
 
@@ -479,8 +476,8 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, id
             return True
         return False
 
-    settings = replace(DEFAULTS, again_s=0.0)
-    jobs = HourJobs(made.site, Quarters(), settings=settings, reporter=said, process=process)
+    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    jobs = HourJobs(made.site, Quarters(), reporter=said, process=process)
     jobs.take_up([])
     wait_for(multiprocessing.active_children)
     if idle:

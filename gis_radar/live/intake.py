@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -35,15 +34,22 @@ from gis_radar.live.payload import (
     Envelope,
     PoseContent,
     VersionError,
-    check_of,
     key_of_pose,
     read_record,
     stream_of,
     unpack_message,
 )
 from gis_radar.live.recordings import HOUR_US, hour_of_time
-from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.live.spool import FRAMES, HEAD, PASSED, Marks, Spool, SpooledFrames, SpoolFile
+from gis_radar.live.spool import (
+    FRAMES,
+    HEAD,
+    PASSED,
+    STREAMS_KEPT,
+    Spool,
+    SpooledFrames,
+    SpoolFile,
+    marks_in,
+)
 from gis_radar.live.spool import POSE as POSE_RECORD
 from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.measures import FrameCounter, PoseNumbers, road_near
@@ -59,18 +65,8 @@ AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
 MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
 MOST_AHEAD = 1 << 24  # most numbers that may be missing if the sensor lost them: ten days
-STREAMS_KEPT, POSES_KEPT = 8, 64  # newest streams and poses that are kept of a sensor
+POSES_KEPT = 64  # newest poses that are kept of a sensor
 FARTHEST_M = 20_000.0  # largest distance of a sensor from the tiles
-
-
-@dataclass(slots=True)
-class Mark:
-    """Numbers up to which a stream is received and stored, with check sums of these messages."""
-
-    received: int = 0
-    check: int = 0
-    stored: int = 0
-    stored_check: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,8 +122,8 @@ class SensorState:
         Its topics.
     stream : str
         The stream that is received, in hexadecimal digits.
-    marks : dict
-        Marks by stream, the latest last.
+    numbers : dict
+        Number of the last received message by stream, the latest last.
     poses : dict
         Poses by key, the latest last.
     told : int
@@ -146,14 +142,14 @@ class SensorState:
     asked_s: float = -1e9
     missed_s: float = -1e9
     other: tuple[str, float] = ("", -1e9)
-    marks: dict[str, Mark] = field(default_factory=dict)
+    numbers: dict[str, int] = field(default_factory=dict)
     poses: dict[bytes, KnownPose] = field(default_factory=dict)
     pose: Pose | None = None
 
     @property
-    def mark(self) -> Mark:
-        """Mark of the stream that is received."""
-        return self.marks.get(self.stream, Mark())
+    def received(self) -> int:
+        """Number of the last message of the stream that is received."""
+        return self.numbers.get(self.stream, 0)
 
 
 class Intake:
@@ -177,8 +173,6 @@ class Intake:
         Largest age of a frame, seconds.
     scan : SightScan or SightFile, optional
         Scan of what hides tiles.
-    settings : LiveSettings
-        Constants of alarms and acknowledgements.
     reporter : Reporter
         Receives a line when a problem begins.
 
@@ -197,8 +191,7 @@ class Intake:
     def __init__(
         self, names: Iterable[str], *, site: str, spool: Spool, road: SightTiles,
         counter: FrameCounter, windows: Windows, oldest_s: float, scan: SightSource | None = None,
-        vehicles: LiveVehicles | None = None, settings: LiveSettings = DEFAULTS,
-        reporter: Reporter = QUIET,
+        vehicles: LiveVehicles | None = None, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.unknown: set[str] = set()
         self.touched: set[int] = set()
@@ -208,18 +201,9 @@ class Intake:
         self._oldest_s, self._reporter = oldest_s, reporter
         self.sensors = {
             name: SensorState(
-                health=SensorHealth(name=name, settings=settings, reporter=reporter),
-                topics=SensorTopics(site, name),
+                health=SensorHealth(name=name, reporter=reporter), topics=SensorTopics(site, name)
             )
             for name in names
-        }
-
-    @property
-    def marks(self) -> Marks:
-        """Numbers up to which all streams are on disk."""
-        return {
-            name: {s: (m.stored, m.stored_check) for s, m in each.marks.items() if m.stored}
-            for name, each in self.sensors.items()
         }
 
     def resume(self, files: Sequence[SpoolFile], begin_us: int) -> None:
@@ -238,7 +222,7 @@ class Intake:
                 sensor = self.sensors.get(name)
                 if kind == HEAD:
                     last.clear()
-                    self._take_up(json.loads(payload))
+                    self._spool.marks = marks_in(payload)
                 elif sensor is not None and kind == POSE_RECORD:
                     poses[name, key_of_pose(payload)] = payload
                 elif sensor is not None and kind in {FRAMES, PASSED}:
@@ -247,18 +231,11 @@ class Intake:
                         self._take_again(sensor, payload, poses, begin_us)
         for name, payload in {name: payload for (name, _), payload in poses.items()}.items():
             self._take_pose(self.sensors[name], payload)  # the newest of each sensor
-        for (name, stream), payload in last.items():
-            envelope, content = unpack_message(payload)
-            known = (envelope.number, check_of(content))
-            self.sensors[name].marks[stream] = Mark(*known, *known)
-            self.sensors[name].stream = stream
-
-    def _take_up(self, marks: Mapping[str, Mapping[str, Sequence[int]]]) -> None:
-        for name, streams in marks.items():
-            if name in self.sensors:
-                known = {stream: Mark(n, c, n, c) for stream, (n, c) in streams.items()}
-                self.sensors[name].marks = known
-                self.sensors[name].stream = next(reversed(known), "")
+        self._spool.mark((name, payload) for (name, _), payload in last.items())
+        for name, sensor in self.sensors.items():
+            marks = self._spool.marks.get(name, {})
+            sensor.numbers = {stream: mark.number for stream, mark in marks.items()}
+            sensor.stream = next(reversed(marks), "")
 
     def _take_again(
         self, sensor: SensorState, message: bytes, poses: Mapping[tuple[str, bytes], bytes],
@@ -326,9 +303,9 @@ class Intake:
             )
         sensor.other = (sensor.stream, now)
         sensor.stream, sensor.refused, sensor.due = stream, "", True
-        sensor.marks[stream] = sensor.marks.pop(stream, Mark())
-        if len(sensor.marks) > STREAMS_KEPT:
-            del sensor.marks[next(iter(sensor.marks))]
+        sensor.numbers[stream] = sensor.numbers.pop(stream, 0)
+        if len(sensor.numbers) > STREAMS_KEPT:
+            del sensor.numbers[next(iter(sensor.numbers))]
 
     def _handle_numbered(self, sensor: SensorState, message: Received) -> None:
         envelope, content = unpack_message(message.payload)
@@ -339,11 +316,11 @@ class Intake:
             key, frames = unpack_detections(content)
             reason = self._reason_against(frames, message.time)
         except InputError as error:
-            self._pass_over(sensor, message, envelope, content, "damaged", error.message)
+            self._pass_over(sensor, message, envelope, "damaged", error.message)
             return
         if reason:
             sensor.health.counts["off_time"] += len(frames)
-            self._pass_over(sensor, message, envelope, content, "off_time", reason)
+            self._pass_over(sensor, message, envelope, "off_time", reason)
             return
         known = sensor.poses.get(key)
         if known is None:  # asked to send again, the sensor also sends the pose again
@@ -352,12 +329,9 @@ class Intake:
             expected = self._road.fingerprint
             self._refuse(sensor, Text("tiles {}, expected {}", known.other_tiles, expected))
         elif known.placed is None:
-            self._pass_over(
-                sensor, message, envelope, content, "damaged", Text("its pose is damaged")
-            )
+            self._pass_over(sensor, message, envelope, "damaged", Text("its pose is damaged"))
         else:
-            spooled = SpooledFrames(sensor.health.name, known.message, message.payload)
-            self._received(sensor, spooled, envelope, content)
+            self._received(sensor, message, envelope, pose=known.message)
             sensor.health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
             self._take_frames(sensor, frames, known.placed)
             if self.vehicles is not None:
@@ -366,21 +340,21 @@ class Intake:
 
     def _follows(self, sensor: SensorState, envelope: Envelope) -> bool:
         """Return whether a message is the next of its stream; ask for missing ones."""
-        mark, number = sensor.mark, envelope.number
-        if number <= mark.received:
+        received, number = sensor.received, envelope.number
+        if number <= received:
             sensor.health.counts["duplicates"] += 1
             self._ask(sensor)
             return False
-        if number == mark.received + 1:
+        if number == received + 1:
             return True
-        most = mark.received + MOST_AHEAD if mark.received else MOST_NUMBER
+        most = received + MOST_AHEAD if received else MOST_NUMBER
         if number > most:
-            raise InputError("a message of number {:,} after {:,}", number, mark.received)
+            raise InputError("a message of number {:,} after {:,}", number, received)
         if not envelope.first:
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
             return False
-        if mark.received:  # fusion's disk was restored from before its last acknowledgement
-            lost = Text("{:,} messages that the sensor no longer has", number - 1 - mark.received)
+        if received:  # fusion's disk was restored from before its last acknowledgement
+            lost = Text("{:,} messages that the sensor no longer has", number - 1 - received)
             sensor.health.alarm("lost", lost)
         return True
 
@@ -416,20 +390,19 @@ class Intake:
         sensor.refused = reason
 
     def _pass_over(
-        self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
-        kind: str, reason: str,
-    ) -> None:  # fmt: skip
+        self, sensor: SensorState, message: Received, envelope: Envelope, kind: str, reason: str
+    ) -> None:
         """Skip a message that cannot be used, as else it would be sent again for ever."""
         sensor.health.counts["damaged"] += kind == "damaged"
         sensor.health.alarm(kind, Text("number {}: {}", envelope.number, reason))
-        self._received(sensor, SpooledFrames(sensor.health.name, b"", message.payload),
-                       envelope, content)  # fmt: skip
+        self._received(sensor, message, envelope)
 
     def _received(
-        self, sensor: SensorState, spooled: SpooledFrames, envelope: Envelope, content: bytes
+        self, sensor: SensorState, message: Received, envelope: Envelope, *, pose: bytes = b""
     ) -> None:
-        self._spool.add(spooled)
-        sensor.mark.received, sensor.mark.check = envelope.number, check_of(content)
+        """Spool a message, with the message of its pose unless it was skipped."""
+        self._spool.add(SpooledFrames(sensor.health.name, pose, message.payload))
+        sensor.numbers[sensor.stream] = envelope.number
         if sensor.refused:
             sensor.refused = ""
             sensor.health.alarm("refused", None)

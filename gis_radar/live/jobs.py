@@ -41,8 +41,9 @@ from gis_radar.live.hour_work import (
 )
 from gis_radar.live.quarters import Quarters
 from gis_radar.live.recordings import end_of_hour_s
-from gis_radar.live.settings import DEFAULTS, LiveSettings
 
+SETTLE_S = 30.0  # longest wait for frames of all sensors, and the time after a late frame
+AGAIN_S = 60.0  # time after which a job that failed is tried again
 NICE = 15  # niceness of the worker: the map has priority
 BEHIND_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
 LOOK_S = 0.1
@@ -86,8 +87,6 @@ class HourJobs:
         The site.
     quarters : Quarters
         Receives the measured quarters.
-    settings : LiveSettings
-        How long a job waits for frames.
     process : callable
         Starts the worker process.
     reporter : Reporter
@@ -103,14 +102,14 @@ class HourJobs:
     """
 
     def __init__(
-        self, site: MeasuredSite, quarters: Quarters, *, settings: LiveSettings = DEFAULTS,
+        self, site: MeasuredSite, quarters: Quarters, *,
         process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
         self._doubts, self._untold = _kept_doubts(site.folder / DOUBTS, reporter)
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
-        self._settings, self._reporter = settings, reporter
+        self._reporter = reporter
         self._pool: ProcessPoolExecutor | None = None
         self._process = process
         self._running: Future[Done] | None = None
@@ -175,9 +174,9 @@ class HourJobs:
         end_s = end_of_hour_s(hour)
         if now_s < end_s:
             return False
-        settled = time.monotonic() - self.touched[hour] >= self._settings.settle_s
+        settled = time.monotonic() - self.touched[hour] >= SETTLE_S
         all_there = all(each >= end_s for each in newest.values())
-        return all_there or (settled and now_s >= end_s + self._settings.settle_s)
+        return all_there or (settled and now_s >= end_s + SETTLE_S)
 
     def _due_quarter(self, now_s: float, newest: Mapping[str, float]) -> int | None:
         """Return the newest quarter that is over, if it has frames and was not measured yet."""
@@ -185,7 +184,7 @@ class HourJobs:
         quarter = int((now_s - after_s) * 1e6) // QUARTER_US - 1
         end_s = (quarter + 1) * QUARTER_US / 1e6 + after_s
         there = all(each >= end_s for each in newest.values())
-        if quarter <= self._quarter or not (there or now_s >= end_s + self._settings.settle_s):
+        if quarter <= self._quarter or not (there or now_s >= end_s + SETTLE_S):
             return None
         begin_s = quarter * QUARTER_US / 1e6
         return quarter if any(each >= begin_s for each in newest.values()) else None
@@ -229,7 +228,7 @@ class HourJobs:
         try:
             done = work.result()
         except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on
-            self._again_at = time.monotonic() + self._settings.again_s
+            self._again_at = time.monotonic() + AGAIN_S
             reason = error.message if isinstance(error, GisRadarError) else (
                 f"{type(error).__name__}: {error}"
             )  # fmt: skip

@@ -21,13 +21,16 @@ from gis_radar.live.payload import (
     check_of,
     pack_message,
 )
-from gis_radar.live.settings import DEFAULTS, LiveSettings
 
 AT_ONCE = 100  # most messages read from the buffer at once
 # Messages sent ahead of the acknowledgement at first, and after a loss: 2 s of a radar, the way to
 # fusion's disk and back. More follow as acknowledgements come (slow start, RFC 5681): if many
 # sensors sent all again at once, copies of stored messages would fill the broker.
 FIRST_AHEAD = 40
+UNACKNOWLEDGED = 400  # most messages ahead of the acknowledgement: 20 s of a radar
+# Time without an acknowledgement after which messages are sent again, and twice that each further
+# time, up to the longest: an outage of a night then costs a few MB of traffic.
+RESEND_S, SLOWEST_RESEND_S = 15.0, 300.0
 STATUS_S = 2.0  # between two reports of a sensor's state
 ONLINE, OFFLINE = "online", "offline"
 
@@ -50,8 +53,6 @@ class Outbox:
         Topics of the sensor.
     figures : callable
         Returns the figures of the sensor's status messages.
-    settings : LiveSettings
-        How many messages go ahead of the acknowledgement, and when they are sent again.
     reporter : Reporter
         Receives a line when the buffer is full or fusion refuses the stream.
 
@@ -65,18 +66,17 @@ class Outbox:
 
     def __init__(
         self, buffer: DiskBuffer, link: Link, topics: SensorTopics, *,
-        figures: Callable[[], dict[str, object]], settings: LiveSettings = DEFAULTS,
-        reporter: Reporter = QUIET,
+        figures: Callable[[], dict[str, object]], reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.lost, self.stored = 0, buffer.stored
         self._buffer, self._link, self._topics = buffer, link, topics
-        self._figures, self._settings, self._reporter = figures, settings, reporter
+        self._figures, self._reporter = figures, reporter
         self._on_way: deque[int] = deque()
         self._ahead = FIRST_AHEAD
         self._sent, self._connections, self._pose_sent = self.stored, 0, b""
         self._session, self._resend, self._refused = "", 0, ""
         self._progress = self._reported = time.monotonic()
-        self._patience_s = settings.resend_s
+        self._patience_s = RESEND_S
         self._dropped, self._undropped = self.stored, ""
         self._full = self._too_long = False
 
@@ -130,12 +130,12 @@ class Outbox:
             status = status_message(ONLINE, stream=self._buffer.stream.hex(), **self._figures())
             self._link.publish(self._topics.of("status"), status, retain=True)
         if self._on_way and now - self._progress > self._patience_s:
-            self._patience_s = min(2 * self._patience_s, self._settings.slowest_resend_s)
+            self._patience_s = min(2 * self._patience_s, SLOWEST_RESEND_S)
             self._rewind()
         self._send()
 
     def _send(self) -> None:
-        ahead = min(self._ahead, self._settings.unacknowledged)
+        ahead = min(self._ahead, UNACKNOWLEDGED)
         while not self.empty and (room := ahead - len(self._on_way)) > 0:
             waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
             if not waiting:
@@ -196,12 +196,10 @@ class Outbox:
             if not self._is_ours(found):
                 self._begin_anew()
                 return
-            self._ahead = min(
-                self._ahead + found.stored - self.stored, self._settings.unacknowledged
-            )
+            self._ahead = min(self._ahead + found.stored - self.stored, UNACKNOWLEDGED)
             self.stored = found.stored
             self._drop()
-            self._progress, self._patience_s = time.monotonic(), self._settings.resend_s
+            self._progress, self._patience_s = time.monotonic(), RESEND_S
             while self._on_way and self._on_way[0] <= self.stored:
                 self._on_way.popleft()
             self._sent = max(self._sent, self.stored)
