@@ -17,7 +17,7 @@ from live_site import wait_for
 import gis_radar as gr
 from gis_radar.base import InputError, step_begin
 from gis_radar.dataset import hour_text, read_hours
-from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
+from gis_radar.live import CUT_US, HOUR_US, Lately, hour_work, recording_path
 from gis_radar.live import jobs as jobs_module
 from gis_radar.live.hour_work import (
     QUARTER_US,
@@ -156,7 +156,7 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     assert found.until_step == (begin_us + QUARTER_US) // 50_000 - 1
     assert found.lanes["counted"].sum() > 8
     assert found.lanes["volume"].isna().all()  # 20 s tell no volume of a quarter
-    assert 0 < found.tiles.occupied.sum() < found.tiles.visible.sum()
+    assert 0 < found.occupied.sum() < found.visible.sum()
     assert found.lanes["speed_kmh"].dropna().between(0.0, 100.0).all()
     assert (found.lanes["queue_max_m"] > 5.0).any()
     (folder,) = (made.folder / "provisional").iterdir()
@@ -503,11 +503,9 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, mo
 
 def test_quarters_of_a_day_are_kept():
     quarters = Quarters()
-    none = TileOccupancy(visible=[], occupied=[])
     lanes = pd.DataFrame({"lane": [7], "volume": [1.0]})
-    quarters.add(
-        [Lately(until_step=18_000 * k - 1, tiles=none, lanes=lanes) for k in range(1, KEPT + 9)]
-    )
+    ends = [18_000 * k - 1 for k in range(1, KEPT + 9)]
+    quarters.add(Lately(until_step=end, visible=[], occupied=[], lanes=lanes) for end in ends)
     table = quarters.intervals()
     assert len(table) == KEPT
     assert table["begin"].is_monotonic_increasing

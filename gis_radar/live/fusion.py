@@ -163,7 +163,7 @@ class Fusion:
         """Return health as text for Prometheus."""
         figures = {
             "unwritten_messages": float(self._spool.waiting),
-            "map_step": float(self._map.step),
+            "map_step": float(self.state().step),
             "unknown_sensors": float(len(self.intake.unknown)),
             "broker_connections": float(self.link.connections) if self.link else 0.0,
             **self._jobs.figures(),
@@ -310,7 +310,7 @@ class Fusion:
             rotated = False
             self._say(error)
         for name, each in self.sensors.items():
-            if self._spool.mark_of(name, each.stream).number != each.told:
+            if self._spool.mark_of(name, each.stream).number != each.acknowledged:
                 self._acknowledge(each)
         if rotated:
             self._jobs.begin(self._spool.closed)
@@ -336,7 +336,7 @@ class Fusion:
             resend=sensor.resend, refused=sensor.refused,
         )  # fmt: skip
         self.link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
-        sensor.told = mark.number
+        sensor.acknowledged = mark.number
 
     def _finish(self) -> None:
         self._jobs.stop()
@@ -368,8 +368,8 @@ class Fusion:
         )  # fmt: skip
         if (lately := self.quarters.lately()) is not None:
             table = table.assign(
-                occupied_s=lately.tiles.occupied * STEP_S,
-                visible_s=lately.tiles.visible * STEP_S, occupancy=lately.tiles.share(),
+                occupied_s=lately.occupied * STEP_S, visible_s=lately.visible * STEP_S,
+                occupancy=lately.occupancy(),
             )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:

@@ -126,7 +126,7 @@ class SensorState:
         Number of the last received message by stream, the latest last.
     poses : dict
         Poses by key, the latest last.
-    told : int
+    acknowledged : int
         The number that was acknowledged last.
     pose : Pose, optional
         The newest pose.
@@ -138,7 +138,7 @@ class SensorState:
     resend: int = 0
     refused: str = ""
     due: bool = False
-    told: int = 0
+    acknowledged: int = 0
     asked_s: float = -1e9
     missed_s: float = -1e9
     other: tuple[str, float] = ("", -1e9)

@@ -120,7 +120,7 @@ class HourJobs:
         self._now = 0  # the quarter that runs
         self._quarter = 0  # that was measured last
         self._said: set[str] = set()
-        self._again_at, self._told_s = 0.0, BEHIND_S
+        self._again_at, self._warned_s = 0.0, BEHIND_S
 
     def take_up(self, spooled: Sequence[Path]) -> None:
         """Start with the hours that an earlier run left."""
@@ -192,8 +192,8 @@ class HourJobs:
     def _look_behind(self, now_s: float, due: Sequence[int]) -> None:
         """Log the backlog of hours at each doubling, and its end."""
         self.behind_s = now_s - end_of_hour_s(due[0]) if due else 0.0
-        if self.behind_s >= self._told_s:
-            self._told_s = 2.0 * self.behind_s
+        if self.behind_s >= self._warned_s:
+            self._warned_s = 2.0 * self.behind_s
             self._reporter.warn(
                 "measuring is behind: {} waits for {:.0f} min: the machine has too few "
                 "cores for its sensors",
@@ -201,7 +201,7 @@ class HourJobs:
                 self.behind_s / 60,
             )
         elif not due:
-            self._told_s = BEHIND_S
+            self._warned_s = BEHIND_S
 
     def begin(self, spooled: Sequence[Path]) -> None:
         """Start the waiting job, now that the spool is closed up to here."""

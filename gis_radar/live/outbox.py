@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections import deque
 from collections.abc import Callable
 
 from gis_radar.base import QUIET, InputError, OutputError, Reporter
@@ -71,13 +70,12 @@ class Outbox:
         self.lost, self.stored = 0, buffer.stored
         self._buffer, self._link, self._topics = buffer, link, topics
         self._figures, self._reporter = figures, reporter
-        self._on_way: deque[int] = deque()
         self._ahead = FIRST_AHEAD
         self._sent, self._connections, self._pose_sent = self.stored, 0, b""
         self._session, self._resend, self._refused = "", 0, ""
         self._progress = self._reported = time.monotonic()
         self._patience_s = RESEND_S
-        self._dropped, self._undropped = self.stored, ""
+        self._undropped = ""
         self._full = self._too_long = False
 
     def put(self, content: bytes) -> bool:
@@ -113,6 +111,11 @@ class Outbox:
         """Whether fusion has stored all messages."""
         return self.stored >= self._buffer.last
 
+    @property
+    def _on_way(self) -> int:
+        """Number of messages that are sent and not acknowledged."""
+        return self._sent - self.stored
+
     def pump(self) -> None:
         """Process acknowledgements of fusion, and send what is due."""
         while (message := self._link.take(0.0)) is not None:
@@ -136,7 +139,7 @@ class Outbox:
 
     def _send(self) -> None:
         ahead = min(self._ahead, UNACKNOWLEDGED)
-        while not self.empty and (room := ahead - len(self._on_way)) > 0:
+        while not self.empty and (room := ahead - self._on_way) > 0:
             waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
             if not waiting:
                 return
@@ -152,7 +155,6 @@ class Outbox:
                     self._topics.of(DETECTIONS), pack_message(envelope, each.content), qos=0
                 )
                 self._sent = each.number
-                self._on_way.append(each.number)
 
     def _send_pose(self, waiting: Waiting) -> None:
         """Send the pose of a message, if it is not that of the message before."""
@@ -164,13 +166,12 @@ class Outbox:
 
     def _rewind(self) -> None:
         """Send again all messages that fusion has not stored, slowly at first."""
-        self._on_way.clear()
         self._ahead = FIRST_AHEAD
         self._sent, self._progress, self._pose_sent = self.stored, time.monotonic(), b""
 
     def _drop(self) -> None:
         """Drop stored messages; if the disk is full, try again with the next status."""
-        if self._dropped == self.stored:
+        if self._buffer.stored >= self.stored:
             return
         try:
             self._buffer.acknowledge(self.stored)
@@ -179,7 +180,7 @@ class Outbox:
                 self._undropped = error.message
                 self._reporter.warn("{}; trying on", error.message)
             return
-        self._dropped, self._undropped = self.stored, ""
+        self._undropped = ""
 
     def _heard(self, payload: bytes) -> None:
         try:
@@ -200,8 +201,6 @@ class Outbox:
             self.stored = found.stored
             self._drop()
             self._progress, self._patience_s = time.monotonic(), RESEND_S
-            while self._on_way and self._on_way[0] <= self.stored:
-                self._on_way.popleft()
             self._sent = max(self._sent, self.stored)
         if (found.session, found.resend) != (self._session, self._resend):
             self._session, self._resend = found.session, found.resend

@@ -196,18 +196,29 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
     """
     password = ""
     if table.password_file is not None:
-        try:
-            password = table.password_file.read_text(encoding="utf-8").strip()
-        except FileNotFoundError as error:
+        if not table.password_file.exists():
             raise InputError(
                 "{}: no such file",
                 table.password_file,
                 hint="the files written for the broker hold one for each",
-            ) from error
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError("{}: cannot be read: {}", table.password_file, error) from error
+            )
+        password = read_secret(table.password_file)
     name = (table.user or user) if password else ""
     return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
+
+
+def read_secret(path: Path) -> str:
+    """Read a file with nothing but a password or token.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("{}: cannot be read: {}", path, error) from error
 
 
 _HINT = Text("begin with: gis-radar edge --template > SENSOR.toml")

@@ -219,7 +219,7 @@ class Snapshot:
         """Return each tile's class of occupancy, alike; -1 where it was not visible."""
         if self.lately is None:
             return np.full(len(self.observed), NOT_OBSERVED)
-        return classes_of(self.lately.tiles.share())
+        return classes_of(self.lately.occupancy())
 
     def by_lane(self, place: Place) -> Floats:
         """Return the hit share of each lane over the last 15 minutes, NaN where not observed."""

@@ -170,7 +170,7 @@ class LiveVehicles:
         self._pool: ProcessPoolExecutor | None = None
         self._work: Future[VehiclesAnswer] | None = None
         self._handed = 0  # number of messages that the process has now
-        self._now, self._told, self._start_at = VehiclesNow.none(), 0.0, 0.0
+        self._now, self._answered_s, self._start_at = VehiclesNow.none(), 0.0, 0.0
 
     def make_ready(self) -> Future[None]:
         """Start the process; the future is done once its loops are compiled."""
@@ -197,12 +197,12 @@ class LiveVehicles:
             try:
                 self._now, late = work.result()
                 self.late += late
-                self._told, self._handed = now, 0
+                self._answered_s, self._handed = now, 0
             except Exception as error:  # noqa: BLE001 - whatever it is, a new process begins anew
                 self._lose(error)
         if self._pool is None and now >= self._start_at and self._start_at > 0.0:
             self.make_ready()
-        if self._pool is not None and self._waiting and now - self._told >= NOW_S:
+        if self._pool is not None and self._waiting and now - self._answered_s >= NOW_S:
             messages, self._waiting = self._waiting, []
             self._handed = len(messages)
             try:
@@ -232,7 +232,7 @@ class LiveVehicles:
 
     def now(self) -> VehiclesNow:
         """Return the vehicles of now; none where the last answer is older than `OLD_S`."""
-        return self._now if time.monotonic() - self._told < OLD_S else VehiclesNow.none()
+        return self._now if time.monotonic() - self._answered_s < OLD_S else VehiclesNow.none()
 
     def figures(self) -> dict[str, float]:
         """Return counts, by name, for Prometheus."""
