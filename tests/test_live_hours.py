@@ -122,7 +122,7 @@ def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
     assert make_hours(made.site, later, [HOUR + 1]).doubts == {"R1": None}
     late = recorded_at(made, FULL_US - 45_000_000, ["R1"])
     done = make_hours(made.site, late, [HOUR])
-    assert (done.doubts, done.untold) == ({}, {})
+    assert (done.doubts, done.unchecked) == ({}, {})
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
 
 
@@ -396,14 +396,14 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
         jobs.poll_at(now_s, now_s)
         return jobs.doubts
 
-    assert after(0, untold={"R1": HOUR}, doubts={"R2": "turned"}) == {"R2": "turned"}
+    assert after(0, unchecked={"R1": HOUR}, doubts={"R2": "turned"}) == {"R2": "turned"}
     assert after(1, doubts={"R1": "turned", "R2": None}) == {"R1": "turned", "R2": None}
     since = f"turned; since {hour_text(HOUR + 2)} too little traffic to check it again"
     for number in (2, 3):
-        untold = {"R1": HOUR + number, "R2": HOUR + number}
-        assert after(number, untold=untold) == {"R1": since, "R2": None}
+        unchecked = {"R1": HOUR + number, "R2": HOUR + number}
+        assert after(number, unchecked=unchecked) == {"R1": since, "R2": None}
     assert after(4, doubts={"R1": "turned"})["R1"] == "turned"
-    assert after(5, untold={"R1": HOUR + 5})["R1"].startswith(
+    assert after(5, unchecked={"R1": HOUR + 5})["R1"].startswith(
         f"turned; since {hour_text(HOUR + 5)}"
     )
     begun_anew = JobsHere(site, Quarters(), pool=pool)
@@ -412,8 +412,8 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
 
 
 DAMAGED = (
-    "", "[1]", '{"doubts": 3}', '{"doubts": {"R1": {}}, "untold": {}}',
-    '{"doubts": {}, "untold": {"R1": {}}}', '{"doubts": {}, "untold": {"R1": 1e300}}',
+    "", "[1]", '{"doubts": 3}', '{"doubts": {"R1": {}}, "unchecked": []}',
+    '{"doubts": {}, "unchecked": 3}', '{"doubts": {}}',
 )  # fmt: skip
 
 

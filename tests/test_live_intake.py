@@ -20,7 +20,6 @@ from gis_radar.live import (
     spool_files,
 )
 from gis_radar.live.fusion import COUNTS_FILE
-from gis_radar.live.recent import keep_counts
 from gis_radar.live.recordings import hour_of_time
 from gis_radar.live.spool import FRAMES, PASSED, POSE
 from gis_radar.scans import find_sight
@@ -216,7 +215,7 @@ def test_a_new_start_counts_on_from_what_it_kept(tmp_path, once):
     every = np.ones(len(ROAD.tile_id), np.bool_)
     for step in range(first_step - 400, first_step + 60):
         earlier.take(step, every, every)
-    keep_counts(site.folder / COUNTS_FILE, earlier.arrays(), ROAD.fingerprint)
+    earlier.keep(site.folder / COUNTS_FILE, ROAD.fingerprint)
     fusion = Fusion(site)
     hit, observed = fusion.counts.since_begin()
     assert (hit.min(), hit.max(), observed.max()) == (460, 460 + 42, 460 + 42)

@@ -28,6 +28,7 @@ from gis_radar.live.vehicles_now import (
     LiveVehicles,
     PlacedMessage,
     VehicleFollower,
+    layer_of,
 )
 
 pytestmark = pytest.mark.usefixtures("ready_workers")
@@ -85,7 +86,7 @@ def test_vehicles_of_now_are_where_the_batch_has_them(graph, batch):
 
 def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph):
     said = Lines()
-    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832", again_s=0.1, reporter=said)
+    vehicles = LiveVehicles(graph, NAMES, again_s=0.1, reporter=said)
     vehicles.make_ready().result()
     sent = itertools.cycle(messages())
 
@@ -96,7 +97,7 @@ def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph):
         return len(vehicles.now())
 
     wait_for(follows)
-    assert len(vehicles.layer()) == len(vehicles.now())
+    assert len(layer_of(vehicles.now(), "EPSG:25832")) == len(vehicles.now())
     for each in multiprocessing.active_children():
         each.kill()
     wait_for(lambda: follows() is None or vehicles.restarts)
@@ -110,14 +111,14 @@ def test_a_process_that_ends_is_started_anew_and_old_vehicles_are_none(graph):
 
 
 def test_what_a_busy_process_cannot_take_is_dropped_and_counted(graph):
-    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832")
+    vehicles = LiveVehicles(graph, NAMES)
     for _ in range(MOST_WAITING + 2):
         vehicles.take("R1", b"", POSES["R1"], np.nan)
     assert vehicles.dropped == 2
 
 
 def test_what_the_process_leaves_out_is_counted(graph):
-    vehicles = LiveVehicles(graph, NAMES, "EPSG:25832")
+    vehicles = LiveVehicles(graph, NAMES)
     vehicles.make_ready().result()
     mine = [each for each in messages() if each[0] == "R1"]
 

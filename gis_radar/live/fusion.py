@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import json
 import secrets
 import time
 from collections.abc import Iterable
@@ -40,13 +39,14 @@ from gis_radar.live.intake import Intake, SensorState
 from gis_radar.live.jobs import HourJobs
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.map_of_now import MapOfNow, MapState, Seen, Windows
-from gis_radar.live.payload import DETECTIONS, POSE, VERSION, Acknowledgement
+from gis_radar.live.outbox import OFFLINE, ONLINE, status_message
+from gis_radar.live.payload import DETECTIONS, POSE, Acknowledgement
 from gis_radar.live.quarters import Quarters, share_of
-from gis_radar.live.recent import RecentCounts, keep_counts
+from gis_radar.live.recent import RecentCounts
 from gis_radar.live.settings import LiveSite, read_live_site
 from gis_radar.live.snapshot import place_of
 from gis_radar.live.spool import Spool, SpoolFile, spool_files
-from gis_radar.live.vehicles_now import LiveVehicles
+from gis_radar.live.vehicles_now import LiveVehicles, layer_of
 from gis_radar.measures import FrameCounter, validity_of
 from gis_radar.scans import SightTiles, open_sight
 from gis_radar.tracking import map_of_tiles
@@ -191,7 +191,7 @@ class Fusion:
         link = Link(
             self._site.address(), name=f"{live.site}-fusion",
             topics=tuple(topics.of(kind) for kind in (POSE, "status", DETECTIONS)),
-            will=(own, _state("offline")), reporter=self._reporter,
+            will=(own, status_message(OFFLINE)), reporter=self._reporter,
         )  # fmt: skip
         self.link = link
         server = serve_metrics(live.health, self.metrics) if live.health else None
@@ -208,7 +208,7 @@ class Fusion:
             while not stop.is_set():
                 if link.connections != connections and link.connected:
                     connections = link.connections
-                    link.publish(own, _state("online"), retain=True)
+                    link.publish(own, status_message(ONLINE), retain=True)
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
                 self._advance(self._windows.close(int(time.time() * 1e6)))
@@ -217,7 +217,7 @@ class Fusion:
             self._finish()
         finally:
             gc.unfreeze()
-            link.close(own, _state("offline"))
+            link.close(own, status_message(OFFLINE))
             if server is not None:
                 server.close()
             if self._page is not None:
@@ -359,7 +359,7 @@ class Fusion:
 
     def _export(self) -> None:
         """Replace the files for QGIS, and the counts for a new start."""
-        state, arrays = self.state(), self.counts.arrays()
+        state = self.state()
         hit_s, observed_s = (STEP_S * each for each in self.counts.since_begin())
         table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
             time=state.time, hit=state.hit.astype(np.int8),
@@ -373,11 +373,11 @@ class Fusion:
             )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:
-            keep_counts(self._site.folder / COUNTS_FILE, arrays, self._fingerprint)
+            self.counts.keep(self._site.folder / COUNTS_FILE, self._fingerprint)
             with output_errors(path), atomic_write(path) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
                 if self.vehicles is not None:
-                    layer = self.vehicles.layer()
+                    layer = layer_of(self.vehicles.now(), self.tiles.crs)
                     layer.to_file(part, layer="vehicles", driver="GPKG", engine="pyogrio", mode="a")
         except GisRadarError as error:
             self._say(error)
@@ -388,11 +388,6 @@ class Fusion:
             self._said[error.message] = now
             hint = f" ({error.hint})" if error.hint else ""
             self._reporter.warn(error.message + hint)
-
-
-def _state(word: str) -> bytes:
-    """Return the status message of fusion in a state."""
-    return json.dumps({"version": VERSION, "state": word}).encode()
 
 
 def _require_heights(site: LiveSite, road: SightTiles) -> None:
@@ -428,7 +423,7 @@ def _vehicles(
     except NoAnswerError as error:
         reporter.warn("vehicles are not followed: {}", error.message)
         return None
-    return LiveVehicles(graph, names, tiles.crs, reporter=reporter)
+    return LiveVehicles(graph, names, reporter=reporter)
 
 
 def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:

@@ -30,7 +30,6 @@ from gis_radar.live.payload import (
     DETECTIONS,
     POSE,
     STREAM_BYTES,
-    VERSION,
     Envelope,
     PoseContent,
     VersionError,
@@ -276,7 +275,7 @@ class Intake:
             sensor.health.alarm("damaged", error.message)
 
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
-        record = read_record(message.payload, what="a status", version=VERSION)
+        record = read_record(message.payload, what="a status")
         online = record.get("state") == ONLINE
         sensor.health.alarm(
             "offline", None if online else Text("the broker lost it, or it was stopped")

@@ -97,6 +97,8 @@ class HourJobs:
     touched : dict
         Hours whose recordings have to be made, each with the arrival of its last frame (monotonic
         seconds).
+    doubts : dict
+        By sensor, the check's doubt of its pose and recording; None once they were found to fit.
     wanted : bool
         Whether a job waits for the spool to be closed.
     """
@@ -106,7 +108,7 @@ class HourJobs:
         process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
-        self._doubts, self._untold = _kept_doubts(site.folder / DOUBTS, reporter)
+        self.doubts, self._unchecked = _kept_doubts(site.folder / DOUBTS, reporter)
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
         self._reporter = reporter
@@ -248,31 +250,23 @@ class HourJobs:
         for hour, why in done.not_measured.items():
             self._wait(hour, why)
 
-    @property
-    def doubts(self) -> dict[str, str | None]:
-        """By sensor, the check's doubt of its pose and recording; None once they were found to fit.
-
-        Too little traffic for a verdict does not end a doubt; its hour is then added to the text.
-        """
-        again = "{}; since {} too little traffic to check it again"
-        return {
-            name: Text(again, doubt, hour_text(self._untold[name]))
-            if doubt and name in self._untold else doubt
-            for name, doubt in self._doubts.items()
-        }  # fmt: skip
-
     def _doubt(self, done: Done) -> None:
-        """Record the findings of the check, and store them for a restart of fusion."""
-        if not done.doubts and not done.untold:
+        """Record the findings of the check, and store them for a restart of fusion.
+
+        Too little traffic for a verdict ends no doubt; the first such hour is added to its text.
+        """
+        if not done.doubts and not done.unchecked:
             return
-        self._doubts |= done.doubts
-        self._untold = {
-            name: hour
-            for name, hour in (done.untold | self._untold).items()
-            if name not in done.doubts
-        }
+        self.doubts |= done.doubts
+        self._unchecked -= done.doubts.keys()
+        for name, hour in done.unchecked.items():
+            doubt = self.doubts.get(name)
+            if doubt and name not in self._unchecked:
+                again = "{}; since {} too little traffic to check it again"
+                self.doubts[name] = Text(again, doubt, hour_text(hour))
+                self._unchecked.add(name)
         path = self._site.folder / DOUBTS
-        document = with_texts({"doubts": self._doubts, "untold": self._untold})
+        document = with_texts({"doubts": self.doubts, "unchecked": sorted(self._unchecked)})
         try:
             with atomic_write(path) as part:
                 part.write_text(json_text(document, indent=1) + "\n", encoding="utf-8")
@@ -324,19 +318,19 @@ class HourJobs:
         }
 
 
-def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], dict[str, int]]:
+def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], set[str]]:
     """Return the doubts of an earlier run of fusion; a file that cannot be read is logged."""
     if not path.exists():
-        return {}, {}
+        return {}, set()
     try:
         found = restored(read_json(path, what="doubts"))
-        doubts, untold = dict(found["doubts"]), dict(found["untold"])
+        doubts = dict(found["doubts"])
         "".join(each for each in doubts.values() if each is not None)  # TypeError if one is no text
-        [hour_text(hour) for hour in untold.values()]
-    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
+        unchecked = {name for name in found["unchecked"] if name in doubts}
+    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError):
         reporter.warn("{}: cannot be read: alarms of poses begin anew", path)
-        return {}, {}
-    return doubts, untold
+        return {}, set()
+    return doubts, unchecked
 
 
 def _make_all(site: MeasuredSite, spooled: Sequence[Path], touched: Sequence[int]) -> Done:

@@ -143,8 +143,6 @@ class LiveVehicles:
         The lanes.
     sensors : sequence of str
         Names of the site's sensors.
-    crs : CRS
-        The map frame.
     again_s : float
         Time until a process that ended is started again, seconds.
     reporter : Reporter
@@ -159,11 +157,11 @@ class LiveVehicles:
     """
 
     def __init__(
-        self, graph: LaneGraph, sensors: Sequence[str], crs: Any, *, again_s: float = AGAIN_S,
+        self, graph: LaneGraph, sensors: Sequence[str], *, again_s: float = AGAIN_S,
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.dropped = self.late = self.restarts = 0
-        self._graph, self._crs, self._reporter = graph, crs, reporter
+        self._graph, self._reporter = graph, reporter
         self._again_s = again_s
         self._number = {name: k for k, name in enumerate(sorted(sensors))}
         self._waiting: list[PlacedMessage] = []
@@ -242,7 +240,3 @@ class LiveVehicles:
             "vehicles_late_frames": float(self.late),
             "vehicles_process_restarts": float(self.restarts),
         }
-
-    def layer(self) -> gpd.GeoDataFrame:
-        """Return the vehicles of now as points in the map."""
-        return layer_of(self.now(), self._crs)
