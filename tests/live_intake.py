@@ -53,7 +53,7 @@ class FedIntake:
         self.map = MapOfNow(len(ROAD.tile_id))
         self.windows = Windows(0.2)
         self.intake = Intake(
-            names, site="s", spool=self.spool, road=ROAD,
+            names, spool=self.spool, road=ROAD,
             counter=FrameCounter(ROAD), windows=self.windows,
             oldest_s=3 * 86_400.0, **given,
         )  # fmt: skip

@@ -95,15 +95,13 @@ class Fusion:
         self.tiles = read_tiles(site.live.tiles)
         road, filters = SightTiles.of(self.tiles), site.filters()
         _require_heights(site, road)
-        scans = site.scan.files if site.scan is not None else ()
-        scan_crs = site.scan.crs if site.scan is not None else None
-        scan = open_sight(road, scans=scans, scan_crs=scan_crs, sight=None, reporter=reporter)
+        measured = _measured(site)
+        scan = open_sight(road, scans=measured.scans, scan_crs=measured.scan_crs, reporter=reporter)
         folder, names = site.folder, [each.name for each in site.sensor]
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         self._held = ExitStack()
         self._held.enter_context(only_writer(folder / SPOOL, reporter=reporter))
-        measured = _measured(site)
         refuse_other_settings(measured, self.tiles, scan)
         self._dataset = measured.dataset
         self.vehicles = _vehicles(site, self.tiles, names, reporter)
@@ -123,7 +121,7 @@ class Fusion:
         )
         self._spool = Spool(folder / SPOOL)
         self.intake = Intake(
-            names, site=site.live.site, spool=self._spool, road=road, scan=scan,
+            names, spool=self._spool, road=road, scan=scan,
             counter=FrameCounter(road, filters=filters), windows=self._windows,
             oldest_s=site.live.oldest, vehicles=self.vehicles, reporter=reporter,
         )  # fmt: skip
@@ -329,13 +327,14 @@ class Fusion:
     def _acknowledge(self, sensor: SensorState) -> None:
         if self.link is None or not self.link.connected:
             return
-        sensor.due = False
-        mark = self._spool.mark_of(sensor.health.name, sensor.stream)
+        sensor.due, name = False, sensor.health.name
+        mark = self._spool.mark_of(name, sensor.stream)
         found = Acknowledgement(
             stream=sensor.stream, stored=mark.number, check=mark.check, session=self._session,
             resend=sensor.resend, refused=sensor.refused,
         )  # fmt: skip
-        self.link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
+        topic = SensorTopics(self._site.live.site, name).of("ack")
+        self.link.publish(topic, found.pack(), retain=True)
         sensor.acknowledged = mark.number
 
     def _finish(self) -> None:

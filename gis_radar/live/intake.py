@@ -21,7 +21,7 @@ from gis_radar.base import (
     iso_from_step,
     require_same,
 )
-from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
+from gis_radar.live.broker import FUSION, Received, parts_of
 from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.map_of_now import Seen, Windows
@@ -117,8 +117,6 @@ class SensorState:
     ----------
     health : SensorHealth
         Its counts and alarms.
-    topics : SensorTopics
-        Its topics.
     stream : str
         The stream that is received, in hexadecimal digits.
     numbers : dict
@@ -132,7 +130,6 @@ class SensorState:
     """
 
     health: SensorHealth
-    topics: SensorTopics
     stream: str = ""
     resend: int = 0
     refused: str = ""
@@ -158,8 +155,6 @@ class Intake:
     ----------
     names : iterable of str
         Names of the sensors.
-    site : str
-        The site's name in topics.
     spool : Spool
         The spool, to which messages are appended.
     road : SightTiles
@@ -188,8 +183,8 @@ class Intake:
     """
 
     def __init__(
-        self, names: Iterable[str], *, site: str, spool: Spool, road: SightTiles,
-        counter: FrameCounter, windows: Windows, oldest_s: float, scan: SightSource | None = None,
+        self, names: Iterable[str], *, spool: Spool, road: SightTiles, counter: FrameCounter,
+        windows: Windows, oldest_s: float, scan: SightSource | None = None,
         vehicles: LiveVehicles | None = None, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.unknown: set[str] = set()
@@ -199,10 +194,7 @@ class Intake:
         self._counter, self._windows = counter, windows
         self._oldest_s, self._reporter = oldest_s, reporter
         self.sensors = {
-            name: SensorState(
-                health=SensorHealth(name=name, reporter=reporter), topics=SensorTopics(site, name)
-            )
-            for name in names
+            name: SensorState(health=SensorHealth(name=name, reporter=reporter)) for name in names
         }
 
     def resume(self, files: Sequence[SpoolFile], begin_us: int) -> None:

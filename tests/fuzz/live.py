@@ -137,7 +137,7 @@ def _road(folder: Path) -> SightTiles:
 def _intake(folder: Path, spool: Spool, windows: Windows | None = None) -> Intake:
     road = _road(folder)
     return Intake(
-        ["R1"], site="junction", spool=spool, road=road,
+        ["R1"], spool=spool, road=road,
         counter=FrameCounter(road), windows=windows or Windows(0.2),
         oldest_s=1e6,
     )  # fmt: skip
