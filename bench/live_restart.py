@@ -34,7 +34,6 @@ from gis_radar.live import (
 from gis_radar.live.first_run import run_fusion_once
 from gis_radar.live.fusion import COUNTS_FILE, SPOOL
 from gis_radar.live.payload import varint
-from gis_radar.live.recent import keep_counts
 from gis_radar.scans import SightTiles
 
 KEY, HZ, STEPS = b"1234", 20, 20
@@ -71,7 +70,7 @@ def filled(folder: Path, names: list[str], seconds: int, end_s: int) -> Path:
         record = pose.as_dict() | {"sensor": name}
         messages[name] = PoseContent(pose=record, fingerprint=road.fingerprint).pack()
     spool = Spool(read_live_site(file).folder / SPOOL)
-    spool.rotate({})
+    spool.rotate()
     for k in range(seconds * HZ):
         for number, (name, message) in enumerate(messages.items()):
             time_us = (end_s - seconds) * 1_000_000 + k * 50_000 + number
@@ -93,7 +92,7 @@ def keep(file: Path, end_s: int, kept_s: int, seconds: int) -> None:
     every = np.ones(len(road.tile_id), np.bool_)
     for step in range((end_s - seconds) * STEPS, (end_s - kept_s) * STEPS):
         counts.take(step, ~every, every)
-    keep_counts(read_live_site(file).folder / COUNTS_FILE, counts.arrays(), road.fingerprint)
+    counts.keep(read_live_site(file).folder / COUNTS_FILE, road.fingerprint)
 
 
 def main() -> None:

@@ -83,7 +83,7 @@ class SpooledSite:
             } | given
         )  # fmt: skip
         self.spool = Spool(self.folder / "spool")
-        self.spool.rotate({})
+        self.spool.rotate()
         self._number = 0
 
     def pose(self, name, **changes):
@@ -102,7 +102,7 @@ class SpooledSite:
             self.spool.add(SpooledFrames(name, message, payload))
         self.spool.collect()
         self.spool.write()
-        self.spool.rotate({})
+        self.spool.rotate()
         return self.spool.closed
 
     def parts(self, hour=None):

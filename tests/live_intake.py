@@ -1,7 +1,6 @@
 """Fusion's intake without a broker: messages of one sensor of the sample."""
 
 import time
-from types import SimpleNamespace
 
 import numpy as np
 from live_site import SAMPLE
@@ -54,13 +53,17 @@ class FedIntake:
         self.map = MapOfNow(len(ROAD.tile_id))
         self.windows = Windows(0.2)
         self.intake = Intake(
-            names, site="s", spool=self.spool, road=ROAD,
+            names, spool=self.spool, road=ROAD,
             counter=FrameCounter(ROAD), windows=self.windows,
             oldest_s=3 * 86_400.0, **given,
         )  # fmt: skip
         self.intake.resume(files, begin_us)
-        self.spool.rotate(self.intake.marks)
+        self.spool.rotate()
         self.sensor = self.intake.sensors[names[0]]
+
+    @property
+    def stored(self):
+        return self.spool.mark_of("R1", self.sensor.stream).number
 
     @property
     def counts(self):
@@ -86,11 +89,8 @@ class FedIntake:
 
     def commit(self):
         """Bring what came to the disk, as fusion does each second."""
-        mark = self.sensor.mark
         self.spool.collect()
         self.spool.write()
-        mark.stored, mark.stored_check = mark.received, mark.check
-        return SimpleNamespace(stored=mark.stored, check=mark.stored_check)
 
     def spooled(self):
         """Return the records in all files of the spool, without their heads."""

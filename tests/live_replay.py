@@ -11,7 +11,7 @@ from live_programs import rows_of
 import gis_radar as gr
 from gis_radar.base import step_begin
 from gis_radar.dataset.tables import HITS, OBSERVED
-from gis_radar.live import Lately, Place, Snapshot, TileOccupancy
+from gis_radar.live import Lately, Place, Snapshot
 from gis_radar.live.now_filter import VehiclesNow
 from gis_radar.live.snapshot import ShownSensor
 
@@ -81,9 +81,7 @@ class Replay:
              "speed_kmh": np.where(each, 36.0, np.nan),
              "queue_max_m": np.where(each % 2, 23.4, np.nan)}
         )  # fmt: skip
-        return Lately(
-            until_step=self.at, tiles=TileOccupancy(visible=visible, occupied=hits), lanes=lanes
-        )
+        return Lately(until_step=self.at, visible=visible, occupied=hits, lanes=lanes)
 
     def lane_intervals(self):
         begin = step_begin(self.first)

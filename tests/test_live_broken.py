@@ -47,7 +47,6 @@ from gis_radar.live import (
     read_live_site,
 )
 from gis_radar.live.payload import MOST_BYTES
-from gis_radar.live.settings import LiveSettings
 
 pytestmark = [needs_mosquitto, pytest.mark.usefixtures("ready_workers")]
 
@@ -207,13 +206,17 @@ def test_nothing_is_acknowledged_while_the_disk_is_at_work(tmp_path, once, monke
     assert_all_recorded(site, ["R1"])
 
 
-def test_fusion_on_a_disk_without_an_inode_goes_on_and_measures_once_there_is_one(tmp_path, once):
+def test_fusion_on_a_disk_without_an_inode_goes_on_and_measures_once_there_is_one(
+    tmp_path, once, monkeypatch
+):
     disk = FullDisk(tmp_path / "live", "60m", files=300)
     try:
         site = LiveSite(tmp_path, once, names=("R1",), of_live=OF_THE_SAMPLE + '\nevery = "1s"')
         site.broker.start()
-        said, settings = Lines(), LiveSettings(settle_s=1.0, again_s=1.0)
-        fusion = Fusion(read_live_site(site.file), settings=settings, reporter=said)
+        said = Lines()
+        monkeypatch.setattr("gis_radar.live.jobs.SETTLE_S", 1.0)
+        monkeypatch.setattr("gis_radar.live.jobs.AGAIN_S", 1.0)
+        fusion = Fusion(read_live_site(site.file), reporter=said)
         middle = Background(fusion.run)
         wait_for(lambda: fusion.link is not None and fusion.link.connected)
         disk.fill()

@@ -49,15 +49,14 @@ OF_VEHICLES = (
     BEGIN
     + """
 from gis_radar.hdmap import lane_graph
-from gis_radar.live.vehicles_now import VehicleFollower, run_vehicles_once
+from gis_radar.live.vehicles_now import PlacedMessage, VehicleFollower, run_vehicles_once
 run_vehicles_once()
 following = VehicleFollower(lane_graph(gr.read_map(sample / "junction.osm").lanelets))
 before = compiled()
-placed = {("R2", b"pose"): (1, pose, 0.0)}
 for k, frame in zip(range(600), frames_of_recording(sample / "R2.parquet")):
     content = pack_detections([selector.find(frame, pose, road_m=0.0)], pose=b"pose")
-    following.go_on(placed, (), [("R2", content)])
-assert len(following.go_on(placed, (), []))
+    following.go_on([PlacedMessage(1, pose, 0.0, content)])
+assert len(following.go_on([]))
 print({name: count for name, count in compiled().items() if before.get(name) != count})
 print(sorted(before))
 """

@@ -17,7 +17,7 @@ from live_site import wait_for
 import gis_radar as gr
 from gis_radar.base import InputError, step_begin
 from gis_radar.dataset import hour_text, read_hours
-from gis_radar.live import CUT_US, HOUR_US, Lately, TileOccupancy, hour_work, recording_path
+from gis_radar.live import CUT_US, HOUR_US, Lately, hour_work, recording_path
 from gis_radar.live import jobs as jobs_module
 from gis_radar.live.hour_work import (
     QUARTER_US,
@@ -30,7 +30,6 @@ from gis_radar.live.hour_work import (
 from gis_radar.live.jobs import DOUBTS, HourJobs
 from gis_radar.live.quarters import KEPT, TRAFFIC, Quarters, read_quarters
 from gis_radar.live.recordings import end_of_hour_s
-from gis_radar.live.settings import DEFAULTS
 
 pytestmark = pytest.mark.usefixtures("ready_workers")
 HOUR = 486_111  # since 1970: 2025-06-15T15Z
@@ -123,7 +122,7 @@ def test_an_hour_that_is_made_again_says_nothing_of_the_pose_of_now(tmp_path):
     assert make_hours(made.site, later, [HOUR + 1]).doubts == {"R1": None}
     late = recorded_at(made, FULL_US - 45_000_000, ["R1"])
     done = make_hours(made.site, late, [HOUR])
-    assert (done.doubts, done.untold) == ({}, {})
+    assert (done.doubts, done.unchecked) == ({}, {})
     assert list(read_hours(made.site.dataset)) == [HOUR, HOUR + 1]
 
 
@@ -157,7 +156,7 @@ def test_a_quarter_is_provisional_beside_the_tables_until_its_hour_is_made(tmp_p
     assert found.until_step == (begin_us + QUARTER_US) // 50_000 - 1
     assert found.lanes["counted"].sum() > 8
     assert found.lanes["volume"].isna().all()  # 20 s tell no volume of a quarter
-    assert 0 < found.tiles.occupied.sum() < found.tiles.visible.sum()
+    assert 0 < found.occupied.sum() < found.visible.sum()
     assert found.lanes["speed_kmh"].dropna().between(0.0, 100.0).all()
     assert (found.lanes["queue_max_m"] > 5.0).any()
     (folder,) = (made.folder / "provisional").iterdir()
@@ -341,13 +340,11 @@ class JobsHere(HourJobs):
             self.pool.future.set_result(done or Done())
 
 
-def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool):
+def test_what_an_earlier_run_left_is_taken_up_again_after_a_failure(tmp_path, pool, monkeypatch):
     made = SpooledSite(tmp_path)
     recorded_at(made, FULL_US - 20_000_000, ["R1"])
-    jobs = HourJobs(
-        made.site, Quarters(), settings=replace(DEFAULTS, again_s=0.0), process=lambda: pool,
-        reporter=Lines(),
-    )  # fmt: skip
+    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    jobs = HourJobs(made.site, Quarters(), process=lambda: pool, reporter=Lines())
     jobs.take_up(made.spool.closed)
     pool.future.set_exception(BrokenExecutor())
     jobs.poll(0.0, {})
@@ -399,14 +396,14 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
         jobs.poll_at(now_s, now_s)
         return jobs.doubts
 
-    assert after(0, untold={"R1": HOUR}, doubts={"R2": "turned"}) == {"R2": "turned"}
+    assert after(0, unchecked={"R1": HOUR}, doubts={"R2": "turned"}) == {"R2": "turned"}
     assert after(1, doubts={"R1": "turned", "R2": None}) == {"R1": "turned", "R2": None}
     since = f"turned; since {hour_text(HOUR + 2)} too little traffic to check it again"
     for number in (2, 3):
-        untold = {"R1": HOUR + number, "R2": HOUR + number}
-        assert after(number, untold=untold) == {"R1": since, "R2": None}
+        unchecked = {"R1": HOUR + number, "R2": HOUR + number}
+        assert after(number, unchecked=unchecked) == {"R1": since, "R2": None}
     assert after(4, doubts={"R1": "turned"})["R1"] == "turned"
-    assert after(5, untold={"R1": HOUR + 5})["R1"].startswith(
+    assert after(5, unchecked={"R1": HOUR + 5})["R1"].startswith(
         f"turned; since {hour_text(HOUR + 5)}"
     )
     begun_anew = JobsHere(site, Quarters(), pool=pool)
@@ -415,8 +412,8 @@ def test_a_doubt_lasts_until_the_sensor_fits(tmp_path, pool):
 
 
 DAMAGED = (
-    "", "[1]", '{"doubts": 3}', '{"doubts": {"R1": {}}, "untold": {}}',
-    '{"doubts": {}, "untold": {"R1": {}}}', '{"doubts": {}, "untold": {"R1": 1e300}}',
+    "", "[1]", '{"doubts": 3}', '{"doubts": {"R1": {}}, "unchecked": []}',
+    '{"doubts": {}, "unchecked": 3}', '{"doubts": {}}',
 )  # fmt: skip
 
 
@@ -449,7 +446,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
         jobs.poll_at(end_s + 60.0 * minutes, end_s + 60.0 * minutes)
         jobs.end(error=OSError(28, "no space"))
         assert jobs.poll_at(end_s + 60.0 * minutes, end_s) is None  # not at once
-        clock.now_s += DEFAULTS.again_s
+        clock.now_s += jobs_module.AGAIN_S
     behind = [line for line in said.lines if "measuring is behind" in line]
     assert ["16 min" in behind[0], "40 min" in behind[1], len(behind)] == [True, True, 2]
     assert jobs.figures()["hours_behind_seconds"] == 3000.0
@@ -462,7 +459,7 @@ def test_falling_behind_is_told_with_how_far(tmp_path, pool, monkeypatch):
 
 
 @pytest.mark.parametrize("idle", [False, True])
-def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, idle):
+def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, monkeypatch, idle):
     made, said, pools = SpooledSite(tmp_path), Lines(), []
     recorded_at(made, FULL_US - 20_000_000)
 
@@ -479,8 +476,8 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, id
             return True
         return False
 
-    settings = replace(DEFAULTS, again_s=0.0)
-    jobs = HourJobs(made.site, Quarters(), settings=settings, reporter=said, process=process)
+    monkeypatch.setattr(jobs_module, "AGAIN_S", 0.0)
+    jobs = HourJobs(made.site, Quarters(), reporter=said, process=process)
     jobs.take_up([])
     wait_for(multiprocessing.active_children)
     if idle:
@@ -506,11 +503,9 @@ def test_a_worker_that_is_killed_is_started_anew_and_gives_the_same(tmp_path, id
 
 def test_quarters_of_a_day_are_kept():
     quarters = Quarters()
-    none = TileOccupancy(visible=[], occupied=[])
     lanes = pd.DataFrame({"lane": [7], "volume": [1.0]})
-    quarters.add(
-        [Lately(until_step=18_000 * k - 1, tiles=none, lanes=lanes) for k in range(1, KEPT + 9)]
-    )
+    ends = [18_000 * k - 1 for k in range(1, KEPT + 9)]
+    quarters.add(Lately(until_step=end, visible=[], occupied=[], lanes=lanes) for end in ends)
     table = quarters.intervals()
     assert len(table) == KEPT
     assert table["begin"].is_monotonic_increasing

@@ -20,7 +20,6 @@ from gis_radar.live import (
     spool_files,
 )
 from gis_radar.live.fusion import COUNTS_FILE
-from gis_radar.live.recent import keep_counts
 from gis_radar.live.recordings import hour_of_time
 from gis_radar.live.spool import FRAMES, PASSED, POSE
 from gis_radar.scans import find_sight
@@ -45,29 +44,30 @@ def test_odd_messages_are_counted_and_the_rest_goes_on(tmp_path):
     assert said.told("R9: no sensor of this site")
     fed.pose(other)
     fed.frames(1, key=key_of_pose(other), first=True)
-    assert (fed.sensor.mark.received, "refused" in fed.sensor.health.alarms) == (0, True)
+    assert (fed.sensor.received, "refused" in fed.sensor.health.alarms) == (0, True)
     assert fed.sensor.refused == f"tiles {'00' * 16}, expected {ROAD.fingerprint}"
     fed.send(b"\x09" + pack_message(Envelope(stream=STREAM, number=1), b"")[1:])
     assert fed.sensor.refused == "a message of version 9, expected 2"
     fed.frames(1, first=True)  # of a pose that is not there yet
-    assert (fed.sensor.mark.received, fed.sensor.resend, fed.sensor.due) == (0, 1, True)
+    assert (fed.sensor.received, fed.sensor.resend, fed.sensor.due) == (0, 1, True)
     fed.pose()
     fed.frames(1, first=True)
-    assert (fed.sensor.mark.received, fed.sensor.health.alarms) == (1, {})
+    assert (fed.sensor.received, fed.sensor.health.alarms) == (1, {})
     fed.frames(2)
     fed.frames(2)  # a double
-    assert (fed.sensor.mark.received, fed.counts["duplicates"]) == (2, 1)
+    assert (fed.sensor.received, fed.counts["duplicates"]) == (2, 1)
     fed.frames(4)  # 3 is missing
-    assert (fed.sensor.mark.received, fed.counts["frames"]) == (2, 2)
+    assert (fed.sensor.received, fed.counts["frames"]) == (2, 2)
     fed.send(pack_message(Envelope(stream=STREAM, number=3), b"pose\x01\x00\x7f"))
-    assert (fed.sensor.mark.received, fed.counts["damaged"]) == (3, 1)  # passed over
+    assert (fed.sensor.received, fed.counts["damaged"]) == (3, 1)  # passed over
     for noise in (b"", b"\x02", bytes(70_000), b"\xff" * 50):
         for kind in ("detections", "status", "pose"):
             fed.send(noise, kind)
     fed.send(b'{"version": 2, "state": "online", "trusted": false}', "status")
     assert "moved" in fed.sensor.health.alarms
     assert fed.counts["frames"] == 2
-    assert fed.commit().stored == 3
+    fed.commit()
+    assert fed.stored == 3
     assert [each.kind for each in fed.spooled()] == [POSE, FRAMES, FRAMES, PASSED]
 
 
@@ -88,20 +88,20 @@ def test_a_number_far_ahead_does_not_end_a_stream(fed):
     for number in (2**62, 2**63 - 1):
         for first in (False, True):
             fed.frames(number, first=first)
-    assert fed.sensor.mark.received == 1
+    assert fed.sensor.received == 1
     assert "number 9,223,372,036,854,775,807 after 1" in fed.sensor.health.alarms["damaged"]
     fed.frames(2)
-    assert (fed.sensor.mark.received, fed.counts["frames"]) == (2, 2)
+    assert (fed.sensor.received, fed.counts["frames"]) == (2, 2)
     fed.frames(2**62, stream=b"efgh", first=True)  # nor does one of another stream
     fed.frames(3)
-    assert (fed.sensor.mark.received, fed.counts["frames"]) == (3, 3)
+    assert (fed.sensor.received, fed.counts["frames"]) == (3, 3)
 
 
 def test_a_fusion_of_an_older_disk_goes_on_and_names_what_is_gone(fed):
     """Its sensor no longer has what was acknowledged before: else it would ask for ever."""
     fed.frames(1, first=True)
     fed.frames(7, first=True)
-    assert fed.sensor.mark.received == 7
+    assert fed.sensor.received == 7
     assert "5 messages that the sensor no longer has" in fed.sensor.health.alarms["lost"]
 
 
@@ -114,7 +114,7 @@ def test_frames_of_another_time_are_named_and_passed_over(fed, off_us):
     fed.frames(1, frame(NOW_US), first=True)
     fed.frames(2, frame(NOW_US + off_us))
     fed.frames(3, frame(NOW_US + 100_000))
-    assert (fed.sensor.mark.received, fed.counts["frames"], fed.counts["off_time"]) == (3, 2, 1)
+    assert (fed.sensor.received, fed.counts["frames"], fed.counts["off_time"]) == (3, 2, 1)
     assert "from now" in fed.sensor.health.alarms["off_time"]
     assert fed.intake.touched == {hour_of_time(NOW_US), hour_of_time(NOW_US + 100_000)}
 
@@ -149,7 +149,7 @@ def test_a_pose_that_cannot_be_is_named_and_its_frames_do_not_hold_others_up(fed
     assert says in fed.sensor.health.alarms["damaged"]
     fed.frames(1, key=key, first=True)
     fed.frames(2)
-    assert (fed.sensor.mark.received, fed.counts["frames"]) == (2, 1)
+    assert (fed.sensor.received, fed.counts["frames"]) == (2, 1)
 
 
 def test_two_streams_that_take_turns_are_named(fed):
@@ -167,10 +167,10 @@ def test_old_poses_are_forgotten_and_asked_for_again(fed):
         fed.pose(pose_message(easting=690360.0 + 0.001 * k))
     assert len(fed.sensor.poses) == 64
     fed.frames(2)
-    assert (fed.sensor.mark.received, fed.sensor.resend) == (1, 1)
+    assert (fed.sensor.received, fed.sensor.resend) == (1, 1)
     fed.pose()
     fed.frames(2)
-    assert fed.sensor.mark.received == 2
+    assert fed.sensor.received == 2
 
 
 def test_a_new_start_goes_on_where_it_was(tmp_path):
@@ -184,7 +184,7 @@ def test_a_new_start_goes_on_where_it_was(tmp_path):
     fed.frames(101, frame(NOW_US))  # not on disk, so not acknowledged
     fed.spool.close()
     again = FedIntake(tmp_path, begin_us=begin_us)
-    assert again.sensor.mark.received == again.sensor.mark.stored == 100
+    assert again.sensor.received == again.stored == 100
     steps = [frames for _, frames in again.windows.close(NOW_US, most=72_000)]
     assert sum(bool(each) for each in steps) == 100
     again.frames(101, frame(NOW_US))
@@ -192,7 +192,7 @@ def test_a_new_start_goes_on_where_it_was(tmp_path):
     again.commit()
     again.spool.close()
     third = FedIntake(tmp_path)
-    assert third.sensor.mark.stored == 102
+    assert third.stored == 102
     third.frames(103, frame(NOW_US + 100_000))  # its pose is in the older file
     third.commit()
     third.spool.close()
@@ -215,7 +215,7 @@ def test_a_new_start_counts_on_from_what_it_kept(tmp_path, once):
     every = np.ones(len(ROAD.tile_id), np.bool_)
     for step in range(first_step - 400, first_step + 60):
         earlier.take(step, every, every)
-    keep_counts(site.folder / COUNTS_FILE, earlier.arrays(), ROAD.fingerprint)
+    earlier.keep(site.folder / COUNTS_FILE, ROAD.fingerprint)
     fusion = Fusion(site)
     hit, observed = fusion.counts.since_begin()
     assert (hit.min(), hit.max(), observed.max()) == (460, 460 + 42, 460 + 42)
@@ -238,14 +238,14 @@ def test_older_files_of_the_spool_are_read_only_for_what_the_map_counts(tmp_path
     os.utime(first, (1, 1))
     again = FedIntake(tmp_path)
     again.spool.close()
-    assert again.sensor.mark.stored == 1
+    assert again.stored == 1
     assert not again.sensor.poses
     second.write_bytes(second.read_bytes()[:20])  # torn
     third = spool_files(tmp_path / "spool")[-1]
     third.write_bytes(b"")
     again = FedIntake(tmp_path)
     again.spool.close()
-    assert (again.sensor.mark.stored, len(again.sensor.poses)) == (1, 1)
+    assert (again.stored, len(again.sensor.poses)) == (1, 1)
 
 
 def test_the_map_counts_the_tiles_under_what_is_sent(fed):

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gis_radar.live import RecentCounts
-from gis_radar.live.recent import keep_counts
 
 FIRST = 20 * 1_700_000_100
 GAPS = st.lists(st.sampled_from([300, 300, 600, 1500, 3300, 9000, 24_000, 99_000]),
@@ -47,7 +46,7 @@ def test_a_new_start_goes_on_with_what_was_kept_for_the_same_tiles(tmp_path):
     some = np.array([True, False])
     for step in range(FIRST, FIRST + 50):
         counts.take(step, some, ~some)
-    keep_counts(path, counts.arrays(), "tiles")
+    counts.keep(path, "tiles")
     for fingerprint, interval, since in (("tiles", 100, 51), ("tiles", 200, 1), ("other", 100, 1)):
         again = RecentCounts(2, interval=interval)
         again.restore(path, fingerprint)

@@ -16,11 +16,13 @@ from gis_radar.base import STEP_US, OutputError
 from gis_radar.live import (
     CUT_US,
     HOUR_US,
+    Envelope,
     Spool,
     SpooledFrames,
     SpoolFile,
     join_parts,
     make_parts,
+    pack_message,
     recording_path,
     spool_files,
     waiting_hours,
@@ -51,7 +53,7 @@ def test_a_spool_that_ends_in_a_record_is_read_up_to_there(tmp_path):
         assert len(fed.spooled()) == kept - 1
     path.write_bytes(whole[:-8] + bytes(8))  # as a loss of power leaves it
     again = FedIntake(tmp_path)
-    assert again.sensor.mark.stored == 2
+    assert again.stored == 2
     assert again.spool.closed == [path]
 
 
@@ -74,10 +76,10 @@ def test_a_full_disk_keeps_what_waits_and_leaves_no_half_record(tmp_path, monkey
         for _ in range(2):
             with pytest.raises(OutputError, match="cannot be written"):
                 fed.commit()
-    assert (fed.sensor.mark.stored, fed.spool.waiting) == (1, 1)
+    assert (fed.stored, fed.spool.waiting) == (1, 1)
     before = len(fed.spooled())
     fed.commit()
-    assert (fed.sensor.mark.stored, fed.spool.waiting) == (2, 0)
+    assert (fed.stored, fed.spool.waiting) == (2, 0)
     assert len(fed.spooled()) == before + 1
 
 
@@ -96,11 +98,11 @@ def test_a_disk_without_an_inode_leaves_the_old_file_in_use(tmp_path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(os, "open", no_inode)
         with pytest.raises(OutputError, match="cannot be written"):
-            fed.spool.rotate(fed.intake.marks)
+            fed.spool.rotate()
         fed.frames(2)
         fed.commit()
     assert len(spool_files(tmp_path / "spool")) == 1
-    fed.spool.rotate(fed.intake.marks)
+    fed.spool.rotate()
     assert len(spool_files(tmp_path / "spool")) == 2
     assert len(fed.spooled()) == 3
 
@@ -108,12 +110,13 @@ def test_a_disk_without_an_inode_leaves_the_old_file_in_use(tmp_path, monkeypatc
 def test_the_spool_reaches_the_disk_before_it_counts(tmp_path, monkeypatch):
     """Each batch is synced after it was written: a loss of power takes nothing acknowledged."""
     spool = Spool(tmp_path / "s")
-    spool.rotate({})
+    spool.rotate()
     calls = []
     write, sync = os.write, os.fsync
     monkeypatch.setattr(os, "write", lambda *each: calls.append("write") or write(*each))
     monkeypatch.setattr(os, "fsync", lambda each: calls.append("fsync") or sync(each))
-    spool.add(SpooledFrames("R1", b"", b"x"))
+    message = pack_message(Envelope(stream=b"abcd", number=1), b"")
+    spool.add(SpooledFrames("R1", b"", message))
     spool.collect()
     spool.write()
     assert calls == ["write", "fsync"]
@@ -123,7 +126,7 @@ def test_the_spool_reaches_the_disk_before_it_counts(tmp_path, monkeypatch):
 def test_a_new_file_of_the_spool_has_its_name_on_disk_before_it_is_used(tmp_path, monkeypatch):
     spool, synced, sync = Spool(tmp_path / "s"), [], os.fsync
     monkeypatch.setattr(os, "fsync", lambda each: synced.append(os.fstat(each)) or sync(each))
-    spool.rotate({})
+    spool.rotate()
     places = [*spool_files(tmp_path / "s"), tmp_path / "s"]
     assert [each.st_ino for each in synced] == [each.stat().st_ino for each in places]
 

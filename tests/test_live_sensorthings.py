@@ -19,7 +19,7 @@ from live_site import LONGEST_S, SAMPLE, LiveSite, wait_for
 
 import gis_radar as gr
 from gis_radar.base import InputError
-from gis_radar.live import Fusion, Lately, Place, RecentCounts, TileOccupancy, read_live_site
+from gis_radar.live import Fusion, Lately, Place, RecentCounts, read_live_site
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.sensorthings import HITS, LaneMeasure, LaneServer, ServerError, Service
 from gis_radar.site import SensorThingsTable
@@ -231,7 +231,7 @@ def quarter_of(place, until_step, **columns):
     traffic = {"visible_share": 0.9, "volume": 7.0, "volume_se": 1.5, "speed_kmh": 31.25,
                "occupancy": 0.125, "queue_max_m": np.nan} | columns  # fmt: skip
     lanes = pd.DataFrame({"lane": place.lane_numbers}).assign(**traffic)
-    return Lately(until_step=until_step, tiles=TileOccupancy(visible=[], occupied=[]), lanes=lanes)
+    return Lately(until_step=until_step, visible=[], occupied=[], lanes=lanes)
 
 
 def test_the_traffic_of_each_quarter_arrives_once_with_its_errors(server, place, tmp_path):

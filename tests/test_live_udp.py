@@ -155,7 +155,7 @@ def test_a_clock_of_fusion_that_is_stepped_ends_nothing(tmp_path, once, monkeypa
     wait_for(lambda: fusion.state().hit.any() and sensor.health.counts["frames"] > 40)
     work.stop.set()
     work.join()
-    wait_for(lambda: sensor.mark.stored == sensor.mark.received)
+    wait_for(lambda: sensor.received == sensor.acknowledged)
     middle.end()
     site.broker.kill()
     found = recorded(site.folder, "R1")["time"].nunique()

@@ -18,7 +18,7 @@ from .payload import (
     pack_message,
     unpack_message,
 )
-from .quarters import Lately, TileOccupancy
+from .quarters import Lately
 from .recent import RecentCounts
 from .recordings import CUT_US, HOUR_US, join_parts, make_parts, recording_path, waiting_hours
 from .settings import edge_template, read_edge_file, read_live_site
@@ -54,7 +54,6 @@ __all__ = [
     "Spool",
     "SpoolFile",
     "SpooledFrames",
-    "TileOccupancy",
     "WebServer",
     "Windows",
     "check_of",

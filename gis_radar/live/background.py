@@ -3,57 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from threading import Thread
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 Answer = TypeVar("Answer")
 
 
-class BackgroundTask(Generic[Answer]):
-    """Runner of one task at a time on a thread of its own.
+def in_background(name: str, work: Callable[[], Answer]) -> Future[Answer]:
+    """Begin work on a thread with a name; the end of the program does not wait for it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the thread.
+    The threads of an executor would hold the end up: a server may take minutes to answer.
     """
+    future: Future[Answer] = Future()
 
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._thread: Thread | None = None
-        self._answers: list[Answer] = []
-        self._errors: list[BaseException] = []
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:  # noqa: BLE001 - raised where the result is taken
+            future.set_exception(error)
 
-    @property
-    def busy(self) -> bool:
-        """Whether a task is running, or its answer was not taken yet."""
-        return self._thread is not None
-
-    def begin(self, work: Callable[[], Answer]) -> None:
-        """Begin a task; none may be running."""
-
-        def run() -> None:
-            try:
-                self._answers.append(work())
-            except BaseException as error:  # noqa: BLE001 - raised by take, in the caller's thread
-                self._errors.append(error)
-
-        thread = Thread(target=run, daemon=True, name=self._name)
-        thread.start()
-        self._thread = thread  # after start, which may fail
-
-    def take(self, *, wait: bool = False) -> Answer | None:
-        """Return the answer if the task is done, else None; raise the task's exception.
-
-        Parameters
-        ----------
-        wait : bool
-            Whether to wait until the task is done.
-        """
-        if self._thread is None or (self._thread.is_alive() and not wait):
-            return None
-        self._thread.join()
-        self._thread = None
-        if self._errors:
-            raise self._errors.pop()
-        return self._answers.pop()
+    Thread(target=run, daemon=True, name=name).start()
+    return future

@@ -29,8 +29,7 @@ PORTS = {"mqtt": 1883, "mqtts": 8883}
 KEEP_ALIVE_S = 10  # a cut link is noticed after 1.5 times this
 SLOWEST_RETRY_S = 30
 IN_FLIGHT = 100  # messages sent before the broker has confirmed the first
-_TAKEN_OVER, _NOT_AUTHORISED = 142, 135  # reason codes of MQTT 5
-_REFUSED = range(128, 256)
+_TAKEN_OVER, _REFUSED = 142, range(128, 256)  # reason codes of MQTT 5
 TWINS, TWINS_WITHIN_S = 3, 120.0  # number of short links in a time that no restart explains
 LOOK_S = 0.005  # between two looks at an empty queue
 SHORT_S = 10.0  # a shorter link is short
@@ -133,10 +132,6 @@ class Link:
     ----------
     connections : int
         Number of times it was made.
-    refused : int
-        Number of messages that the broker refused.
-    twins : bool
-        Whether this and another program with the same id end each other's links.
 
     Raises
     ------
@@ -150,8 +145,7 @@ class Link:
         self, address: BrokerAddress, *, name: str, topics: tuple[str, ...] = (),
         will: tuple[str, bytes] | None = None, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
-        self.connections = self.refused = 0
-        self.twins = False
+        self.connections = 0
         self._address, self._name, self._topics = address, name, topics
         self._reporter, self._said = reporter, ""
         self._received: SimpleQueue[Received] = SimpleQueue()
@@ -271,8 +265,7 @@ class Link:
         # Mosquitto 2.0 sends no reason code when another program takes the name over.
         if _code(reason) == _TAKEN_OVER or now - self._since < SHORT_S:
             self._taken.append(now)
-        self.twins = len(self._taken) == TWINS and now - self._taken[0] < TWINS_WITHIN_S
-        if self.twins:
+        if len(self._taken) == TWINS and now - self._taken[0] < TWINS_WITHIN_S:
             # reconnect slowly: the other program is served meanwhile, and both report it
             self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
             self._say("the broker ends each link soon: has another program the same name?")
@@ -286,7 +279,6 @@ class Link:
 
     def _on_publish(self, _c: Any, _u: Any, _mid: int, reason: Any, _p: Any) -> None:
         if _code(reason) in _REFUSED:
-            self.refused += 1
             self._say(Text("the broker does not take a message: {}", reason))
 
 

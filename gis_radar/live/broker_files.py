@@ -15,8 +15,9 @@ from pathlib import Path
 
 from gis_radar.base import atomic_folder
 from gis_radar.live.broker import FUSION, IN_FLIGHT, TOPICS, BrokerAddress
+from gis_radar.live.outbox import UNACKNOWLEDGED
 from gis_radar.live.payload import MOST_BYTES
-from gis_radar.live.settings import DEFAULTS, LiveSite, read_live_site
+from gis_radar.live.settings import LiveSite, read_live_site
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
 COMPOSE, IMAGE = "compose.yaml", "Dockerfile"
@@ -93,7 +94,7 @@ def broker_config(site: LiveSite, folder: Path) -> str:
     """Return Mosquitto's configuration: log-in required, messages and queues bounded."""
     address = BrokerAddress.of(site.live.broker.address)
     # Twice the messages that all sensors together may have sent unacknowledged.
-    queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
+    queued = 2 * UNACKNOWLEDGED * len(site.sensor)
     return _CONFIG.format(
         port=address.port, passwords=folder / PASSWORDS, access=folder / ACCESS,
         size=MOST_BYTES + _HEADER_BYTES, in_flight=IN_FLIGHT, queued=queued,

@@ -17,7 +17,6 @@ from gis_radar.base import GisRadarError, InputError, OutputError, Text
 from gis_radar.live.payload import STREAM_BYTES, VERSION
 
 LOCK_S = 1.0  # wait for another program to release the file
-ROW_BYTES = 24  # overhead of SQLite for a message; measured
 LAST_NUMBER = 1 << 62  # largest number of a message, so that the next ones fit in 64 bits
 CHECK_EVERY = 64  # messages between two checks of the size
 _APPLICATION = b"grbu"  # mark of a buffer in the file's header

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -59,12 +58,12 @@ class Edge:
         self._file, self._reporter = file, reporter
         tiles = read_tiles(file.tiles)
         self._road = SightTiles.of(tiles)
-        self._given = self._read_pose(tiles)
+        given = self._read_pose(tiles)
         self._pose: Pose | None = None
         self._pose_key, self._road_m = b"", np.nan
         self._last_step, self._trusted = -1, True
         self._last_time, self._doubted = -np.inf, False
-        self._next: Followed | None = None
+        self._next = None if given is None else Followed(pose=given)
         self._follower: PoseFollower | None = None
         self._waiting: list[FrameDetections] = []
         self._selector = DetectionSelector(self._road)
@@ -116,8 +115,7 @@ class Edge:
             try:
                 self._work(stop)
             finally:
-                if self._follower is not None:
-                    self._follower.close()
+                self._stop_following()
                 link.close(topics.of("status"), will)
 
     def figures(self) -> dict[str, object]:
@@ -157,21 +155,15 @@ class Edge:
                 break
             if frame is not None:
                 self._look_at_clock(frame)
-                for ready in self._with_pose(frame):
-                    self._select(ready)
+                self._process(frame)
             self.outbox.pump()
-        self._end_of_source(stop)
+        if self._pose is None and self._gathered and not stop.is_set():
+            self._try_at = 0  # the source ended before there were enough frames
+            self._process(self._gathered.pop())
         self._flush()
         while not (stop.is_set() or self.outbox.empty):
             self.outbox.pump()
             sleep(IDLE_S)
-
-    def _end_of_source(self, stop: Event) -> None:
-        """Find the pose from all frames of a source that ended before there were enough."""
-        if self._pose is None and self._gathered and not stop.is_set() and self._try_to_find():
-            for ready in self._begin_with_gathered():
-                self._select(ready)
-                self.outbox.pump()
 
     def _look_at_clock(self, frame: Detections) -> None:
         """Reset the waiting frames after a backward jump of the clock."""
@@ -180,44 +172,44 @@ class Edge:
             self._flush()
             self._last_step = -1
             self._gathered.clear()
-            if self._follower is not None:
-                self._follower.close()
-                self._follow(frame)
+            self._stop_following()
         self._last_time = time
 
-    def _with_pose(self, frame: Detections) -> Iterator[Detections]:
-        """Yield the frames whose pose is known now, after putting that pose in force."""
-        if self._pose is None and self._given is None:
-            self._gathered.append(frame)
-            self._try_at -= 1
-            if self._try_at <= 0 and self._try_to_find():
-                yield from self._begin_with_gathered()
-            return
-        if self._pose is None:
-            self._take_over(Followed(pose=self._given))  # type: ignore[arg-type]
-            self._follow(frame)
+    def _process(self, frame: Detections) -> None:
+        for ready in self._with_pose(frame):
+            self._select(ready)
+
+    def _with_pose(self, frame: Detections) -> list[Detections]:
+        """Return the frames whose pose is known now, after putting that pose in force."""
+        ready = [frame]
         if self._follower is not None:
             self.not_followed += not self._follower.push(frame)
             self._next = self._follower.latest() or self._next
             if self._next is not None and self._next.refused:
                 self._doubt()
-        elif self._doubted:
-            self._try_again(frame)
+        elif self._doubted or (self._pose is None and self._next is None):
+            ready = self._wait_for_pose(frame)
         step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
-        if self._next is not None and step > self._last_step:
-            self._take_over(self._next)
+        if self._next is not None and step > self._last_step and self._take_over(self._next):
             self._next = None
-        yield frame
+        if self._follower is None and not self._doubted:
+            self._follow(frame)
+        return ready
 
-    def _begin_with_gathered(self) -> Iterator[Detections]:
-        """Yield the frames that waited until the pose was found."""
-        gathered = list(self._gathered)
+    def _wait_for_pose(self, frame: Detections) -> list[Detections]:
+        """Search the pose by the frames so far, or follow again one that was given, when due."""
+        self._try_at -= 1
+        if self._file.pose is not None:
+            if self._try_at <= 0:
+                self._follow(frame)
+            return [frame]
+        self._gathered.append(frame)
+        known = [] if self._pose is None else [frame]
+        if self._try_at > 0 or not self._try_to_find():
+            return known
+        self._doubted, gathered = False, list(self._gathered)
         self._gathered.clear()
-        if self._next is not None:
-            self._take_over(self._next)
-            self._next = None
-        yield from gathered
-        self._follow(gathered[-1])
+        return known or gathered
 
     def _try_to_find(self) -> bool:
         """Find the pose from the frames so far; try again later where none follows."""
@@ -232,24 +224,10 @@ class Edge:
 
     def _doubt(self) -> None:
         """Start looking for another pose, or for traffic that confirms this one after all."""
-        if self._follower is not None:
-            self._follower.close()
-        self._follower, self._doubted = None, True
+        self._stop_following()
+        self._doubted = True
         self._gathered.clear()
-        searched = self._given is None
-        self._try_at = FRAMES if searched else AGAIN_FRAMES
-
-    def _try_again(self, frame: Detections) -> None:
-        """Search again a pose that traffic refused, or follow again one that was given."""
-        self._try_at -= 1
-        if self._given is None:
-            self._gathered.append(frame)
-            if self._try_at <= 0 and self._try_to_find():
-                self._gathered.clear()
-                self._doubted = False
-                self._follow(frame)
-        elif self._try_at <= 0:
-            self._follow(frame)
+        self._try_at = FRAMES if self._file.pose is None else AGAIN_FRAMES
 
     def _follow(self, frame: Detections) -> None:
         file = self._file
@@ -258,20 +236,27 @@ class Edge:
             start = self._next.pose if self._next is not None else self._pose
             self._follower = self.new_follower(start, begin, doubted=self._doubted)
 
-    def _take_over(self, found: Followed) -> None:
-        """Select detections by a pose from now on, and send the pose to fusion."""
-        if found.refused and self._trusted:
-            self._reporter.warn("the pose is not confirmed: {}", found.refused)
+    def _stop_following(self) -> None:
+        if self._follower is not None:
+            self._follower.close()
+        self._follower = None
+
+    def _take_over(self, found: Followed) -> bool:
+        """Select detections by a pose from now on, and send it; return False on a full disk."""
         same = self._pose is not None and _is_same(self._pose, found.pose)
         if same and found.trusted == self._trusted:
-            return
+            return True
         self._flush()
         content = PoseContent(pose=found.pose.as_dict(), fingerprint=self._road.fingerprint).pack()
-        if self.outbox.put_pose(content):  # else fusion would not know it: keep the earlier one
-            self._pose, self._pose_key = found.pose, key_of_pose(content)
-            self._road_m = road_near(find_sight(found.pose, self._road), self._road)
-            self._trusted = found.trusted
-            self._doubted = self._doubted and not found.trusted
+        if not self.outbox.put_pose(content):  # fusion would not know it: keep the earlier one
+            return False
+        if found.refused and self._trusted:
+            self._reporter.warn("the pose is not confirmed: {}", found.refused)
+        self._pose, self._pose_key = found.pose, key_of_pose(content)
+        self._road_m = road_near(find_sight(found.pose, self._road), self._road)
+        self._trusted = found.trusted
+        self._doubted = self._doubted and not found.trusted
+        return True
 
     def _select(self, frame: Detections) -> None:
         """Add the detections near the road to the next message, where the pose is known."""

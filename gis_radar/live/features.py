@@ -231,8 +231,8 @@ def _measures(now: Snapshot) -> dict[str, Any]:
         "observed_15min_s": now.observed * STEP_S,
     }
     if now.lately is not None:
-        measures["occupancy_15min"] = now.lately.tiles.share()
-        measures["visible_15min_s"] = now.lately.tiles.visible * STEP_S
+        measures["occupancy_15min"] = now.lately.occupancy()
+        measures["visible_15min_s"] = now.lately.visible * STEP_S
     return measures | {"time": iso_from_step(now.step)}
 
 

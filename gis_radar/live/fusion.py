@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gc
-import json
 import secrets
 import time
 from collections.abc import Iterable
+from concurrent.futures import Future
 from contextlib import ExitStack
+from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING
 
@@ -29,22 +30,23 @@ from gis_radar.base import (
     output_errors,
 )
 from gis_radar.hdmap import lane_graph, read_tiles
-from gis_radar.live.background import BackgroundTask
+from gis_radar.live.background import in_background
 from gis_radar.live.broker import FUSION, Link, SensorTopics
 from gis_radar.live.first_run import NOT_COMPILED, compile_first, run_fusion_once
 from gis_radar.live.health import prometheus_text, serve_metrics
 from gis_radar.live.hour_work import MeasuredSite, refuse_other_settings
-from gis_radar.live.intake import Intake, Mark, SensorState
+from gis_radar.live.intake import Intake, SensorState
 from gis_radar.live.jobs import HourJobs
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.map_of_now import MapOfNow, MapState, Seen, Windows
-from gis_radar.live.payload import DETECTIONS, POSE, VERSION, Acknowledgement
+from gis_radar.live.outbox import OFFLINE, ONLINE, status_message
+from gis_radar.live.payload import DETECTIONS, POSE, Acknowledgement
 from gis_radar.live.quarters import Quarters, share_of
-from gis_radar.live.recent import RecentCounts, keep_counts
-from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
+from gis_radar.live.recent import RecentCounts
+from gis_radar.live.settings import LiveSite, read_live_site
 from gis_radar.live.snapshot import place_of
 from gis_radar.live.spool import Spool, SpoolFile, spool_files
-from gis_radar.live.vehicles_now import LiveVehicles
+from gis_radar.live.vehicles_now import LiveVehicles, layer_of
 from gis_radar.measures import FrameCounter, validity_of
 from gis_radar.scans import SightTiles, open_sight
 from gis_radar.tracking import map_of_tiles
@@ -59,6 +61,10 @@ if TYPE_CHECKING:
 TAKEN_AT_ONCE = 500  # most messages between two looks at the clock
 WAIT_S = 0.01  # longest wait for a message
 READY_S = 0.1
+# Between two commits: a kill costs a second of messages, which the sensors send again.
+COMMIT_S = 1.0
+COMMIT_MESSAGES = 200  # messages of a sensor that are committed sooner: a fast replay does not wait
+SPOOL_BYTES = 1 << 28  # size from which the spool goes on in another file
 SAID_S = 600.0  # least time between two logs of one error: a disk stays full for hours
 SPOOL, NOW_FILE, PUSH_FILE = "spool", "now.gpkg", "sensorthings.json"
 COUNTS_FILE = "counts.npz"
@@ -72,8 +78,6 @@ class Fusion:
     ----------
     site : LiveSite
         The site's file.
-    settings : LiveSettings
-        Constants.
     reporter : Reporter
         Receives the log.
 
@@ -85,28 +89,24 @@ class Fusion:
         If its folder cannot be written.
     """
 
-    def __init__(
-        self, site: LiveSite, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
-    ) -> None:
-        self._site, self._settings, self._reporter = site, settings, reporter
+    def __init__(self, site: LiveSite, *, reporter: Reporter = QUIET) -> None:
+        self._site, self._reporter = site, reporter
         self._said: dict[str, float] = {}  # errors, with the time at which each was logged
         self.tiles = read_tiles(site.live.tiles)
         road, filters = SightTiles.of(self.tiles), site.filters()
         _require_heights(site, road)
-        scans = site.scan.files if site.scan is not None else ()
-        scan_crs = site.scan.crs if site.scan is not None else None
-        scan = open_sight(road, scans=scans, scan_crs=scan_crs, sight=None, reporter=reporter)
+        measured = _measured(site)
+        scan = open_sight(road, scans=measured.scans, scan_crs=measured.scan_crs, reporter=reporter)
         folder, names = site.folder, [each.name for each in site.sensor]
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         self._held = ExitStack()
         self._held.enter_context(only_writer(folder / SPOOL, reporter=reporter))
-        measured = _measured(site)
         refuse_other_settings(measured, self.tiles, scan)
         self._dataset = measured.dataset
         self.vehicles = _vehicles(site, self.tiles, names, reporter)
         self.quarters = Quarters()
-        self._jobs = HourJobs(measured, self.quarters, settings=settings, reporter=reporter)
+        self._jobs = HourJobs(measured, self.quarters, reporter=reporter)
         self._map = MapOfNow(len(road.tile_id))
         self._map.holds_s = dict(validity_of(site.cycles(), names))
         pushed = site.live.sensorthings or site.live
@@ -121,16 +121,14 @@ class Fusion:
         )
         self._spool = Spool(folder / SPOOL)
         self.intake = Intake(
-            names, site=site.live.site, spool=self._spool, road=road, scan=scan,
+            names, spool=self._spool, road=road, scan=scan,
             counter=FrameCounter(road, filters=filters), windows=self._windows,
-            oldest_s=site.live.oldest, vehicles=self.vehicles,
-            settings=settings, reporter=reporter,
+            oldest_s=site.live.oldest, vehicles=self.vehicles, reporter=reporter,
         )  # fmt: skip
         self.sensors = self.intake.sensors
         self._page, self._push = _page(self, site), _push(site, self.tiles, reporter)
-        self._exporter, self._disk = BackgroundTask[None]("export"), BackgroundTask[None]("disk")
-        self._committing: list[tuple[Mark, int, int]] = []  # up to which messages of streams
-        self._rotating = False
+        self._exporting: Future[None] | None = None
+        self._disk: Future[bool] | None = None
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
         self._resume()
@@ -143,7 +141,7 @@ class Fusion:
         self.intake.resume(files, begin_us)
         held_s = max(self._map.holds_s.values(), default=0.0)
         self._advance(self._windows.close_open(now_us, held_s))
-        self._spool.rotate(self.intake.marks)
+        self._spool.rotate()
 
     @property
     def outputs(self) -> list[Path]:
@@ -163,7 +161,7 @@ class Fusion:
         """Return health as text for Prometheus."""
         figures = {
             "unwritten_messages": float(self._spool.waiting),
-            "map_step": float(self._map.step),
+            "map_step": float(self.state().step),
             "unknown_sensors": float(len(self.intake.unknown)),
             "broker_connections": float(self.link.connections) if self.link else 0.0,
             **self._jobs.figures(),
@@ -173,7 +171,6 @@ class Fusion:
         return prometheus_text([each.health for each in self.sensors.values()], figures)
 
     link: Link | None = None
-    _rotate_at = 0.0
 
     def run(self, stop: Event) -> None:
         """Run until stopped, then measure the hours that are over.
@@ -192,7 +189,7 @@ class Fusion:
         link = Link(
             self._site.address(), name=f"{live.site}-fusion",
             topics=tuple(topics.of(kind) for kind in (POSE, "status", DETECTIONS)),
-            will=(own, _state("offline")), reporter=self._reporter,
+            will=(own, status_message(OFFLINE)), reporter=self._reporter,
         )  # fmt: skip
         self.link = link
         server = serve_metrics(live.health, self.metrics) if live.health else None
@@ -209,7 +206,7 @@ class Fusion:
             while not stop.is_set():
                 if link.connections != connections and link.connected:
                     connections = link.connections
-                    link.publish(own, _state("online"), retain=True)
+                    link.publish(own, status_message(ONLINE), retain=True)
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
                 self._advance(self._windows.close(int(time.time() * 1e6)))
@@ -218,7 +215,7 @@ class Fusion:
             self._finish()
         finally:
             gc.unfreeze()
-            link.close(own, _state("offline"))
+            link.close(own, status_message(OFFLINE))
             if server is not None:
                 server.close()
             if self._page is not None:
@@ -250,7 +247,7 @@ class Fusion:
                 return
             self.intake.handle(message)
             # a limit for each sensor: a fast replay reaches it, many radars wait for the clock
-            if self._spool.waiting >= self._settings.commit_frames * len(self.sensors):
+            if self._spool.waiting >= COMMIT_MESSAGES * len(self.sensors):
                 self._commit()
             message = link.take(0.0)
 
@@ -265,15 +262,15 @@ class Fusion:
         """Do what is due by the clock: commit, acknowledge, measure, write files."""
         now = time.monotonic()
         self._take_written()
-        if now - self._committed >= self._settings.commit_s:
+        if now - self._committed >= COMMIT_S:
             self._commit()
             for each in self.sensors.values():
                 each.health.look(time.time())
         self._measure()
-        if now - self._exported >= self._site.live.every and not self._exporter.busy:
-            self._exported = now
-            self._exporter.begin(self._export)
-        self._exporter.take()
+        idle = self._exporting is None or self._exporting.done()
+        if now - self._exported >= self._site.live.every and idle:
+            self._wait_for_export()
+            self._exported, self._exporting = now, in_background("export", self._export)
         if self._push is not None:
             self._push.take_traffic(self.quarters.followed)
             self._push.regular()
@@ -286,42 +283,34 @@ class Fusion:
     def _commit(self, *, wait: bool = False) -> None:
         """Start writing messages to the disk on another thread, while the map goes on."""
         self._take_written(wait=wait)
-        if self._disk.busy:
+        if self._disk is not None:
             return
-        self._committed = time.monotonic()
-        if self._spool.collect():
-            marks = [mark for each in self.sensors.values() for mark in each.marks.values()]
-            self._committing = [(each, each.received, each.check) for each in marks]
-            self._disk.begin(self._spool.write)
+        self._committed, rotate = time.monotonic(), self._jobs.wanted
+        if self._spool.collect() or rotate:
+            self._disk = in_background("disk", partial(self._write, rotate=rotate))
             self._take_written(wait=wait)
 
-    def _rotate(self) -> None:
-        """Start a new file of the spool, which closes the present one."""
-        marks = self.intake.marks
-        self._committing, self._rotating = [], True
-        self._disk.begin(lambda: self._spool.rotate(marks))
-        self._take_written()
+    def _write(self, *, rotate: bool) -> bool:
+        """Write the collected messages; return whether the spool goes on in a new file."""
+        self._spool.write()
+        if rotate:
+            self._spool.rotate()
+        return rotate
 
     def _take_written(self, *, wait: bool = False) -> None:
-        """Acknowledge the messages that are on disk, and only these."""
-        if not self._disk.busy:
+        """Acknowledge the messages that are on disk, and only these; start a waiting job."""
+        if self._disk is None or not (wait or self._disk.done()):
             return
+        disk, self._disk = self._disk, None
         try:
-            self._disk.take(wait=wait)
+            rotated = disk.result()
         except OutputError as error:  # retried later; waiting messages are kept
-            self._rotating = False
+            rotated = False
             self._say(error)
-            return
-        if self._disk.busy:
-            return
-        for mark, number, check in self._committing:
-            mark.stored, mark.stored_check = number, check
-        for each in self.sensors.values():
-            if self._committing and each.mark.stored != each.told:
+        for name, each in self.sensors.items():
+            if self._spool.mark_of(name, each.stream).number != each.acknowledged:
                 self._acknowledge(each)
-        self._committing = []
-        if self._rotating:
-            self._rotating = False
+        if rotated:
             self._jobs.begin(self._spool.closed)
 
     def _measure(self) -> None:
@@ -329,43 +318,47 @@ class Fusion:
         self._jobs.touch(self.intake.touched)
         self.intake.touched = set()
         newest = {name: each.health.newest_s for name, each in self.sensors.items()}
-        full = self._spool.size > self._settings.spool_bytes
+        full = self._spool.size > SPOOL_BYTES
         self._jobs.poll(time.time(), newest, full=full)
         for name, doubt in self._jobs.doubts.items():
             if name in self.sensors:
                 self.sensors[name].health.alarm("pose", doubt)
-        if self._jobs.wanted and not self._disk.busy and time.monotonic() >= self._rotate_at:
-            self._rotate_at = time.monotonic() + self._settings.commit_s
-            self._rotate()
 
     def _acknowledge(self, sensor: SensorState) -> None:
         if self.link is None or not self.link.connected:
             return
-        sensor.due, mark = False, sensor.mark
+        sensor.due, name = False, sensor.health.name
+        mark = self._spool.mark_of(name, sensor.stream)
         found = Acknowledgement(
-            stream=sensor.stream, stored=mark.stored, check=mark.stored_check,
-            session=self._session, resend=sensor.resend, refused=sensor.refused,
+            stream=sensor.stream, stored=mark.number, check=mark.check, session=self._session,
+            resend=sensor.resend, refused=sensor.refused,
         )  # fmt: skip
-        self.link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
-        sensor.told = mark.stored
+        topic = SensorTopics(self._site.live.site, name).of("ack")
+        self.link.publish(topic, found.pack(), retain=True)
+        sensor.acknowledged = mark.number
 
     def _finish(self) -> None:
+        self._jobs.stop()
         self._commit(wait=True)
         if self.vehicles is not None:
             self.vehicles.close()
         self._jobs.touch(self.intake.touched)
-        self._jobs.stop()
         try:
-            self._spool.rotate(self.intake.marks)
+            self._spool.rotate()
         except OutputError as error:
             self._say(error)
         self._jobs.finish(self._spool.closed)
-        self._exporter.take(wait=True)
+        self._wait_for_export()
         self._export()
+
+    def _wait_for_export(self) -> None:
+        """Wait until the files are written; raise what went wrong."""
+        if self._exporting is not None:
+            self._exporting.result()
 
     def _export(self) -> None:
         """Replace the files for QGIS, and the counts for a new start."""
-        state, arrays = self.state(), self.counts.arrays()
+        state = self.state()
         hit_s, observed_s = (STEP_S * each for each in self.counts.since_begin())
         table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
             time=state.time, hit=state.hit.astype(np.int8),
@@ -374,16 +367,16 @@ class Fusion:
         )  # fmt: skip
         if (lately := self.quarters.lately()) is not None:
             table = table.assign(
-                occupied_s=lately.tiles.occupied * STEP_S,
-                visible_s=lately.tiles.visible * STEP_S, occupancy=lately.tiles.share(),
+                occupied_s=lately.occupied * STEP_S, visible_s=lately.visible * STEP_S,
+                occupancy=lately.occupancy(),
             )  # fmt: skip
         path = self._site.folder / NOW_FILE
         try:
-            keep_counts(self._site.folder / COUNTS_FILE, arrays, self._fingerprint)
+            self.counts.keep(self._site.folder / COUNTS_FILE, self._fingerprint)
             with output_errors(path), atomic_write(path) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
                 if self.vehicles is not None:
-                    layer = self.vehicles.layer()
+                    layer = layer_of(self.vehicles.now(), self.tiles.crs)
                     layer.to_file(part, layer="vehicles", driver="GPKG", engine="pyogrio", mode="a")
         except GisRadarError as error:
             self._say(error)
@@ -394,11 +387,6 @@ class Fusion:
             self._said[error.message] = now
             hint = f" ({error.hint})" if error.hint else ""
             self._reporter.warn(error.message + hint)
-
-
-def _state(word: str) -> bytes:
-    """Return the status message of fusion in a state."""
-    return json.dumps({"version": VERSION, "state": word}).encode()
 
 
 def _require_heights(site: LiveSite, road: SightTiles) -> None:
@@ -434,7 +422,7 @@ def _vehicles(
     except NoAnswerError as error:
         reporter.warn("vehicles are not followed: {}", error.message)
         return None
-    return LiveVehicles(graph, names, tiles.crs, reporter=reporter)
+    return LiveVehicles(graph, names, reporter=reporter)
 
 
 def _page(fusion: Fusion, site: LiveSite) -> WebServer | None:

@@ -10,13 +10,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from gis_radar.base import LETTERS_OF_AN_ERROR, QUIET, Reporter, Text, one_line
-from gis_radar.live.settings import DEFAULTS, LiveSettings
 
 if TYPE_CHECKING:
     from prometheus_client import Metric
 
     from gis_radar.live.web_server import WebServer
 
+CLOCK_ALARM_S = 0.025  # half of a step: a clock that is off by more is wrong
+CLOCK_MESSAGES = 200  # live messages whose least delay is the offset of a sensor's clock: 10 s
+SILENT_S = 5.0  # time without a message after which a sensor is silent
+OVER_S = 120.0  # time after which an alarm of a single message ends: Prometheus asks once a minute
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 COUNTS = {
@@ -59,14 +62,11 @@ class SensorHealth:
     ----------
     name : str
         The sensor's name.
-    settings : LiveSettings
-        Limits of the alarms.
     reporter : Reporter
         Receives a line when an alarm begins or ends.
     """
 
     name: str
-    settings: LiveSettings = DEFAULTS
     reporter: Reporter = QUIET
     counts: Counter[str] = field(default_factory=Counter)
     alarms: dict[str, str] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class SensorHealth:
     raised_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._delays: deque[float] = deque(maxlen=self.settings.clock_frames)
+        self._delays: deque[float] = deque(maxlen=CLOCK_MESSAGES)
         self._heard = 0
 
     def alarm(self, kind: str, text: str | None) -> None:
@@ -98,11 +98,10 @@ class SensorHealth:
             return
         self._delays.append(arrival_s - frame_s)
         self._heard += 1
-        if self._heard % (self.settings.clock_frames // 10):  # the minimum of all delays is slow
+        if self._heard % (CLOCK_MESSAGES // 10):  # the minimum of all delays is slow
             return
         offset_s = self.clock_offset_s
-        most_s = self.settings.clock_alarm_s
-        wrong = offset_s > most_s or offset_s < -most_s
+        wrong = abs(offset_s) > CLOCK_ALARM_S
         text = Text("frames come {:+,.0f} ms after their time at the least", 1000 * offset_s)
         self.alarm("clock", text if wrong else None)
 
@@ -120,9 +119,9 @@ class SensorHealth:
         """Raise the alarm of a silent sensor; end alarms of single messages after a while."""
         quiet_s = now_s - self.heard_s
         for kind in ("damaged", "off_time", "twins"):  # alarms that single messages raise
-            if now_s - self.raised_s.get(kind, now_s) > self.settings.over_s:
+            if now_s - self.raised_s.get(kind, now_s) > OVER_S:
                 self.alarm(kind, None)
-        silent = quiet_s > self.settings.silent_s
+        silent = quiet_s > SILENT_S
         self.alarm("silent", Text("for {:.0f} s", quiet_s) if silent else None)
 
 

@@ -147,7 +147,7 @@ class Done(Reporter):
         Hours that have to be made (again).
     doubts : dict
         By sensor, the doubt of the check of poses and recordings, empty where all fits.
-    untold : dict
+    unchecked : dict
         By sensor, the hour in which there was too little traffic for a verdict.
     """
 
@@ -156,7 +156,7 @@ class Done(Reporter):
     quarters: list[Lately] = field(default_factory=list)
     hours: list[int] = field(default_factory=list)
     doubts: dict[str, str | None] = field(default_factory=dict)
-    untold: dict[str, int] = field(default_factory=dict)
+    unchecked: dict[str, int] = field(default_factory=dict)
 
     def log(self, message: str, level: str = "info") -> None:
         """Store a warning."""
@@ -280,7 +280,7 @@ def _check_poses(
         }
         for each in check(sensors, lanes):
             if each.verdict == UNKNOWN:
-                done.untold[each.sensor] = hour
+                done.unchecked[each.sensor] = hour
             else:
                 done.doubts[each.sensor] = each.text_with_advice if each.doubt else None
     except InputError:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +21,7 @@ from gis_radar.base import (
     iso_from_step,
     require_same,
 )
-from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
+from gis_radar.live.broker import FUSION, Received, parts_of
 from gis_radar.live.detections import FrameDetections, first_time_us, unpack_detections
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.map_of_now import Seen, Windows
@@ -31,22 +30,28 @@ from gis_radar.live.payload import (
     DETECTIONS,
     POSE,
     STREAM_BYTES,
-    VERSION,
     Envelope,
     PoseContent,
     VersionError,
-    check_of,
     key_of_pose,
     read_record,
     stream_of,
     unpack_message,
 )
 from gis_radar.live.recordings import HOUR_US, hour_of_time
-from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.live.spool import FRAMES, HEAD, PASSED, Marks, Spool, SpooledFrames, SpoolFile
+from gis_radar.live.spool import (
+    FRAMES,
+    HEAD,
+    PASSED,
+    STREAMS_KEPT,
+    Spool,
+    SpooledFrames,
+    SpoolFile,
+    marks_in,
+)
 from gis_radar.live.spool import POSE as POSE_RECORD
 from gis_radar.live.vehicles_now import LiveVehicles
-from gis_radar.measures import FrameCounter, PoseNumbers, PoseSight
+from gis_radar.measures import FrameCounter, PoseNumbers, road_near
 from gis_radar.poses import Pose, pose_from_dict
 from gis_radar.scans import IN_SIGHT, SightSource, SightTiles, find_sight
 
@@ -59,42 +64,48 @@ AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 LONGEST_MESSAGE_US = HOUR_US  # longest time from first to last frame of a message
 MOST_NUMBER = 1 << 40  # largest number with which a stream may begin
 MOST_AHEAD = 1 << 24  # most numbers that may be missing if the sensor lost them: ten days
-STREAMS_KEPT, POSES_KEPT = 8, 64  # newest streams and poses that are kept of a sensor
+POSES_KEPT = 64  # newest poses that are kept of a sensor
 FARTHEST_M = 20_000.0  # largest distance of a sensor from the tiles
 
 
-@dataclass(slots=True)
-class Mark:
-    """Numbers up to which a stream is received and stored, with check sums of these messages."""
+@dataclass(frozen=True, kw_only=True)
+class PlacedPose:
+    """A pose of a sensor, and what follows from it for its frames.
 
-    received: int = 0
-    check: int = 0
-    stored: int = 0
-    stored_check: int = 0
+    Parameters
+    ----------
+    pose : Pose
+        The pose.
+    road_m : float
+        Height of the road near the sensor, metres; NaN where not known.
+    numbers : PoseNumbers
+        Precomputed numbers by which frames are counted.
+    in_sight : (n,) int64 array
+        Positions of the tiles in sight.
+    """
+
+    pose: Pose
+    road_m: float
+    numbers: PoseNumbers
+    in_sight: Integers
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPose:
-    """A pose of a sensor as fusion knows it.
+    """A pose that a sensor has sent.
 
     Parameters
     ----------
     message : bytes
         The message of the pose.
-    seen : PoseSight, optional
-        The pose and its sight; None if it was refused.
-    in_sight : (n,) int64 array
-        Positions of the tiles in sight.
-    numbers : PoseNumbers, optional
-        Precomputed numbers by which frames are counted.
+    placed : PlacedPose, optional
+        The pose; None if it was refused.
     other_tiles : str
         Fingerprint of the message's tiles, where they differ from fusion's.
     """
 
     message: bytes
-    seen: PoseSight | None = None
-    in_sight: Integers = field(default_factory=lambda: np.empty(0, np.int64))
-    numbers: PoseNumbers | None = None
+    placed: PlacedPose | None = None
     other_tiles: str = ""
 
 
@@ -106,38 +117,35 @@ class SensorState:
     ----------
     health : SensorHealth
         Its counts and alarms.
-    topics : SensorTopics
-        Its topics.
     stream : str
         The stream that is received, in hexadecimal digits.
-    marks : dict
-        Marks by stream, the latest last.
+    numbers : dict
+        Number of the last received message by stream, the latest last.
     poses : dict
         Poses by key, the latest last.
-    told : int
+    acknowledged : int
         The number that was acknowledged last.
     pose : Pose, optional
         The newest pose.
     """
 
     health: SensorHealth
-    topics: SensorTopics
     stream: str = ""
     resend: int = 0
     refused: str = ""
     due: bool = False
-    told: int = 0
+    acknowledged: int = 0
     asked_s: float = -1e9
     missed_s: float = -1e9
     other: tuple[str, float] = ("", -1e9)
-    marks: dict[str, Mark] = field(default_factory=dict)
+    numbers: dict[str, int] = field(default_factory=dict)
     poses: dict[bytes, KnownPose] = field(default_factory=dict)
     pose: Pose | None = None
 
     @property
-    def mark(self) -> Mark:
-        """Mark of the stream that is received."""
-        return self.marks.get(self.stream, Mark())
+    def received(self) -> int:
+        """Number of the last message of the stream that is received."""
+        return self.numbers.get(self.stream, 0)
 
 
 class Intake:
@@ -147,8 +155,6 @@ class Intake:
     ----------
     names : iterable of str
         Names of the sensors.
-    site : str
-        The site's name in topics.
     spool : Spool
         The spool, to which messages are appended.
     road : SightTiles
@@ -161,8 +167,6 @@ class Intake:
         Largest age of a frame, seconds.
     scan : SightScan or SightFile, optional
         Scan of what hides tiles.
-    settings : LiveSettings
-        Constants of alarms and acknowledgements.
     reporter : Reporter
         Receives a line when a problem begins.
 
@@ -175,14 +179,13 @@ class Intake:
     unknown : set of str
         Names of senders that are not in the site's file.
     vehicles : LiveVehicles, optional
-        Receives poses and messages for the vehicles of now.
+        Receives messages for the vehicles of now.
     """
 
     def __init__(
-        self, names: Iterable[str], *, site: str, spool: Spool, road: SightTiles,
-        counter: FrameCounter, windows: Windows, oldest_s: float, scan: SightSource | None = None,
-        vehicles: LiveVehicles | None = None, settings: LiveSettings = DEFAULTS,
-        reporter: Reporter = QUIET,
+        self, names: Iterable[str], *, spool: Spool, road: SightTiles, counter: FrameCounter,
+        windows: Windows, oldest_s: float, scan: SightSource | None = None,
+        vehicles: LiveVehicles | None = None, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.unknown: set[str] = set()
         self.touched: set[int] = set()
@@ -191,19 +194,7 @@ class Intake:
         self._counter, self._windows = counter, windows
         self._oldest_s, self._reporter = oldest_s, reporter
         self.sensors = {
-            name: SensorState(
-                health=SensorHealth(name=name, settings=settings, reporter=reporter),
-                topics=SensorTopics(site, name),
-            )
-            for name in names
-        }
-
-    @property
-    def marks(self) -> Marks:
-        """Numbers up to which all streams are on disk."""
-        return {
-            name: {s: (m.stored, m.stored_check) for s, m in each.marks.items() if m.stored}
-            for name, each in self.sensors.items()
+            name: SensorState(health=SensorHealth(name=name, reporter=reporter)) for name in names
         }
 
     def resume(self, files: Sequence[SpoolFile], begin_us: int) -> None:
@@ -222,7 +213,7 @@ class Intake:
                 sensor = self.sensors.get(name)
                 if kind == HEAD:
                     last.clear()
-                    self._take_up(json.loads(payload))
+                    self._spool.marks = marks_in(payload)
                 elif sensor is not None and kind == POSE_RECORD:
                     poses[name, key_of_pose(payload)] = payload
                 elif sensor is not None and kind in {FRAMES, PASSED}:
@@ -231,18 +222,11 @@ class Intake:
                         self._take_again(sensor, payload, poses, begin_us)
         for name, payload in {name: payload for (name, _), payload in poses.items()}.items():
             self._take_pose(self.sensors[name], payload)  # the newest of each sensor
-        for (name, stream), payload in last.items():
-            envelope, content = unpack_message(payload)
-            known = (envelope.number, check_of(content))
-            self.sensors[name].marks[stream] = Mark(*known, *known)
-            self.sensors[name].stream = stream
-
-    def _take_up(self, marks: Mapping[str, Mapping[str, Sequence[int]]]) -> None:
-        for name, streams in marks.items():
-            if name in self.sensors:
-                known = {stream: Mark(n, c, n, c) for stream, (n, c) in streams.items()}
-                self.sensors[name].marks = known
-                self.sensors[name].stream = next(reversed(known), "")
+        self._spool.mark((name, payload) for (name, _), payload in last.items())
+        for name, sensor in self.sensors.items():
+            marks = self._spool.marks.get(name, {})
+            sensor.numbers = {stream: mark.number for stream, mark in marks.items()}
+            sensor.stream = next(reversed(marks), "")
 
     def _take_again(
         self, sensor: SensorState, message: bytes, poses: Mapping[tuple[str, bytes], bytes],
@@ -254,9 +238,9 @@ class Intake:
         if (name, key) in poses:
             self._take_pose(sensor, poses[name, key])
         known = sensor.poses.get(key)
-        if known is not None and known.seen is not None:
+        if known is not None and known.placed is not None:
             ours = [each for each in frames if each.time_us >= begin_us]
-            for step, seen in self._seen(ours, known):
+            for step, seen in self._seen(ours, known.placed):
                 self._windows.add(name, step, seen)
 
     def handle(self, message: Received) -> None:
@@ -283,7 +267,7 @@ class Intake:
             sensor.health.alarm("damaged", error.message)
 
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
-        record = read_record(message.payload, what="a status", version=VERSION)
+        record = read_record(message.payload, what="a status")
         online = record.get("state") == ONLINE
         sensor.health.alarm(
             "offline", None if online else Text("the broker lost it, or it was stopped")
@@ -310,9 +294,9 @@ class Intake:
             )
         sensor.other = (sensor.stream, now)
         sensor.stream, sensor.refused, sensor.due = stream, "", True
-        sensor.marks[stream] = sensor.marks.pop(stream, Mark())
-        if len(sensor.marks) > STREAMS_KEPT:
-            del sensor.marks[next(iter(sensor.marks))]
+        sensor.numbers[stream] = sensor.numbers.pop(stream, 0)
+        if len(sensor.numbers) > STREAMS_KEPT:
+            del sensor.numbers[next(iter(sensor.numbers))]
 
     def _handle_numbered(self, sensor: SensorState, message: Received) -> None:
         envelope, content = unpack_message(message.payload)
@@ -323,11 +307,11 @@ class Intake:
             key, frames = unpack_detections(content)
             reason = self._reason_against(frames, message.time)
         except InputError as error:
-            self._pass_over(sensor, message, envelope, content, "damaged", error.message)
+            self._pass_over(sensor, message, envelope, "damaged", error.message)
             return
         if reason:
             sensor.health.counts["off_time"] += len(frames)
-            self._pass_over(sensor, message, envelope, content, "off_time", reason)
+            self._pass_over(sensor, message, envelope, "off_time", reason)
             return
         known = sensor.poses.get(key)
         if known is None:  # asked to send again, the sensor also sends the pose again
@@ -335,30 +319,33 @@ class Intake:
         elif known.other_tiles:
             expected = self._road.fingerprint
             self._refuse(sensor, Text("tiles {}, expected {}", known.other_tiles, expected))
-        elif known.seen is None:
-            self._pass_over(
-                sensor, message, envelope, content, "damaged", Text("its pose is damaged")
-            )
+        elif known.placed is None:
+            self._pass_over(sensor, message, envelope, "damaged", Text("its pose is damaged"))
         else:
-            self._take_frames(sensor, message, envelope, content, key, frames)
+            self._received(sensor, message, envelope, pose=known.message)
+            sensor.health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
+            self._take_frames(sensor, frames, known.placed)
+            if self.vehicles is not None:
+                placed = known.placed
+                self.vehicles.take(sensor.health.name, content, placed.pose, placed.road_m)
 
     def _follows(self, sensor: SensorState, envelope: Envelope) -> bool:
         """Return whether a message is the next of its stream; ask for missing ones."""
-        mark, number = sensor.mark, envelope.number
-        if number <= mark.received:
+        received, number = sensor.received, envelope.number
+        if number <= received:
             sensor.health.counts["duplicates"] += 1
             self._ask(sensor)
             return False
-        if number == mark.received + 1:
+        if number == received + 1:
             return True
-        most = mark.received + MOST_AHEAD if mark.received else MOST_NUMBER
+        most = received + MOST_AHEAD if received else MOST_NUMBER
         if number > most:
-            raise InputError("a message of number {:,} after {:,}", number, mark.received)
+            raise InputError("a message of number {:,} after {:,}", number, received)
         if not envelope.first:
             sensor.health.counts["gaps"] += self._ask(sensor, again=True)
             return False
-        if mark.received:  # fusion's disk was restored from before its last acknowledgement
-            lost = Text("{:,} messages that the sensor no longer has", number - 1 - mark.received)
+        if received:  # fusion's disk was restored from before its last acknowledgement
+            lost = Text("{:,} messages that the sensor no longer has", number - 1 - received)
             sensor.health.alarm("lost", lost)
         return True
 
@@ -394,20 +381,19 @@ class Intake:
         sensor.refused = reason
 
     def _pass_over(
-        self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
-        kind: str, reason: str,
-    ) -> None:  # fmt: skip
+        self, sensor: SensorState, message: Received, envelope: Envelope, kind: str, reason: str
+    ) -> None:
         """Skip a message that cannot be used, as else it would be sent again for ever."""
         sensor.health.counts["damaged"] += kind == "damaged"
         sensor.health.alarm(kind, Text("number {}: {}", envelope.number, reason))
-        self._received(sensor, SpooledFrames(sensor.health.name, b"", message.payload),
-                       envelope, content)  # fmt: skip
+        self._received(sensor, message, envelope)
 
     def _received(
-        self, sensor: SensorState, spooled: SpooledFrames, envelope: Envelope, content: bytes
+        self, sensor: SensorState, message: Received, envelope: Envelope, *, pose: bytes = b""
     ) -> None:
-        self._spool.add(spooled)
-        sensor.mark.received, sensor.mark.check = envelope.number, check_of(content)
+        """Spool a message, with the message of its pose unless it was skipped."""
+        self._spool.add(SpooledFrames(sensor.health.name, pose, message.payload))
+        sensor.numbers[sensor.stream] = envelope.number
         if sensor.refused:
             sensor.refused = ""
             sensor.health.alarm("refused", None)
@@ -418,23 +404,22 @@ class Intake:
         if key in sensor.poses:
             return
         found = PoseContent.unpack(message)
+        known = KnownPose(message=message)
         if found.fingerprint != self._road.fingerprint:
-            known = KnownPose(message=message, other_tiles=found.fingerprint)
+            known = replace(known, other_tiles=found.fingerprint)
         else:
             try:
-                known = self._known(name, found, message)
-                sensor.pose = known.seen.pose if known.seen is not None else None
+                placed = self._placed(name, found)
             except InputError as error:
                 sensor.health.counts["damaged"] += 1
                 sensor.health.alarm("damaged", error.message)
-                known = KnownPose(message=message)
+            else:
+                known, sensor.pose = replace(known, placed=placed), placed.pose
         sensor.poses[key] = known
-        if self.vehicles is not None and known.seen is not None:
-            self.vehicles.place(name, key, known.seen.pose, known.seen.road_m)
-        if len(sensor.poses) > POSES_KEPT:
-            self._forget(sensor, next(iter(sensor.poses)))
+        if len(sensor.poses) > POSES_KEPT:  # a sensor that names a forgotten pose is asked for it
+            del sensor.poses[next(iter(sensor.poses))]
 
-    def _known(self, name: str, found: PoseContent, message: bytes) -> KnownPose:
+    def _placed(self, name: str, found: PoseContent) -> PlacedPose:
         what = Text("the pose of {}", name)
         pose = pose_from_dict(found.pose, what=what)
         if pose.sensor != name:
@@ -446,43 +431,31 @@ class Intake:
         if self._scan is not None:
             self._scan.read([pose])
         sight = find_sight(pose, self._road, self._scan)
-        seen = PoseSight.of(sight, self._road, name=name)
-        return KnownPose(
-            message=message, seen=seen, numbers=PoseNumbers.of(pose, road_m=seen.road_m),
+        road_m = road_near(sight, self._road)
+        return PlacedPose(
+            pose=sight.pose, road_m=road_m, numbers=PoseNumbers.of(pose, road_m=road_m),
             in_sight=np.flatnonzero(sight.state == IN_SIGHT),
         )  # fmt: skip
 
-    def _forget(self, sensor: SensorState, key: bytes) -> None:
-        """Forget a pose; a sensor that refers to it again must send it again."""
-        del sensor.poses[key]
-        if self.vehicles is not None:
-            self.vehicles.forget(sensor.health.name, key)
-
     def _take_frames(
-        self, sensor: SensorState, message: Received, envelope: Envelope, content: bytes,
-        key: bytes, frames: Sequence[FrameDetections],
-    ) -> None:  # fmt: skip
-        health, known = sensor.health, sensor.poses[key]
-        health.heard(message.time, frames[-1].time_us / 1e6, live=envelope.live)
-        spooled = SpooledFrames(health.name, known.message, message.payload)
-        self._received(sensor, spooled, envelope, content)
+        self, sensor: SensorState, frames: Sequence[FrameDetections], placed: PlacedPose
+    ) -> None:
+        """Count frames, for the map and for the sensor's health."""
+        counts = sensor.health.counts
         self.touched |= {hour_of_time(each.time_us) for each in frames}
-        for step, seen in self._seen(frames, known):
-            health.counts["hits"] += len(seen.tiles)
-            if not self._windows.add(health.name, step, seen):
-                health.counts["late_frames"] += 1
-        health.counts["frames"] += len(frames)
-        if self.vehicles is not None:
-            self.vehicles.take(health.name, content)
+        for step, seen in self._seen(frames, placed):
+            counts["hits"] += len(seen.tiles)
+            if not self._windows.add(sensor.health.name, step, seen):
+                counts["late_frames"] += 1
+        counts["frames"] += len(frames)
 
     def _seen(
-        self, frames: Sequence[FrameDetections], known: KnownPose
+        self, frames: Sequence[FrameDetections], placed: PlacedPose
     ) -> Iterator[tuple[int, Seen]]:
         """Yield for each frame its step and the tiles that it hits."""
-        assert known.numbers is not None  # noqa: S101 - the caller has looked
         for each in frames:
-            (counted,) = self._counter.count(each.as_rows(), known.numbers)
-            yield each.time_us // STEP_US, Seen(counted.tiles, known.in_sight)
+            (counted,) = self._counter.count(each.as_rows(), placed.numbers)
+            yield each.time_us // STEP_US, Seen(counted.tiles, placed.in_sight)
 
 
 _LAST_STEP = 5_000_000_000 * 20  # within the years that ISO 8601 writes

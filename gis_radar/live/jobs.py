@@ -41,8 +41,9 @@ from gis_radar.live.hour_work import (
 )
 from gis_radar.live.quarters import Quarters
 from gis_radar.live.recordings import end_of_hour_s
-from gis_radar.live.settings import DEFAULTS, LiveSettings
 
+SETTLE_S = 30.0  # longest wait for frames of all sensors, and the time after a late frame
+AGAIN_S = 60.0  # time after which a job that failed is tried again
 NICE = 15  # niceness of the worker: the map has priority
 BEHIND_S = 900.0  # backlog of hours from which on it is logged, and at each doubling
 LOOK_S = 0.1
@@ -86,8 +87,6 @@ class HourJobs:
         The site.
     quarters : Quarters
         Receives the measured quarters.
-    settings : LiveSettings
-        How long a job waits for frames.
     process : callable
         Starts the worker process.
     reporter : Reporter
@@ -98,19 +97,21 @@ class HourJobs:
     touched : dict
         Hours whose recordings have to be made, each with the arrival of its last frame (monotonic
         seconds).
+    doubts : dict
+        By sensor, the check's doubt of its pose and recording; None once they were found to fit.
     wanted : bool
         Whether a job waits for the spool to be closed.
     """
 
     def __init__(
-        self, site: MeasuredSite, quarters: Quarters, *, settings: LiveSettings = DEFAULTS,
+        self, site: MeasuredSite, quarters: Quarters, *,
         process: Callable[[], ProcessPoolExecutor] = _process, reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.touched: dict[int, float] = {}
-        self._doubts, self._untold = _kept_doubts(site.folder / DOUBTS, reporter)
+        self.doubts, self._unchecked = _kept_doubts(site.folder / DOUBTS, reporter)
         self.behind_s = self.quarters_left_out = 0.0
         self._site, self._quarters = site, quarters
-        self._settings, self._reporter = settings, reporter
+        self._reporter = reporter
         self._pool: ProcessPoolExecutor | None = None
         self._process = process
         self._running: Future[Done] | None = None
@@ -121,7 +122,7 @@ class HourJobs:
         self._now = 0  # the quarter that runs
         self._quarter = 0  # that was measured last
         self._said: set[str] = set()
-        self._again_at, self._told_s = 0.0, BEHIND_S
+        self._again_at, self._warned_s = 0.0, BEHIND_S
 
     def take_up(self, spooled: Sequence[Path]) -> None:
         """Start with the hours that an earlier run left."""
@@ -175,9 +176,9 @@ class HourJobs:
         end_s = end_of_hour_s(hour)
         if now_s < end_s:
             return False
-        settled = time.monotonic() - self.touched[hour] >= self._settings.settle_s
+        settled = time.monotonic() - self.touched[hour] >= SETTLE_S
         all_there = all(each >= end_s for each in newest.values())
-        return all_there or (settled and now_s >= end_s + self._settings.settle_s)
+        return all_there or (settled and now_s >= end_s + SETTLE_S)
 
     def _due_quarter(self, now_s: float, newest: Mapping[str, float]) -> int | None:
         """Return the newest quarter that is over, if it has frames and was not measured yet."""
@@ -185,7 +186,7 @@ class HourJobs:
         quarter = int((now_s - after_s) * 1e6) // QUARTER_US - 1
         end_s = (quarter + 1) * QUARTER_US / 1e6 + after_s
         there = all(each >= end_s for each in newest.values())
-        if quarter <= self._quarter or not (there or now_s >= end_s + self._settings.settle_s):
+        if quarter <= self._quarter or not (there or now_s >= end_s + SETTLE_S):
             return None
         begin_s = quarter * QUARTER_US / 1e6
         return quarter if any(each >= begin_s for each in newest.values()) else None
@@ -193,8 +194,8 @@ class HourJobs:
     def _look_behind(self, now_s: float, due: Sequence[int]) -> None:
         """Log the backlog of hours at each doubling, and its end."""
         self.behind_s = now_s - end_of_hour_s(due[0]) if due else 0.0
-        if self.behind_s >= self._told_s:
-            self._told_s = 2.0 * self.behind_s
+        if self.behind_s >= self._warned_s:
+            self._warned_s = 2.0 * self.behind_s
             self._reporter.warn(
                 "measuring is behind: {} waits for {:.0f} min: the machine has too few "
                 "cores for its sensors",
@@ -202,7 +203,7 @@ class HourJobs:
                 self.behind_s / 60,
             )
         elif not due:
-            self._told_s = BEHIND_S
+            self._warned_s = BEHIND_S
 
     def begin(self, spooled: Sequence[Path]) -> None:
         """Start the waiting job, now that the spool is closed up to here."""
@@ -229,7 +230,7 @@ class HourJobs:
         try:
             done = work.result()
         except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on
-            self._again_at = time.monotonic() + self._settings.again_s
+            self._again_at = time.monotonic() + AGAIN_S
             reason = error.message if isinstance(error, GisRadarError) else (
                 f"{type(error).__name__}: {error}"
             )  # fmt: skip
@@ -249,31 +250,23 @@ class HourJobs:
         for hour, why in done.not_measured.items():
             self._wait(hour, why)
 
-    @property
-    def doubts(self) -> dict[str, str | None]:
-        """By sensor, the check's doubt of its pose and recording; None once they were found to fit.
-
-        Too little traffic for a verdict does not end a doubt; its hour is then added to the text.
-        """
-        again = "{}; since {} too little traffic to check it again"
-        return {
-            name: Text(again, doubt, hour_text(self._untold[name]))
-            if doubt and name in self._untold else doubt
-            for name, doubt in self._doubts.items()
-        }  # fmt: skip
-
     def _doubt(self, done: Done) -> None:
-        """Record the findings of the check, and store them for a restart of fusion."""
-        if not done.doubts and not done.untold:
+        """Record the findings of the check, and store them for a restart of fusion.
+
+        Too little traffic for a verdict ends no doubt; the first such hour is added to its text.
+        """
+        if not done.doubts and not done.unchecked:
             return
-        self._doubts |= done.doubts
-        self._untold = {
-            name: hour
-            for name, hour in (done.untold | self._untold).items()
-            if name not in done.doubts
-        }
+        self.doubts |= done.doubts
+        self._unchecked -= done.doubts.keys()
+        for name, hour in done.unchecked.items():
+            doubt = self.doubts.get(name)
+            if doubt and name not in self._unchecked:
+                again = "{}; since {} too little traffic to check it again"
+                self.doubts[name] = Text(again, doubt, hour_text(hour))
+                self._unchecked.add(name)
         path = self._site.folder / DOUBTS
-        document = with_texts({"doubts": self._doubts, "untold": self._untold})
+        document = with_texts({"doubts": self.doubts, "unchecked": sorted(self._unchecked)})
         try:
             with atomic_write(path) as part:
                 part.write_text(json_text(document, indent=1) + "\n", encoding="utf-8")
@@ -325,19 +318,19 @@ class HourJobs:
         }
 
 
-def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], dict[str, int]]:
+def _kept_doubts(path: Path, reporter: Reporter) -> tuple[dict[str, str | None], set[str]]:
     """Return the doubts of an earlier run of fusion; a file that cannot be read is logged."""
     if not path.exists():
-        return {}, {}
+        return {}, set()
     try:
         found = restored(read_json(path, what="doubts"))
-        doubts, untold = dict(found["doubts"]), dict(found["untold"])
+        doubts = dict(found["doubts"])
         "".join(each for each in doubts.values() if each is not None)  # TypeError if one is no text
-        [hour_text(hour) for hour in untold.values()]
-    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
+        unchecked = {name for name in found["unchecked"] if name in doubts}
+    except (GisRadarError, LookupError, TypeError, ValueError, AttributeError):
         reporter.warn("{}: cannot be read: alarms of poses begin anew", path)
-        return {}, {}
-    return doubts, untold
+        return {}, set()
+    return doubts, unchecked
 
 
 def _make_all(site: MeasuredSite, spooled: Sequence[Path], touched: Sequence[int]) -> Done:

@@ -6,7 +6,9 @@ import json
 import secrets
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from gis_radar.base import (
     interval_steps,
 )
 from gis_radar.dataset import STEPS_PER_QUARTER
-from gis_radar.live.background import BackgroundTask
+from gis_radar.live.background import in_background
 from gis_radar.live.quarters import KEPT, Lately, share_of
 from gis_radar.live.sensorthings import HITS, MEASURES, LaneMeasure, LaneServer, Service
 from gis_radar.live.snapshot import Place
@@ -67,7 +69,7 @@ class LanePush:
         waiting, self._taken = _read(path, reporter)  # last steps of quarters that were taken
         self._waiting = [each for each in waiting if each.lane in lanes]
         self._sending: list[LaneMeasure] = []
-        self._work = BackgroundTask[int]("sensorthings")
+        self._work: Future[int] | None = None
         self._again = True  # what a new start counts again may have arrived before
         self._newest = -1  # begin of an interval of hits
         self._try_at, self._patience_s, self._said = 0.0, retry_s, ""
@@ -136,21 +138,21 @@ class LanePush:
 
     def regular(self) -> None:
         """Do what is due: process what was sent, and send waiting measures."""
-        if self._work.busy:
-            self._take_sent()
-        if self._waiting and not self._work.busy and time.monotonic() >= self._try_at:
+        if self._work is not None and self._work.done():
+            work, self._work = self._work, None
+            self._take_sent(work)
+        if self._waiting and self._work is None and time.monotonic() >= self._try_at:
             self._sending, again = sorted(self._waiting), self._again
             self._again = False  # unless it fails, or the clock is set back meanwhile
+            push = partial(self._server.push, self._sending, again=again)
             try:
-                self._work.begin(lambda: self._server.push(self._sending, again=again))
+                self._work = in_background("sensorthings", push)
             except RuntimeError as error:  # no further thread can be started
                 self._failed(error)
 
-    def _take_sent(self) -> None:
+    def _take_sent(self, work: Future[int]) -> None:
         try:
-            refused = self._work.take()
-            if self._work.busy or refused is None:
-                return
+            refused = work.result()
         except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on
             self._failed(error)
             return

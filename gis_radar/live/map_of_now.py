@@ -42,15 +42,9 @@ class Windows:
         How long after its end a step stays open, seconds.
     closed : int, optional
         The last step that an earlier run has closed.
-
-    Attributes
-    ----------
-    late : int
-        Number of frames that came after their step was closed.
     """
 
     def __init__(self, lateness_s: float, *, closed: int | None = None) -> None:
-        self.late = 0
         self._lateness_us = round(lateness_s * 1e6)
         self._open: dict[int, dict[str, Seen]] = {}
         self._closed = closed  # the last closed step
@@ -58,7 +52,6 @@ class Windows:
     def add(self, sensor: str, step: int, seen: Seen) -> bool:
         """Add a frame; return whether its step was still open."""
         if self._closed is not None and step <= self._closed:
-            self.late += 1
             return False
         sensors = self._open.setdefault(step, {})
         if (other := sensors.get(sensor)) is not None:
@@ -103,8 +96,7 @@ class Windows:
             self._open = {step: seen for step, seen in self._open.items() if step >= last}
         if last - self._closed > most:
             self._closed = last - most
-            for step in [step for step in self._open if step <= self._closed]:
-                self.late += len(self._open.pop(step))
+            self._open = {step: seen for step, seen in self._open.items() if step > self._closed}
         while self._closed < last:
             self._closed += 1
             yield self._closed, self._open.pop(self._closed, {})
@@ -171,11 +163,6 @@ class MapOfNow:
         # a new state, as other threads may still read the last one
         self._state = MapState(step=step, hit=hit, observed=observed)
         return self._state
-
-    @property
-    def step(self) -> int:
-        """The last closed step."""
-        return self._state.step
 
     def state(self) -> MapState:
         """Return the present state of the map."""

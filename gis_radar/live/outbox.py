@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections import deque
 from collections.abc import Callable
 
 from gis_radar.base import QUIET, InputError, OutputError, Reporter
@@ -21,13 +20,16 @@ from gis_radar.live.payload import (
     check_of,
     pack_message,
 )
-from gis_radar.live.settings import DEFAULTS, LiveSettings
 
 AT_ONCE = 100  # most messages read from the buffer at once
 # Messages sent ahead of the acknowledgement at first, and after a loss: 2 s of a radar, the way to
 # fusion's disk and back. More follow as acknowledgements come (slow start, RFC 5681): if many
 # sensors sent all again at once, copies of stored messages would fill the broker.
 FIRST_AHEAD = 40
+UNACKNOWLEDGED = 400  # most messages ahead of the acknowledgement: 20 s of a radar
+# Time without an acknowledgement after which messages are sent again, and twice that each further
+# time, up to the longest: an outage of a night then costs a few MB of traffic.
+RESEND_S, SLOWEST_RESEND_S = 15.0, 300.0
 STATUS_S = 2.0  # between two reports of a sensor's state
 ONLINE, OFFLINE = "online", "offline"
 
@@ -50,8 +52,6 @@ class Outbox:
         Topics of the sensor.
     figures : callable
         Returns the figures of the sensor's status messages.
-    settings : LiveSettings
-        How many messages go ahead of the acknowledgement, and when they are sent again.
     reporter : Reporter
         Receives a line when the buffer is full or fusion refuses the stream.
 
@@ -65,19 +65,17 @@ class Outbox:
 
     def __init__(
         self, buffer: DiskBuffer, link: Link, topics: SensorTopics, *,
-        figures: Callable[[], dict[str, object]], settings: LiveSettings = DEFAULTS,
-        reporter: Reporter = QUIET,
+        figures: Callable[[], dict[str, object]], reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.lost, self.stored = 0, buffer.stored
         self._buffer, self._link, self._topics = buffer, link, topics
-        self._figures, self._settings, self._reporter = figures, settings, reporter
-        self._on_way: deque[int] = deque()
+        self._figures, self._reporter = figures, reporter
         self._ahead = FIRST_AHEAD
         self._sent, self._connections, self._pose_sent = self.stored, 0, b""
         self._session, self._resend, self._refused = "", 0, ""
         self._progress = self._reported = time.monotonic()
-        self._patience_s = settings.resend_s
-        self._dropped, self._undropped = self.stored, ""
+        self._patience_s = RESEND_S
+        self._undropped = ""
         self._full = self._too_long = False
 
     def put(self, content: bytes) -> bool:
@@ -113,6 +111,11 @@ class Outbox:
         """Whether fusion has stored all messages."""
         return self.stored >= self._buffer.last
 
+    @property
+    def _on_way(self) -> int:
+        """Number of messages that are sent and not acknowledged."""
+        return self._sent - self.stored
+
     def pump(self) -> None:
         """Process acknowledgements of fusion, and send what is due."""
         while (message := self._link.take(0.0)) is not None:
@@ -130,13 +133,13 @@ class Outbox:
             status = status_message(ONLINE, stream=self._buffer.stream.hex(), **self._figures())
             self._link.publish(self._topics.of("status"), status, retain=True)
         if self._on_way and now - self._progress > self._patience_s:
-            self._patience_s = min(2 * self._patience_s, self._settings.slowest_resend_s)
+            self._patience_s = min(2 * self._patience_s, SLOWEST_RESEND_S)
             self._rewind()
         self._send()
 
     def _send(self) -> None:
-        ahead = min(self._ahead, self._settings.unacknowledged)
-        while not self.empty and (room := ahead - len(self._on_way)) > 0:
+        ahead = min(self._ahead, UNACKNOWLEDGED)
+        while not self.empty and (room := ahead - self._on_way) > 0:
             waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
             if not waiting:
                 return
@@ -152,7 +155,6 @@ class Outbox:
                     self._topics.of(DETECTIONS), pack_message(envelope, each.content), qos=0
                 )
                 self._sent = each.number
-                self._on_way.append(each.number)
 
     def _send_pose(self, waiting: Waiting) -> None:
         """Send the pose of a message, if it is not that of the message before."""
@@ -164,13 +166,12 @@ class Outbox:
 
     def _rewind(self) -> None:
         """Send again all messages that fusion has not stored, slowly at first."""
-        self._on_way.clear()
         self._ahead = FIRST_AHEAD
         self._sent, self._progress, self._pose_sent = self.stored, time.monotonic(), b""
 
     def _drop(self) -> None:
         """Drop stored messages; if the disk is full, try again with the next status."""
-        if self._dropped == self.stored:
+        if self._buffer.stored >= self.stored:
             return
         try:
             self._buffer.acknowledge(self.stored)
@@ -179,7 +180,7 @@ class Outbox:
                 self._undropped = error.message
                 self._reporter.warn("{}; trying on", error.message)
             return
-        self._dropped, self._undropped = self.stored, ""
+        self._undropped = ""
 
     def _heard(self, payload: bytes) -> None:
         try:
@@ -196,14 +197,10 @@ class Outbox:
             if not self._is_ours(found):
                 self._begin_anew()
                 return
-            self._ahead = min(
-                self._ahead + found.stored - self.stored, self._settings.unacknowledged
-            )
+            self._ahead = min(self._ahead + found.stored - self.stored, UNACKNOWLEDGED)
             self.stored = found.stored
             self._drop()
-            self._progress, self._patience_s = time.monotonic(), self._settings.resend_s
-            while self._on_way and self._on_way[0] <= self.stored:
-                self._on_way.popleft()
+            self._progress, self._patience_s = time.monotonic(), RESEND_S
             self._sent = max(self._sent, self.stored)
         if (found.session, found.resend) != (self._session, self._resend):
             self._session, self._resend = found.session, found.resend

@@ -44,7 +44,7 @@ from gis_radar.base import (
 )
 from gis_radar.live.features import feature_routes, refusal
 from gis_radar.live.health import ALARMS, METRICS_TYPE
-from gis_radar.live.settings import LiveSite
+from gis_radar.live.settings import LiveSite, read_secret
 from gis_radar.live.snapshot import (
     DEGREES,
     FusedMap,
@@ -446,10 +446,7 @@ def read_token(path: Path) -> str:
     InputError
         If the file cannot be read, or holds none.
     """
-    try:
-        token = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("{}: cannot be read: {}", path, error) from error
+    token = read_secret(path)
     if not token or not token.isascii() or not token.isprintable() or " " in token:
         raise InputError(
             "{}: holds no token", path, hint="a token is one word of visible ASCII characters"

@@ -246,14 +246,14 @@ class Acknowledgement:
 
 def _fields(data: bytes, what: str, kinds: Mapping[str, type]) -> dict[str, Any]:
     """Return the fields of a message, after checking the type of each."""
-    record = read_record(data, what=what, version=VERSION)
+    record = read_record(data, what=what)
     for name, kind in kinds.items():
         if not isinstance(record.get(name), kind):
             raise InputError("{}: {} is {}", what, name, f"{record.get(name)!r:.80}")
     return {name: record[name] for name in kinds}
 
 
-def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[str, Any]:
+def read_record(data: bytes, *, what: str) -> dict[str, Any]:
     """Return the table of a message in JSON.
 
     Parameters
@@ -262,8 +262,6 @@ def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[s
         The message, or its content.
     what : str
         Its kind, for error messages.
-    version : int, optional
-        Version that it must state.
 
     Raises
     ------
@@ -278,8 +276,8 @@ def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[s
         raise InputError("{}: no JSON", what) from error
     if not isinstance(record, dict):
         raise InputError("{}: no table", what)
-    if version is not None and record.get("version") != version:
+    if record.get("version") != VERSION:
         raise VersionError(
-            "{} of version {}, expected {}", what, f"{record.get('version')!r:.20}", version
+            "{} of version {}, expected {}", what, f"{record.get('version')!r:.20}", VERSION
         )
     return record

@@ -33,24 +33,6 @@ def share_of(part: NDArray[Any], whole: NDArray[Any]) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TileOccupancy:
-    """Steps in which each tile was visible, and occupied while visible.
-
-    Parameters
-    ----------
-    visible, occupied : (n,) int64 arrays
-        By position of the tiles.
-    """
-
-    visible: Integers
-    occupied: Integers
-
-    def share(self) -> Floats:
-        """Return the occupancy of each tile, NaN where it was not visible."""
-        return share_of(self.occupied, self.visible)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Lately:
     """Measures of a quarter of an hour.
 
@@ -58,15 +40,20 @@ class Lately:
     ----------
     until_step : int
         Its last step.
-    tiles : TileOccupancy
-        By position of the tiles.
+    visible, occupied : (n,) int64 arrays
+        Steps in which each tile was visible, and occupied while visible, by position.
     lanes : DataFrame
         `lane, hit_s, observed_s` (means of its tiles); with vehicles also those of `TRAFFIC`.
     """
 
     until_step: int
-    tiles: TileOccupancy
+    visible: Integers
+    occupied: Integers
     lanes: pd.DataFrame
+
+    def occupancy(self) -> Floats:
+        """Return the occupancy of each tile, NaN where it was not visible."""
+        return share_of(self.occupied, self.visible)
 
 
 class Quarters:
@@ -149,5 +136,7 @@ def _quarter(
         table[f"{name}_s"] = total / number_of_tiles * STEP_S
     if traffic is not None:
         table = table.join(traffic.set_index("lane")[[*TRAFFIC]].astype(float), on="lane")
-    occupancy = TileOccupancy(visible=steps["visible"], occupied=steps["occupied"])
-    return Lately(until_step=begin + STEPS_PER_QUARTER - 1, tiles=occupancy, lanes=table)
+    return Lately(
+        until_step=begin + STEPS_PER_QUARTER - 1, visible=steps["visible"],
+        occupied=steps["occupied"], lanes=table,
+    )  # fmt: skip

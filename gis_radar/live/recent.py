@@ -99,12 +99,20 @@ class RecentCounts:
             rows = [(each, found.rows[each % QUARTERS].copy()) for each in numbers]
         return [(number, counts) for number, counts in rows if counts[1].any()]
 
-    def arrays(self) -> dict[str, Any]:
-        """Return a copy of all counts, by name, for :func:`keep_counts`."""
+    def keep(self, path: Path, fingerprint: str) -> None:
+        """Write the counts to a file, for :meth:`restore` after a restart.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
         with self._lock:
-            rows = {name: each.rows.copy() for name, each in self._kinds.items()}
+            rows: dict[str, Any] = {name: each.rows.copy() for name, each in self._kinds.items()}
             numbers = [(each.steps, each.number) for each in self._kinds.values()]
-            return rows | {"state": np.array([self.step, *np.ravel(numbers)], np.int64)}
+            state = np.array([self.step, *np.ravel(numbers)], np.int64)
+        with output_errors(path), atomic_write(path) as part, part.open("wb") as file:
+            np.savez(file, tiles=np.array(fingerprint), state=state, **rows)
 
     def restore(self, path: Path, fingerprint: str, reporter: Reporter = QUIET) -> None:
         """Restore the counts of a file, if its intervals have the same lengths.
@@ -135,15 +143,3 @@ class RecentCounts:
         ):
             if steps == each.steps and rows[name].shape == each.rows.shape:
                 each.number, each.rows = number, rows[name]
-
-
-def keep_counts(path: Path, arrays: dict[str, Any], fingerprint: str) -> None:
-    """Write counts to a file, for a restart.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
-    with output_errors(path), atomic_write(path) as part, part.open("wb") as file:
-        np.savez(file, tiles=np.array(fingerprint), **arrays)

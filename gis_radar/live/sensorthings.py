@@ -21,7 +21,8 @@ from itertools import groupby, islice
 from typing import Any, NamedTuple
 from urllib.parse import quote, urljoin
 
-from gis_radar.base import STEP_S, GisRadarError, InputError, iso_from_step, street_label
+from gis_radar.base import STEP_S, GisRadarError, iso_from_step, street_label
+from gis_radar.live.settings import read_secret
 from gis_radar.live.snapshot import Place, geometries
 from gis_radar.site import SensorThingsTable
 
@@ -152,18 +153,11 @@ class Service:
             If the file with the token or password cannot be read.
         """
         headers = {"Content-Type": "application/json", "Accept": "application/json"}
-        for path in (table.token_file, table.password_file):
-            if path is None:
-                continue
-            try:
-                secret = path.read_text(encoding="utf-8").strip()
-            except (OSError, UnicodeDecodeError) as error:
-                raise InputError("{}: cannot be read: {}", path, error) from error
-            if path == table.password_file:
-                both = base64.b64encode(f"{table.user or ''}:{secret}".encode()).decode()
-                headers["Authorization"] = f"Basic {both}"
-            else:
-                headers["Authorization"] = f"Bearer {secret}"
+        if table.password_file is not None:
+            both = f"{table.user or ''}:{read_secret(table.password_file)}"
+            headers["Authorization"] = f"Basic {base64.b64encode(both.encode()).decode()}"
+        elif table.token_file is not None:
+            headers["Authorization"] = f"Bearer {read_secret(table.token_file)}"
         return cls(root=table.address.rstrip("/"), headers=headers)
 
     def get(self, path: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -34,62 +33,6 @@ from gis_radar.site import (
     toml_template,
     within,
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class LiveSettings:
-    """Constants of the live system.
-
-    Parameters
-    ----------
-    unacknowledged : int
-        Messages that a sensor sends beyond what fusion has stored: 20 s of a radar, which the
-        broker may hold for fusion.
-    resend_s : float
-        A sensor sends again what fusion has not acknowledged for so long, seconds; each further
-        time after twice as long.
-    slowest_resend_s : float
-        The longest of these times, seconds: an outage of a night costs a few MB of traffic.
-    commit_s : float
-        How long frames wait for fusion's disk, seconds: a second of memory is what a kill costs
-        in traffic, and loses nothing.
-    commit_frames : int
-        Frames that go to the disk at once at the latest: a replay is not held up by the clock.
-    settle_s : float
-        How long after its end, at the longest, a quarter or an hour waits for frames of all
-        sensors, seconds; and how long no frame of it came.
-    spool_bytes : int
-        Size from which the spool goes on in another file: a worker makes recordings of those
-        that are closed.
-    again_s : float
-        After which a job that failed is tried again, seconds.
-    clock_alarm_s : float
-        A sensor whose frames come this much after or before their time by fusion's clock has a
-        wrong clock, seconds: half of a window.
-    clock_frames : int
-        Live messages whose least delay is a sensor's offset: 10 s.
-    silent_s : float
-        A sensor is silent once it sent nothing for so long, seconds.
-    over_s : float
-        An alarm of single messages ends once none raised it for so long, seconds: what scrapes
-        health looks once a minute or oftener.
-    """
-
-    unacknowledged: int = 400
-    resend_s: float = 15.0
-    slowest_resend_s: float = 300.0
-    commit_s: float = 1.0
-    commit_frames: int = 200
-    settle_s: float = 30.0
-    spool_bytes: int = 1 << 28
-    again_s: float = 60.0
-    clock_alarm_s: float = 0.025
-    clock_frames: int = 200
-    silent_s: float = 5.0
-    over_s: float = 120.0
-
-
-DEFAULTS = LiveSettings()
 
 
 class SourceTable(TomlTable):
@@ -253,18 +196,29 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
     """
     password = ""
     if table.password_file is not None:
-        try:
-            password = table.password_file.read_text(encoding="utf-8").strip()
-        except FileNotFoundError as error:
+        if not table.password_file.exists():
             raise InputError(
                 "{}: no such file",
                 table.password_file,
                 hint="the files written for the broker hold one for each",
-            ) from error
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError("{}: cannot be read: {}", table.password_file, error) from error
+            )
+        password = read_secret(table.password_file)
     name = (table.user or user) if password else ""
     return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
+
+
+def read_secret(path: Path) -> str:
+    """Read a file with nothing but a password or token.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("{}: cannot be read: {}", path, error) from error
 
 
 _HINT = Text("begin with: gis-radar edge --template > SENSOR.toml")

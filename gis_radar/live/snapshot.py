@@ -219,7 +219,7 @@ class Snapshot:
         """Return each tile's class of occupancy, alike; -1 where it was not visible."""
         if self.lately is None:
             return np.full(len(self.observed), NOT_OBSERVED)
-        return classes_of(self.lately.tiles.share())
+        return classes_of(self.lately.occupancy())
 
     def by_lane(self, place: Place) -> Floats:
         """Return the hit share of each lane over the last 15 minutes, NaN where not observed."""
@@ -260,14 +260,9 @@ class ShownMap:
     """
 
     def __init__(self, fusion: FusedMap, place: Place) -> None:
-        self._fusion, self._place = fusion, place
+        self._fusion, self.place = fusion, place
         self._frames: deque[tuple[float, dict[str, int]]] = deque()
         self._lock = Lock()
-
-    @property
-    def place(self) -> Place:
-        """Tiles and lanes."""
-        return self._place
 
     def snapshot(self) -> Snapshot:
         """Return the map of now."""
@@ -292,9 +287,9 @@ class ShownMap:
         """Return the measures of each lane by quarter of an hour, and hits since the last one."""
         tables = [self._fusion.quarters.intervals()]
         for number, counts in self._fusion.counts.quarters():
-            hit_s, observed_s = (STEP_S * self._place.means_by_lane(each) for each in counts)
+            hit_s, observed_s = (STEP_S * self.place.means_by_lane(each) for each in counts)
             tables.append(pd.DataFrame({
-                "lane": self._place.lane_numbers, "hit_s": hit_s, "observed_s": observed_s,
+                "lane": self.place.lane_numbers, "hit_s": hit_s, "observed_s": observed_s,
                 "begin": step_begin(number * QUARTER), "end": step_begin((number + 1) * QUARTER),
             }))  # fmt: skip
         table = pd.concat([each for each in tables if len(each)] or tables, ignore_index=True)

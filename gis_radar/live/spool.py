@@ -12,21 +12,36 @@ import os
 import struct
 import zlib
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from gis_radar.base import output_errors
 from gis_radar.dataset import sync_folder
+from gis_radar.live.payload import check_of, stream_of, unpack_message
 
 HEAD, POSE, FRAMES, PASSED = range(4)  # kinds of records; PASSED: a message that was skipped
 ENDING = ".spool"
 _BEGIN = struct.Struct(">II")  # begin of a record: its length, and the CRC-32 of its content
 _MOST_RECORD = 1 << 24  # most bytes of a record: the marks of thousands of sensors
 _ZEROS = bytes(8)  # may stand at the end after a power loss
-Marks = Mapping[str, Mapping[str, tuple[int, int]]]
-"""By sensor and stream, up to which number it is stored, and the check sum of that message."""
+STREAMS_KEPT = 8  # newest streams of a sensor whose marks are kept
+
+
+class Mark(NamedTuple):
+    """The last message of a stream that is on the disk.
+
+    Parameters
+    ----------
+    number : int
+        Its number; 0 if there is none.
+    check : int
+        Check sum of its content.
+    """
+
+    number: int
+    check: int
 
 
 class Record(NamedTuple):
@@ -73,6 +88,11 @@ class Spool:
     folder : Path
         Folder of the files, made where there is none; :meth:`rotate` begins the first file.
 
+    Attributes
+    ----------
+    marks : dict
+        Marks by sensor and stream, the latest last; replaced, never changed in place.
+
     Raises
     ------
     OutputError
@@ -81,6 +101,7 @@ class Spool:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.marks: dict[str, dict[str, Mark]] = {}
         self._waiting: list[SpooledFrames] = []
         self._batch: list[SpooledFrames] = []
         self._handle, self._size, self._path = -1, 0, folder
@@ -125,7 +146,23 @@ class Spool:
             kind = FRAMES if each.pose else PASSED
             parts.append(_packed(Record(kind, each.sensor, each.payload)))
         self._append(b"".join(parts))
+        self.mark([(each.sensor, each.payload) for each in self._batch])
         self._written, self._batch = written, []
+
+    def mark(self, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Record that messages of sensors are on the disk, in the order in which they came."""
+        last = {(sensor, stream_of(payload)): payload for sensor, payload in messages}
+        marks = dict(self.marks)
+        for (sensor, stream), payload in last.items():
+            envelope, content = unpack_message(payload)
+            streams = {name: mark for name, mark in marks.get(sensor, {}).items() if name != stream}
+            streams[stream] = Mark(envelope.number, check_of(content))
+            marks[sensor] = dict(list(streams.items())[-STREAMS_KEPT:])
+        self.marks = marks
+
+    def mark_of(self, sensor: str, stream: str) -> Mark:
+        """Return the mark of a stream."""
+        return self.marks.get(sensor, {}).get(stream, Mark(0, 0))
 
     def _append(self, data: bytes) -> None:
         try:
@@ -141,7 +178,7 @@ class Spool:
             raise
         self._size += len(data)
 
-    def rotate(self, marks: Marks) -> None:
+    def rotate(self) -> None:
         """Continue in a new file, which begins with the marks of all streams.
 
         Raises
@@ -156,7 +193,7 @@ class Spool:
             handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         self._handle, self._size, self._written, self._path = handle, 0, set(), path
         try:
-            self._append(_packed(Record(HEAD, "", json.dumps(marks).encode())))
+            self._append(_packed(Record(HEAD, "", json.dumps(self.marks).encode())))
             sync_folder(self.folder)
         except BaseException:
             os.close(handle)
@@ -183,6 +220,14 @@ def _packed(record: Record) -> bytes:
     name = record.sensor.encode()
     body = struct.pack(">BH", record.kind, len(name)) + name + record.payload
     return _BEGIN.pack(len(body), zlib.crc32(body)) + body
+
+
+def marks_in(head: bytes) -> dict[str, dict[str, Mark]]:
+    """Return the marks in the payload of a head."""
+    return {
+        sensor: {stream: Mark(*mark) for stream, mark in streams.items()}
+        for sensor, streams in json.loads(head).items()
+    }
 
 
 def spool_files(folder: Path) -> list[Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from typing import Any, NamedTuple
 
@@ -15,7 +15,6 @@ import shapely
 from gis_radar.base import (
     QUIET,
     GisRadarError,
-    InputError,
     Reporter,
     stop_pool,
     watch_parent,
@@ -35,12 +34,26 @@ MOST_WAITING = 20_000  # most messages that wait for the process: 10 s of a hund
 AGAIN_S = 30.0  # time until a process that ended is started again
 SAMPLE_FRAMES = 100  # frames of the sample that are followed: in 5 s vehicles are found
 
-Placed = tuple[int, Pose, float]
-"""Number of a sensor, its pose, and the height of the road near it (m; NaN where not known)."""
-PoseName = tuple[str, bytes]
-"""Name of a sensor, and the key of its pose."""
-Message = tuple[str, bytes]
-"""Name of a sensor, and the content of what it sent."""
+
+class PlacedMessage(NamedTuple):
+    """Message of a sensor, with the pose by which its detections were selected.
+
+    Parameters
+    ----------
+    sensor : int
+        Number of the sensor.
+    pose : Pose
+        Its pose.
+    road_m : float
+        Height of the road near it, metres; NaN where not known.
+    content : bytes
+        Content of the message.
+    """
+
+    sensor: int
+    pose: Pose
+    road_m: float
+    content: bytes
 
 
 def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
@@ -61,12 +74,11 @@ class VehiclesAnswer(NamedTuple):
     ----------
     now : VehiclesNow
         The vehicles.
-    unread, late : int
-        Numbers of messages that were damaged or of no known pose, and of frames that were too old.
+    late : int
+        Number of frames that were too old.
     """
 
     now: VehiclesNow
-    unread: int
     late: int
 
 
@@ -82,78 +94,44 @@ class VehicleFollower:
     def __init__(self, graph: LaneGraph) -> None:
         self._filter = NowFilter(graph=graph)
         self._graph, self._newest = graph, -np.inf
-        self._placed: dict[PoseName, Placed] = {}
-        self._unread = 0
 
-    def go_on(
-        self, placed: Mapping[PoseName, Placed], gone: Collection[PoseName],
-        rows: Sequence[Message],
-    ) -> VehiclesAnswer:  # fmt: skip
-        """Process new poses and messages; return the vehicles `REORDER_S` before the newest.
-
-        Parameters
-        ----------
-        placed : mapping
-            Number, pose and road height (m) of a sensor, by its name and the key of the pose.
-        gone : collection
-            Poses to which no message refers any more.
-        rows : sequence of Message
-            In order of time.
-        """
-        self._placed |= placed
-        for name in gone:
-            self._placed.pop(name, None)
-        for sensor, content in rows:
-            try:
-                self._take(sensor, content)
-            except InputError:
-                self._unread += 1
+    def go_on(self, messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
+        """Process messages, in order of time; return the vehicles `REORDER_S` before the newest."""
+        for sensor, pose, road_m, content in messages:
+            for frame in unpack_detections(content)[1]:
+                rows = frame.as_rows()
+                self._newest = max(self._newest, frame.time_us / 1e6)
+                present = rows_of(rows, rows.present)
+                self._filter.take(map_detections(present, pose, sensor, self._graph, road_m=road_m))
         self._filter.go_on(min(self._newest, time.time()) - REORDER_S)
-        found = VehiclesAnswer(self._filter.now(), self._unread, self._filter.late)
-        self._unread = self._filter.late = 0
+        found = VehiclesAnswer(self._filter.now(), self._filter.late)
+        self._filter.late = 0
         return found
-
-    def _take(self, sensor: str, content: bytes) -> None:
-        known = self._placed.get((sensor, content[:POSE_BYTES]))
-        if known is None:
-            self._unread += 1
-            return
-        number, pose, road_m = known
-        for frame in unpack_detections(content)[1]:
-            rows = frame.as_rows()
-            self._newest = max(self._newest, frame.time_us / 1e6)
-            self._filter.take(
-                map_detections(
-                    rows_of(rows, rows.present), pose, number, self._graph, road_m=road_m
-                )
-            )
 
 
 _following: VehicleFollower | None = None  # the follower of this process
 
 
-def _start(graph: LaneGraph | None) -> None:
+def _start(graph: LaneGraph) -> None:
     global _following  # noqa: PLW0603 - what all calls have in common
     watch_parent()
-    _following = None if graph is None else VehicleFollower(graph)
+    _following = VehicleFollower(graph)
 
 
-def _go_on(
-    placed: Mapping[PoseName, Placed], gone: Collection[PoseName], rows: Sequence[Message]
-) -> VehiclesAnswer:
+def _go_on(messages: Sequence[PlacedMessage]) -> VehiclesAnswer:
     assert _following is not None  # noqa: S101 - set when the process starts
-    return _following.go_on(placed, gone, rows)
+    return _following.go_on(messages)
 
 
 def run_vehicles_once() -> None:
     """Follow a few seconds of the sample, so that all loops are compiled."""
     sample = SampleSensor()
-    selector, key = DetectionSelector(sample.road), bytes(POSE_BYTES)
+    selector = DetectionSelector(sample.road)
     following = VehicleFollower(lane_graph(sample.roads.lanelets))
     for frame in sample.frames(SAMPLE_FRAMES):
         found = selector.find(frame, sample.pose, road_m=np.nan)
-        message = (sample.pose.sensor, pack_detections([found], pose=key))
-        following.go_on({(sample.pose.sensor, key): (0, sample.pose, np.nan)}, (), [message])
+        content = pack_detections([found], pose=bytes(POSE_BYTES))
+        following.go_on([PlacedMessage(0, sample.pose, np.nan, content)])
 
 
 class LiveVehicles:
@@ -165,8 +143,6 @@ class LiveVehicles:
         The lanes.
     sensors : sequence of str
         Names of the site's sensors.
-    crs : CRS
-        The map frame.
     again_s : float
         Time until a process that ended is started again, seconds.
     reporter : Reporter
@@ -175,51 +151,37 @@ class LiveVehicles:
     Attributes
     ----------
     dropped : int
-        Number of messages dropped as the process was too busy, could not read them, or ended.
+        Number of messages dropped as the process was too busy, or ended.
     late : int
         Number of frames that came too late to be followed.
     """
 
     def __init__(
-        self, graph: LaneGraph, sensors: Sequence[str], crs: Any, *, again_s: float = AGAIN_S,
+        self, graph: LaneGraph, sensors: Sequence[str], *, again_s: float = AGAIN_S,
         reporter: Reporter = QUIET,
     ) -> None:  # fmt: skip
         self.dropped = self.late = self.restarts = 0
-        self._graph, self._crs, self._reporter = graph, crs, reporter
+        self._graph, self._reporter = graph, reporter
         self._again_s = again_s
         self._number = {name: k for k, name in enumerate(sorted(sensors))}
-        self._placed: dict[PoseName, Placed] = {}
-        self._fresh: dict[PoseName, Placed] = {}
-        self._gone: set[PoseName] = set()
-        self._waiting: list[Message] = []
+        self._waiting: list[PlacedMessage] = []
         self._pool: ProcessPoolExecutor | None = None
         self._work: Future[VehiclesAnswer] | None = None
         self._handed = 0  # number of messages that the process has now
-        self._now, self._told, self._start_at = VehiclesNow.none(), 0.0, 0.0
+        self._now, self._answered_s, self._start_at = VehiclesNow.none(), 0.0, 0.0
 
     def make_ready(self) -> Future[None]:
         """Start the process; the future is done once its loops are compiled."""
-        self._fresh, self._gone = dict(self._placed), set()
         context = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(
             1, mp_context=context, initializer=_start, initargs=(self._graph,)
         )
         return self._pool.submit(run_vehicles_once)
 
-    def place(self, sensor: str, key: bytes, pose: Pose, road_m: float) -> None:
-        """Add a pose to which messages refer."""
-        self._placed[sensor, key] = self._fresh[sensor, key] = (self._number[sensor], pose, road_m)
-        self._gone.discard((sensor, key))
-
-    def forget(self, sensor: str, key: bytes) -> None:
-        """Forget a pose to which no message refers any more."""
-        self._placed.pop((sensor, key), None)
-        self._gone.add((sensor, key))
-
-    def take(self, sensor: str, content: bytes) -> None:
-        """Add the content of a message."""
+    def take(self, sensor: str, content: bytes, pose: Pose, road_m: float) -> None:
+        """Add the content of a message, its pose, and the height of the road near the sensor."""
         if len(self._waiting) < MOST_WAITING:
-            self._waiting.append((sensor, content))
+            self._waiting.append(PlacedMessage(self._number[sensor], pose, road_m, content))
         else:
             self.dropped += 1
 
@@ -231,20 +193,18 @@ class LiveVehicles:
                 return
             work, self._work = self._work, None
             try:
-                self._now, unread, late = work.result()
-                self.dropped, self.late = self.dropped + unread, self.late + late
-                self._told, self._handed = now, 0
+                self._now, late = work.result()
+                self.late += late
+                self._answered_s, self._handed = now, 0
             except Exception as error:  # noqa: BLE001 - whatever it is, a new process begins anew
                 self._lose(error)
         if self._pool is None and now >= self._start_at and self._start_at > 0.0:
             self.make_ready()
-        if self._pool is not None and self._waiting and now - self._told >= NOW_S:
-            rows, self._waiting = self._waiting, []
-            self._handed = len(rows)
-            fresh, gone = self._fresh, self._gone
-            self._fresh, self._gone = {}, set()
+        if self._pool is not None and self._waiting and now - self._answered_s >= NOW_S:
+            messages, self._waiting = self._waiting, []
+            self._handed = len(messages)
             try:
-                self._work = self._pool.submit(_go_on, fresh, gone, rows)
+                self._work = self._pool.submit(_go_on, messages)
             except Exception as error:  # noqa: BLE001 - as above
                 self._lose(error)
 
@@ -270,7 +230,7 @@ class LiveVehicles:
 
     def now(self) -> VehiclesNow:
         """Return the vehicles of now; none where the last answer is older than `OLD_S`."""
-        return self._now if time.monotonic() - self._told < OLD_S else VehiclesNow.none()
+        return self._now if time.monotonic() - self._answered_s < OLD_S else VehiclesNow.none()
 
     def figures(self) -> dict[str, float]:
         """Return counts, by name, for Prometheus."""
@@ -280,7 +240,3 @@ class LiveVehicles:
             "vehicles_late_frames": float(self.late),
             "vehicles_process_restarts": float(self.restarts),
         }
-
-    def layer(self) -> gpd.GeoDataFrame:
-        """Return the vehicles of now as points in the map."""
-        return layer_of(self.now(), self._crs)

@@ -108,11 +108,11 @@ def build(folder: Path) -> None:
             buffer.append(content)
     spool = Spool(place / "made")
     intake = _intake(folder, spool)
-    spool.rotate(intake.marks)
+    spool.rotate()
     _deliver(intake, folder)
     spool.collect()
     spool.write()
-    spool.rotate({})
+    spool.rotate()
     shutil.move(spool.closed[0], place / "spool")
     spool.close()
     shutil.rmtree(place / "made")
@@ -137,7 +137,7 @@ def _road(folder: Path) -> SightTiles:
 def _intake(folder: Path, spool: Spool, windows: Windows | None = None) -> Intake:
     road = _road(folder)
     return Intake(
-        ["R1"], site="junction", spool=spool, road=road,
+        ["R1"], spool=spool, road=road,
         counter=FrameCounter(road), windows=windows or Windows(0.2),
         oldest_s=1e6,
     )  # fmt: skip
@@ -178,7 +178,7 @@ def messages(folder: Path) -> None:
     spool = Spool(place / "spool")
     windows = Windows(0.2)
     intake = _intake(folder, spool, windows)
-    spool.rotate(intake.marks)
+    spool.rotate()
     _deliver(intake, folder)
     list(windows.close(BEGIN_US + 10_000_000))
     health = [each.health for each in intake.sensors.values()]
@@ -187,7 +187,7 @@ def messages(folder: Path) -> None:
         assert all(len(text.splitlines()) == 1 for text in each.alarms.values()), each.alarms
     spool.collect()
     spool.write()
-    spool.rotate(intake.marks)
+    spool.rotate()
     spool.close()
     _recorded(place, spool.closed[0])
     shutil.rmtree(place)
@@ -199,7 +199,7 @@ def kept_spool(folder: Path) -> None:
         spool = Spool(path.parent / "more")
         intake = _intake(folder, spool)
         intake.resume([SpoolFile(path)], BEGIN_US)
-        spool.rotate(intake.marks)
+        spool.rotate()
         _deliver(intake, folder)
         spool.close()
         _recorded(path.parent, path)
