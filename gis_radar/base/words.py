@@ -120,6 +120,18 @@ def plus_minus(value: float, digits: int, unit: str = "") -> str:
     return text if math.isfinite(value) else NO_FIGURE
 
 
+def with_error(value: float, error: float) -> str:
+    """Return a value with its standard error; 0 alone where neither is half a unit.
+
+    Examples
+    --------
+    >>> with_error(120.0, 11.2).replace(THIN_SPACE, " "), with_error(0.0, 0.0)
+    ('120 ± 11', '0')
+    """
+    shown = figure_text(value), figure_text(error)
+    return "0" if shown == ("0", "0") else f"{THIN_SPACE}±{THIN_SPACE}".join(shown)
+
+
 def wind_of(east_m: float, north_m: float) -> str:
     """Return the wind of `WINDS`, from grid north, that a vector points to; empty for none."""
     if math.hypot(east_m, north_m) < 1e-6:

@@ -29,6 +29,7 @@ from gis_radar.base import (
     seconds_text,
     speaking,
     tr,
+    with_error,
 )
 from gis_radar.dataset import Dataset, LaneTraffic
 from gis_radar.hdmap import LANES_LAYER
@@ -211,8 +212,7 @@ def _estimated(row: pd.Series) -> str:
     """Return a volume an hour with its standard error, or why there is none."""
     if pd.isna(row["volume"]):
         return tr(TOO_LITTLE if row["visible_share"] > 0.0 else NOT_SEEN)
-    volume, error = (figure_text(row[name] / row["hours"]) for name in ("volume", "volume_se"))
-    return f"{volume}{THIN_SPACE}±{THIN_SPACE}{error}"
+    return with_error(row["volume"] / row["hours"], row["volume_se"] / row["hours"])
 
 
 def _volume_table(traffic: ReportedTraffic) -> Table:
@@ -403,8 +403,7 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
         if not unknown.empty:
             return tr(TOO_LITTLE if unknown["visible_share"].min() > 0.0 else NOT_SEEN)
         error = float(np.sqrt((mine["volume_se"] ** 2).sum()))
-        shown = (figure_text(each / hours) for each in (mine["volume"].sum(), error))
-        return f"{THIN_SPACE}±{THIN_SPACE}".join(shown)
+        return with_error(mine["volume"].sum() / hours, error / hours)
 
     titles = [Column(tr("From lane"), "", str, False), Column(tr("No."), tr("on the plan"), str)]
     titles += [Column(_capital(tr(TURN_WORDS[way])), tr("veh/h"), str) for way in ways]
