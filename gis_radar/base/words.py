@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -130,6 +131,17 @@ def with_error(value: float, error: float) -> str:
     """
     shown = figure_text(value), figure_text(error)
     return "0" if shown == ("0", "0") else f"{THIN_SPACE}±{THIN_SPACE}".join(shown)
+
+
+def by_number(name: str) -> str:
+    """Return a name by which names sort so that numbers in them ascend.
+
+    Examples
+    --------
+    >>> sorted(["lane 10", "lane 2"], key=by_number)
+    ['lane 2', 'lane 10']
+    """
+    return re.sub(r"[0-9]+", lambda digits: digits[0].zfill(9), name)
 
 
 def wind_of(east_m: float, north_m: float) -> str:

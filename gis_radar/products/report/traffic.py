@@ -22,6 +22,7 @@ from gis_radar.base import (
     THIN_SPACE,
     Clock,
     Text,
+    by_number,
     figure_text,
     interval_steps,
     percent,
@@ -205,7 +206,8 @@ def _roads(traffic: ReportedTraffic) -> gpd.GeoDataFrame:
     inside = set(network.lane[network.connector].tolist())
     rows = traffic.by_lane[~traffic.by_lane["lane"].isin(inside)]
     later = ~rows["lane"].isin(_before_lines(traffic))
-    return rows.assign(later=later).sort_values(["later", "name"], ignore_index=True)
+    rows = rows.assign(later=later, order=rows["name"].map(by_number))
+    return rows.sort_values(["later", "order"], ignore_index=True)
 
 
 def _estimated(row: pd.Series) -> str:
@@ -393,7 +395,8 @@ def _turn_table(traffic: ReportedTraffic) -> Table:
     """Return the volumes of turns, a row a lane, a column a way."""
     table, hours = traffic.by_turn, traffic.hours
     ways = [way for way in TURN_WORDS if way in set(table["turn"])]
-    numbers = table.groupby("from_lane")["from_name"].first().sort_values()
+    numbers = table.groupby("from_lane")["from_name"].first()
+    numbers = numbers.sort_values(key=lambda each: each.map(by_number))
 
     def volume(lane: int, way: str) -> str:
         mine = table[(table["from_lane"] == lane) & (table["turn"] == way)]
