@@ -430,7 +430,7 @@ def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
 def _require_numbers(kind: pa.DataType, name: str, path: Path) -> None:
     # A column of nulls has the type null, which NUMERIC holds; digits as text are refused.
     if not any(is_kind(kind) for is_kind in NUMERIC):
-        hint = "gis-radar convert makes a recording of it" if pa.types.is_timestamp(kind) else ""
+        hint = Text("gis-radar convert makes a recording of it")
         raise InputError("{}: column {} is {}, expected numbers", path, name, kind, hint=hint)
 
 

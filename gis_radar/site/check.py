@@ -208,7 +208,8 @@ def _corrected(
     """Return spans of time as a right clock would have stamped them."""
     if clock is None:
         return list(spans)
-    return [(*map(float, clock.corrected(np.array(span[:2]))), span[2]) for span in spans]
+    times = clock.corrected(np.array([span[:2] for span in spans])).tolist()
+    return [(begin, end, path) for (begin, end), (*_, path) in zip(times, spans, strict=True)]
 
 
 def _check_scans(site: Site, roads: LaneletMap) -> None:
